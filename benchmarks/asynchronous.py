@@ -22,11 +22,14 @@ from typing import Any
 import numpy as np
 
 from cornercase import LogicalScenario, Study
-from cornercase.exploration import AsynchronousExplorer, ExplorationConfig, ScenarioExplorer
+from cornercase.exploration._asynchronous import AsynchronousExplorer
+from cornercase.exploration._config import ExplorationConfig
+from cornercase.exploration._explorer import ScenarioExplorer
 from cornercase.optimizers import create_optimizer
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario
-from cornercase.simulators import SIMULATORS, Simulator, create_simulator
+from cornercase.simulators import SIMULATORS, Simulator
+from cornercase.simulators._create import create_simulator
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "x_intersection" / "x_intersection"
 SHORT, LONG, SHARE = 0.5, 3.0, 0.1

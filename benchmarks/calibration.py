@@ -32,9 +32,10 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 from scipy.stats import qmc
 
-from cornercase.evidence import MIN_REGION_FRACTION, CriticalSet, encode_points
-from cornercase.exploration import audit_sampler, is_score_independent
-from cornercase.exploration.stopping import StopCriterion, StopCriteria
+from cornercase.evidence._critical_set_estimate import MIN_REGION_FRACTION, CriticalSet
+from cornercase.evidence.gp._process import encode_points
+from cornercase.exploration._stopping import StopCriteria, StopCriterion
+from cornercase.exploration._study_critical_set import audit_sampler, is_score_independent
 from cornercase.optimizers import create_optimizer
 from cornercase.scenario import Parameter, ParameterSpace
 

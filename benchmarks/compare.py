@@ -29,8 +29,10 @@ import numpy as np
 
 import cornercase as cc
 from cornercase.drivers import NORMAL, BehaviourDriver
-from cornercase.exploration import paper_experiment_config, explore_config
-from cornercase.suite import ALPHA, Comparison
+from cornercase.exploration._explore import explore_config
+from cornercase.exploration._paper_examples import paper_experiment_config
+from cornercase.suite import Comparison
+from cornercase.suite.compare._comparison import ALPHA
 
 EXAMPLES = {"x-intersection": 0.2, "t-intersection": 1.5}
 LATER = 0.1

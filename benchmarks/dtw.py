@@ -32,8 +32,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from cornercase._common.platform import count_available_cpus
-from cornercase.dtw import disk, distance_matrix
+from cornercase._common.process.platform import count_available_cpus
+from cornercase.dtw import _disk as disk
+from cornercase.dtw import distance_matrix
 
 Series = list[npt.NDArray[np.float64]]
 Call = Callable[[Series], npt.NDArray[Any]]

@@ -38,7 +38,13 @@ import numpy as np
 from cornercase import ConcreteScenario, LogicalScenario
 from cornercase.optimizers import RandomOptimizer
 from cornercase.simulators import BuiltinSimulator, EsminiSimulator
-from cornercase.simulators.esmini.library import PARAMETER_CALLBACK, encode_path, find_library_path, load_library, set_parameter
+from cornercase.simulators.esmini._library import (
+    PARAMETER_CALLBACK,
+    encode_path,
+    find_library_path,
+    load_library,
+    set_parameter,
+)
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 P = ParamSpec("P")

@@ -37,12 +37,13 @@ from lxml import etree
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-from agreement import Tracks, disagreement, last_instant, tracks_of, tracks_of_file
 from cornercase import ConcreteScenario, InputError, LogicalScenario
 from cornercase.recordings import Recording
 from cornercase.scenario import Value
-from cornercase.simulators import BuiltinSimulator, EsminiSimulator, WorkerSimulator
-from storyboards import storyboard, write_roads
+from cornercase.simulators import BuiltinSimulator, EsminiSimulator
+from cornercase.simulators.pool._simulator import WorkerSimulator
+from helpers.esmini_agreement import Tracks, disagreement, last_instant, tracks_of, tracks_of_file
+from helpers.random_storyboards import storyboard, write_roads
 
 PARTS = ("shared", "random", "public", "steps", "storyboards")
 SETS = 5

@@ -44,8 +44,9 @@ from scipy.spatial import cKDTree
 from threadpoolctl import threadpool_limits
 
 from cornercase import LogicalScenario
-from cornercase.evidence import CriticalSet
-from cornercase.exploration import is_score_independent, max_pending_scenarios
+from cornercase.evidence._critical_set_estimate import CriticalSet
+from cornercase.exploration._asynchronous import max_pending_scenarios
+from cornercase.exploration._study_critical_set import is_score_independent
 from cornercase.metrics import METRICS, compute_features, registered_features
 from cornercase.optimizers import (
     BayesOptimizer,
@@ -264,7 +265,11 @@ class Judge:
         # Where no interval is given, none can be wrong.
         row["share"] = np.nan if known.interval_unavailable else float(within)
         row["missed"] = np.nan if known.missed_interval_unavailable else float(missed)
-        return row | {"most missed": 1.0 if known.missed_interval_unavailable else min(known.missed_fraction.high + known.max_hidden_fraction, 1.0)}
+        return row | {
+            "most missed": 1.0
+            if known.missed_interval_unavailable
+            else min(known.missed_fraction.high + known.max_hidden_fraction, 1.0)
+        }
 
     def found(self, places: npt.NDArray[np.int64], seed: int) -> dict[str, float]:
         """Recall and precision of what was run at places, and elsewhere of what the best classifier of it tells."""

@@ -32,8 +32,10 @@ import numpy as np
 import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
-from cornercase.evidence import CriticalSet, SourceStudyModel, fit_boundary_process, encode_points, augment_points
-from cornercase.exploration import is_score_independent
+from cornercase.evidence._critical_set_estimate import CriticalSet
+from cornercase.evidence._multi_fidelity import SourceStudyModel, augment_points
+from cornercase.evidence.gp._process import encode_points, fit_boundary_process
+from cornercase.exploration._study_critical_set import is_score_independent
 from cornercase.metrics import METRICS
 from cornercase.optimizers import LevelSetOptimizer
 from cornercase.recordings import Recording
@@ -160,7 +162,9 @@ class Search:
         share = known.critical_fraction.low <= self.true.mean() <= known.critical_fraction.high
         return {
             "share": np.nan if known.interval_unavailable else float(share),
-            "missed": np.nan if known.missed_interval_unavailable else float(known.missed_fraction.low <= missed <= known.missed_fraction.high),
+            "missed": np.nan
+            if known.missed_interval_unavailable
+            else float(known.missed_fraction.low <= missed <= known.missed_fraction.high),
         }
 
 

@@ -31,7 +31,7 @@ from sklearn.metrics import f1_score
 from sklearn.model_selection import StratifiedKFold, cross_val_predict
 from threadpoolctl import threadpool_limits
 
-from cornercase.evidence import fit_boundary_process, encode_points
+from cornercase.evidence.gp._process import encode_points, fit_boundary_process
 from cornercase.optimizers import create_optimizer
 from cornercase.scenario import Parameter, ParameterSpace
 

@@ -21,7 +21,8 @@ from scipy.special import ndtr
 from sklearn.ensemble import RandomForestClassifier
 from sklearn.model_selection import StratifiedKFold, cross_val_predict
 
-from cornercase.evidence import PREDICTED_CRITICAL, Committee, fit_boundary_process
+from cornercase.evidence._committee import PREDICTED_CRITICAL, Committee
+from cornercase.evidence.gp._process import fit_boundary_process
 from cornercase.metrics import registered_features
 
 Floats = npt.NDArray[np.float64]

@@ -2,7 +2,7 @@
 
     python benchmarks/kinds.py [--quick] [--first SEED] [--draws N] [--many N] [--methods A,B] [--json FILE]
 
-Sets are drawn afresh by ``tests/staged.py`` with even seeds; constants of the method were chosen with odd ones, and the
+Sets are drawn afresh by ``tests/helpers/synthetic_clusters.py`` with even seeds; constants of the method were chosen with odd ones, and the
 sets marked with * were not made then. Each is compared in aspects in which its kinds differ. Figures are the adjusted
 Rand index with the true kinds, median and worst of all draws; for sets without structure, the share of draws that come
 out as one kind. Peers get the same distances: HDBSCAN of scikit-learn with its default settings, k-medoids, which is
@@ -28,10 +28,10 @@ from sklearn.metrics import adjusted_rand_score
 
 from cornercase.clustering import ASPECTS, cluster
 from cornercase.dtw import distance_matrix
-from cornercase.reduction.medoids import find_k_medoids
+from cornercase.reduction._medoids import find_k_medoids
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
-from staged import ASPECTS_OF, SETS, UNSEEN, WITHOUT, Floats, Ints, Maker
+from helpers.synthetic_clusters import ASPECTS_OF, SETS, UNSEEN, WITHOUT, Floats, Ints, Maker
 
 METHODS = ("dbscan", "hdbscan", "scikit-learn", "k-medoids", "tslearn")
 MANY = 3000

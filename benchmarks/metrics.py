@@ -51,7 +51,7 @@ from cornercase.metrics import (
     Ttce,
     Wttc,
 )
-from cornercase.metrics.wttc import earliest_circle_contact
+from cornercase.metrics._wttc import earliest_circle_contact
 from cornercase.recordings import Recording
 
 STEP = 0.1
@@ -296,8 +296,8 @@ def _their_delta_v(recording: Recording) -> float:
 
 def _area_steps(recording: Recording, name: str) -> tuple[float, float]:
     """Entering a step early and leaving a step late."""
-    from cornercase._common.geometry import box_corners, boxes_overlap
-    from cornercase.metrics._parts.boxes import box_corners_over_time
+    from cornercase._common.geometry.boxes import box_corners, boxes_overlap
+    from cornercase.metrics._geometry.boxes import box_corners_over_time
 
     inside = np.flatnonzero(boxes_overlap(box_corners_over_time(recording, name), box_corners(*AREA)))
     return (max(inside[0] - 1, 0) * STEP, (inside[-1] + 1) * STEP) if len(inside) else (math.inf, math.inf)

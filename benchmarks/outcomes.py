@@ -27,10 +27,11 @@ from sklearn.cluster import HDBSCAN
 from sklearn.metrics import adjusted_mutual_info_score
 
 from cornercase import LogicalScenario, Recording
-from cornercase.clustering import ASPECTS, ScenarioClustering, describe_outcome
+from cornercase.clustering import ASPECTS, ScenarioClustering
+from cornercase.clustering._ending import describe_outcome
 from cornercase.dtw import distance_matrix
 from cornercase.optimizers import SobolOptimizer
-from cornercase.reduction.medoids import find_k_medoids
+from cornercase.reduction._medoids import find_k_medoids
 from cornercase.simulators import BuiltinSimulator
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -28,13 +28,19 @@ from scipy.stats import spearmanr
 from sklearn.metrics import adjusted_rand_score, silhouette_score
 
 from cornercase import SimulationError
-from cornercase.clustering import ASPECTS, analyze, cluster, read_distances, read_series, describe_outcome
-from cornercase.drivers import driver_by_name
+from cornercase.clustering import ASPECTS, analyze, cluster, read_distances
+from cornercase.clustering._ending import describe_outcome
+from cornercase.clustering._series import read_series
+from cornercase.drivers._resolve import driver_by_name
 from cornercase.dtw import distances_to
-from cornercase.evidence import estimate_sensitivity
-from cornercase.exploration import Objective, paper_experiment_config, explore_config
+from cornercase.evidence._sensitivity import estimate_sensitivity
+from cornercase.exploration._explore import explore_config
+from cornercase.exploration._objective import Objective
+from cornercase.exploration._paper_examples import paper_experiment_config
 from cornercase.metrics import METRICS
-from cornercase.reduction import find_k_medoids, find_critical_clusters, reduce
+from cornercase.reduction import reduce
+from cornercase.reduction._critical_clusters import find_critical_clusters
+from cornercase.reduction._medoids import find_k_medoids
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import BuiltinSimulator
 from cornercase.study import Study
@@ -98,7 +104,9 @@ class Experiment:
         assert meta.critical is not None
         limit = objective.convert_orientation(meta.critical)
         runs = [
-            one for one in runs if objective.convert_orientation(metric.score(metric.course(one, meta.ego, meta.others[0]))) <= limit
+            one
+            for one in runs
+            if objective.convert_orientation(metric.score(metric.course(one, meta.ego, meta.others[0]))) <= limit
         ]
         rows = [row.id for row in study.finished_rows()]
         kept = [rows.index(scenario) for scenario in self.reduced.ids]

@@ -26,7 +26,7 @@ import numpy as np
 import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
-from cornercase.evidence import CriticalSet
+from cornercase.evidence._critical_set_estimate import CriticalSet
 from cornercase.optimizers import BayesOptimizer, LevelSetOptimizer, Optimizer, SobolOptimizer
 from cornercase.scenario import ParameterSpace
 

@@ -27,8 +27,9 @@ from scipy.optimize import brentq
 from scipy.special import ndtri
 from scipy.stats import chi2, gamma, norm
 
-from cornercase.evidence import ImportanceSampling, probability_from_counts, probability_from_weights
-from cornercase.exploration import describe_doubts
+from cornercase.evidence._probability import probability_from_counts, probability_from_weights
+from cornercase.evidence._rare_events import ImportanceSampling
+from cornercase.exploration._estimation import describe_doubts
 from cornercase.scenario import ParameterSpace
 
 Floats = npt.NDArray[np.float64]

@@ -26,7 +26,8 @@ import numpy.typing as npt
 import pandas as pd
 
 from cornercase import Recording, SimulationError
-from cornercase.drivers import REFERENCES, EncounterOutcome, drive_cut_in, drive_cut_out, drive_deceleration
+from cornercase.drivers import EncounterOutcome, drive_cut_in, drive_cut_out, drive_deceleration
+from cornercase.drivers.references.r157._models import REFERENCES
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import BuiltinSimulator
 

@@ -150,7 +150,8 @@ def cluster_overhead(tasks: int) -> dict[str, float]:
 
     import cornercase as cc
     from at_once import Answer, AtOnceSimulator  # type: ignore[import-not-found]
-    from cornercase.simulators import ClusterSimulator, create_simulator
+    from cornercase.simulators._create import create_simulator
+    from cornercase.simulators.dask._simulator import ClusterSimulator
 
     logical = cc.LogicalScenario.read(f"{EXAMPLE}.xosc", f"{EXAMPLE}.space.xosc")
     points = np.random.default_rng(0).random((tasks, logical.space.dimension))

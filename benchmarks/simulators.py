@@ -20,8 +20,10 @@ from typing import Any
 import numpy as np
 from scipy.stats import qmc
 
-from cornercase.evidence import CriticalSet
-from cornercase.exploration import Objective, paper_experiment_config, explore_config
+from cornercase.evidence._critical_set_estimate import CriticalSet
+from cornercase.exploration._explore import explore_config
+from cornercase.exploration._objective import Objective
+from cornercase.exploration._paper_examples import paper_experiment_config
 from cornercase.study import Study
 
 

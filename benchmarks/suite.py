@@ -35,12 +35,13 @@ import numpy.typing as npt
 import cornercase as cc
 from cornercase.clustering import read_analysis, read_distances
 from cornercase.drivers import generate_mutants
-from cornercase.reduction import select_killing, find_k_medoids
-from cornercase.reduction.choosing import SelectionInput, SelectionRequest, select
-from cornercase.reduction.critical_clusters import find_critical_clusters
-from cornercase.reduction.grading import load_study_data
+from cornercase.reduction._critical_clusters import find_critical_clusters
+from cornercase.reduction._evaluate import load_study_data
+from cornercase.reduction._medoids import find_k_medoids
+from cornercase.reduction._mutant_selection import select_killing
+from cornercase.reduction.selection._select import SelectionInput, SelectionRequest, select
 from cornercase.suite import Requirement
-from cornercase.suite.exposing import run_mutants
+from cornercase.suite._mutation_analysis import run_mutants
 
 ROOT = Path(__file__).resolve().parents[1]
 NCAP = ROOT.parent / "shared" / "reference" / "openscenario" / "ncap" / "OpenSCENARIO" / "NCAP" / "CA-FC_2026"

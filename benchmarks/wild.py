@@ -31,13 +31,13 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-from agreement import disagreement, last_instant, tracks_of_file
 from cornercase import ConcreteScenario, InputError
 from cornercase.recordings import Recording
-from cornercase.roads import RoadNetwork
+from cornercase.roads._network import RoadNetwork
 from cornercase.simulators import BuiltinSimulator
-from driven_lanes import drive_lanes
-from lane_centres import OTHER_VERSION, compare_centres, read_centres
+from helpers.esmini_agreement import disagreement, last_instant, tracks_of_file
+from helpers.lane_centres import OTHER_VERSION, compare_centres, read_centres
+from helpers.lane_driving import drive_lanes
 
 PARTS = ("scenarios", "lanes", "driving")
 # Of the speed that a lane is driven with.

@@ -121,7 +121,8 @@ def take_four(browser: Browser, study: Path, folder: Path) -> None:
 def take_versions(browser: Browser, folder: Path) -> None:
     """Take the picture of a comparison: of the X-intersection's driver, and of one that reacts 0.1 s later."""
     from cornercase.drivers import NORMAL, BehaviourDriver
-    from cornercase.exploration import paper_experiment_config, explore_config
+    from cornercase.exploration._explore import explore_config
+    from cornercase.exploration._paper_examples import paper_experiment_config
     from cornercase.report import write_comparison
 
     studies = folder / "normal.db", folder / "later.db"
@@ -139,7 +140,8 @@ def take_versions(browser: Browser, folder: Path) -> None:
 
 def study_of_x(path: Path) -> Path:
     """The demonstration, as its command makes it."""
-    from cornercase.exploration import paper_experiment_config, explore_config
+    from cornercase.exploration._explore import explore_config
+    from cornercase.exploration._paper_examples import paper_experiment_config
 
     configuration = paper_experiment_config("x-intersection")
     explore_config(configuration, path)

@@ -22,7 +22,7 @@ from cornercase import SimulationError
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario, LogicalScenario
 from cornercase.simulators import BuiltinSimulator, Simulator
-from cpu_times import Summary, pytest_addoption, pytest_runtest_protocol, pytest_sessionfinish
+from helpers.cpu_times import Summary, pytest_addoption, pytest_runtest_protocol, pytest_sessionfinish
 
 __all__ = ["pytest_addoption", "pytest_runtest_protocol", "pytest_sessionfinish"]
 

@@ -65,5 +65,9 @@ plt.show()
 # critical.
 
 known = cc.summarize(study).estimates.critical.critical_set
-print(f"critical share of the space: {known.critical_fraction.value:.3f} ({known.critical_fraction.low:.3f} to {known.critical_fraction.high:.3f})")
-print(f"missed of the critical set: {known.missed_fraction.value:.3f} ({known.missed_fraction.low:.3f} to {known.missed_fraction.high:.3f})")
+print(
+    f"critical share of the space: {known.critical_fraction.value:.3f} ({known.critical_fraction.low:.3f} to {known.critical_fraction.high:.3f})"
+)
+print(
+    f"missed of the critical set: {known.missed_fraction.value:.3f} ({known.missed_fraction.low:.3f} to {known.missed_fraction.high:.3f})"
+)

@@ -12,7 +12,7 @@ from xml.sax.saxutils import quoteattr
 import cornercase as cc
 from conftest import EXAMPLES
 from cornercase.study import Study
-from synthetic import SPACE, about, explorer
+from helpers.synthetic_study import SPACE, about, explorer
 
 # What would be run, end a script or break an attribute if a page took a name for HTML; a slash can be in no file's name.
 HOSTILE = """<script>document.title='run'<script><img src=x onerror="document.title='run'">"""

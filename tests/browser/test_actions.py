@@ -9,10 +9,10 @@ import shlex
 import pytest
 
 from browser.studies import X
-from command_line import cornercase
 from conftest import at_night
 from cornercase.recordings import read_recording
 from cornercase.study import Study
+from helpers.command_line import cornercase
 
 WORDS = "id => cornercase.actions.running.words(id)"
 COMMAND = "id => cornercase.actions.running.command(id)"

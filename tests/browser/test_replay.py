@@ -6,7 +6,7 @@ import numpy as np
 
 import cornercase as cc
 from browser.studies import ENTITY, HOSTILE
-from cornercase.report.replays.motion import interpolate_motion, is_visible
+from cornercase.report.replays._interpolation import interpolate_motion, is_visible
 from cornercase.study import Study
 
 # What the scene draws from at some times, of the entities of that slot.

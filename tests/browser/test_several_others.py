@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 import cornercase as cc
-from cornercase.metrics import METRICS, evaluate_metrics
+from cornercase.metrics import METRICS
+from cornercase.metrics._measure import evaluate_metrics
 from cornercase.recordings import Recording
 from cornercase.scenario import ParameterSpace
 from cornercase.study import Study
-from synthetic import about
+from helpers.synthetic_study import about
 
 # Where the ego looks: the name of the one that counts, and the looks of all entities.
 LOOK = """() => {

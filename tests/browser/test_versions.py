@@ -15,7 +15,7 @@ from cornercase.recordings import Collision, Recording
 from cornercase.report import write_comparison
 from cornercase.scenario import ParameterSpace
 from cornercase.study import Study
-from synthetic import about
+from helpers.synthetic_study import about
 
 POINTS = np.array([[0.1, 0.1], [0.9, 0.1], [0.5, 0.9], [0.2, 0.7]])
 

@@ -12,9 +12,9 @@ import pytest
 
 from browser.conftest import shared
 from browser.studies import X
-from command_line import cornercase
 from cornercase.study import Study
-from waiting import until
+from helpers.command_line import cornercase
+from helpers.waiting import until
 
 pytest.importorskip("starlette")
 pytest.importorskip("uvicorn")

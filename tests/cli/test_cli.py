@@ -11,12 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from command_line import SPACE, X, cornercase, waiting_after
 from conftest import at_night, same_recording, scenario_file, teleport, time_trigger
 from cornercase.recordings import read_recording
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import BuiltinSimulator
 from cornercase.study import Study
+from helpers.command_line import SPACE, X, cornercase, waiting_after
 
 
 @pytest.fixture(scope="module")

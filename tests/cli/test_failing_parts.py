@@ -13,26 +13,29 @@ import numpy as np
 import pytest
 
 import cornercase as cc
-import fake_simulators  # noqa: F401 - makes its simulators known
-from command_line import SPACE, X, cornercase
 from cornercase._common.errors import InputError
-from cornercase._common.parts import describe_error, group_failure_messages
-from cornercase.cli.study_file import read_study_file
-from cornercase.drivers import Driver, resolve_driver
+from cornercase._common.plugin_errors import describe_error, group_failure_messages
+from cornercase.cli.config_file import read_study_file
+from cornercase.drivers import Driver
+from cornercase.drivers._resolve import resolve_driver
 from cornercase.metrics import METRICS, Clearance, measure
 from cornercase.optimizers import OPTIMIZERS, SobolOptimizer
 from cornercase.recordings import Recording, read_recording
-from cornercase.simulators import SIMULATORS, BuiltinSimulator, Simulator, WorkerSimulator, create_simulator
+from cornercase.simulators import SIMULATORS, BuiltinSimulator, Simulator
+from cornercase.simulators._create import create_simulator
+from cornercase.simulators.pool._simulator import WorkerSimulator
 from cornercase.study import Study
 from cornercase.suite import Requirement, judge
-from fake_simulators import Plan
+from helpers import fake_simulators as fake_simulators
+from helpers.command_line import SPACE, X, cornercase
+from helpers.fake_simulators import Plan
 
 pytestmark = pytest.mark.filterwarnings("ignore:without effect")
 
 DRIVERS = '''
 import ctypes, sys
 import numpy as np
-from cornercase.cli.study_file import read_study_file
+from cornercase.cli.config_file import read_study_file
 from cornercase.drivers import Driver, told_driver
 
 

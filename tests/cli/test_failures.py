@@ -9,10 +9,10 @@ import sys
 
 import pytest
 
-from command_line import X, cornercase
 from conftest import moving, scenario_file
 from cornercase import simulators
-from cornercase._common.texts import format_json
+from cornercase._common.text.sanitize import format_json
+from helpers.command_line import X, cornercase
 
 
 def failing(error):

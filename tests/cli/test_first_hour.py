@@ -19,14 +19,16 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from command_line import SPACE, X, cornercase
 from cornercase._common.errors import InputError, NoticeWarning
 from cornercase._common.progress import format_duration
-from cornercase.exploration import Objective, paper_experiment_config, explore_config
-from cornercase.optimizers.grid import GridOptimizer
+from cornercase.exploration._explore import explore_config
+from cornercase.exploration._objective import Objective
+from cornercase.exploration._paper_examples import paper_experiment_config
+from cornercase.optimizers._grid import GridOptimizer
 from cornercase.scenario import ParameterSpace
-from cornercase.simulators.carmaker import simulator as carmaker
+from cornercase.simulators.carmaker import _simulator as carmaker
 from cornercase.study import Study
+from helpers.command_line import SPACE, X, cornercase
 
 SEARCH = ("explore", X, "--space", SPACE, "--ego", "Ego", "--other", "Pedestrian", "--budget", "2", "--batch", "2")
 

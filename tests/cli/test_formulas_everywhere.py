@@ -7,8 +7,8 @@ import csv
 import pytest
 from typer.testing import CliRunner
 
-from command_line import SPACE, X, cornercase
 from cornercase.cli import app
+from helpers.command_line import SPACE, X, cornercase
 
 # Names of files can hold none of < and >, so these two would have the same.
 NAMES = ["stl:always[0:9] (clearance > 2)", "stl:always[0:9] (clearance < 2)"]

@@ -11,9 +11,9 @@ from importlib.util import find_spec
 
 import pytest
 
-from command_line import cornercase, process_of_all
 from conftest import ROAD, at_night, car, scenario_file, speed_action, teleport
 from cornercase.study import Study
+from helpers.command_line import cornercase, process_of_all
 
 INIT = f'<Private entityRef="Ego">{teleport("10")}{speed_action("10")}</Private>'
 

@@ -9,9 +9,9 @@ from importlib.util import find_spec
 
 import pytest
 
-import foreign_recordings as foreign
-from command_line import cornercase
-from cornercase.recordings.recording import CSV_COLUMNS
+from cornercase.recordings._recording import CSV_COLUMNS
+from helpers import foreign_recordings as foreign
+from helpers.command_line import cornercase
 
 HEADER = ",".join(CSV_COLUMNS)
 OSI = pytest.mark.skipif(find_spec("osi3") is None, reason="needs the extra 'osi'")

@@ -7,8 +7,8 @@ import shutil
 import pytest
 
 import cornercase as cc
-from command_line import X, cornercase
-from synthetic import explorer, opened
+from helpers.command_line import X, cornercase
+from helpers.synthetic_study import explorer, opened
 
 
 @pytest.fixture

@@ -9,8 +9,8 @@ import sys
 
 import pytest
 
-from command_line import SPACE, X, cornercase
-from cornercase._common.interrupts import install_signal_handlers
+from cornercase._common.process.signals import install_signal_handlers
+from helpers.command_line import SPACE, X, cornercase
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="it asks as Unix does")
 
@@ -80,26 +80,26 @@ def asked(number, place, *command, cwd):
 @pytest.mark.parametrize(
     ("number", "place", "command", "words"),
     [
-        (signal.SIGINT, "cornercase.clustering.analyzing:_clustered", ("analyze",), "Interrupted;"),
+        (signal.SIGINT, "cornercase.clustering._analyze:_clustered", ("analyze",), "Interrupted;"),
         pytest.param(
             signal.SIGTERM,
-            "cornercase.report.page:written_whole",
+            "cornercase.report._page:written_whole",
             ("report", "-o", "page.html"),
             "by SIGTERM;",
             marks=pytest.mark.slow,
         ),
         pytest.param(
-            signal.SIGHUP, "cornercase.report.summary:summarize", ("show",), "by SIGHUP;", marks=pytest.mark.slow
+            signal.SIGHUP, "cornercase.report._summary:summarize", ("show",), "by SIGHUP;", marks=pytest.mark.slow
         ),
         pytest.param(signal.SIGTERM, "typer.core:_main", ("show",), "by SIGTERM;", marks=pytest.mark.slow),
         pytest.param(
-            signal.SIGINT, "~cornercase.report.summary:summarize", ("show",), "Interrupted;", marks=pytest.mark.slow
+            signal.SIGINT, "~cornercase.report._summary:summarize", ("show",), "Interrupted;", marks=pytest.mark.slow
         ),
-        (signal.SIGTERM, "~cornercase.report.summary:summarize", ("show",), "by SIGTERM;"),
+        (signal.SIGTERM, "~cornercase.report._summary:summarize", ("show",), "by SIGTERM;"),
         pytest.param(
-            signal.SIGINT, "+cornercase.report.summary:summarize", ("show",), "Interrupted;", marks=pytest.mark.slow
+            signal.SIGINT, "+cornercase.report._summary:summarize", ("show",), "Interrupted;", marks=pytest.mark.slow
         ),
-        (signal.SIGTERM, "+cornercase.report.summary:summarize", ("show",), "by SIGTERM;"),
+        (signal.SIGTERM, "+cornercase.report._summary:summarize", ("show",), "by SIGTERM;"),
     ],
 )
 def test_stumble_8_an_interrupted_command_says_a_word(number, place, command, words, study, tmp_path):

@@ -9,7 +9,7 @@ from importlib import resources
 import pytest
 from jsonschema import Draft202012Validator
 
-from command_line import SPACE, X, cornercase
+from helpers.command_line import SPACE, X, cornercase
 
 SEARCH = ("explore", X, "--space", SPACE, "--ego", "Ego", "--other", "Pedestrian", "--metric", "wttc", "--seed", "1")
 

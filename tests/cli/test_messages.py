@@ -6,10 +6,10 @@ from typing import Any
 
 import typer.main
 
-from command_line import cornercase
 from conftest import car, scenario_file, speed_action, teleport
 from cornercase.cli import app
-from cornercase.cli.messages import _COMMANDS, _PARAMETERS_WITH_OPTION, _OPTION_BY_PARAMETER, use_option_names
+from cornercase.cli.option_names import _COMMANDS, _OPTION_BY_PARAMETER, _PARAMETERS_WITH_OPTION, use_option_names
+from helpers.command_line import cornercase
 
 
 def test_parameters_become_options_and_functions_become_commands():
@@ -20,15 +20,11 @@ def test_parameters_become_options_and_functions_become_commands():
 
 
 def test_the_connection_with_a_cluster_is_what_was_given_for_it():
-    assert use_option_names("`client`: a worker has cornercase 0.0.1.") == (
-        "--cluster: a worker has cornercase 0.0.1."
-    )
+    assert use_option_names("`client`: a worker has cornercase 0.0.1.") == ("--cluster: a worker has cornercase 0.0.1.")
 
 
 def test_what_is_neither_stays():
-    assert use_option_names("The file `a.csv` has no column `speed`.") == (
-        "The file `a.csv` has no column `speed`."
-    )
+    assert use_option_names("The file `a.csv` has no column `speed`.") == ("The file `a.csv` has no column `speed`.")
 
 
 def test_every_option_and_command_that_is_named_exists():

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from command_line import SPACE, X, cornercase
 from cornercase.metrics import METRICS
+from helpers.command_line import SPACE, X, cornercase
 
 MEASURED = ("--metric", "wttc", "--metric", "trajectory-distance")
 SEARCH = ("explore", X, "--space", SPACE, "--ego", "Ego", "--other", "Pedestrian", *MEASURED, "--optimizer", "sobol")

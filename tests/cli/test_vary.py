@@ -13,11 +13,11 @@ from pathlib import Path
 import pandas
 import pytest
 
-from command_line import Ended, cornercase
 from conftest import EXAMPLES, moving, scenario_file
 from cornercase import InputError, Study
-from openpass_files import of_openpass
-from waiting import until
+from helpers.command_line import Ended, cornercase
+from helpers.openpass_files import of_openpass
+from helpers.waiting import until
 
 CUT_IN = EXAMPLES / "r157" / "cut_in.xosc"
 WILD = Path(__file__).parents[3] / "shared" / "reference" / "wild"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from command_line import cornercase, process
+from helpers.command_line import cornercase, process
 
 
 @pytest.mark.slow

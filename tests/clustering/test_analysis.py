@@ -16,11 +16,12 @@ from scipy.spatial.distance import pdist, squareform
 from conftest import at_night
 from cornercase._common.errors import InputError, SimulationError
 from cornercase._common.memory import MemoryLimit
-from cornercase.clustering import Candidate, analyze, compare_clusterings, read_analyses, read_analysis, read_distances
-from cornercase.clustering.analyzing import _require_memory
+from cornercase.clustering import Candidate, analyze, read_analyses, read_analysis, read_distances
+from cornercase.clustering._agreement import compare_clusterings
+from cornercase.clustering._analyze import _require_memory
 from cornercase.study import Study
-from sealed import reseal
-from synthetic import Synthetic, explorer, opened
+from helpers.checksums import reseal
+from helpers.synthetic_study import Synthetic, explorer, opened
 
 
 @pytest.fixture(scope="module")
@@ -85,8 +86,8 @@ def test_the_distances_are_those_of_the_aspect(path):
 
 
 def test_landmarks_are_read_back_and_are_still_those_after_others_joined(path, monkeypatch):
-    monkeypatch.setattr("cornercase.clustering.estimator.MOST_EXACT", 20)
-    monkeypatch.setattr("cornercase.clustering.estimator.LANDMARKS", 15)
+    monkeypatch.setattr("cornercase.clustering._scenario_clustering.MOST_EXACT", 20)
+    monkeypatch.setattr("cornercase.clustering._scenario_clustering.LANDMARKS", 15)
     with opened(path) as study:
         before = analyze(study, "distance")["distance"]
         explorer(study, metrics=("distance", "wttc"), optimizer="sobol", budget=60).run()

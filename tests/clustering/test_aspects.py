@@ -11,11 +11,12 @@ from hypothesis import strategies as st
 
 from conftest import examples
 from cornercase._common.errors import InputError
-from cornercase.clustering import ASPECTS, Aspect, analyze, read_analysis, read_distances, read_series
+from cornercase.clustering import ASPECTS, Aspect, analyze, read_analysis, read_distances
+from cornercase.clustering._series import read_series
 from cornercase.dtw import distance_matrix
 from cornercase.recordings import Recording
 from cornercase.study import Study
-from synthetic import explorer, opened
+from helpers.synthetic_study import explorer, opened
 
 TIME = np.arange(0.0, 20.0, 0.1)
 NAMES = ("bearing", "behaviour", "ego-motion", "ego-speed", "ego-trajectory", "interaction", "relative")

@@ -9,7 +9,7 @@ from sklearn.metrics import adjusted_rand_score
 from conftest import at_night
 from cornercase._common.errors import InputError
 from cornercase.clustering import ScenarioClustering, cluster
-from cornercase.clustering.validity import dbcv
+from cornercase.clustering._validity import dbcv
 from cornercase.dtw import distance_matrix
 
 
@@ -149,8 +149,8 @@ def test_landmarks_find_the_same_and_say_what_they_lose():
 
 
 def test_many_scenarios_take_landmarks_by_themselves(monkeypatch):
-    monkeypatch.setattr("cornercase.clustering.estimator.MOST_EXACT", 500)
-    monkeypatch.setattr("cornercase.clustering.estimator.LANDMARKS", 300)
+    monkeypatch.setattr("cornercase.clustering._scenario_clustering.MOST_EXACT", 500)
+    monkeypatch.setattr("cornercase.clustering._scenario_clustering.LANDMARKS", 300)
     points, truth = make_circles(700, noise=0.04, factor=0.4, random_state=1)
     distances = between(points)
     model = ScenarioClustering().fit(distances)
@@ -301,9 +301,7 @@ def test_validity_index_by_hand():
     expected = (102.0 - 1.2) / 102.0
     assert dbcv(distances, labels, dimensions=1.0) == pytest.approx(expected, rel=1e-5)
     noisy = between(np.concatenate((line, line + 103.0, [1000.0, 2000.0]))[:, None])
-    assert dbcv(noisy, np.append(labels, [-1, -1]), dimensions=1.0) == pytest.approx(
-        expected * 0.8, rel=1e-5
-    )
+    assert dbcv(noisy, np.append(labels, [-1, -1]), dimensions=1.0) == pytest.approx(expected * 0.8, rel=1e-5)
 
 
 @pytest.mark.parametrize(

@@ -7,9 +7,9 @@ from scipy.spatial.distance import cdist
 from sklearn.cluster import DBSCAN
 from sklearn.metrics import adjusted_rand_score
 
-from cornercase.clustering.density import cluster_by_density, renumber_by_size
-from cornercase.clustering.spanning_tree import fill_spanning_tree
-from cornercase.clustering.stability import _adjusted_rand_index
+from cornercase.clustering._density import cluster_by_density, renumber_by_size
+from cornercase.clustering._kernels.spanning_tree import fill_spanning_tree
+from cornercase.clustering._stability import _adjusted_rand_index
 
 
 @pytest.mark.parametrize("seed", range(40))

@@ -11,7 +11,7 @@ from sklearn.base import clone
 from sklearn.datasets import make_moons
 from sklearn.metrics import adjusted_rand_score
 
-import cornercase.clustering.estimator
+import cornercase.clustering._scenario_clustering
 from conftest import at_night
 from cornercase._common.errors import InputError
 from cornercase.clustering import ScenarioClustering, cluster
@@ -34,7 +34,7 @@ def test_it_finds_what_the_function_finds_and_has_the_manners():
     assert (model.gamma_, model.eps_, model.min_samples_) == (4.0, 0.2, 4)
     assert model.candidates_ == model.result_.candidates
     assert "150 scenarios, " in repr(model.result_)
-    assert doctest.testmod(cornercase.clustering.estimator).failed == 0
+    assert doctest.testmod(cornercase.clustering._scenario_clustering).failed == 0
 
 
 @pytest.mark.parametrize("method", ["dbscan", "hdbscan"])

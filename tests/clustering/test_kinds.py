@@ -7,9 +7,9 @@ from sklearn.metrics import adjusted_rand_score
 
 from conftest import at_night
 from cornercase.clustering import ASPECTS, cluster
-from cornercase.clustering.kinds import estimate_clusters
+from cornercase.clustering._n_clusters import estimate_clusters
 from cornercase.dtw import distance_matrix
-from staged import ASPECTS_OF, SETS, WITHOUT
+from helpers.synthetic_clusters import ASPECTS_OF, SETS, WITHOUT
 
 
 def between(points):
@@ -98,7 +98,7 @@ def test_scenarios_alike_but_for_the_last_digits_are_no_kinds():
 def test_clusters_that_are_not_found_again_are_not_told(monkeypatch):
     distances, _ = apart(3, 20, 0)
     assert cluster(distances).n_clusters == 3
-    monkeypatch.setattr("cornercase.clustering.stability.Stability.of", lambda self, one, labels: 0.12)
+    monkeypatch.setattr("cornercase.clustering._stability.Stability.of", lambda self, one, labels: 0.12)
     assert cluster(distances).n_clusters == 1
 
 
@@ -156,7 +156,9 @@ def test_a_wide_gap_makes_no_others(count):
 
 @pytest.mark.parametrize("draw", ["exponential", "lognormal", "standard_cauchy"])
 def test_a_few_at_a_sparse_edge_are_no_kind(draw):
-    kinds = [estimate_clusters(between(getattr(np.random.default_rng(seed), draw)(size=(60, 2)))).max() for seed in range(20)]
+    kinds = [
+        estimate_clusters(between(getattr(np.random.default_rng(seed), draw)(size=(60, 2)))).max() for seed in range(20)
+    ]
     assert np.sum(np.array(kinds) == 0) >= 18
 
 

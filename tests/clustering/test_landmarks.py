@@ -8,24 +8,17 @@ from scipy.spatial.distance import pdist, squareform
 from sklearn.metrics import adjusted_rand_score
 
 from cornercase._common.errors import InputError
-from cornercase.clustering import (
-    EmbeddedDistances,
-    ScenarioClustering,
-    analyze,
-    analyzing,
-    assign_to_clusters,
-    landmarks,
-    read_analysis,
-    read_distances,
-    read_series,
-)
-from cornercase.clustering.comparing import downsampling_stride, downsample
-from cornercase.clustering.landmarks import PairwiseComparer, cluster_by_landmarks
-from cornercase.clustering.places import LandmarkMDS
+from cornercase.clustering import ScenarioClustering, analyze, read_analysis, read_distances
+from cornercase.clustering import _analyze as analyze_module
+from cornercase.clustering import _landmarks as landmarks
+from cornercase.clustering._assign import assign_to_clusters
+from cornercase.clustering._embedding import EmbeddedDistances, LandmarkMDS
+from cornercase.clustering._landmarks import PairwiseComparer, cluster_by_landmarks
+from cornercase.clustering._series import downsample, downsampling_stride, read_series
 from cornercase.dtw import distance_matrix
-from cornercase.reduction import measure_nearest_distances
+from cornercase.reduction._coverage import measure_nearest_distances
 from cornercase.study import Study
-from synthetic import explorer, opened
+from helpers.synthetic_study import explorer, opened
 
 
 def courses(count, rng):
@@ -42,7 +35,7 @@ def courses(count, rng):
 
 @pytest.fixture
 def many(monkeypatch):
-    monkeypatch.setattr(analyzing, "MAX_ALL_PAIRS", 30)
+    monkeypatch.setattr(analyze_module, "MAX_ALL_PAIRS", 30)
     monkeypatch.setattr(landmarks, "LANDMARKS", 24)
 
 
@@ -145,14 +138,14 @@ def test_clusters_of_all_pairs_are_kept_when_there_are_many(path, monkeypatch):
     first = analyze(path, "distance")["distance"]
     with opened(path) as study:
         explorer(study, metrics=("distance", "wttc"), optimizer="sobol", budget=60).run()
-    monkeypatch.setattr(analyzing, "MAX_ALL_PAIRS", 50)
+    monkeypatch.setattr(analyze_module, "MAX_ALL_PAIRS", 50)
     later = analyze(path, "distance", keep_clusters=True)["distance"]
     assert later.embedding_error is not None
     assert later.labels[: len(first.labels)].tolist() == first.labels.tolist()
 
 
 def test_what_does_not_fit_is_refused_ahead(path, many, monkeypatch):
-    monkeypatch.setattr(analyzing, "_LOOKED_AT", 10)
-    monkeypatch.setattr(analyzing, "_BYTES_PER_SCENARIO", 10**9)
+    monkeypatch.setattr(analyze_module, "_LOOKED_AT", 10)
+    monkeypatch.setattr(analyze_module, "_BYTES_PER_SCENARIO", 10**9)
     with pytest.raises(InputError, match=r"scenarios need .* more than `memory` 1 GB"):
         analyze(path, memory="1 GB")

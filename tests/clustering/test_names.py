@@ -13,19 +13,20 @@ from scipy.spatial.distance import pdist
 from scipy.stats import qmc
 
 from conftest import EXAMPLES, at_night, ran
-from cornercase.clustering import analyze, find_outcome
-from cornercase.clustering.agreement import mutual_information_with_facts, collect_facts
-from cornercase.clustering.clauses import NamingFacts, Predicate, predicates_with_fixed_bounds
-from cornercase.clustering.names import ClusterName, name_clusters
-from cornercase.clustering.traits import measure_features
-from cornercase.drivers import driver_by_name
+from cornercase.clustering import analyze
+from cornercase.clustering._agreement import collect_facts, mutual_information_with_facts
+from cornercase.clustering._ending import find_outcome
+from cornercase.clustering.naming._names import ClusterName, name_clusters
+from cornercase.clustering.naming._predicates import NamingFacts, Predicate, predicates_with_fixed_bounds
+from cornercase.clustering.naming._scenario_features import measure_features
+from cornercase.drivers._resolve import driver_by_name
 from cornercase.exploration import explore
 from cornercase.recordings import Collision
 from cornercase.scenario import LogicalScenario, Parameter, ParameterSpace
 from cornercase.simulators import BuiltinSimulator
 from cornercase.study import Study
-from kind_names import Scene, is_true, written
-from meetings import CROSSES, NORTH, entity, recording, walker
+from helpers.cluster_names import Scene, is_true, written
+from helpers.encounter_recordings import CROSSES, NORTH, entity, recording, walker
 
 NCAP = Path(__file__).parents[3] / "shared" / "reference" / "openscenario" / "ncap" / "OpenSCENARIO" / "NCAP"
 RANGES = NCAP / "CA-FC_2026" / "Variations" / "StandardRange"

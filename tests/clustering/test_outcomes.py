@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cornercase.clustering import find_outcome
-from cornercase.clustering.clauses import describe_ending
-from cornercase.clustering.traits import measure_features
-from cornercase.metrics._parts.conflict_area import area_visits
+from cornercase.clustering._ending import find_outcome
+from cornercase.clustering.naming._predicates import describe_ending
+from cornercase.clustering.naming._scenario_features import measure_features
+from cornercase.metrics._geometry.conflict_area import area_visits
 from cornercase.recordings import Collision
-from meetings import CROSSES, NORTH, PASSES, TIMES, entity, recording, walker
+from helpers.encounter_recordings import CROSSES, NORTH, PASSES, TIMES, entity, recording, walker
 
 
 def test_one_that_slows_down_for_another_yields():

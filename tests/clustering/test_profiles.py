@@ -10,15 +10,16 @@ import numpy as np
 import pytest
 from sklearn.metrics import adjusted_rand_score
 
-from command_line import cornercase
 from conftest import at_night
-from cornercase.clustering import describe_outcome
-from cornercase.clustering.agreement import compare_labels
-from cornercase.clustering.rules import find_rules
-from cornercase.exploration import paper_experiment_config, explore_config
+from cornercase.clustering._agreement import compare_labels
+from cornercase.clustering._ending import describe_outcome
+from cornercase.clustering.naming._rules import find_rules
+from cornercase.exploration._explore import explore_config
+from cornercase.exploration._paper_examples import paper_experiment_config
 from cornercase.recordings import Collision
 from cornercase.scenario import Parameter, ParameterSpace
-from oracle import actor, recorded
+from helpers.command_line import cornercase
+from helpers.oracle import actor, recorded
 
 SPACE = ParameterSpace(
     [

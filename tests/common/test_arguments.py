@@ -7,8 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cornercase._common.arguments import check_mapping, check_bool, check_float, check_path, check_str, check_str_sequence, check_int
 from cornercase._common.errors import InputError
+from cornercase._common.validation import (
+    check_bool,
+    check_float,
+    check_int,
+    check_mapping,
+    check_path,
+    check_str,
+    check_str_sequence,
+)
 
 
 @pytest.mark.parametrize("given", [4, np.int64(4), np.uint8(4)])

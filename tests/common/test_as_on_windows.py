@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from command_line import SPACE, X
+from helpers.command_line import SPACE, X
 
 FOLDER = Path(__file__).parents[1] / "as_on_windows"
 PROGRAM = """
@@ -26,8 +26,8 @@ else:
     raise AssertionError("fcntl is there")
 
 from cornercase.simulators import start_simulator
-import fake_simulators
-from fake_simulators import Plan
+from helpers import fake_simulators as fake_simulators
+from helpers.fake_simulators import Plan
 from cornercase.scenario import ConcreteScenario
 
 

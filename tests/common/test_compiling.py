@@ -14,14 +14,14 @@ from typing import Any
 import pytest
 
 from conftest import at_night
-from cornercase._common import compiling
-from cornercase._common.compiling import count_ready_kernels, listen_to_compilation, kernel, reason_not_cached
-from cornercase._common.kernel_contents import kernel_digest
+from cornercase._common.numba import kernel as kernel_module
+from cornercase._common.numba.cache_key import kernel_digest
+from cornercase._common.numba.kernel import count_ready_kernels, kernel, listen_to_compilation, reason_not_cached
 
 PROGRAM = """
 import json, sys, time
 from numba.core.caching import IndexDataCacheFile
-from cornercase._common.compiling import kernel
+from cornercase._common.numba.kernel import kernel
 
 # The others read the index in between; the first to write it is the last to write its machine code.
 index, data = IndexDataCacheFile._save_index, IndexDataCacheFile._save_data
@@ -86,7 +86,7 @@ def test_machine_code_that_was_cut_is_compiled_again(tmp_path, ending, left):
 
 
 INNER = """
-from cornercase._common.compiling import kernel
+from cornercase._common.numba.kernel import kernel
 @kernel()
 def inner(x):
     return later(x)
@@ -103,7 +103,7 @@ class Code(enum.IntEnum):
 """
 OUTER = """
 import codes
-from cornercase._common.compiling import kernel
+from cornercase._common.numba.kernel import kernel
 from inner import inner
 LIMIT = 5.0
 @kernel()
@@ -172,7 +172,7 @@ def test_a_kernel_is_compiled_again_when_what_it_holds_has_changed(tmp_path, kep
 @pytest.mark.slow
 def test_a_kernel_is_compiled_again_when_the_fields_of_a_named_tuple_have_changed_places(tmp_path):
     program = (
-        "from typing import NamedTuple\nfrom cornercase._common.compiling import kernel\n"
+        "from typing import NamedTuple\nfrom cornercase._common.numba.kernel import kernel\n"
         "class Place(NamedTuple):\n    {}: float\n    {}: float\n"
         "@kernel()\ndef read(place):\n    return place[0].x\n"
         "print(read((Place(x=1.0, y=2.0),)), sum(read.stats.cache_hits.values()))\n"
@@ -225,14 +225,14 @@ def test_a_full_disk_keeps_nobody_from_what_is_compiled(caplog, monkeypatch):
     tripled: Any = kernel()(triple)
     tripled._cache.flush()
     monkeypatch.setattr("numba.core.caching.FunctionCache.save_overload", refuse)
-    monkeypatch.setattr(compiling._COMPILATION_LISTENER, "not_cached_reason", "")
+    monkeypatch.setattr(kernel_module._COMPILATION_LISTENER, "not_cached_reason", "")
     assert tripled(2) == 6
     assert "No space left on device" in reason_not_cached()
     assert "Compiled kernels cannot be cached" in caplog.text
 
 
 COMPANION = """
-from cornercase._common.compiling import companion, kernel
+from cornercase._common.numba.kernel import companion, kernel
 @kernel()
 def one(x):
     return x + 1

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial import KDTree
 
 from conftest import examples
-from cornercase._common.geometry import box_corners, box_distance, boxes_overlap, time_to_contact
+from cornercase._common.geometry.boxes import box_corners, box_distance, boxes_overlap, time_to_contact
 
 coordinate = st.floats(-30, 30)
 angle = st.floats(-7, 7)

@@ -11,13 +11,13 @@ import psutil
 import pytest
 
 from cornercase._common.errors import InputError
-from cornercase._common.guardian import Reaper
-from waiting import lives, until
+from cornercase._common.process.reaper import Reaper
+from helpers.waiting import lives, until
 
 # Makes a folder, starts a child and a grandchild, and waits.
 PROGRAM = """
 import os, subprocess, sys, time
-from cornercase._common.guardian import Guardian
+from cornercase._common.process.reaper import Guardian
 
 guardian = Guardian()
 folder = guardian.new_folder()
@@ -46,7 +46,7 @@ def test_what_a_killed_process_leaves_is_ended_and_removed():
 
 
 def test_a_process_ends_with_the_one_at_the_other_end_of_its_input():
-    lasting = "from cornercase._common.lifeline import end_with_input; import time; end_with_input(); time.sleep(600)"
+    lasting = "from cornercase._common.process.parent_death import end_with_input; import time; end_with_input(); time.sleep(600)"
     starter = (
         "import subprocess, sys, time; one = subprocess.Popen([sys.executable, '-c', sys.argv[1]], stdin=subprocess.PIPE);"
         "print(one.pid, flush=True); time.sleep(600)"
@@ -87,8 +87,8 @@ def test_a_place_for_temporary_files_that_is_missing_or_full_is_told(monkeypatch
 def test_workers_say_where_the_disk_is_full_and_the_scenario_may_be_run_again(tmp_path):
     from cornercase._common.errors import RunLostError
     from cornercase.scenario import ConcreteScenario
-    from cornercase.simulators import WorkerSimulator
-    from fake_simulators import Plan
+    from cornercase.simulators.pool._simulator import WorkerSimulator
+    from helpers.fake_simulators import Plan
 
     plan = Plan(tmp_path, {1: ["full", "well"], 2: ["full"]})
     concretes = [ConcreteScenario(Path("none.xosc"), {"k": float(k)}) for k in range(4)]

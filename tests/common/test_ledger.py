@@ -8,9 +8,17 @@ import pytest
 from lxml import etree
 
 from cornercase._common.errors import InputError, NoticeWarning
-from cornercase._common.ledger import SupportEntry, NoticeLabel, SupportTable, Notice, SupportStatus, sort_notices, warn_notices
+from cornercase._common.io.support_table import (
+    Notice,
+    NoticeLabel,
+    SupportEntry,
+    SupportStatus,
+    SupportTable,
+    sort_notices,
+    warn_notices,
+)
 from cornercase._common.progress import verbosity
-from cornercase.scenario.xml import XmlFileCache
+from cornercase.scenario._xml import XmlFileCache
 
 LEDGER = SupportTable(
     [
@@ -40,7 +48,9 @@ def read(tmp_path):
 
 
 def _notices(root: etree._Element, path: Path) -> list[str]:
-    return [f"{', '.join(one.parts)}: {one.reason}; {list(one.lines)}" for one in LEDGER.unsupported_notices(root, path)]
+    return [
+        f"{', '.join(one.parts)}: {one.reason}; {list(one.lines)}" for one in LEDGER.unsupported_notices(root, path)
+    ]
 
 
 def test_names_what_is_without_effect(read):

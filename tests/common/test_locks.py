@@ -9,13 +9,13 @@ import time
 
 import pytest
 
-from cornercase._common import locks
-from cornercase._common.locks import lock, try_lock
+from cornercase._common.io import locks
+from cornercase._common.io.locks import lock, try_lock
 
 HOLDER = """
 import sys, time
 from pathlib import Path
-from cornercase._common.locks import taken_lock
+from cornercase._common.io.locks import taken_lock
 lock = taken_lock(Path(sys.argv[1]))
 print(lock is not None, flush=True)
 time.sleep(600)

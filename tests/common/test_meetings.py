@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import label
 
-from cornercase._common.box_tree import build_aabb_tree, next_overlapping_leaf, node_after_subtree
-from cornercase._common.meetings import OverlapRuns
+from cornercase._common.geometry.aabb_tree import build_aabb_tree, next_overlapping_leaf, node_after_subtree
+from cornercase._common.geometry.overlap_runs import OverlapRuns
 
 
 def runs_of(meets):

@@ -10,11 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from cornercase._common import platform
 from cornercase._common.errors import InputError
-from cornercase._common.files import portable_name, atomic_write
-from cornercase._common.pending_files import atomic_write_group
-from waiting import lives, until
+from cornercase._common.io.atomic import atomic_write_group
+from cornercase._common.io.files import atomic_write, portable_name
+from cornercase._common.process import platform
+from helpers.waiting import lives, until
 
 
 def test_a_tree_of_processes_ends_as_a_whole():
@@ -135,7 +135,7 @@ def test_files_that_are_written_together_appear_together_or_not_at_all(tmp_path)
 
 KILLED_WRITER = """
 import os, sys
-from cornercase._common.files import written_whole
+from cornercase._common.io.files import written_whole
 with written_whole(sys.argv[1]) as temporary:
     temporary.with_name(temporary.name + "-journal").write_text("of SQLite")
     os.kill(os.getpid(), 9)
@@ -148,7 +148,7 @@ def test_what_a_writer_in_another_container_of_this_name_writes_is_not_removed(t
     theirs = {one.name for one in tmp_path.iterdir()}
     assert len(theirs) == 2
     # Its processes are invisible here, so it is unknown whether the writer is alive.
-    monkeypatch.setattr("cornercase._common.pending_files._process_namespace", lambda: "pid:[1]")
+    monkeypatch.setattr("cornercase._common.io.atomic._process_namespace", lambda: "pid:[1]")
     with atomic_write(target) as temporary:
         temporary.write_text("of this one")
     assert {one.name for one in tmp_path.iterdir()} == theirs | {"file.txt"}
@@ -197,7 +197,7 @@ def test_names_of_files_are_such_as_every_platform_takes(text, name):
 
 def test_output_in_a_narrow_encoding_loses_a_character_rather_than_the_program():
     program = """
-from cornercase._common.platform import forgive_narrow_output
+from cornercase._common.process.platform import forgive_narrow_output
 forgive_narrow_output()
 print("m/s² ≥ π")
 """
@@ -211,7 +211,7 @@ print("m/s² ≥ π")
 def test_a_worker_is_not_ended_by_the_ctrl_c_of_the_terminal():
     program = """
 import os, signal
-from cornercase._common.platform import leave_terminal
+from cornercase._common.process.platform import leave_terminal
 leave_terminal()
 signal.raise_signal(signal.SIGINT)
 print("still here", os.getsid(0) == os.getpid() if hasattr(os, "setsid") else True)

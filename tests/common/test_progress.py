@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from cornercase._common.progress import ProgressBar, show_bars, progress_step, format_duration
+from cornercase._common.progress import ProgressBar, format_duration, progress_step, show_bars
 
 
 class Clock:

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from conftest import examples
-from cornercase._common.rows import row_keys, no_duplicates
+from cornercase._common.row_keys import no_duplicates, row_keys
 
 # Few distinct values, so that rows repeat; rows of a lattice differ in few bits.
 _VALUES = st.sampled_from([0.0, -0.0, 0.25, 0.5, 1.0, float(np.nextafter(0.5, 1.0))])

@@ -1,7 +1,7 @@
 import pytest
 from scipy.stats import binom
 
-from cornercase._common.shares import clopper_pearson_interval
+from cornercase._common.clopper_pearson import clopper_pearson_interval
 
 
 @pytest.mark.parametrize(("hits", "drawn"), [(0, 1), (0, 50), (3, 50), (25, 50), (49, 50), (50, 50)])

@@ -8,23 +8,15 @@ import textwrap
 import numpy as np
 import pytest
 
-from closed_loop import Other, Run, straight
 from conftest import EXAMPLES, ran, same_recording
 from cornercase._common.errors import InputError
-from cornercase.drivers import (
-    AGGRESSIVE,
-    DRIVERS,
-    NORMAL,
-    BehaviourDriver,
-    DrivenPath,
-    ReferenceDriver,
-    is_compiled_driver_name,
-    load_user_driver,
-    driver_by_name,
-    resolve_driver,
-)
-from cornercase.scenario import ConcreteScenario, ScenarioFile, write_concrete_file
+from cornercase.drivers import AGGRESSIVE, DRIVERS, NORMAL, BehaviourDriver, DrivenPath, ReferenceDriver
+from cornercase.drivers._resolve import driver_by_name, is_compiled_driver_name, load_user_driver, resolve_driver
+from cornercase.scenario import ConcreteScenario
+from cornercase.scenario._concrete_file import write_concrete_file
+from cornercase.scenario._file import ScenarioFile
 from cornercase.simulators import BuiltinSimulator
+from helpers.closed_loop import Other, Run, straight
 
 
 def test_presets_by_name_state_all_their_parameters():

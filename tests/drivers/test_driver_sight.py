@@ -10,12 +10,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from closed_loop import BOXES, DT, EGO, Other, corners, inside, line_is_free, looking, who_is_seen
 from conftest import examples
 from cornercase.drivers import (
     NORMAL,
     BehaviourDriver,
 )
+from helpers.closed_loop import BOXES, DT, EGO, Other, corners, inside, line_is_free, looking, who_is_seen
 
 
 @given(

@@ -11,9 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from closed_loop import BOXES, DT, EGO, FRONT, PRESETS, Other, Run, line_is_free, looking, right_turn, straight
 from conftest import at_night, examples
-from cornercase._common.geometry import box_corners, boxes_overlap
+from cornercase._common.geometry.boxes import box_corners, boxes_overlap
 from cornercase.drivers import (
     AGGRESSIVE,
     CAUTIOUS,
@@ -22,8 +21,14 @@ from cornercase.drivers import (
     BehaviourDriver,
     DrivenPath,
 )
-from cornercase.drivers.contact import is_first_contact_before, find_first_contact_row, last_contact_ending_after, contact_interval
-from cornercase.drivers.route import plan_route
+from cornercase.drivers._kernels.conflict import (
+    contact_interval,
+    find_first_contact_row,
+    is_first_contact_before,
+    last_contact_ending_after,
+)
+from cornercase.drivers._route import plan_route
+from helpers.closed_loop import BOXES, DT, EGO, FRONT, PRESETS, Other, Run, line_is_free, looking, right_turn, straight
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -153,7 +158,9 @@ def test_places_that_are_passed_over_hold_no_contact(turns, other, offset, speed
     legs = np.array([[a, b, math.cos(towards), math.sin(towards), 0.0, 8.0]])
     for horizon in (0.0, 8.0):
         them = (legs, 2.0, 0.8, speed)
-        touched = [k for k in range(1, len(x)) if contact_interval(places, k, (2.3, 0.9), 0.35, them, horizon)[0] <= horizon]
+        touched = [
+            k for k in range(1, len(x)) if contact_interval(places, k, (2.3, 0.9), 0.35, them, horizon)[0] <= horizon
+        ]
         assert find_first_contact_row(places, most, (2.3, 0.9), 0.35, them, horizon) == (touched[0] if touched else -1)
 
 

@@ -9,29 +9,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from closed_loop import BOXES, DT, right_turn, straight
 from conftest import at_night, examples
-from cornercase.drivers import (
-    BEHAVIOUR,
-    DRIVERS,
-    NOT_COMPILED,
-    NORMAL,
-    SIMPLE,
-    BehaviourDriver,
-    DrivenState,
-    DrivenPath,
-    Driver,
-    SimpleDriver,
-    Situation,
-    compute_acceleration,
-    build_fleet,
-    find_route_row,
-    set_route,
-    make_workspace,
-)
-from cornercase.drivers.contact import find_first_contact_row, contact_interval
-from cornercase.drivers.route import plan_route
-from cornercase.drivers.way import MAX_SAMPLES, LookaheadPath, arrival_time, earliest_arrival_time
+from cornercase.drivers import DRIVERS, NORMAL, BehaviourDriver, DrivenPath, Driver, SimpleDriver, Situation
+from cornercase.drivers._compiled import build_fleet, set_route
+from cornercase.drivers._kernels.conflict import contact_interval, find_first_contact_row
+from cornercase.drivers._kernels.decide import compute_acceleration, find_route_row, make_workspace
+from cornercase.drivers._kernels.lookahead import MAX_SAMPLES, LookaheadPath, arrival_time, earliest_arrival_time
+from cornercase.drivers._kernels.structs import BEHAVIOUR, NOT_COMPILED, SIMPLE, DrivenState
+from cornercase.drivers._route import plan_route
+from helpers.closed_loop import BOXES, DT, right_turn, straight
 
 KINDS = ("car", "truck", "pedestrian", "car")
 LENGTH, WIDTH, CENTER_X = np.array([BOXES[kind] for kind in KINDS]).T
@@ -263,7 +249,9 @@ def test_straight_stretches_that_are_passed_over_hold_no_contact(bends, other, t
     for horizon in (0.0, 8.0):
         for them in ((legs, 2.0, 0.8, speed), (legs[:1], 2.0, 0.8, speed)):
             touched = [
-                k for k in range(1, len(x)) if contact_interval(all_places, k, (2.3, 0.9), 0.35, them, horizon)[0] <= horizon
+                k
+                for k in range(1, len(x))
+                if contact_interval(all_places, k, (2.3, 0.9), 0.35, them, horizon)[0] <= horizon
             ]
             found = find_first_contact_row(places, most, (2.3, 0.9), 0.35, them, horizon, way)
             assert found == (touched[0] if touched else -1)

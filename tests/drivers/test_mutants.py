@@ -8,7 +8,8 @@ from itertools import pairwise
 import pytest
 
 from cornercase._common.errors import InputError
-from cornercase.drivers import AGGRESSIVE, DRIVERS, NORMAL, BehaviourDriver, generate_mutants, nearest_preset_name
+from cornercase.drivers import AGGRESSIVE, DRIVERS, NORMAL, BehaviourDriver, generate_mutants
+from cornercase.drivers._mutants import nearest_preset_name
 
 # Parameters that make a driver worse when increased; all others do so when reduced.
 MORE = {"reaction_time", "comfortable_deceleration", "target_share", "lateral_acceleration", "acceleration"}
@@ -37,7 +38,9 @@ def test_the_kinds_take_turns_and_severities_spread():
     mutants = generate_mutants("normal", 60)
     assert set(Counter(one.mutation for one in mutants).values()) == {4}
     later = sorted(
-        settings(one.driver)["reaction_time"] for one in generate_mutants("normal", 300) if one.mutation == "reacts later"
+        settings(one.driver)["reaction_time"]
+        for one in generate_mutants("normal", 300)
+        if one.mutation == "reacts later"
     )
     assert 0.6 <= later[0] < 0.65
     assert 1.6 < later[-1] <= 2.0

@@ -12,10 +12,12 @@ from typing import Any
 import pytest
 
 import cornercase as cc
-from command_line import SPACE, X, cornercase
-from cornercase.drivers import DRIVERS, NORMAL, BehaviourDriver, driver_command_option, format_driver, resolve_driver
+from cornercase.drivers import DRIVERS, NORMAL, BehaviourDriver
+from cornercase.drivers._description import driver_command_option, format_driver
+from cornercase.drivers._resolve import resolve_driver
 from cornercase.report import write_report
 from cornercase.study import Study
+from helpers.command_line import SPACE, X, cornercase
 
 MODULE = '''
 import numpy as np

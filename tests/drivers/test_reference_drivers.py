@@ -8,23 +8,15 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from closed_loop import Other, Run, straight
 from cornercase._common.errors import InputError
-from cornercase.drivers import (
-    REFERENCES,
-    DrivenPath,
-    ReferenceDriver,
-    Situation,
-    drive_cut_in,
-    drive_cut_out,
-    drive_deceleration,
-    driver_by_name,
-)
-from cornercase.drivers.references.fuzzy import critical_metric, is_laterally_safe, proactive_metric
-from cornercase.drivers.references.models import rss_longitudinal_distance, rss_lateral_distance
+from cornercase.drivers import DrivenPath, ReferenceDriver, Situation, drive_cut_in, drive_cut_out, drive_deceleration
+from cornercase.drivers._resolve import driver_by_name
+from cornercase.drivers.references.r157._fsm import critical_metric, is_laterally_safe, proactive_metric
+from cornercase.drivers.references.r157._models import REFERENCES, rss_lateral_distance, rss_longitudinal_distance
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import BuiltinSimulator
+from helpers.closed_loop import Other, Run, straight
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = ROOT / "examples" / "r157"

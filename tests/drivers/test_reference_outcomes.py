@@ -9,10 +9,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from cornercase.drivers import ReferenceOutcome, assess_preventability
+from cornercase.drivers.references.r157._preventability import ReferenceOutcome, assess_preventability
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import BuiltinSimulator
-from two_cars import met
+from helpers.two_cars import met
 
 ROOT = Path(__file__).parents[2]
 T = np.arange(60) * 0.1

@@ -14,8 +14,10 @@ from hypothesis import strategies as st
 from conftest import at_night, examples
 from cornercase._common.errors import InputError
 from cornercase._common.progress import verbosity
-from cornercase.dtw import cpu, distance_matrix, distances_to, kernel_matrix, pairs
-from cornercase.dtw.bounds import find_pairs_within_distance
+from cornercase.dtw import _cpu as cpu
+from cornercase.dtw import _pairs as pairs
+from cornercase.dtw import distance_matrix, distances_to, kernel_matrix
+from cornercase.dtw._lower_bounds import find_pairs_within_distance
 
 
 def defined(x, y, *, squared, window):
@@ -328,7 +330,9 @@ def test_cut_rests_change_no_bit(series, local_cost, dtype):
     options = {"squared": local_cost == "squared", "window": None, "dtype": dtype, "n_jobs": 1}
     whole = cpu.compute_distances_on_cpu(series, None, **options, report_progress=lambda done: None)
     short, _ = pairs.trim_common_constant_parts(series, None)
-    assert np.array_equal(cpu.compute_distances_on_cpu(short, None, **options, report_progress=lambda done: None), whole)
+    assert np.array_equal(
+        cpu.compute_distances_on_cpu(short, None, **options, report_progress=lambda done: None), whole
+    )
     if dtype == "float64":
         assert np.array_equal(distance_matrix(series, local_cost=local_cost), whole)
 

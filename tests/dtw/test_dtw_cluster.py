@@ -9,8 +9,11 @@ import numpy as np
 import pytest
 
 from cornercase._common.errors import InputError
-from cornercase.dtw import disk, distance_matrix, distances_to, pairs, tiles
-from cornercase.dtw.pairs import DtwSettings
+from cornercase.dtw import _dask_tiles as dask_tiles
+from cornercase.dtw import _disk as disk
+from cornercase.dtw import _pairs as pairs
+from cornercase.dtw import distance_matrix, distances_to
+from cornercase.dtw._pairs import DtwSettings
 
 distributed = pytest.importorskip("distributed")
 
@@ -49,7 +52,7 @@ def test_a_matrix_on_disk_goes_on_where_it_was_ended(client, tmp_path, monkeypat
     monkeypatch.setattr(disk, "SIDE", 16)
     series, computed = walks(70), []
     here = distance_matrix(series, out=tmp_path / "here.npy")
-    plain = tiles.ClusterTiles.iter_squares
+    plain = dask_tiles.ClusterTiles.iter_squares
 
     def ends(self, wanted):
         for number, square in enumerate(plain(self, wanted)):
@@ -61,10 +64,10 @@ def test_a_matrix_on_disk_goes_on_where_it_was_ended(client, tmp_path, monkeypat
         computed.extend(wanted)
         return plain(self, wanted)
 
-    monkeypatch.setattr(tiles.ClusterTiles, "iter_squares", ends)
+    monkeypatch.setattr(dask_tiles.ClusterTiles, "iter_squares", ends)
     with pytest.raises(KeyboardInterrupt):
         distance_matrix(series, out=tmp_path / "there.npy", client=client)
-    monkeypatch.setattr(tiles.ClusterTiles, "iter_squares", counted)
+    monkeypatch.setattr(dask_tiles.ClusterTiles, "iter_squares", counted)
     there = distance_matrix(series, out=tmp_path / "there.npy", resume=True, client=client)
     assert here.tobytes() == there.tobytes()
     assert (tmp_path / "here.npy").read_bytes() == (tmp_path / "there.npy").read_bytes()
@@ -76,7 +79,7 @@ def test_progress_counts_every_cell(client):
     series = [np.arange(float(k % 7 + 1))[:, None] for k in range(80)]
     seen: list[int] = []
     settings = DtwSettings(False, None, np.dtype("float64"), 1, "cpu")
-    tiles.compute_distances_on_cluster(series, None, settings, client, seen.append)
+    dask_tiles.compute_distances_on_cluster(series, None, settings, client, seen.append)
     assert sum(seen) == pairs.count_cells(series, None)
     assert len(seen) > 1
 
@@ -98,7 +101,7 @@ def test_distances_too_large_name_the_pair(client):
 def test_a_worker_of_another_version_is_told_of():
     settings = DtwSettings(False, None, np.dtype("float64"), 1, "cpu")
     with pytest.raises(InputError, match=r"a worker has cornercase .*, but this process has 0\.0\.0"):
-        tiles.compute_square_on_worker("0.0.0", settings, {}, [np.zeros((1, 1))], None)
+        dask_tiles.compute_square_on_worker("0.0.0", settings, {}, [np.zeros((1, 1))], None)
 
 
 def test_dask_is_loaded_by_those_who_ask_for_it_alone():

@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 from cornercase._common.errors import InputError
-from cornercase.dtw import disk, distance_matrix, pairs
-from waiting import until
+from cornercase.dtw import _disk as disk
+from cornercase.dtw import _pairs as pairs
+from cornercase.dtw import distance_matrix
+from helpers.waiting import until
 
 SIDE = 16
 

@@ -7,12 +7,13 @@ import pytest
 from scipy.stats import qmc
 
 from cornercase._common.errors import InputError
-from cornercase.evidence import CriticalSet, GaussianProcess
-from cornercase.exploration.stopping import StopCriterion
+from cornercase.evidence._critical_set_estimate import CriticalSet
+from cornercase.evidence.gp._process import GaussianProcess
+from cornercase.exploration._stopping import StopCriterion
 from cornercase.metrics import Feature
 from cornercase.optimizers import LevelSetOptimizer, SobolOptimizer
-from cornercase.scenario import Constraint, ParameterDeclaration, Parameter, ParameterSpace
-from searches import CUBE, EVERYWHERE, THRESHOLD, explored, two_regions
+from cornercase.scenario import Constraint, Parameter, ParameterDeclaration, ParameterSpace
+from helpers.search_cases import CUBE, EVERYWHERE, THRESHOLD, explored, two_regions
 
 TRUE = two_regions(EVERYWHERE) <= THRESHOLD
 
@@ -69,7 +70,9 @@ def test_less_is_missed_and_more_is_known_the_longer_it_goes_on():
     points = explored(LevelSetOptimizer(CUBE, 1, THRESHOLD), 200, function=two_regions)
     early, late = (CriticalSet(CUBE, points[:n], two_regions(points[:n]), THRESHOLD) for n in (50, 200))
     assert late.missed_fraction.high < 0.5 * early.missed_fraction.high
-    assert late.critical_fraction.high - late.critical_fraction.low < 0.5 * (early.critical_fraction.high - early.critical_fraction.low)
+    assert late.critical_fraction.high - late.critical_fraction.low < 0.5 * (
+        early.critical_fraction.high - early.critical_fraction.low
+    )
     assert late.critical_fraction.value == pytest.approx(TRUE.mean(), rel=0.03)
     assert late.p_overlooked_region() < 0.02
 
@@ -110,7 +113,9 @@ def test_of_a_space_that_was_run_whole_all_is_known():
     points = space.full_factorial()
     scores = np.abs(points[:, 0] - points[:, 2]) + (space.parameters[1].level_indices(points[:, 1]) == 1)
     known = CriticalSet(space, points, scores, 0.25)
-    assert known.critical_fraction.low == known.critical_fraction.high == pytest.approx((scores <= 0.25).mean(), abs=1e-3)
+    assert (
+        known.critical_fraction.low == known.critical_fraction.high == pytest.approx((scores <= 0.25).mean(), abs=1e-3)
+    )
     assert known.missed_fraction.high < 0.05
     assert known.p_overlooked_region() == 0.0
 
@@ -123,10 +128,15 @@ def test_of_few_scenarios_that_were_all_run_all_is_known(threshold, share):
     # The search chose the least scores first; that does not matter once all scenarios were run.
     known = CriticalSet(space, points, scores, threshold, initial_design=np.zeros(12, dtype=np.bool_))
     assert known.interval_unavailable is known.missed_interval_unavailable is None
-    assert (known.critical_fraction.low, known.critical_fraction.value, known.critical_fraction.high) == pytest.approx((share, share, share))
+    assert (known.critical_fraction.low, known.critical_fraction.value, known.critical_fraction.high) == pytest.approx(
+        (share, share, share)
+    )
     assert (known.missed_fraction.value, known.missed_fraction.high) == (0.0, 0.0)
     scores[0] = np.nan
-    assert "only 0" in (CriticalSet(space, points, scores, threshold, initial_design=np.zeros(12, dtype=np.bool_)).interval_unavailable or "")
+    assert "only 0" in (
+        CriticalSet(space, points, scores, threshold, initial_design=np.zeros(12, dtype=np.bool_)).interval_unavailable
+        or ""
+    )
 
 
 @pytest.mark.parametrize("seed", [0, 1])
@@ -174,7 +184,7 @@ def test_no_critical_scenario_at_all_leaves_a_small_share():
 def test_it_says_the_same_again_whatever_the_number_of_threads(monkeypatch, threads):
     points = qmc.Sobol(3, seed=0).random(64)
     expected = estimates(CriticalSet(CUBE, points, two_regions(points), THRESHOLD, 5))
-    monkeypatch.setattr("cornercase.evidence.gaussian_process.count_available_cpus", lambda: threads)
+    monkeypatch.setattr("cornercase.evidence.gp._process.count_available_cpus", lambda: threads)
     assert estimates(CriticalSet(CUBE, points, two_regions(points), THRESHOLD, 5)) == expected
 
 
@@ -275,9 +285,16 @@ def test_audits_correct_what_is_said_and_never_say_what_is_found():
     known = CriticalSet(CUBE, points, two_regions(points), THRESHOLD, audits=(audits, two_regions(audits)))
     np.testing.assert_array_equal(known.predict(EVERYWHERE), alone.predict(EVERYWHERE))
     missed = (TRUE & ~known.predict(EVERYWHERE)).sum() / TRUE.sum()
-    assert known.missed_fraction.high - known.missed_fraction.low < alone.missed_fraction.high - alone.missed_fraction.low
+    assert (
+        known.missed_fraction.high - known.missed_fraction.low < alone.missed_fraction.high - alone.missed_fraction.low
+    )
     assert known.missed_fraction.low - 0.02 <= missed <= known.missed_fraction.high + 0.02
-    assert known.audited_missed_fraction.low <= missed <= known.audited_missed_fraction.high < known.audited_missed_upper_bound
+    assert (
+        known.audited_missed_fraction.low
+        <= missed
+        <= known.audited_missed_fraction.high
+        < known.audited_missed_upper_bound
+    )
     hits = (two_regions(audits) <= THRESHOLD).sum()
     assert known.audited_critical_fraction.value == hits / 200
 
@@ -289,14 +306,19 @@ def test_where_too_little_was_chosen_blindly_no_interval_is_given_and_it_says_wh
     assert known.interval_unavailable is not None
     assert "only 15" in known.interval_unavailable
     assert known.missed_interval_unavailable == known.interval_unavailable
-    assert StopCriterion.parse("interval<0.5").evaluate(known) == StopCriterion.parse("missed<0.9").evaluate(known) == 1.0
+    assert (
+        StopCriterion.parse("interval<0.5").evaluate(known) == StopCriterion.parse("missed<0.9").evaluate(known) == 1.0
+    )
     few = CriticalSet(CUBE, points, scores, THRESHOLD, initial_design=(scores > THRESHOLD) | (first < 1))
     assert few.interval_unavailable is None
     assert few.missed_interval_unavailable is not None
     assert "are critical" in few.missed_interval_unavailable
     audits = np.random.default_rng(5).random((60, 3))
     both = (audits, two_regions(audits))
-    assert CriticalSet(CUBE, points, scores, THRESHOLD, initial_design=first < 0, audits=both).missed_interval_unavailable is None
+    assert (
+        CriticalSet(CUBE, points, scores, THRESHOLD, initial_design=first < 0, audits=both).missed_interval_unavailable
+        is None
+    )
 
 
 def test_where_nothing_was_missed_yet_the_interval_reaches_to_0():
@@ -323,7 +345,9 @@ def test_a_region_that_nothing_points_to_keeps_the_search_going():
     apart = np.sort(np.linalg.norm(centres[:, None] - EVERYWHERE[:4096], axis=2), axis=1)[:, round(ball * 4096)]
     escapes = ~(np.linalg.norm(centres[:, None] - points, axis=2) < apart[:, None]).any(axis=1)
     assert escapes.mean() < 0.1
-    assert StopCriterion.parse("missed<0.1").evaluate(known) == pytest.approx(known.missed_fraction.high + known.max_hidden_fraction)
+    assert StopCriterion.parse("missed<0.1").evaluate(known) == pytest.approx(
+        known.missed_fraction.high + known.max_hidden_fraction
+    )
 
 
 def jumping(points):

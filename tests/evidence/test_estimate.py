@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cornercase.evidence.estimate import Estimate
+from cornercase.evidence._interval_estimate import Estimate
 
 
 @pytest.mark.parametrize("rare", [0.9, 0.0])

@@ -10,11 +10,12 @@ from scipy.special import ndtr
 from scipy.stats import qmc
 
 from conftest import examples
-from cornercase.evidence import CriticalSet, GaussianProcess, fit_boundary_process, squash_around_threshold, squash_scale
-from cornercase.evidence import posterior as posterior_module
-from cornercase.evidence.kernel import MaternKernel, indices_with_rare_values
-from cornercase.evidence.posterior import ExactPosterior, SparsePosterior
-from searches import CUBE, EVERYWHERE, THRESHOLD, two_regions
+from cornercase.evidence._critical_set_estimate import CriticalSet
+from cornercase.evidence.gp import _posterior as posterior_module
+from cornercase.evidence.gp._kernel import MaternKernel, indices_with_rare_values
+from cornercase.evidence.gp._posterior import ExactPosterior, SparsePosterior
+from cornercase.evidence.gp._process import GaussianProcess, fit_boundary_process, squash_around_threshold, squash_scale
+from helpers.search_cases import CUBE, EVERYWHERE, THRESHOLD, two_regions
 
 kernels = st.builds(
     lambda width, signal, noise: MaternKernel(np.array([width, 1.5 * width]), signal, noise),
@@ -62,7 +63,9 @@ def test_so_it_is_where_some_points_stand_for_all(kernel, first, second, third, 
         patch.setattr(posterior_module, "MOST_EXACT", 64)
         start = SparsePosterior(kernel, points[:first], values[:first])
     middle = first + second
-    steps = start.with_more_values(points[first:middle], values[first:middle]).with_more_values(points[middle:], values[middle:])
+    steps = start.with_more_values(points[first:middle], values[first:middle]).with_more_values(
+        points[middle:], values[middle:]
+    )
     assert steps.points.shape == (64, 2)
     same(kernel, steps, start.with_more_values(points[first:], values[first:]), EVERYWHERE[:50, :2])
 

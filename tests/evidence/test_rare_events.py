@@ -5,16 +5,15 @@ import pytest
 from scipy.special import ndtri
 from scipy.stats import binom, norm
 
-from cornercase.evidence import (
-    ImportanceSampling,
-    TMixture,
-    initial_proposal,
-    probability_from_enumeration,
-    probability_from_counts,
-    probability_from_weights,
+from cornercase.evidence._mixture import TMixture
+from cornercase.evidence._probability import (
     conditional_probability,
+    probability_from_counts,
+    probability_from_enumeration,
+    probability_from_weights,
 )
-from cornercase.scenario import Constraint, ParameterDeclaration, Parameter, ParameterSpace
+from cornercase.evidence._rare_events import ImportanceSampling, initial_proposal
+from cornercase.scenario import Constraint, Parameter, ParameterDeclaration, ParameterSpace
 
 
 def space_of(dimension):
@@ -30,7 +29,9 @@ def estimated(space, score, runs, seed, guess=None):
         sampling.record_round(points, scores, (scores <= 0.0)[:, None])
         spent += len(points)
     points = sampling.draw_round(runs - spent)
-    return probability_from_weights(sampling.importance_weights(points), score(points) <= 0.0, sampling.common_weight_error), sampling
+    return probability_from_weights(
+        sampling.importance_weights(points), score(points) <= 0.0, sampling.common_weight_error
+    ), sampling
 
 
 def two_tails(points):

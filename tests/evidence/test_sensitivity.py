@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.stats import qmc
 
-from cornercase.evidence import estimate_sensitivity
+from cornercase.evidence._sensitivity import estimate_sensitivity
 from cornercase.scenario import Parameter, ParameterSpace
-from searches import CUBE
+from helpers.search_cases import CUBE
 
 
 def test_the_indices_are_those_of_ishigamis_function():

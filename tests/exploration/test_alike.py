@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from command_line import SPACE, X, cornercase
+from helpers.command_line import SPACE, X, cornercase
 
 
 def search(study: Path, *options: object) -> str:

@@ -14,24 +14,22 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-import synthetic
 from conftest import at_night
 from cornercase._common.errors import InputError, SimulationError
 from cornercase.cli import app
-from cornercase.exploration import (
-    AsynchronousExplorer,
-    ExplorationConfig,
-    Objective,
-    paper_experiment_config,
-    explore,
-    explore_config,
-)
-from cornercase.exploration.replaying import verify_proposals
+from cornercase.exploration import explore
+from cornercase.exploration._asynchronous import AsynchronousExplorer
+from cornercase.exploration._config import ExplorationConfig
+from cornercase.exploration._explore import explore_config
+from cornercase.exploration._objective import Objective
+from cornercase.exploration._paper_examples import paper_experiment_config
+from cornercase.exploration._verify_proposals import verify_proposals
 from cornercase.metrics import METRICS
 from cornercase.optimizers import OPTIMIZERS, Optimizer, SobolOptimizer, create_optimizer
 from cornercase.study import Study
-from sealed import reseal
-from synthetic import LOGICAL, SPACE, Synthetic
+from helpers import synthetic_study as synthetic
+from helpers.checksums import reseal
+from helpers.synthetic_study import LOGICAL, SPACE, Synthetic
 
 pytestmark = pytest.mark.filterwarnings("ignore:without effect")
 
@@ -300,7 +298,14 @@ def test_a_study_of_rounds_stays_one_and_is_proposed_again_too(tmp_path):
 
 
 def test_the_command_proposes_again_and_says_whether_it_is_the_same(tmp_path):
-    words = ["explore", str(paper_experiment_config("x-intersection").logical.path), "--ego", "Ego", "--other", "Pedestrian"]
+    words = [
+        "explore",
+        str(paper_experiment_config("x-intersection").logical.path),
+        "--ego",
+        "Ego",
+        "--other",
+        "Pedestrian",
+    ]
     words += ["--space", str(paper_experiment_config("x-intersection").logical.path.with_suffix(".space.xosc"))]
     words += ["--metric", "wttc", "--budget", "24", "--duration", "15", "--asynchronous", "-o", str(tmp_path / "s.db")]
     assert CliRunner().invoke(app, words).exit_code == 0

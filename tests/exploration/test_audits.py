@@ -10,15 +10,19 @@ import numpy as np
 import pytest
 
 from cornercase._common.errors import InputError
-from cornercase.exploration import ScenarioExplorer, audit_sampler, is_score_independent, paper_experiment_config, explore_config
-from cornercase.exploration.configuration import ExplorationConfig
-from cornercase.exploration.objective import Objective
+from cornercase.exploration._config import ExplorationConfig
+from cornercase.exploration._explore import explore_config
+from cornercase.exploration._explorer import ScenarioExplorer
+from cornercase.exploration._objective import Objective
+from cornercase.exploration._paper_examples import paper_experiment_config
+from cornercase.exploration._study_critical_set import audit_sampler, is_score_independent
 from cornercase.metrics import METRICS
 from cornercase.optimizers import OPTIMIZERS, Optimizer
-from cornercase.report import summary_to_dict, summarize, write_report
+from cornercase.report import summarize, write_report
+from cornercase.report.text._show import summary_to_dict
 from cornercase.scenario import LogicalScenario, ParameterSpace
 from cornercase.study import Study
-from synthetic import LOGICAL, SPACE, Synthetic
+from helpers.synthetic_study import LOGICAL, SPACE, Synthetic
 
 AUDITED: dict[str, Any] = {"optimizer": "bayes", "audit": 0.2, "budget": 60, "metrics": ("distance",), "critical": 1.0}
 
@@ -43,7 +47,11 @@ def explored(path, simulator=None, **options):
     about = ExplorationConfig(LOGICAL, "Ego", "B", seed=7, **AUDITED | options)
     objective = Objective([METRICS.create("distance")])
     optimizer = Listening(OPTIMIZERS.create(about.optimizer, space=SPACE, seed=7))
-    with Study.open(path, readonly=False) if path.exists() else Study.create(path, about.make_study_meta(objective, {})) as study:
+    with (
+        Study.open(path, readonly=False)
+        if path.exists()
+        else Study.create(path, about.make_study_meta(objective, {})) as study
+    ):
         ScenarioExplorer(about, simulator or Synthetic(), optimizer, study, objective).run()
     return optimizer
 

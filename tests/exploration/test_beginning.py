@@ -10,7 +10,7 @@ from cornercase.exploration import explore
 from cornercase.scenario import ParameterSpace
 from cornercase.simulators import BuiltinSimulator
 from cornercase.study import Study
-from synthetic import Synthetic, about, explorer
+from helpers.synthetic_study import Synthetic, about, explorer
 
 
 def roads(folder, road, *, own="1"):

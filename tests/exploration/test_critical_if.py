@@ -14,17 +14,18 @@ from typer.testing import CliRunner
 import cornercase as cc
 from cornercase._common.errors import InputError
 from cornercase.cli import app
-from cornercase.drivers import assess_preventability
-from cornercase.exploration import ExplorationConfig, ScenarioExplorer
+from cornercase.drivers.references.r157._preventability import assess_preventability
+from cornercase.exploration._config import ExplorationConfig
+from cornercase.exploration._explorer import ScenarioExplorer
 from cornercase.metrics import METRICS
 from cornercase.optimizers import OPTIMIZERS
 from cornercase.recordings import Recording
-from cornercase.report import summary_to_dict
+from cornercase.report.text._show import summary_to_dict
 from cornercase.scenario import LogicalScenario
 from cornercase.simulators import BuiltinSimulator
 from cornercase.study import Study
-from sealed import reseal
-from synthetic import LOGICAL, Synthetic
+from helpers.checksums import reseal
+from helpers.synthetic_study import LOGICAL, Synthetic
 
 pytestmark = pytest.mark.filterwarnings("ignore:without effect")
 
@@ -99,7 +100,9 @@ def test_what_follows_counts_critical_by_the_condition(study, tmp_path):
     assert "with cc-human at the wheel" in page
     assert f"--critical-if &#x27;{CONDITION}&#x27;" in page or f"--critical-if '{CONDITION}'" in page
     cc.reduce(path, tmp_path / "reduced", size=6, scenario=CUT_IN)
-    result = cc.run_suite(tmp_path / "reduced", tmp_path / "run.db", drivers={"Ego": "cautious"}, require=["no collision"])
+    result = cc.run_suite(
+        tmp_path / "reduced", tmp_path / "run.db", drivers={"Ego": "cautious"}, require=["no collision"]
+    )
     assert set(result.scenarios[0].scores) == {"ttc"}
     with pytest.raises(InputError, match="critical_if"):
         cc.estimate(path, tmp_path / "estimate.db", scenario=CUT_IN, drivers={"Ego": "cautious"})

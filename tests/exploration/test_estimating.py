@@ -11,14 +11,16 @@ from typer.testing import CliRunner
 from cornercase import NoticeWarning, estimate, explore
 from cornercase._common.errors import InputError
 from cornercase.cli import app
-from cornercase.evidence import ImportanceSampling
-from cornercase.exploration import ExplorationConfig, ProbabilityEstimator, ScenarioExplorer
+from cornercase.evidence._rare_events import ImportanceSampling
+from cornercase.exploration._config import ExplorationConfig
+from cornercase.exploration._explorer import ScenarioExplorer
+from cornercase.exploration._probability_estimator import ProbabilityEstimator
 from cornercase.optimizers import OPTIMIZERS
 from cornercase.recordings import Collision, Recording
-from cornercase.scenario import Constraint, ParameterDeclaration, LogicalScenario, ParameterSpace
+from cornercase.scenario import Constraint, LogicalScenario, ParameterDeclaration, ParameterSpace
 from cornercase.study import Study
-from fake_simulators import NoisySimulator
-from synthetic import LOGICAL, Synthetic, about
+from helpers.fake_simulators import NoisySimulator
+from helpers.synthetic_study import LOGICAL, Synthetic, about
 
 # Scenarios with a > 0.9 fail, and the others are 10 |a - b| m apart; a goes by steps of 0.01.
 STEPS = np.arange(91) / 100.0
@@ -82,7 +84,9 @@ class Touching(Synthetic):
 
 def test_a_collision_is_critical_also_by_a_metric_that_is_not_defined_in_one(tmp_path):
     metrics = ("pet",)
-    configuration = ExplorationConfig(LOGICAL, "Ego", ["B"], metrics, optimizer="random", critical=1.0, budget=300, seed=3)
+    configuration = ExplorationConfig(
+        LOGICAL, "Ego", ["B"], metrics, optimizer="random", critical=1.0, budget=300, seed=3
+    )
     meta = about(LOGICAL.space, *metrics, budget=300)
     with Study.create(tmp_path / "e.db", meta) as study:
         sampling = ImportanceSampling(LOGICAL.space, 2, 120, 3)

@@ -8,10 +8,11 @@ from lxml import etree
 from scipy.stats import qmc
 
 from conftest import EXAMPLES, ran
-from cornercase.drivers import driver_by_name
-from cornercase.exploration import paper_experiment_config, explore_config
+from cornercase.drivers._resolve import driver_by_name
+from cornercase.exploration._explore import explore_config
+from cornercase.exploration._paper_examples import paper_experiment_config
 from cornercase.metrics import METRICS
-from cornercase.scenario import read_xml
+from cornercase.scenario._xml import read_xml
 from cornercase.simulators import BuiltinSimulator
 from cornercase.study import Study
 

@@ -13,21 +13,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-import synthetic
-from command_line import X, waiting_after
 from conftest import EXAMPLES
 from cornercase._common.errors import InputError
-from cornercase._common.interrupts import collect_interrupts
-from cornercase.exploration import (
-    paper_experiment_config,
-    explore,
-    explore_config,
-)
+from cornercase._common.process.signals import collect_interrupts
+from cornercase.exploration import explore
+from cornercase.exploration._explore import explore_config
+from cornercase.exploration._paper_examples import paper_experiment_config
 from cornercase.metrics import Metric
 from cornercase.optimizers import OPTIMIZERS, Optimizer, SobolOptimizer
-from cornercase.scenario import Constraint, ParameterDeclaration, LogicalScenario, ParameterSpace
+from cornercase.scenario import Constraint, LogicalScenario, ParameterDeclaration, ParameterSpace
 from cornercase.study import Study
-from synthetic import LOGICAL, Synthetic, explorer, opened
+from helpers import synthetic_study as synthetic
+from helpers.command_line import X, waiting_after
+from helpers.synthetic_study import LOGICAL, Synthetic, explorer, opened
 
 
 def results(path):
@@ -144,7 +142,11 @@ def contents(path):
 def test_killed_again_and_again_it_ends_with_the_same_bytes(optimizer, deaths, tmp_path):
     with opened(tmp_path / "whole.db") as study:
         result = explorer(study, optimizer=optimizer, metrics=("distance", "wttc")).run()
-    assert (result.n_finished, result.reason, result.interrupted) == (47, "the budget of 47 scenarios is used up", False)
+    assert (result.n_finished, result.reason, result.interrupted) == (
+        47,
+        "the budget of 47 scenarios is used up",
+        False,
+    )
     with Study.open(tmp_path / "whole.db", readonly=True) as study:
         # Seven are left for the last round.
         assert [row.round for row in study.rows()] == [1 + k // 10 for k in range(47)]
@@ -286,7 +288,10 @@ def test_all_of_a_space_was_run_only_where_it_was(asynchronous, tmp_path):
             return explorer(study, optimizer=optimizer, budget=40, logical=logical, **given).run().reason
 
     finite = ParameterSpace.from_ranges(["a=0:1:0.25", "b=0:1:0.5"])
-    falling = [ParameterDeclaration("a", "double", "0"), ParameterDeclaration("b", "double", "0", ((Constraint("lessThan", "$a"),),))]
+    falling = [
+        ParameterDeclaration("a", "double", "0"),
+        ParameterDeclaration("b", "double", "0", ((Constraint("lessThan", "$a"),),)),
+    ]
     assert ended("sobol", finite) == "all 15 scenarios of the space were run"
     # Some of the 15 are audits, and run twice.
     assert ended("sobol", finite, audit=0.2) == "all 15 scenarios of the space were run"
@@ -329,13 +334,13 @@ def test_an_interrupt_before_the_explorer_listens_is_none_that_is_lost(tmp_path,
     def interrupted(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("cornercase.exploration.exploring.ScenarioExplorer", interrupted)
+    monkeypatch.setattr("cornercase.exploration._explore.ScenarioExplorer", interrupted)
     result = explore_config(one, tmp_path / "s.db")
     assert (result.n_finished, result.interrupted) == (0, True)
     monkeypatch.undo()
     assert explore_config(one, tmp_path / "s.db").n_finished == 2
     # Without a study there is nothing to resume.
-    monkeypatch.setattr("cornercase.exploration.exploring.Study.create", interrupted)
+    monkeypatch.setattr("cornercase.exploration._explore.Study.create", interrupted)
     with pytest.raises(KeyboardInterrupt):
         explore_config(one, tmp_path / "other.db")
 

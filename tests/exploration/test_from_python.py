@@ -11,13 +11,10 @@ import numpy as np
 import pytest
 
 from cornercase._common.errors import InputError
-from cornercase.drivers import driver_by_name
-from cornercase.exploration import (
-    ExplorationConfig,
-    paper_experiment_config,
-    examples_folder,
-    explore,
-)
+from cornercase.drivers._resolve import driver_by_name
+from cornercase.exploration import examples_folder, explore
+from cornercase.exploration._config import ExplorationConfig
+from cornercase.exploration._paper_examples import paper_experiment_config
 from cornercase.scenario import LogicalScenario
 from cornercase.study import Study
 
@@ -93,7 +90,14 @@ WRONG = {
     "time_step": ("4", None, NAN),
     "duration": ("4", None, NAN),
     "on_collision": (None, 3, "stopp"),
-    "drivers": ("normal", ["normal"], {"Ego": 3}, {"Ego": type(driver_by_name("normal"))}, {"Ego": None}, {3: "normal"}),
+    "drivers": (
+        "normal",
+        ["normal"],
+        {"Ego": 3},
+        {"Ego": type(driver_by_name("normal"))},
+        {"Ego": None},
+        {3: "normal"},
+    ),
     "progress": ("yes",),
 }
 

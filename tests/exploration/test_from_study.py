@@ -9,16 +9,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from command_line import SPACE, X, cornercase
 from cornercase._common.errors import InputError
-from cornercase.exploration import estimate_critical_set, explore
-from cornercase.exploration.beginning import read_warm_start
-from cornercase.exploration.objective import Objective
+from cornercase.exploration import explore
+from cornercase.exploration._objective import Objective
+from cornercase.exploration._study_critical_set import estimate_critical_set
+from cornercase.exploration._warm_start import read_warm_start
 from cornercase.metrics import METRICS
 from cornercase.report import summarize
 from cornercase.scenario import LogicalScenario
 from cornercase.study import Study, StudyMeta
-from sealed import changed, reseal
+from helpers.checksums import changed, reseal
+from helpers.command_line import SPACE, X, cornercase
 
 WHOLE = LogicalScenario.read(X, SPACE)
 
@@ -205,4 +206,6 @@ def test_it_is_replayed_and_goes_without_rounds(tmp_path, other):
     searched(tmp_path / "new.db", warm_start=other, budget=16, batch=8, asynchronous=True)
     found = searched(tmp_path / "new.db", budget=16, batch=8, asynchronous=True, replay=True)
     assert found.reproducible
-    assert searched(tmp_path / "new.db", warm_start=other, budget=16, batch=8, asynchronous=True, replay=True).reproducible
+    assert searched(
+        tmp_path / "new.db", warm_start=other, budget=16, batch=8, asynchronous=True, replay=True
+    ).reproducible

@@ -18,14 +18,19 @@ from typer.testing import CliRunner
 
 from cornercase._common.errors import InputError, SimulationError
 from cornercase.cli import app
-from cornercase.exploration import AsynchronousExplorer, ExplorationConfig, ScenarioExplorer, paper_experiment_config, explore
-from cornercase.exploration.configuration import config_from_study
+from cornercase.exploration import explore
+from cornercase.exploration._asynchronous import AsynchronousExplorer
+from cornercase.exploration._config import ExplorationConfig, config_from_study
+from cornercase.exploration._explorer import ScenarioExplorer
+from cornercase.exploration._paper_examples import paper_experiment_config
 from cornercase.optimizers import create_optimizer
 from cornercase.recordings import Recording
-from cornercase.report import summarize, format_study_file, write_report
+from cornercase.report import summarize, write_report
+from cornercase.report._commands import format_study_file
 from cornercase.scenario import LogicalScenario, ParameterSpace
 from cornercase.simulators import Simulator
-from cornercase.study import MIN_DECISIVE_RUNS, Study, is_criticality_undecided
+from cornercase.study import Study
+from cornercase.study._run_rates import MIN_DECISIVE_RUNS, is_criticality_undecided
 
 SPACE = ParameterSpace.from_ranges(["often=0:1"])
 LOGICAL = LogicalScenario(Path("synthetic.xosc"), SPACE, "0")
@@ -81,7 +86,9 @@ class Wavering(Simulator):
 
 def about(**more):
     given = {"critical": THRESHOLD, "budget": 24, "batch": 8, "repeats": REPEATS, "most_repeats": MOST} | more
-    return ExplorationConfig(LOGICAL, "Ego", "B", ("distance",), optimizer="sobol", simulator="wavering", seed=3, **given)
+    return ExplorationConfig(
+        LOGICAL, "Ego", "B", ("distance",), optimizer="sobol", simulator="wavering", seed=3, **given
+    )
 
 
 def explored(path, one, simulator):
@@ -178,7 +185,10 @@ def test_how_often_repeated_looks_mislead_is_as_the_documentation_says():
     assert sum(ends(0.5)[:2]) == pytest.approx(0.22, abs=0.005)
     assert [ends(one)[1] for one in (0.4, 0.3)] == pytest.approx([0.016, 0.003], abs=0.0005)
     assert [ends(one)[2] for one in (0.5, 0.3, 0.1)] == pytest.approx([43.8, 24.0, 8.4], abs=0.05)
-    assert [all(is_criticality_undecided([0.0] * k + [1.0] * (n - k), 0.5) for k in range(n + 1)) for n in (4, MIN_DECISIVE_RUNS)] == [
+    assert [
+        all(is_criticality_undecided([0.0] * k + [1.0] * (n - k), 0.5) for k in range(n + 1))
+        for n in (4, MIN_DECISIVE_RUNS)
+    ] == [
         True,
         False,
     ]
@@ -228,7 +238,9 @@ def test_it_is_said_wherever_the_repeats_are(study, tmp_path):
 
 
 def test_a_study_is_run_again_as_it_was(tmp_path):
-    one = replace(paper_experiment_config("t-intersection", budget=2, seed=1), optimizer="sobol", repeats=2, most_repeats=5)
+    one = replace(
+        paper_experiment_config("t-intersection", budget=2, seed=1), optimizer="sobol", repeats=2, most_repeats=5
+    )
     path = tmp_path / "s.db"
     given: dict[str, Any] = {
         "ego": one.ego,

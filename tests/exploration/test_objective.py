@@ -10,17 +10,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from command_line import SPACE, X, cornercase
 from conftest import examples
 from cornercase._common.errors import InputError
-from cornercase.exploration import Objective, is_on_pareto_front
-from cornercase.exploration.objective import Incumbent
+from cornercase.exploration._objective import Incumbent, Objective, is_on_pareto_front
 from cornercase.metrics import METRICS
 from cornercase.optimizers import OPTIMIZERS, EvolutionaryOptimizer, OptunaOptimizer
-from cornercase.scenario import Constraint, ParameterDeclaration, Parameter, ParameterSpace
+from cornercase.scenario import Constraint, Parameter, ParameterDeclaration, ParameterSpace
 from cornercase.study import Study
-from searches import CUBE, explored
-from synthetic import explorer, opened
+from helpers.command_line import SPACE, X, cornercase
+from helpers.search_cases import CUBE, explored
+from helpers.synthetic_study import explorer, opened
 
 TTC, DRAC = METRICS.create("ttc"), METRICS.create("drac")
 NAMED = ParameterSpace([*CUBE.parameters, Parameter("kind", 0, 2, choices=("car", "truck", "bicycle"))])
@@ -130,7 +129,10 @@ def test_evolution_finds_the_front_of_two_scores():
 @pytest.mark.parametrize("make", [EvolutionaryOptimizer, OptunaOptimizer])
 def test_a_small_space_is_run_whole(make):
     space = ParameterSpace.from_ranges(["a=0:5:1", "b=0:9:1"]).with_constraints(
-        [ParameterDeclaration("a", "double", "0", ((Constraint("lessThan", "5"),),)), ParameterDeclaration("b", "double", "0")]
+        [
+            ParameterDeclaration("a", "double", "0", ((Constraint("lessThan", "5"),),)),
+            ParameterDeclaration("b", "double", "0"),
+        ]
     )
     optimizer = make(space, 0)
     points = explored(optimizer, 50, function=lambda p: p[:, 0] + p[:, 1])

@@ -12,11 +12,11 @@ from pathlib import Path
 import pytest
 
 import cornercase as cc
-from command_line import X, cornercase
 from cornercase._common.errors import InputError
-from cornercase.exploration import repairing
+from cornercase.exploration import _repair as repair
 from cornercase.study import Study, write_note
-from cornercase.study.lease import Lease
+from cornercase.study._lease import Lease
+from helpers.command_line import X, cornercase
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +68,7 @@ def test_there_is_a_study_of_its_name_whatever_stops_the_repair(whole, damaged, 
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patched:
-        patched.setattr("cornercase._common.pending_files.replace_file", killed)
+        patched.setattr("cornercase._common.io.atomic.replace_file", killed)
         assert cornercase("verify", damaged, "--repair", "--scenario", X).returncode == 130
     assert damaged.read_bytes() == before
     # It has two names now, so nobody may write to it.
@@ -94,7 +94,7 @@ def test_rows_that_still_stood_in_the_log_are_brought_back(whole, tmp_path):
 
 
 def test_what_does_not_fit_into_memory_is_said_before(damaged, monkeypatch):
-    monkeypatch.setattr("cornercase.exploration.repairing._MEMORY_FACTOR", 1e6)
+    monkeypatch.setattr("cornercase.exploration._repair._MEMORY_FACTOR", 1e6)
     result = cornercase("verify", damaged, "--repair", "--scenario", X, "--memory", "2GB")
     assert result.returncode == 2
     assert "which is more than --memory 2 GB; give more." in result.stderr
@@ -106,13 +106,13 @@ def meanwhile(monkeypatch):
     """Run an action while scenarios are run again, or before another step of the repair."""
 
     def let(action, step="configured_simulator"):
-        plain = getattr(repairing, step)
+        plain = getattr(repair, step)
 
         def after_action(*given):
             action()
             return plain(*given)
 
-        monkeypatch.setattr(repairing, step, after_action)
+        monkeypatch.setattr(repair, step, after_action)
 
     for patience in ("database._PATIENCE_BESIDE", "held_file._PATIENCE"):
         monkeypatch.setattr(f"cornercase.study.{patience}", 0.1)

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import cornercase as cc
-from command_line import cornercase
 from cornercase._common.errors import NoticeWarning, SimulationError
 from cornercase.drivers import Driver
 from cornercase.recordings import Recording
@@ -18,7 +17,8 @@ from cornercase.report import write_report
 from cornercase.scenario import LogicalScenario
 from cornercase.simulators import SIMULATORS, Simulator
 from cornercase.study import Study
-from cornercase.study.seals import delete_rows
+from cornercase.study._checksums import delete_rows
+from helpers.command_line import cornercase
 
 
 class Dice(Driver):

@@ -8,16 +8,14 @@ import numpy as np
 import pytest
 
 from cornercase._common.errors import InputError, SimulationError
-from cornercase.exploration import (
-    ScenarioExplorer,
-    paper_experiment_config,
-    explore_config,
-)
+from cornercase.exploration._explore import explore_config
+from cornercase.exploration._explorer import ScenarioExplorer
+from cornercase.exploration._paper_examples import paper_experiment_config
 from cornercase.optimizers import OPTIMIZERS
 from cornercase.report import summarize, write_report
 from cornercase.study import Study
-from fake_simulators import NoisySimulator
-from synthetic import about
+from helpers.fake_simulators import NoisySimulator
+from helpers.synthetic_study import about
 
 
 def test_of_repeated_runs_the_median_is_stored_and_the_spread_of_all(tmp_path):

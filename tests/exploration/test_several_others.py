@@ -8,18 +8,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from command_line import cornercase
 from conftest import car, moving, scenario_file
 from cornercase import InputError, compare
 from cornercase import run_suite as run_scenarios
 from cornercase.clustering import analyze
 from cornercase.exploration import explore
-from cornercase.metrics import METRICS, evaluate_metrics
+from cornercase.metrics import METRICS
+from cornercase.metrics._measure import evaluate_metrics
 from cornercase.reduction import reduce
-from cornercase.report import summary_to_dict, summarize
-from cornercase.report.contents import page_payload
-from cornercase.report.data import read_report_data
+from cornercase.report import summarize
+from cornercase.report._payload import page_payload
+from cornercase.report._report_data import read_report_data
+from cornercase.report.text._show import summary_to_dict
 from cornercase.study import Study
+from helpers.command_line import cornercase
 
 METRICS_OF = ("clearance", "ttc", "traffic-quality")
 NAMES = ("Ego", "Oncoming", "Slow", "Parked")
@@ -140,7 +142,9 @@ def test_kinds_the_kept_ones_and_their_verdicts_go_on_with_several(study, scenar
     with Study.open(study, readonly=False) as opened:
         analyze(opened)
         outcomes = opened.outcomes()
-        hits = [any("Ego" in one.entities for one in opened.recording(row.id).collisions) for row in opened.finished_rows()]
+        hits = [
+            any("Ego" in one.entities for one in opened.recording(row.id).collisions) for row in opened.finished_rows()
+        ]
         reduce(opened, tmp_path / "kept", scenario=scenario, size=4)
     assert [text.endswith(" collide") for text in outcomes.values()] == hits
     requirements = ["clearance > 0.5", "ego.speed < 30", "other.speed < 9"]

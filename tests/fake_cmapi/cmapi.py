@@ -7,7 +7,7 @@ import os
 import subprocess
 import sys
 
-import foreign_recordings
+from helpers import foreign_recordings as foreign_recordings
 
 WRONG = os.environ.get("FAKE_CMAPI", "")
 

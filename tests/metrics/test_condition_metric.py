@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 from cornercase._common.errors import InputError
-from cornercase.metrics import CriticalIf, Formula, find_critical_if_condition, measure, evaluate_metrics
-from two_cars import met
+from cornercase.metrics import CriticalIf, Formula, measure
+from cornercase.metrics._measure import evaluate_metrics
+from cornercase.metrics.formulas._critical_if import find_critical_if_condition
+from helpers.two_cars import met
 
 X = np.arange(6) * 1.0
 
@@ -98,7 +100,10 @@ def test_the_distance_from_a_collision_is_the_clearance_and_a_reference_decides_
 def test_bounds_are_on_scores_and_their_margins_are_combined():
     close = run(3.0)
     scores = measure(close, "Ego", "Other", ["clearance", "ttc"]).scores
-    both, either = CriticalIf.from_text("clearance < 1 and ttc < 0.2"), CriticalIf.from_text("clearance < 1 or ttc < 0.2")
+    both, either = (
+        CriticalIf.from_text("clearance < 1 and ttc < 0.2"),
+        CriticalIf.from_text("clearance < 1 or ttc < 0.2"),
+    )
     gaps = scores["clearance"] - 1.0, scores["ttc"] - 0.2
     assert both.unit == "1"
     assert both.evaluate(close, "Ego", "Other").score({}) == pytest.approx(max(gaps))
@@ -110,7 +115,9 @@ def test_bounds_are_on_scores_and_their_margins_are_combined():
 
 def test_only_the_reference_that_decides_is_asked():
     touch = run(0.0, collides=0.5)
-    made = CriticalIf.from_text("(clearance > 50 and not reference:a) or (collision and not reference:b and not reference:c)")
+    made = CriticalIf.from_text(
+        "(clearance > 50 and not reference:a) or (collision and not reference:b and not reference:c)"
+    )
     looked = made.evaluate(touch, "Ego", "Other")
     assert looked.next_reference_to_run({}) == "b"
     assert looked.next_reference_to_run({"b": True}) is None

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from conftest import at_night
-from cornercase.metrics import METRICS, evaluate_metrics
+from cornercase.metrics import METRICS
+from cornercase.metrics._measure import evaluate_metrics
 from cornercase.recordings import Collision, Recording
 
 TIME = np.arange(0.0, 8.0, 0.05)

@@ -37,7 +37,9 @@ def meeting(late=2.0, ego_speed=8.0, slow=None, collisions=()):
 
 
 def told(recording, ego="Ego", other="B"):
-    return dict(zip([one.name for one in registered_features()], compute_features([recording], ego, other)[0], strict=True))
+    return dict(
+        zip([one.name for one in registered_features()], compute_features([recording], ego, other)[0], strict=True)
+    )
 
 
 def test_the_features_say_what_happens():

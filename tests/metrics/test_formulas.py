@@ -7,7 +7,7 @@ import pytest
 
 from cornercase._common.errors import InputError
 from cornercase.metrics import METRICS, Formula, Signals, measure, signals_from_recording
-from oracle import actor, recorded
+from helpers.oracle import actor, recorded
 
 TIME = np.array([0.0, 0.1, 0.2, 0.3])
 

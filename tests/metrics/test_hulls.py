@@ -2,10 +2,15 @@
 
 import numpy as np
 
-from cornercase._common.box_tree import build_aabb_tree
-from cornercase._common.geometry import box_axes, box_corners, separating_gap
-from cornercase._common.meetings import OverlapRuns
-from cornercase.metrics._parts.hulls import compute_separating_axes, compute_hull_bounds, find_overlapping_hulls, gap_to_nearest_hull
+from cornercase._common.geometry.aabb_tree import build_aabb_tree
+from cornercase._common.geometry.boxes import box_axes, box_corners, separating_gap
+from cornercase._common.geometry.overlap_runs import OverlapRuns
+from cornercase.metrics._geometry.swept_hulls import (
+    compute_hull_bounds,
+    compute_separating_axes,
+    find_overlapping_hulls,
+    gap_to_nearest_hull,
+)
 
 
 def moved(rng, count):
@@ -35,7 +40,9 @@ def test_hulls_meet_where_no_axis_separates_them():
     far = np.full(30, 100.0), np.full(40, 100.0)
 
     def meeting(reach):
-        found = OverlapRuns(find_overlapping_hulls(a, axes_a, a.mean(1), reach[0], b, axes_b, b.mean(1), reach[1], tree), (30, 40))
+        found = OverlapRuns(
+            find_overlapping_hulls(a, axes_a, a.mean(1), reach[0], b, axes_b, b.mean(1), reach[1], tree), (30, 40)
+        )
         return np.array([found.overlaps_of_step(i) for i in range(30)])
 
     meets = meeting(far)

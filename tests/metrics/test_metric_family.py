@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize_scalar
 
 from cornercase._common.errors import InputError
-from cornercase._common.geometry import box_corners, box_distance
+from cornercase._common.geometry.boxes import box_corners, box_distance
 from cornercase.metrics import (
     METRICS,
     Btn,
@@ -41,9 +41,9 @@ from cornercase.metrics import (
     Ttc,
     Ttce,
 )
-from cornercase.metrics.rss import min_lateral_gap, min_longitudinal_gap, min_oncoming_gap
-from oracle import actor, agrees, cases, follows, recorded
-from scenes import TIME, quick, same, scenes
+from cornercase.metrics._rss import min_lateral_gap, min_longitudinal_gap, min_oncoming_gap
+from helpers.oracle import actor, agrees, cases, follows, recorded
+from helpers.random_scenes import TIME, quick, same, scenes
 
 EXACT = 1e-6
 

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from cornercase._common.errors import InputError
 from cornercase.cli import app
 from cornercase.metrics import METRICS, Clearance, Metric, measure
-from oracle import actor, recorded
+from helpers.oracle import actor, recorded
 
 
 def test_options_stand_behind_a_colon():

@@ -11,10 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from conftest import examples
-from cornercase._common.geometry import box_corners, box_distance
+from cornercase._common.geometry.boxes import box_corners, box_distance
 from cornercase.metrics import METRICS, Distance, Pet, TrafficQuality, TrajectoryDistance, Ttc, Wttc
 from cornercase.recordings import Recording
-from scenes import TIME, quick, same, scenes
+from helpers.random_scenes import TIME, quick, same, scenes
 
 PAIRWISE = (Distance(), TrajectoryDistance(), Ttc(), Ttc(accelerating=True), Wttc(), Pet(), Pet(signed=True))
 

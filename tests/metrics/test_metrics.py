@@ -10,7 +10,7 @@ import pytest
 from scipy.optimize import brentq
 
 from cornercase._common.errors import InputError
-from cornercase._common.geometry import box_corners, box_distance, boxes_overlap
+from cornercase._common.geometry.boxes import box_corners, box_distance, boxes_overlap
 from cornercase.metrics import (
     METRICS,
     Clearance,
@@ -21,9 +21,9 @@ from cornercase.metrics import (
     Ttc,
     Wttc,
 )
-from cornercase.metrics.wttc import earliest_circle_contact
+from cornercase.metrics._wttc import earliest_circle_contact
 from cornercase.recordings import Recording
-from oracle import CASES, WITHOUT_TRACKS, actor, agrees, cases, follows, recorded
+from helpers.oracle import CASES, WITHOUT_TRACKS, actor, agrees, cases, follows, recorded
 
 
 @pytest.mark.parametrize("case", cases("distance"))

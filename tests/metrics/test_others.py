@@ -9,10 +9,13 @@ import pytest
 from hypothesis import given
 
 from cornercase import InputError
-from cornercase.metrics import METRICS, compute_features, registered_features, measure, evaluate_metrics, resolve_others, nearest_other
-from cornercase.recordings import MOTION_ARRAYS, Collision
-from scenes import drive, quick, scenes
-from two_cars import met
+from cornercase.metrics import METRICS, compute_features, measure, registered_features
+from cornercase.metrics._measure import evaluate_metrics
+from cornercase.metrics._other_entities import nearest_other, resolve_others
+from cornercase.recordings import Collision
+from cornercase.recordings._recording import MOTION_ARRAYS
+from helpers.random_scenes import drive, quick, scenes
+from helpers.two_cars import met
 
 # Low and high critical, with and without a contact score, integrated over time, of the scene.
 NAMES = ("distance", "clearance", "wttc", "ttc", "drac", "pet", "tet", "delta-v", "traffic-quality")

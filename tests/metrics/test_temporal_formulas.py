@@ -13,8 +13,8 @@ import cornercase as cc
 from conftest import examples
 from cornercase._common.errors import InputError
 from cornercase.metrics import METRICS, Formula, Signals
-from cornercase.metrics.formulas.terms import Comparison
-from oracle import actor, recorded
+from cornercase.metrics.formulas._ast import Comparison
+from helpers.oracle import actor, recorded
 
 rtamt = pytest.importorskip("rtamt", reason="it is there for Python up to 3.12")
 

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from conftest import at_night
-from cornercase.evidence import Committee, fit_boundary_process
+from cornercase.evidence._committee import Committee
+from cornercase.evidence.gp._process import fit_boundary_process
 from cornercase.metrics import Feature
 from cornercase.optimizers import CommitteeOptimizer, LevelSetOptimizer, SobolOptimizer
 from cornercase.scenario import Parameter, ParameterSpace
-from searches import CUBE, EVERYWHERE, THRESHOLD, explored, two_regions
+from helpers.search_cases import CUBE, EVERYWHERE, THRESHOLD, explored, two_regions
 
 FEATURES = (Feature("least-clearance", "m"), Feature("crossing-gap", "s", branch=True), Feature("lowest-speed", "m/s"))
 

@@ -12,16 +12,17 @@ from scipy.stats import qmc
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import ConstantKernel, Matern
 
-from command_line import SPACE, X, cornercase
 from conftest import at_night
-from cornercase.evidence import CriticalSet, GaussianProcess, fit_boundary_process, encode_points
-from cornercase.evidence.kernel import _NegativeLogPosterior
+from cornercase.evidence._critical_set_estimate import CriticalSet
+from cornercase.evidence.gp._kernel import _NegativeLogPosterior
+from cornercase.evidence.gp._process import GaussianProcess, encode_points, fit_boundary_process
 from cornercase.metrics import METRICS
 from cornercase.optimizers import BayesOptimizer, LevelSetOptimizer, SobolOptimizer
-from cornercase.optimizers.dips import suggest_below_local_minima
+from cornercase.optimizers._local_minima import suggest_below_local_minima
 from cornercase.scenario import Parameter, ParameterSpace
 from cornercase.study import Study
-from searches import CUBE, EVERYWHERE, THRESHOLD, explored, two_regions
+from helpers.command_line import SPACE, X, cornercase
+from helpers.search_cases import CUBE, EVERYWHERE, THRESHOLD, explored, two_regions
 
 
 def found(points, scores):
@@ -234,7 +235,7 @@ def test_the_number_of_threads_does_not_show(monkeypatch):
     process = GaussianProcess().fit(points, two_regions(points))
     results = []
     for threads in (1, 2, 5):
-        monkeypatch.setattr("cornercase.evidence.gaussian_process.count_available_cpus", lambda threads=threads: threads)
+        monkeypatch.setattr("cornercase.evidence.gp._process.count_available_cpus", lambda threads=threads: threads)
         results.append(process.predict(EVERYWHERE))
     for mean, deviation in results[1:]:
         np.testing.assert_array_equal(mean, results[0][0])

@@ -7,7 +7,7 @@ import pytest
 
 from cornercase.optimizers import LevelSetOptimizer
 from cornercase.scenario import ParameterSpace
-from searches import explored
+from helpers.search_cases import explored
 
 
 @pytest.mark.parametrize("function", [lambda p: np.sin(9 * p[:, 0]), lambda p: np.abs(p[:, 0] - 0.5)])

@@ -20,13 +20,13 @@ from cornercase.optimizers import (
     RandomOptimizer,
     SobolOptimizer,
     create_optimizer,
-    optimizer_requirements,
 )
-from cornercase.optimizers.feature_process import RandomFeatureProcess
-from cornercase.optimizers.unseen import Deduplicator
-from cornercase.scenario import Constraint, ParameterDeclaration, Parameter, ParameterSpace
-from cornercase.scenario.distributions import Distribution
-from searches import CUBE, explored, ridge
+from cornercase.optimizers._dedupe import Deduplicator
+from cornercase.optimizers._random_features import RandomFeatureProcess
+from cornercase.optimizers._registry import optimizer_requirements
+from cornercase.scenario import Constraint, Parameter, ParameterDeclaration, ParameterSpace
+from cornercase.scenario._distributions import Distribution
+from helpers.search_cases import CUBE, explored, ridge
 
 
 def test_sobol_is_scipys_scrambled_sequence_of_the_seed():

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import foreign_recordings as foreign
-from command_line import cornercase
 from cornercase._common.errors import InputError
 from cornercase.recordings import read_recording
-from cornercase.recordings.formats.erg import read_erg_columns
-from foreign_recordings import HEADING, SPEED, TIME, way
+from cornercase.recordings.formats._erg import read_erg_columns
+from helpers import foreign_recordings as foreign
+from helpers.command_line import cornercase
+from helpers.foreign_recordings import HEADING, SPEED, TIME, way
 
 SAMPLES = Path(__file__).parents[3] / "shared" / "reference" / "simulators"
 beside = pytest.mark.skipif(not SAMPLES.is_dir(), reason="the real samples are not beside the checkout")
@@ -133,7 +133,7 @@ def test_what_sumo_really_writes(tmp_path):
     (tmp_path / "r.rou.xml").write_text(
         "<routes><vehicle id='v' depart='0' departPos='50' departSpeed='10'><route edges='ab'/></vehicle></routes>"
     )
-    from cornercase.simulators.sumo.network import _find_netconvert
+    from cornercase.simulators.sumo._network import _find_netconvert
 
     net = tmp_path / "n.net.xml"
     subprocess.run(

@@ -12,7 +12,7 @@ from cornercase._common.errors import InputError
 from cornercase.cli import app
 from cornercase.metrics import Ttc
 from cornercase.recordings import read_recording
-from foreign_recordings import TIMES, commonroad, multi_channel, osi_messages, single_channel, state
+from helpers.foreign_recordings import TIMES, commonroad, multi_channel, osi_messages, single_channel, state
 
 
 @pytest.mark.parametrize("kind", ["GroundTruth", "SensorView"])

@@ -16,9 +16,9 @@ from lxml import etree
 
 from conftest import examples
 from cornercase._common.errors import InputError
-from cornercase.recordings import MOTION_ARRAYS, Collision, Recording, read_recording
-from cornercase.recordings.recording import CSV_COLUMNS
-from cornercase.recordings.sketch import draw_tracks
+from cornercase.recordings import Collision, Recording, read_recording
+from cornercase.recordings._recording import CSV_COLUMNS, MOTION_ARRAYS
+from cornercase.recordings._svg import draw_tracks
 
 HEADER = ",".join(CSV_COLUMNS)
 FIELDS = ("time", "x", "y", "heading", "speed", "acceleration", "length", "width", "center_x")
@@ -240,7 +240,9 @@ def test_tracks_have_gaps_and_who_never_comes_has_none():
 
 def test_an_empty_recording_has_words_a_page_and_a_table():
     one = recording()
-    empty = replace(one, time=one.time[:0], **{column: getattr(one, column)[:, :0] for column in MOTION_ARRAYS}, collisions=())
+    empty = replace(
+        one, time=one.time[:0], **{column: getattr(one, column)[:, :0] for column in MOTION_ARRAYS}, collisions=()
+    )
     assert "0 s in 0 instants" in repr(empty)
     assert "never" in empty._repr_html_()
     assert empty.to_dataframe().empty

@@ -6,8 +6,9 @@ import pytest
 
 from cornercase._common.errors import InputError
 from cornercase.metrics import measure
-from cornercase.recordings import EntitySamples, read_recording, recording_from_samples
-from cornercase.recordings.formats.esmini import ESMINI_LOG_START
+from cornercase.recordings import read_recording
+from cornercase.recordings._from_samples import EntitySamples, recording_from_samples
+from cornercase.recordings.formats._esmini_log import ESMINI_LOG_START
 
 HEADER = f"{ESMINI_LOG_START}\nIndex [-], TimeStamp [s], #1 Entity_Name [-]"
 FCD = '<fcd-export><timestep time="{}"><vehicle id="a" x="{}" y="0" angle="90" speed="1"{}/></timestep></fcd-export>'

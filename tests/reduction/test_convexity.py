@@ -10,11 +10,11 @@ from conftest import at_night
 from cornercase._common.errors import InputError
 from cornercase.clustering import cluster
 from cornercase.dtw import distance_matrix
-from cornercase.reduction.archetypal_analysis import find_archetypes, find_kernel_archetypes
-from cornercase.reduction.cluster_selection import select_per_cluster
-from cornercase.reduction.cluster_shapes import classify_cluster_shapes
-from cornercase.reduction.convexity import MIN_CONVEXITY, split_into_convex_parts, measure_convexity
-from cornercase.reduction.hulls import find_hull_archetypes
+from cornercase.reduction._archetypal_analysis import find_archetypes, find_kernel_archetypes
+from cornercase.reduction._cluster_shapes import classify_cluster_shapes
+from cornercase.reduction._convexity import MIN_CONVEXITY, measure_convexity, split_into_convex_parts
+from cornercase.reduction._hulls import find_hull_archetypes
+from cornercase.reduction.selection._per_cluster import select_per_cluster
 
 
 def horseshoe(count, seed, legs=2.0):

@@ -9,9 +9,9 @@ from scipy.stats import qmc
 
 from conftest import at_night
 from cornercase._common.errors import InputError
-from cornercase.evidence import CriticalSet
-from cornercase.reduction.coverage import measure_nearest_distances
-from cornercase.reduction.critical_coverage import CriticalCoverage, find_similar_distance, measure_critical_coverage
+from cornercase.evidence._critical_set_estimate import CriticalSet
+from cornercase.reduction._coverage import measure_nearest_distances
+from cornercase.reduction._critical_coverage import CriticalCoverage, find_similar_distance, measure_critical_coverage
 from cornercase.scenario import ParameterSpace
 
 SPACE = ParameterSpace.from_ranges(["a=0:1", "b=0:1"])
@@ -19,7 +19,9 @@ SPACE = ParameterSpace.from_ranges(["a=0:1", "b=0:1"])
 
 def covered(points, scores, threshold, distances, kept, within, seed=0) -> CriticalCoverage:
     """How well the scenarios `kept` represent the critical ones."""
-    return measure_critical_coverage(SPACE, points, scores, threshold, measure_nearest_distances(distances, kept, seed=seed), within, seed=seed)
+    return measure_critical_coverage(
+        SPACE, points, scores, threshold, measure_nearest_distances(distances, kept, seed=seed), within, seed=seed
+    )
 
 
 def disc(points):

@@ -10,7 +10,8 @@ import pytest
 from scipy.stats import binomtest
 
 from cornercase.drivers import Mutant
-from cornercase.reduction import KillMatrix, select_killing
+from cornercase.reduction import KillMatrix
+from cornercase.reduction._mutant_selection import select_killing
 
 
 def apart_on_a_line(n):
@@ -69,4 +70,7 @@ def test_grades_count_what_can_be_exposed():
     assert found.survivors == ("normal:horizon=6.7",)
     assert found.counts_by_mutation == {"foresees less": (3, 4)}
     low, high = binomtest(3, 4).proportion_ci(0.95, "exact")
-    assert found.summary_text == f"3 of 4 mutants of normal are exposed, 75% ({low:.0%} to {high:.0%} with 95 % confidence)"
+    assert (
+        found.summary_text
+        == f"3 of 4 mutants of normal are exposed, 75% ({low:.0%} to {high:.0%} with 95 % confidence)"
+    )

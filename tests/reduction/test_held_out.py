@@ -8,10 +8,15 @@ import numpy as np
 import pytest
 from scipy.spatial.distance import cdist
 
-from cornercase.reduction.choosing import SelectionInput, SelectionRequest, select, cross_validate
-from cornercase.reduction.coverage import measure_coverage
-from cornercase.reduction.draws import draw_random_selections, distances_to_nearest_per_selection
-from cornercase.reduction.held_out import draw_folds, summarize_held_out, summarize_held_out_critical, measure_held_out_distances
+from cornercase.reduction._coverage import measure_coverage
+from cornercase.reduction._held_out_coverage import (
+    draw_folds,
+    measure_held_out_distances,
+    summarize_held_out,
+    summarize_held_out_critical,
+)
+from cornercase.reduction._random_selections import distances_to_nearest_per_selection, draw_random_selections
+from cornercase.reduction.selection._select import SelectionInput, SelectionRequest, cross_validate, select
 
 TWENTY = SelectionRequest(20, None, None, "auto")
 
@@ -66,7 +71,9 @@ def test_a_set_leaves_less_of_further_scenarios_than_random_choices_do_in_the_me
         kept = [one.index for one in select(found, SelectionRequest(30, None, None, "auto"))[0]]
         others, _ = drawn(2003, rng)
         away = cdist(found.points, others)
-        random = distances_to_nearest_per_selection(away, draw_random_selections(303, 30, stream="grading", draws=200, seed=seed)).mean(axis=1)
+        random = distances_to_nearest_per_selection(
+            away, draw_random_selections(303, 30, stream="grading", draws=200, seed=seed)
+        ).mean(axis=1)
         # Not the largest: no selection can know outliers among further scenarios.
         assert (random > away[kept].min(axis=0).mean()).mean() >= 0.9
 
@@ -95,14 +102,20 @@ def test_critical_scenarios_are_like_a_kept_one_as_often_as_is_said_of_others():
 
 def test_a_few_scenarios_are_judged_by_nobody():
     few = material(9, np.random.default_rng(0))
-    assert measure_held_out_distances(few.distances[0], cross_validate(few, SelectionRequest(3, None, None, "auto"))) is None
+    assert (
+        measure_held_out_distances(few.distances[0], cross_validate(few, SelectionRequest(3, None, None, "auto")))
+        is None
+    )
     assert summarize_held_out(None) is None
 
 
 def test_the_same_scenarios_are_judged_the_same_each_time():
     found = material(61, np.random.default_rng(3))
     for wish in (TWENTY, SelectionRequest(None, 0.3, None, "auto"), SelectionRequest(None, None, 4, "hull")):
-        first, second = (summarize_held_out(measure_held_out_distances(found.distances[0], cross_validate(found, wish))) for _ in range(2))
+        first, second = (
+            summarize_held_out(measure_held_out_distances(found.distances[0], cross_validate(found, wish)))
+            for _ in range(2)
+        )
         assert first is not None
         assert second is not None
         assert asdict(first) == asdict(second)

@@ -8,14 +8,20 @@ from scipy.spatial.distance import pdist, squareform
 
 from conftest import at_night
 from cornercase._common.errors import InputError
-from cornercase.clustering import EmbeddedDistances, analyze, analyzing, landmarks
-from cornercase.reduction import find_k_medoids, gap_sums, measure_coverage, reduce, reducing
-from cornercase.reduction.critical_coverage import find_similar_distance
-from cornercase.reduction.gap_cells import CellCoverageSums
-from cornercase.reduction.held_out import Fold, measure_held_out_distances
-from cornercase.reduction.medoids import find_prototype
-from cornercase.reduction.selection import select_scenarios
-from synthetic import explorer, opened
+from cornercase.clustering import _analyze as analyze_module
+from cornercase.clustering import _landmarks as landmarks
+from cornercase.clustering import analyze
+from cornercase.clustering._embedding import EmbeddedDistances
+from cornercase.reduction import _coverage_sums as coverage_sums
+from cornercase.reduction import _reduce as reduce_module
+from cornercase.reduction import reduce
+from cornercase.reduction._coverage import measure_coverage
+from cornercase.reduction._coverage_cells import CellCoverageSums
+from cornercase.reduction._critical_coverage import find_similar_distance
+from cornercase.reduction._held_out_coverage import Fold, measure_held_out_distances
+from cornercase.reduction._medoids import find_k_medoids, find_prototype
+from cornercase.reduction.selection._greedy import select_scenarios
+from helpers.synthetic_study import explorer, opened
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +46,7 @@ def test_the_choice_by_places_is_that_by_the_matrix(scenarios):
 def test_the_choice_by_cells_is_that_by_the_matrix(scenarios, monkeypatch, size):
     points, places, _, labels = scenarios
     # Distances of 300 scenarios would be kept in memory; the patch prevents that. The last cell is not full.
-    monkeypatch.setattr(gap_sums, "_MAX_IN_MEMORY", 10)
+    monkeypatch.setattr(coverage_sums, "_MAX_IN_MEMORY", 10)
     doubled = [np.concatenate((one, one[:7])) for one in places]
     points, labels = (np.concatenate((one, one[:7])) for one in (points, labels))
     placed = select_scenarios(points, [EmbeddedDistances(one) for one in doubled], labels, [1], size=size)
@@ -93,17 +99,17 @@ def test_medoids_of_places_are_about_as_good_as_those_of_a_matrix(scenarios):
 
 
 def test_a_study_of_many_is_reduced_within_a_memory(tmp_path, monkeypatch):
-    monkeypatch.setattr(analyzing, "MAX_ALL_PAIRS", 30)
+    monkeypatch.setattr(analyze_module, "MAX_ALL_PAIRS", 30)
     monkeypatch.setattr(landmarks, "LANDMARKS", 24)
     path = tmp_path / "s.db"
     with opened(path) as study:
         explorer(study, metrics=("distance", "wttc"), optimizer="sobol", budget=60).run()
     found = analyze(path)
     assert all(one.embedding_error is not None for one in found.values())
-    monkeypatch.setattr(reducing, "find_explored_scenario", lambda *given, **options: None)
+    monkeypatch.setattr(reduce_module, "find_explored_scenario", lambda *given, **options: None)
     reduced = reduce(path, tmp_path / "kept", size=8)
     assert len(reduced) == 8
     assert reduced.coverage["distance"].largest_relative < 0.5
-    monkeypatch.setattr(reducing, "_BYTES_PER_SCENARIO", 10**8)
+    monkeypatch.setattr(reduce_module, "_BYTES_PER_SCENARIO", 10**8)
     with pytest.raises(InputError, match=r"distances of \d+ scenarios need .* more than `memory` 500 MB"):
         reduce(path, tmp_path / "kept", size=8, memory="500 MB")

@@ -12,15 +12,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.distance import cdist
 
-from command_line import SPACE, X, cornercase
 from conftest import examples
 from cornercase._common.errors import InputError
 from cornercase.clustering import read_analyses, read_distances
 from cornercase.reduction import read_reduction, reduce
-from cornercase.reduction.coverage import measure_coverage
-from cornercase.reduction.medoids import find_k_medoids
-from cornercase.reduction.selection import select_scenarios
+from cornercase.reduction._coverage import measure_coverage
+from cornercase.reduction._medoids import find_k_medoids
+from cornercase.reduction.selection._greedy import select_scenarios
 from cornercase.study import Study
+from helpers.command_line import SPACE, X, cornercase
 
 
 def two_clusters(count=120, seed=0):

@@ -12,9 +12,9 @@ import pytest
 
 from conftest import at_night
 from cornercase._common.errors import InputError
-from cornercase._common.files import read_file
-from cornercase.reduction import set_folder
-from cornercase.reduction.set_folder import MANIFEST, complete_replacement, replace_set
+from cornercase._common.io.files import read_file
+from cornercase.reduction import _set_folder as set_folder
+from cornercase.reduction._set_folder import MANIFEST, complete_replacement, replace_set
 
 OLD = {"s-00001.xosc": b"one", "s-00002.xosc": b"two", "s-00003.xosc": b"three", "road.xodr": b"road"}
 NEW = {"s-00002.xosc": b"two again", "s-00004.xosc": b"four", "catalogs/c/c.xosc": b"catalog", "road.xodr": b"new road"}

@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 
 import cornercase as cc
-from command_line import cornercase
 from cornercase.study import verify
-from cornercase.study.schema import CREATE_STATEMENTS, TABLES
+from cornercase.study._schema import CREATE_STATEMENTS, TABLES
+from helpers.command_line import cornercase
 
 EXAMPLE = Path(cc.__file__).parents[2] / "examples" / "x_intersection"
 BUDGET = 12

@@ -11,7 +11,7 @@ from contextlib import closing, suppress
 
 from lxml import etree
 
-from sealed import reseal
+from helpers.checksums import reseal
 
 NUMBERS = (
     "nan", "inf", "-inf", "0", "-0", "-1", "1", "2", "0.5", "1e308", "-1e308", "1e300", "-1e300", "1e-308", "5e-324", "1e20", "1e9",

@@ -20,9 +20,9 @@ from fuzz_mutations import (
     mutated_xml,
 )
 
-import foreign_recordings as foreign
 from conftest import EXAMPLES
-from strangers import whole_study
+from helpers import foreign_recordings as foreign
+from helpers.untrusted_files import whole_study
 
 DATA = Path(__file__).parents[1] / "data"
 EVERYTHING = DATA / "everything"

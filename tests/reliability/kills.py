@@ -38,7 +38,7 @@ TESTS = Path(__file__).parents[1]
 if str(TESTS) not in sys.path:
     sys.path.insert(0, str(TESTS))
 
-import killed_simulators  # noqa: E402
+from helpers import stubborn_simulators as killed_simulators  # noqa: E402
 
 X = TESTS.parent / "examples" / "x_intersection" / "x_intersection.xosc"
 # s in which nothing may be left.

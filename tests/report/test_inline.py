@@ -7,9 +7,9 @@ import pytest
 from lxml import etree
 
 import cornercase as cc
-from cornercase.report import inline
+from cornercase.report import _notebook as notebook
 from cornercase.study import Study
-from strangers import whole_study
+from helpers.untrusted_files import whole_study
 
 
 @pytest.fixture(scope="module")
@@ -49,8 +49,8 @@ def test_what_was_not_run_or_is_too_large_is_shown_as_a_table(whole, tmp_path):
     with cc.Study.open(whole, readonly=True) as study:
         meta, points = study.meta, np.array([row.point for row in study.rows()])
         values = [row.values for row in study.rows()]
-    assert "<iframe" in str(inline.render_notebook_report(whole, max_scenarios=len(points)))
-    assert inline.render_notebook_report(whole, max_scenarios=len(points) - 1) is None
+    assert "<iframe" in str(notebook.render_notebook_report(whole, max_scenarios=len(points)))
+    assert notebook.render_notebook_report(whole, max_scenarios=len(points) - 1) is None
     with Study.create(tmp_path / "new.db", meta) as study:
         assert "<iframe" not in study._repr_html_()
         assert "<table" in study._repr_html_()
@@ -59,6 +59,6 @@ def test_what_was_not_run_or_is_too_large_is_shown_as_a_table(whole, tmp_path):
 
 
 def test_repr_draws_no_page(whole, monkeypatch):
-    monkeypatch.setattr(inline, "render_notebook_report", None)
+    monkeypatch.setattr(notebook, "render_notebook_report", None)
     with cc.Study.open(whole, readonly=True) as study:
         assert repr(study).startswith("<Study ")

@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from cornercase.recordings import Recording
-from cornercase.report.roads import encode_road_outline, recorded_bounds
-from cornercase.roads import RoadNetwork, RoadOutline, outline_roads
-from road_networks import lane, network, road
+from cornercase.report._road_drawing import encode_road_outline, recorded_bounds
+from cornercase.roads._network import RoadNetwork
+from cornercase.roads._outline import RoadOutline, outline_roads
+from helpers.road_networks import lane, network, road
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 WALK = '<lane id="-2" type="sidewalk"><width sOffset="0" a="2" b="0" c="0" d="0"/></lane>'

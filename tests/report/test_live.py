@@ -22,23 +22,23 @@ import numpy as np
 import pytest
 
 import cornercase as cc
-from command_line import SPACE, X, cornercase
 from cornercase._common.errors import InputError
 from cornercase.recordings import read_recording
-from cornercase.report.blocks import encode_recording
-from cornercase.report.contents import page_payload
-from cornercase.report.data import read_report_data
-from cornercase.report.live.follower import StudyFollower, StudyProgress
-from cornercase.report.live.knowing import AnalysisWorker
-from cornercase.report.live.telling import Cursor, EventStream
+from cornercase.report._payload import page_payload
+from cornercase.report._report_data import read_report_data
+from cornercase.report.encode._record_format import encode_recording
+from cornercase.report.live._analysis_worker import AnalysisWorker
+from cornercase.report.live._events import Cursor, EventStream
+from cornercase.report.live._follower import StudyFollower, StudyProgress
 from cornercase.study import Study, write_note
-from strangers import whole_study
-from waiting import until
+from helpers.command_line import SPACE, X, cornercase
+from helpers.untrusted_files import whole_study
+from helpers.waiting import until
 
 pytest.importorskip("starlette")
 from starlette.testclient import TestClient
 
-from cornercase.report.live.server import create_app
+from cornercase.report.live._server import create_app
 
 TOKEN = "a-token"
 ENDED = "SELECT COUNT(*) FROM scenarios WHERE state <> 'pending'"

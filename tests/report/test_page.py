@@ -14,7 +14,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from command_line import cornercase
 from conftest import EXAMPLES, at_night
 from cornercase._common.errors import InputError, SimulationError
 from cornercase._common.memory import MemoryLimit
@@ -22,16 +21,19 @@ from cornercase._common.version import __version__
 from cornercase.clustering import analyze
 from cornercase.recordings import Collision, Recording
 from cornercase.reduction import reduce
-from cornercase.report import packing, summary_to_dict, summarize, write_report
-from cornercase.report.answers import page_answers
-from cornercase.report.blocks import compress_records, encode_recording
-from cornercase.report.data import read_report_data
-from cornercase.report.study_files import format_command
-from cornercase.report.words import format_value, format_percent
+from cornercase.report import summarize, write_report
+from cornercase.report._commands import format_command
+from cornercase.report._report_data import read_report_data
+from cornercase.report.encode import _page_recordings as page_recordings
+from cornercase.report.encode._record_format import compress_records, encode_recording
+from cornercase.report.text._answers import page_answers
+from cornercase.report.text._phrases import format_percent, format_value
+from cornercase.report.text._show import summary_to_dict
 from cornercase.scenario import Parameter, ParameterSpace
 from cornercase.study import Study, import_recordings
-from synthetic import SPACE, Synthetic, about, explorer, opened
-from two_cars import met
+from helpers.command_line import cornercase
+from helpers.synthetic_study import SPACE, Synthetic, about, explorer, opened
+from helpers.two_cars import met
 
 # As `explorer` searches, so that the study knows which scenarios fill the space.
 BY_SOBOL = {"optimizer": "sobol", "seed": 7}
@@ -174,20 +176,22 @@ def test_a_recording_far_away_with_gaps_is_read_back_to_the_millimetre():
 def test_a_page_that_would_be_too_large_keeps_the_recordings_that_tell_most(path, tmp_path):
     with Study.open(path, readonly=True) as study:
         data = read_report_data(study)
-        packed = packing.encode_important_recordings(study, data, max_characters=1000, sample_characters=1000, n_most_critical=2)
+        packed = page_recordings.encode_important_recordings(
+            study, data, max_characters=1000, sample_characters=1000, n_most_critical=2
+        )
         examples = {one.example for one in summarize(study).analyses["distance"].profiles if one.example is not None}
         worst = study.finished_rows()[int(study.scores("distance").argmin())].id
         run = len(study.finished_rows())
     there = {int(one) for one in packed.index}
     assert examples | {worst} <= there
     assert len(there) < run
-    assert f"{len(there)} of the {run} recordings" in packing.describe_left_out_recordings(data, packed)
+    assert f"{len(there)} of the {run} recordings" in page_recordings.describe_left_out_recordings(data, packed)
     assert contents_of(page_of(path, tmp_path))["recordings_left_out"] == ""
 
 
 def test_each_beginning_of_an_even_order_is_spread():
     for count in (1, 2, 7, 100, 1000):
-        order = packing._van_der_corput_order(count)
+        order = page_recordings._van_der_corput_order(count)
         assert sorted(order) == list(range(count))
         for some in (count // 8, count // 3):
             if some > 4:
@@ -209,7 +213,9 @@ def test_no_name_ends_a_script_or_an_attribute(tmp_path):
         for row in study.writer.add_pending(1, points, space.values(points)):
             (found,) = Synthetic().run([type("C", (), {"values": {"a": 0.5, "b": row.point[1]}})])
             course = np.full(5, 10 * abs(0.5 - row.point[1]))
-            study.writer.record_result(row.id, replace(found, names=(HOSTILE, "B")), {"distance": (course, float(course[0]))})
+            study.writer.record_result(
+                row.id, replace(found, names=(HOSTILE, "B")), {"distance": (course, float(course[0]))}
+            )
     page = page_of(tmp_path / "s.db", tmp_path, figures=True)
     contents = contents_of(page)
     assert contents["ego"] == contents["parameters"][0]["name"] == HOSTILE
@@ -244,7 +250,9 @@ def test_every_kind_of_study_has_a_page(tmp_path, kind):
         for row in study.writer.add_pending(1, points, space.values(points)):
             (found,) = Synthetic().run([type("C", (), {"values": {"a": 0.5, "b": row.point[1]}})])
             course = np.append(np.full(4, 10 * abs(0.5 - row.point[1])), np.nan)
-            study.writer.record_result(row.id, found, {name: (course, float(course[0])) for name in ("distance", "wttc")}, scores)
+            study.writer.record_result(
+                row.id, found, {name: (course, float(course[0])) for name in ("distance", "wttc")}, scores
+            )
     page = page_of(tmp_path / "s.db", tmp_path, figures=True)
     contents = contents_of(page)
     assert len(contents["scenarios"]["id"]) == len(points)

@@ -16,18 +16,19 @@ import pytest
 from PIL import Image, ImageSequence
 
 import cornercase as cc
-from command_line import cornercase
 from conftest import EXAMPLES
 from cornercase import InputError
 from cornercase.recordings import Collision, Recording
-from cornercase.report.replays import encoding, motion
-from cornercase.report.replays.film import FrameRenderer
-from cornercase.report.replays.footage import read_replay_data
-from cornercase.report.replays.page import render_replay_page
-from cornercase.report.roads import find_road_outline, recorded_bounds
-from cornercase.scenario import ScenarioFile
+from cornercase.report._road_drawing import find_road_outline, recorded_bounds
+from cornercase.report.replays import _film_files as film_files
+from cornercase.report.replays import _interpolation as interpolation
+from cornercase.report.replays._frames import FrameRenderer
+from cornercase.report.replays._replay_data import read_replay_data
+from cornercase.report.replays._replay_page import render_replay_page
+from cornercase.scenario._file import ScenarioFile
 from cornercase.study import Study
-from synthetic import SPACE, about, explorer
+from helpers.command_line import cornercase
+from helpers.synthetic_study import SPACE, about, explorer
 
 X = EXAMPLES / "x_intersection"
 
@@ -180,7 +181,7 @@ def test_without_ffmpeg_one_learns_how_to_get_it(study, tmp_path, monkeypatch):
 
 
 def test_an_ffmpeg_that_fails_leaves_nothing(study, tmp_path, monkeypatch):
-    monkeypatch.setattr(encoding, "find_ffmpeg", lambda: shutil.which("false"))
+    monkeypatch.setattr(film_files, "find_ffmpeg", lambda: shutil.which("false"))
     with pytest.raises(InputError, match="could not write the film"):
         cc.replay(study, 1, tmp_path / "run.mp4", fps=1, speed=10.0)
     assert list(tmp_path.iterdir()) == []
@@ -217,7 +218,7 @@ def test_the_command_writes_what_it_says(study, tmp_path):
 
 
 def test_between_instants_entities_move_straight_and_turn_the_short_way():
-    found = motion.interpolate_motion(recording(), np.array([0.0, 0.5, 0.75, 1.0]))
+    found = interpolation.interpolate_motion(recording(), np.array([0.0, 0.5, 0.75, 1.0]))
     centers = recording().box_center("Ego")
     assert np.allclose(np.stack([found.x[0], found.y[0]], axis=1)[[0, 1, 3]], centers)
     assert abs(abs(found.heading[0, 2]) - math.pi) < 1e-9
@@ -226,13 +227,13 @@ def test_between_instants_entities_move_straight_and_turn_the_short_way():
 
 
 def test_who_comes_between_two_instants_is_there_from_the_middle_on():
-    found = motion.interpolate_motion(recording(), np.array([0.2, 0.3]))
+    found = interpolation.interpolate_motion(recording(), np.array([0.2, 0.3]))
     assert np.isnan(found.x[1, 0])
     assert found.x[1, 1] == 20.0
 
 
 def test_boxes_touch_between_them():
-    place = motion.contact_point(
+    place = interpolation.contact_point(
         recording(
             x=np.array([[0.0, 4.0, 8.0], [20.0, 20.0, 9.0]]),
             y=np.zeros((2, 3)),
@@ -250,28 +251,32 @@ def test_boxes_touch_between_them():
 
 def test_the_ego_sees_past_a_box_but_not_through_it():
     at = {"heading": np.zeros((3, 2)), "speed": np.zeros((3, 2))}
-    moving = motion.Motion(
+    moving = interpolation.Motion(
         np.array([[0.0, 0.0], [20.0, 20.0], [10.0, np.nan]]), np.zeros((3, 2)), **at,
         length=np.array([4.0, 4.0, 4.0]), width=np.array([2.0, 2.0, 2.0]),
     )  # fmt: skip
-    assert not motion.is_visible(moving, 0, 1, 0)
-    assert motion.is_visible(moving, 0, 2, 0)
+    assert not interpolation.is_visible(moving, 0, 1, 0)
+    assert interpolation.is_visible(moving, 0, 2, 0)
     # The third one is gone.
-    assert motion.is_visible(moving, 0, 1, 1)
+    assert interpolation.is_visible(moving, 0, 1, 1)
 
 
 def test_a_shadow_lies_behind_the_box_as_wide_as_it_is_seen():
     at = {"y": np.zeros((2, 1)), "heading": np.zeros((2, 1)), "speed": np.zeros((2, 1))}
-    ahead = motion.Motion(np.array([[0.0], [11.0]]), **at, length=np.array([4.0, 2.0]), width=np.array([2.0, 4.0]))
-    area = motion.hidden_area(ahead, 0, 1, 0)
+    ahead = interpolation.Motion(
+        np.array([[0.0], [11.0]]), **at, length=np.array([4.0, 2.0]), width=np.array([2.0, 4.0])
+    )
+    area = interpolation.hidden_area(ahead, 0, 1, 0)
     assert area is not None
     # The eye is at 1 m, the near corners at 10 m to both sides by 2 m.
     assert np.allclose(area[[0, 3]], [[10.0, -2.0], [10.0, 2.0]])
     assert np.allclose(
         (area[2] - [1.0, 0.0]) / np.hypot(*(area[2] - [1.0, 0.0])), np.array([9.0, 2.0]) / np.hypot(9, 2)
     )
-    around = motion.Motion(np.array([[0.0], [1.5]]), **at, length=np.array([4.0, 2.0]), width=np.array([2.0, 4.0]))
-    assert motion.hidden_area(around, 0, 1, 0) is None
+    around = interpolation.Motion(
+        np.array([[0.0], [1.5]]), **at, length=np.array([4.0, 2.0]), width=np.array([2.0, 4.0])
+    )
+    assert interpolation.hidden_area(around, 0, 1, 0) is None
 
 
 def test_the_road_is_found_beside_the_study_or_told_why_not(study, failing, tmp_path):

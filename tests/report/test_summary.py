@@ -18,17 +18,24 @@ from conftest import at_night
 from cornercase._common.errors import InputError
 from cornercase.clustering import Profile, analyze
 from cornercase.evidence import Estimate
-from cornercase.report import summary_to_dict, summarize, write_report
-from cornercase.report.album import render_figure
-from cornercase.report.figures.examples import draw_example_scenarios
-from cornercase.report.figures.parameter_space import draw_kernel_and_parameter_space
-from cornercase.report.knowledge import CriticalEstimates, CriticalSetEstimates
-from cornercase.report.tables import render_settings
-from cornercase.report.words import describe_informativeness, format_cluster_name, format_criterion, format_cluster_title, format_range
+from cornercase.report import summarize, write_report
+from cornercase.report._estimates import CriticalEstimates, CriticalSetEstimates
+from cornercase.report.figures._example_scenarios import draw_example_scenarios
+from cornercase.report.figures._export import render_figure
+from cornercase.report.figures._parameter_space import draw_kernel_and_parameter_space
+from cornercase.report.html._tables import render_settings
+from cornercase.report.text._phrases import (
+    describe_informativeness,
+    format_cluster_name,
+    format_cluster_title,
+    format_criterion,
+    format_range,
+)
+from cornercase.report.text._show import summary_to_dict
 from cornercase.scenario import Parameter, ParameterSpace
 from cornercase.study import Study
-from meetings import PASSES, entity, recording
-from synthetic import LOGICAL, SPACE, about, explorer, opened
+from helpers.encounter_recordings import PASSES, entity, recording
+from helpers.synthetic_study import LOGICAL, SPACE, about, explorer, opened
 
 
 @pytest.fixture

@@ -16,7 +16,7 @@ from cornercase import InputError
 from cornercase.cli import app
 from cornercase.drivers import NORMAL, BehaviourDriver
 from cornercase.report import write_comparison
-from cornercase.report.versions import page as versions_page
+from cornercase.report.comparison import _comparison_page as versions_page
 
 DECLARED = re.compile(r"^(?:async )?(?:function\*? |class |const |let |var )([A-Za-z_$][\w$]*)", re.MULTILINE)
 

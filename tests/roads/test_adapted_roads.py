@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from cornercase._common.errors import InputError
-from cornercase._common.ledger import NoticeLabel, adapted_notices
-from cornercase.roads import RoadNetwork
-from cornercase.scenario.xml import XmlFileCache
-from cornercase.simulators.builtin.tracks.nurbs import evaluate_nurbs
-from road_networks import WIDTH, lane, linked, road, write
+from cornercase._common.io.support_table import NoticeLabel, adapted_notices
+from cornercase.roads._network import RoadNetwork
+from cornercase.scenario._xml import XmlFileCache
+from cornercase.simulators.builtin.tracks._nurbs import evaluate_nurbs
+from helpers.road_networks import WIDTH, lane, linked, road, write
 
 
 def read(path: Path) -> tuple[RoadNetwork, list[str]]:

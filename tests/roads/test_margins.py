@@ -8,10 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import road_networks as rn
-from cornercase.roads import RoadNetwork, reference_cos_and_sin, reference_heading, stays_on_road
-from cornercase.roads.edges import road_edge_offsets
-from cornercase.roads.locating import OFF_ROAD_TOLERANCE, RoadLocator
+from cornercase.roads._kernels.heading import reference_cos_and_sin, reference_heading, stays_on_road
+from cornercase.roads._kernels.width import road_edge_offsets
+from cornercase.roads._locator import OFF_ROAD_TOLERANCE, RoadLocator
+from cornercase.roads._network import RoadNetwork
+from helpers import road_networks as rn
 
 _ROOT = Path(__file__).parents[2]
 _FILES = ("examples/x_intersection/x_intersection.xodr", "tests/data/everything/road.xodr")
@@ -36,7 +37,9 @@ def test_edges_are_the_same_compiled(tmp_path: Path) -> None:
         for k, road in enumerate(network.roads):
             s = np.concatenate([np.linspace(-1.0, road.length + 1.0, 17), road.section_bounds])
             for at, right, left in zip(s, *road.road_edge_offsets(s), strict=True):
-                assert road_edge_offsets(network.road_tables.edges, k, at) == pytest.approx((right, left), rel=1e-14, abs=1e-14)
+                assert road_edge_offsets(network.road_tables.edges, k, at) == pytest.approx(
+                    (right, left), rel=1e-14, abs=1e-14
+                )
 
 
 def test_who_stays_on_its_road_is_the_same_compiled(tmp_path: Path) -> None:

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from cornercase._common.errors import InputError
-from cornercase.roads.locating import RoadLocator
-from road_networks import WIDTH, chain, lane, linked, network, road, virtual
+from cornercase.roads._locator import RoadLocator
+from helpers.road_networks import WIDTH, chain, lane, linked, network, road, virtual
 
 TURN = 2 * np.pi
 

@@ -7,7 +7,7 @@ import pytest
 
 from conftest import ROAD
 from cornercase._common.errors import InputError
-from cornercase.roads import RoadNetwork
+from cornercase.roads._network import RoadNetwork
 
 LINE = "<line/>"
 

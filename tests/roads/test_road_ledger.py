@@ -16,13 +16,14 @@ from lxml import etree
 
 from conftest import EXAMPLES, car, scenario_file, speed_action, teleport
 from cornercase._common.errors import InputError
-from cornercase._common.ledger import SupportStatus
-from cornercase.roads import RoadNetwork, list_unsupported
-from cornercase.roads.ledger import SUPPORT_TABLE
-from cornercase.scenario.xml import XmlFileCache
+from cornercase._common.io.support_table import SupportStatus
+from cornercase.roads._network import RoadNetwork
+from cornercase.roads._support_table import SUPPORT_TABLE
+from cornercase.roads._unsupported import list_unsupported
+from cornercase.scenario._xml import XmlFileCache
 from cornercase.simulators import check
-from ledgers import gaps, page, strangers
-from road_networks import WIDTH, lane, linked, road, virtual, write
+from helpers.road_networks import WIDTH, lane, linked, road, virtual, write
+from helpers.support_tables import gaps, page, strangers
 
 PAGE = Path(__file__).parents[2] / "docs" / "opendrive.md"
 REFERENCE = Path(__file__).parents[3] / "shared" / "reference" / "openscenario"

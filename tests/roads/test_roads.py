@@ -7,14 +7,14 @@ import pytest
 from lxml import etree
 from scipy.integrate import quad
 
-import road_networks as rn
 from conftest import EXAMPLES, ROAD, at_night, private, run, scenario_file, speed_action, teleport
 from cornercase._common.errors import InputError
-from cornercase.roads import RoadNetwork
-from cornercase.roads.lane_graph import DirectedLane
-from cornercase.roads.reference_line import ReferenceGeometry
-from cornercase.scenario.xml import XmlFileCache
+from cornercase.roads._lane_graph import DirectedLane
+from cornercase.roads._network import RoadNetwork
+from cornercase.roads._reference_line import ReferenceGeometry
+from cornercase.scenario._xml import XmlFileCache
 from cornercase.simulators import check
+from helpers import road_networks as rn
 
 REFERENCE = Path(__file__).parents[3] / "shared" / "reference" / "openscenario"
 

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import road_networks as rn
 from conftest import moving, private, run, scenario_file, speed_action, teleport
 from cornercase._common.errors import InputError
-from cornercase.roads import RoadNetwork
+from cornercase.roads._network import RoadNetwork
+from helpers import road_networks as rn
 
 # m; below, at and above the tolerance for rounding.
 LENGTHS = (0.0, 1e-15, 1e-12, 1e-9, 4.6e-8, 5e-7, 1e-6, 1.1e-6, 3e-6, 1e-5, 2.1e-5, 1e-4, 3e-3, 0.04)

@@ -7,8 +7,10 @@ import pytest
 from conftest import ROAD, car, scenario_file, speed_action, teleport
 from cornercase import check, convert
 from cornercase._common.errors import InputError
-from cornercase.roads import RoadNetwork, lane_path, list_unsupported
-from cornercase.scenario import read_xml
+from cornercase.roads import _lane_path as lane_path
+from cornercase.roads._network import RoadNetwork
+from cornercase.roads._unsupported import list_unsupported
+from cornercase.scenario._xml import read_xml
 
 WIDTH = '<width sOffset="0" a="4" b="0" c="0" d="0"/>'
 CUBIC = '<paramPoly3 pRange="arcLength" aU="0" bU="{b}" cU="0" dU="{d}" aV="0" bV="0" cV="0" dV="0"/>'

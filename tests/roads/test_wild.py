@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 
 from cornercase._common.errors import InputError
-from cornercase.roads import RoadNetwork
-from driven_lanes import drive_lanes
-from lane_centres import OTHER_VERSION, compare_centres, read_centres
+from cornercase.roads._network import RoadNetwork
+from helpers.lane_centres import OTHER_VERSION, compare_centres, read_centres
+from helpers.lane_driving import drive_lanes
 
 WILD = Path(__file__).parents[3] / "shared" / "reference" / "wild"
 CENTRES = WILD / "lane_centres.csv.gz"

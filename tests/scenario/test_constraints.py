@@ -13,12 +13,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from command_line import cornercase
 from conftest import EXAMPLES, examples
 from cornercase._common.errors import InputError
 from cornercase.reduction import reduce
-from cornercase.scenario import Constraint, ParameterDeclaration, LogicalScenario, Parameter, ParameterSpace
+from cornercase.scenario import Constraint, LogicalScenario, Parameter, ParameterDeclaration, ParameterSpace
 from cornercase.study import Study
+from helpers.command_line import cornercase
 
 RULES = ("equalTo", "notEqualTo", "greaterThan", "greaterOrEqual", "lessThan", "lessOrEqual")
 PARAMETERS = [Parameter("a", 0, 10, 1.0), Parameter("b", -1, 1), Parameter("kind", 0, 2, choices=("car", "van", "<b>"))]
@@ -56,7 +56,9 @@ def test_a_space_that_was_written_admits_the_same(space, seed):
 @settings(max_examples=examples(60), deadline=None)
 @given(st.sampled_from(RULES), st.integers(0, 10))
 def test_a_rule_holds_where_its_comparison_does(rule, bound):
-    space = ParameterSpace(PARAMETERS[:1], [ParameterDeclaration("a", "double", "0", ((Constraint(rule, str(bound)),),))])
+    space = ParameterSpace(
+        PARAMETERS[:1], [ParameterDeclaration("a", "double", "0", ((Constraint(rule, str(bound)),),))]
+    )
     points = space.full_factorial()
     values = np.array([one["a"] for one in space.values(points)])
     compare = {
@@ -77,7 +79,9 @@ def test_a_space_says_what_it_is_and_escapes_names():
 
 
 def test_a_rule_that_does_not_exist_is_refused():
-    plain = ParameterSpace(PARAMETERS, [ParameterDeclaration("a", "double", "0", ((Constraint("lessThan", "1"),),))]).to_json()
+    plain = ParameterSpace(
+        PARAMETERS, [ParameterDeclaration("a", "double", "0", ((Constraint("lessThan", "1"),),))]
+    ).to_json()
     plain["declarations"][0]["groups"][0][0]["rule"] = "lesThan"
     with pytest.raises(InputError, match="did you mean 'lessThan'"):
         ParameterSpace.from_json(plain)

@@ -6,11 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from command_line import cornercase
 from conftest import car, moving, run, scenario_file
 from cornercase import check, convert
 from cornercase._common.errors import InputError
-from cornercase.scenario import ScenarioFile, ScenarioBundle, write_concrete_file
+from cornercase.scenario._bundle import ScenarioBundle
+from cornercase.scenario._concrete_file import write_concrete_file
+from cornercase.scenario._file import ScenarioFile
+from helpers.command_line import cornercase
 
 PROFILES = """<Profiles SchemaVersion="0.4.6"><AgentProfiles>
 <AgentProfile Name="Middle" Type="Dynamic"><DriverProfiles><DriverProfile Name="R" Probability="1.0"/></DriverProfiles>

@@ -9,7 +9,10 @@ import pytest
 from conftest import ROAD, scenario_file, teleport
 from cornercase import check
 from cornercase._common.errors import InputError
-from cornercase.scenario import LogicalScenario, ScenarioFile, find_scenario_file, write_concrete_file
+from cornercase.scenario import LogicalScenario
+from cornercase.scenario._concrete_file import write_concrete_file
+from cornercase.scenario._file import ScenarioFile
+from cornercase.scenario._locate import find_scenario_file
 from cornercase.simulators import simulate
 
 VEHICLE = """<Vehicle name="{name}" vehicleCategory="car"><BoundingBox><Center x="1.4" y="0" z="0.7"/>

@@ -11,17 +11,22 @@ from pathlib import Path
 
 import pytest
 
-from command_line import cornercase
 from conftest import ROAD, car, moving, scenario_file
 from cornercase import check, convert, explore
 from cornercase import run_suite as run_scenarios
 from cornercase._common.errors import InputError
-from cornercase.report.data import read_report_data
-from cornercase.report.live.knowing import RoadAndRerunCache
-from cornercase.scenario import ConcreteScenario, LogicalScenario, ScenarioFile, ScenarioBundle, write_concrete_file
-from cornercase.scenario.maps import MAPS_VARIABLE, search_maps_in
-from cornercase.simulators import EsminiSimulator, WorkerSimulator, simulate
-from cornercase.study import Study, find_explored_scenario
+from cornercase.report._report_data import read_report_data
+from cornercase.report.live._analysis_worker import RoadAndRerunCache
+from cornercase.scenario import ConcreteScenario, LogicalScenario
+from cornercase.scenario._bundle import ScenarioBundle
+from cornercase.scenario._concrete_file import write_concrete_file
+from cornercase.scenario._file import ScenarioFile
+from cornercase.scenario._maps import MAPS_VARIABLE, search_maps_in
+from cornercase.simulators import EsminiSimulator, simulate
+from cornercase.simulators.pool._simulator import WorkerSimulator
+from cornercase.study import Study
+from cornercase.study._scenario_file import find_explored_scenario
+from helpers.command_line import cornercase
 
 pytestmark = pytest.mark.filterwarnings("ignore:adapted:UserWarning")
 
@@ -183,7 +188,9 @@ def test_43_7_what_is_written_holds_the_map_and_a_study_says_that_it_needs_it(tm
             critical=-100.0,
         )  # fmt: skip
     with Study.open(study, readonly=True) as opened:
-        with pytest.raises(InputError, match=r"differs from what .*study\.db was explored with: there is no road file 'To"):
+        with pytest.raises(
+            InputError, match=r"differs from what .*study\.db was explored with: there is no road file 'To"
+        ):
             find_explored_scenario(opened)
         with search_maps_in([maps]):
             scenario = find_explored_scenario(opened)

@@ -9,17 +9,11 @@ from hypothesis import strategies as st
 
 from conftest import EXAMPLES
 from cornercase._common.errors import InputError
-from cornercase.scenario import (
-    Constraint,
-    ParameterDeclaration,
-    LogicalScenario,
-    Parameter,
-    ParameterSpace,
-    distributions,
-    read_xml,
-)
-from cornercase.scenario.distributions import Distribution
-from cornercase.scenario.expressions import evaluate_expression
+from cornercase.scenario import Constraint, LogicalScenario, Parameter, ParameterDeclaration, ParameterSpace
+from cornercase.scenario import _distributions as distributions
+from cornercase.scenario._distributions import Distribution
+from cornercase.scenario._expressions import evaluate_expression
+from cornercase.scenario._xml import read_xml
 
 
 def distribution(body: str) -> str:

@@ -7,7 +7,7 @@ import pytest
 
 from conftest import scenario_file, teleport
 from cornercase import InputError, simulate
-from cornercase.scenario.expressions import evaluate_expression
+from cornercase.scenario._expressions import evaluate_expression
 from cornercase.simulators import check
 
 SPEED = (

@@ -10,7 +10,9 @@ from lxml import etree
 
 from conftest import ROAD, ran, scenario_file, teleport
 from cornercase._common.errors import InputError
-from cornercase.scenario import ConcreteScenario, LogicalScenario, ParameterSpace, ScenarioFile, write_concrete_file
+from cornercase.scenario import ConcreteScenario, LogicalScenario, ParameterSpace
+from cornercase.scenario._concrete_file import write_concrete_file
+from cornercase.scenario._file import ScenarioFile
 from cornercase.simulators import BuiltinSimulator, check, simulate
 
 
@@ -101,7 +103,10 @@ def test_a_range_of_a_text_gives_texts_without_decimals(tmp_path):
     logical = LogicalScenario.read(path, None, ["road=1:2:1"])
     values = logical.space.values(logical.space.full_factorial())
     assert values == [{"road": "1"}, {"road": "2"}]
-    found = ran(BuiltinSimulator(duration=0.1), [*map(logical.concrete_scenario, values), logical.concrete_scenario({"road": 2.0})])
+    found = ran(
+        BuiltinSimulator(duration=0.1),
+        [*map(logical.concrete_scenario, values), logical.concrete_scenario({"road": 2.0})],
+    )
     assert [float(one.y[0, 0]) for one in found] == [-2.0, 48.0, 48.0]
     with pytest.raises(InputError, match="give a step"):
         LogicalScenario.read(path, None, ["road=1:2"])

@@ -13,9 +13,11 @@ from lxml import etree
 from conftest import EXAMPLES, event, moving, private, scenario_file, speed_action, story_of, time_trigger
 from cornercase import InputError, NoticeWarning, SimulationError
 from cornercase.recordings import Recording
-from cornercase.scenario import ScenarioFile, Variable, VariedScenario, list_variables, vary
+from cornercase.scenario import Variable, list_variables, vary
+from cornercase.scenario._file import ScenarioFile
+from cornercase.scenario._vary import VariedScenario
 from cornercase.simulators import simulate
-from openpass_files import of_openpass
+from helpers.openpass_files import of_openpass
 
 pytestmark = pytest.mark.filterwarnings("ignore::cornercase.NoticeWarning")
 
@@ -309,7 +311,13 @@ def test_43_12_a_value_does_what_it_does_in_the_file(tmp_path: Path) -> None:
     path = X
     varied = everything_varied(path, tmp_path)
     for one in list_variables(path):
-        if one.reason_fixed or one.is_declared or one.proposed_low is None or one.proposed_high is None or "delay" in one.name:
+        if (
+            one.reason_fixed
+            or one.is_declared
+            or one.proposed_low is None
+            or one.proposed_high is None
+            or "delay" in one.name
+        ):
             continue
         value = one.proposed_low + 0.75 * (one.proposed_high - one.proposed_low)
         tree = etree.parse(str(path))

@@ -15,11 +15,12 @@ from typing import Any
 import pytest
 
 import cornercase as cc
-from agreement import disagreement, last_instant, tracks_of, tracks_of_file
 from conftest import at_night, ran
 from cornercase.scenario import ConcreteScenario
-from cornercase.simulators import BuiltinSimulator, WorkerSimulator
-from storyboards import storyboard, write_roads
+from cornercase.simulators import BuiltinSimulator
+from cornercase.simulators.pool._simulator import WorkerSimulator
+from helpers.esmini_agreement import disagreement, last_instant, tracks_of, tracks_of_file
+from helpers.random_storyboards import storyboard, write_roads
 
 DRAWN = [f"s0-{k:04}" for k in range(100)]
 """Storyboards as ``benchmarks/esmini.py`` draws and names them with seed 0."""

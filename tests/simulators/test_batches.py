@@ -8,16 +8,17 @@ from collections.abc import Generator
 import numpy as np
 import pytest
 
-from alone import REFERENCE, ROOT, differing, outcome, scenario_files, varied
 from conftest import at_night, car, event, ran, scenario_file, speed_action, story_of, teleport, time_trigger
 from cornercase._common.errors import InputError
-from cornercase.scenario import ConcreteScenario, ScenarioFile
+from cornercase.scenario import ConcreteScenario
+from cornercase.scenario._file import ScenarioFile
 from cornercase.simulators import BuiltinSimulator, simulate
-from cornercase.simulators.builtin import simulator as builtin_simulator
-from cornercase.simulators.builtin.batch import Batch
-from cornercase.simulators.builtin.prepared import PreparedScenario
-from cornercase.simulators.builtin.tracks.clothoids import ClothoidSpline
-from cornercase.simulators.builtin.tracks.nurbs import evaluate_nurbs
+from cornercase.simulators.builtin import _simulator as builtin_simulator
+from cornercase.simulators.builtin._batch import Batch
+from cornercase.simulators.builtin._prepared_file import PreparedScenario
+from cornercase.simulators.builtin.tracks._clothoid_spline import ClothoidSpline
+from cornercase.simulators.builtin.tracks._nurbs import evaluate_nurbs
+from helpers.isolation import REFERENCE, ROOT, differing, outcome, scenario_files, varied
 
 
 def declared(name: str, value: str, kind: str = "double", within: str = "") -> str:
@@ -93,7 +94,10 @@ def test_a_clothoid_is_the_same_for_one_scenario_and_for_many():
         alone = ClothoidSpline(still[:1], still[:1], still[:1], start[:1], end[:1], length[i : i + 1])
         for share in (0.0, 0.1, 0.77, 1.0, 1.2):
             place = np.array([share * length[i, 0]])
-            found = together.pose_at(place, np.zeros(1), np.array([i])), alone.pose_at(place, np.zeros(1), np.array([0]))
+            found = (
+                together.pose_at(place, np.zeros(1), np.array([i])),
+                alone.pose_at(place, np.zeros(1), np.array([0])),
+            )
             assert [a.tobytes() for a in found[0]] == [a.tobytes() for a in found[1]]
 
 

@@ -18,18 +18,21 @@ import pytest
 from lxml import etree
 from packaging.requirements import Requirement
 
-from carla_served import REAL, Served, free_port
-from command_line import cornercase
 from conftest import AXLES, ran
 from cornercase._common.errors import InputError, SimulationError
 from cornercase.recordings import Collision, Recording
-from cornercase.scenario import ConcreteScenario, ScenarioFile, read_xml
-from cornercase.simulators import CarlaSimulator, WorkerSimulator
-from cornercase.simulators.carla import dialect
-from cornercase.simulators.carla.openscenario_1_0 import ConversionOptions, write_openscenario_1_0
-from cornercase.simulators.hosts import worker_address
+from cornercase.scenario import ConcreteScenario
+from cornercase.scenario._file import ScenarioFile
+from cornercase.scenario._xml import read_xml
+from cornercase.simulators import CarlaSimulator
+from cornercase.simulators._ports import worker_address
+from cornercase.simulators.carla import _dialect as dialect
+from cornercase.simulators.carla._openscenario_1_0 import ConversionOptions, write_openscenario_1_0
+from cornercase.simulators.pool._simulator import WorkerSimulator
 from cornercase.study import Study
-from waiting import until
+from helpers.carla_or_stand_in import REAL, Served, free_port
+from helpers.command_line import cornercase
+from helpers.waiting import until
 
 carla = pytest.importorskip("carla", reason="the extra 'carla' is not installed")
 
@@ -618,8 +621,8 @@ def test_an_agent_of_ones_own_gets_the_route_and_is_closed(driver, tmp_path, mon
 
 
 def test_a_log_of_carlas_recorder_tells_collisions(tmp_path):
-    from carla_server import Actor, Log
     from cornercase.recordings import read_recording
+    from helpers.carla_protocol_server import Actor, Log
 
     one, other = (
         Actor(k, [1, "vehicle.tesla.model3", [["role_name", 4, role]]], [[x, 0.0, 0.0], [0.0] * 3])

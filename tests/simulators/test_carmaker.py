@@ -18,16 +18,17 @@ import psutil
 import pytest
 
 import cornercase as cc
-import foreign_recordings as foreign
-from command_line import cornercase
 from conftest import ran, same_recording
 from cornercase._common.errors import InputError, NoticeWarning, SimulationError, SimulatorError
 from cornercase.scenario import ConcreteScenario
-from cornercase.simulators import CarMakerSimulator, WorkerSimulator
-from cornercase.simulators.carmaker.cmapi import CmapiClient
-from cornercase.simulators.carmaker.port import TclClient
-from cornercase.simulators.carmaker.port_run import TclTestRun
+from cornercase.simulators import CarMakerSimulator
+from cornercase.simulators.carmaker._cmapi_client import CmapiClient
+from cornercase.simulators.carmaker._tcl_client import TclClient
+from cornercase.simulators.carmaker._tcl_run import TclTestRun
+from cornercase.simulators.pool._simulator import WorkerSimulator
 from cornercase.study import Study
+from helpers import foreign_recordings as foreign
+from helpers.command_line import cornercase
 
 # Entities without boxes; another test covers boxes.
 pytestmark = pytest.mark.filterwarnings("ignore:.* have no <BoundingBox>:UserWarning")
@@ -157,7 +158,7 @@ def project(tmp_path):
 def quick(monkeypatch):
     """Short time-outs, since the awaited event never comes."""
     monkeypatch.setattr(TclTestRun, "__init__", partialmethod(TclTestRun.__init__, waiting=0.3))
-    monkeypatch.setattr("cornercase.simulators.carmaker.simulator.WAITING", -59.5)
+    monkeypatch.setattr("cornercase.simulators.carmaker._simulator.WAITING", -59.5)
 
 
 def run(project, port, values=None, **options):
@@ -557,7 +558,7 @@ def test_a_run_of_somebody_else_is_stopped_before_ours_is_configured(cmapi, proj
 
 
 def test_a_carmaker_that_does_not_come_to_rest_is_left(cmapi, project, monkeypatch):
-    monkeypatch.setattr("cornercase.simulators.carmaker.cmapi._ENDING", 0.3)
+    monkeypatch.setattr("cornercase.simulators.carmaker._cmapi_client._ENDING", 0.3)
     cmapi("restless")
     control = CmapiClient(project, "Crossing", 60.0)
     with pytest.raises(SimulatorError, match="is not idle within"):
@@ -584,7 +585,7 @@ def test_a_testrun_that_is_not_there_is_said(cmapi, project):
 
 
 def test_a_carmaker_that_does_not_end_is_ended_by_force(cmapi, project, monkeypatch):
-    monkeypatch.setattr("cornercase.simulators.carmaker.cmapi._ENDING", 0.3)
+    monkeypatch.setattr("cornercase.simulators.carmaker._cmapi_client._ENDING", 0.3)
     cmapi("stays")
     control = CmapiClient(project, "Crossing", 60.0)
     process = control._master.process

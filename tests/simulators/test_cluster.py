@@ -22,17 +22,22 @@ import pytest
 
 import cornercase as cc
 from conftest import EXAMPLES, same_recording
-from cornercase._common import dask_client
 from cornercase._common.errors import InputError, NoticeWarning, SimulationError
+from cornercase._common.process import dask
 from cornercase._common.version import __version__
 from cornercase.drivers import Driver
-from cornercase.exploration import paper_experiment_config, explore_config
-from cornercase.scenario import ConcreteScenario, LogicalScenario, ScenarioFile, ScenarioBundle
-from cornercase.simulators import SIMULATORS, ClusterSimulator, create_simulator
-from cornercase.simulators.cluster_tasks import JobAttempt, SimulatorJob, run_scenarios_of_job
+from cornercase.exploration._explore import explore_config
+from cornercase.exploration._paper_examples import paper_experiment_config
+from cornercase.scenario import ConcreteScenario, LogicalScenario
+from cornercase.scenario._bundle import ScenarioBundle
+from cornercase.scenario._file import ScenarioFile
+from cornercase.simulators import SIMULATORS
+from cornercase.simulators._create import create_simulator
+from cornercase.simulators.dask._simulator import ClusterSimulator
+from cornercase.simulators.dask._worker import JobAttempt, SimulatorJob, run_scenarios_of_job
 from cornercase.study import Study
 from cornercase.suite import analyze_mutants
-from fake_simulators import Plan
+from helpers.fake_simulators import Plan
 
 distributed = pytest.importorskip("distributed")
 
@@ -42,7 +47,7 @@ X = EXAMPLES / "x_intersection" / "x_intersection.xosc"
 @pytest.fixture(scope="module")
 def client():
     """Clusters are slow to start, so these tests share one."""
-    with dask_client.open_connection("local", 2) as made:
+    with dask.open_connection("local", 2) as made:
         yield made
 
 
@@ -171,7 +176,7 @@ def test_a_batch_that_costs_its_worker_is_run_one_by_one(on_cluster, tmp_path):
 
 @pytest.mark.slow
 def test_a_simulator_goes_to_no_others_after_the_workers_that_offer_it_were_lost(client, tmp_path, monkeypatch):
-    monkeypatch.setattr(dask_client, "_WORKER_TIMEOUT", 1.0)
+    monkeypatch.setattr(dask, "_WORKER_TIMEOUT", 1.0)
     security = client.security
     for name, content in (
         ("ca", security.tls_ca_file),
@@ -263,7 +268,7 @@ def test_an_interrupt_waits_until_a_local_cluster_has_ended():
 
     connection: Any = Connection()
     with pytest.raises(KeyboardInterrupt):
-        dask_client.disconnect(connection)
+        dask.disconnect(connection)
     assert connection.cluster.ended
 
 
@@ -276,7 +281,7 @@ def test_a_scheduler_that_is_lost_between_two_rounds_is_told():
 
     lost: Any = Lost()
     with pytest.raises(InputError, match="the connection to its scheduler is lost"):
-        dask_client.wait_for_workers(lost)
+        dask.wait_for_workers(lost)
 
 
 def test_processes_of_no_cluster_are_refused(tmp_path):
@@ -314,7 +319,9 @@ def test_a_driver_of_ones_own_is_found_in_the_current_folder(tmp_path, reduced_b
 def test_a_driver_that_a_worker_lacks_is_told():
     gone = b"cgone_module\nDriver\n."
     with pytest.raises(InputError, match=r"a worker cannot load a driver of your own .*gone_module"):
-        run_scenarios_of_job(SimulatorJob("another key", __version__, "builtin", gone, None, 1), JobAttempt("one", 2), {}, [])
+        run_scenarios_of_job(
+            SimulatorJob("another key", __version__, "builtin", gone, None, 1), JobAttempt("one", 2), {}, []
+        )
 
 
 @pytest.fixture
@@ -325,7 +332,7 @@ def reduced_by_hand(tmp_path):
 
 
 def test_no_scheduler_is_told(tmp_path, monkeypatch):
-    monkeypatch.setattr(dask_client, "_ANSWER_TIMEOUT", 0.5)
+    monkeypatch.setattr(dask, "_ANSWER_TIMEOUT", 0.5)
     for given in ("tcp://127.0.0.1:9", "nowhere", str(tmp_path / "none.json")):
         with pytest.raises(InputError, match="no scheduler answers there"):
             create_simulator("builtin", {}, cluster=given)
@@ -352,7 +359,7 @@ def test_another_program_that_listens_is_no_scheduler():
 
 
 def test_another_program_that_listens_and_is_silent_is_no_scheduler(monkeypatch):
-    monkeypatch.setattr(dask_client, "_ANSWER_TIMEOUT", 0.5)
+    monkeypatch.setattr(dask, "_ANSWER_TIMEOUT", 0.5)
     with (
         socket.create_server(("127.0.0.1", 0)) as other,
         pytest.raises(InputError, match="no scheduler answers there"),

@@ -25,7 +25,7 @@ from conftest import (
     trajectory,
 )  # fmt: skip
 from cornercase._common.errors import InputError, NoticeWarning, SimulationError
-from cornercase._common.interrupts import collect_interrupts
+from cornercase._common.process.signals import collect_interrupts
 from cornercase.drivers import Driver
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario

@@ -21,7 +21,10 @@ from conftest import (
     time_trigger,
 )
 from cornercase import check, convert
-from cornercase.scenario import ConcreteScenario, ScenarioFile, build_concrete_file, read_xml, write_concrete_file
+from cornercase.scenario import ConcreteScenario
+from cornercase.scenario._concrete_file import build_concrete_file, write_concrete_file
+from cornercase.scenario._file import ScenarioFile
+from cornercase.scenario._xml import read_xml
 from cornercase.simulators import BuiltinSimulator
 
 NAMES = (

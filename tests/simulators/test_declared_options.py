@@ -10,8 +10,9 @@ from cornercase._common.errors import NoticeWarning
 from cornercase._common.registry import Registry
 from cornercase.optimizers import OPTIMIZERS, create_optimizer
 from cornercase.scenario import ParameterSpace
-from cornercase.simulators import SIMULATORS, BuiltinSimulator, Simulator, create_simulator
-from fake_simulators import recording
+from cornercase.simulators import SIMULATORS, BuiltinSimulator, Simulator
+from cornercase.simulators._create import create_simulator
+from helpers.fake_simulators import recording
 
 
 class Swallowing(Simulator):

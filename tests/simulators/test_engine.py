@@ -528,7 +528,8 @@ def test_values_of_a_set_stay_together(tmp_path):
     logical = LogicalScenario.read(None, tmp_path / "space.xosc")
     assert logical.space.size == 2
     recordings = ran(
-        BuiltinSimulator(duration=2.0), [logical.concrete_scenario(v) for v in logical.space.values(logical.space.full_factorial())]
+        BuiltinSimulator(duration=2.0),
+        [logical.concrete_scenario(v) for v in logical.space.values(logical.space.full_factorial())],
     )
     assert {(r.speed[0][1], r.speed[0][-1]) for r in recordings} == {(5.0, 6.0), (8.0, 9.0)}
     again = type(logical.space).from_json(logical.space.to_json())

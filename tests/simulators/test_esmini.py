@@ -12,11 +12,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from command_line import cornercase
 from conftest import ran
 from cornercase._common.errors import InputError, SimulationError
 from cornercase.scenario import ConcreteScenario
-from cornercase.simulators import SIMULATORS, EsminiSimulator, WorkerSimulator
+from cornercase.simulators import SIMULATORS, EsminiSimulator
+from cornercase.simulators.pool._simulator import WorkerSimulator
+from helpers.command_line import cornercase
 
 REFERENCE = Path(__file__).parents[3] / "shared" / "reference" / "openscenario"
 T = Path(__file__).parents[2] / "examples" / "t_intersection" / "t_intersection.xosc"

@@ -8,7 +8,6 @@ from random import Random
 import numpy as np
 import pytest
 
-from alone import ROOT
 from conftest import at_night
 from cornercase import LogicalScenario
 from cornercase._common.errors import SimulationError
@@ -16,10 +15,12 @@ from cornercase.optimizers import RandomOptimizer
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import BuiltinSimulator
-from cornercase.simulators.builtin import simulator, stepping
-from cornercase.simulators.builtin.batch import Batch
-from cornercase.simulators.builtin.storyboard.storyboard import Storyboard
-from storyboards import storyboard, write_roads
+from cornercase.simulators.builtin import _simulator as simulator
+from cornercase.simulators.builtin import _stepper as stepper
+from cornercase.simulators.builtin._batch import Batch
+from cornercase.simulators.builtin.storyboard._storyboard import Storyboard
+from helpers.isolation import ROOT
+from helpers.random_storyboards import storyboard, write_roads
 
 EXAMPLES = ROOT / "examples"
 
@@ -36,13 +37,13 @@ def recordings(concretes: list[ConcreteScenario]) -> list[Recording | Simulation
 
 
 def look_in_each_frame(monkeypatch) -> None:
-    plain = stepping.Stepper.__init__
+    plain = stepper.Stepper.__init__
 
     def init(self, *arguments) -> None:
         plain(self, *arguments)
         self._by_hand = True
 
-    monkeypatch.setattr(stepping.Stepper, "__init__", init)
+    monkeypatch.setattr(stepper.Stepper, "__init__", init)
 
 
 def assert_same(found, held, tolerance: float) -> None:
@@ -79,7 +80,7 @@ def test_any_number_of_threads_gives_the_same_bytes(monkeypatch):
     found = []
     for threads, batch in ((1, 512), (2, 512), (5, 512), (2, 20), (3, 9)):
         monkeypatch.setattr(simulator, "count_available_cpus", lambda threads=threads: threads)
-        monkeypatch.setattr(stepping, "_MIN_SCENARIOS_PER_THREAD", 2)
+        monkeypatch.setattr(stepper, "_MIN_SCENARIOS_PER_THREAD", 2)
         monkeypatch.setattr(simulator, "_MIN_SCENARIOS_PER_BATCH", batch)
         found.append(recordings(concretes))
     for other in found[1:]:

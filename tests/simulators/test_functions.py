@@ -8,7 +8,8 @@ import pytest
 
 from conftest import EXAMPLES, car, same_recording, scenario_file, speed_action, teleport
 from cornercase._common.errors import InputError
-from cornercase.scenario import ConcreteScenario, ScenarioFile
+from cornercase.scenario import ConcreteScenario
+from cornercase.scenario._file import ScenarioFile
 from cornercase.simulators import BuiltinSimulator, check, convert, simulate
 
 X = EXAMPLES / "x_intersection" / "x_intersection.xosc"

@@ -10,7 +10,8 @@ from lxml import etree
 from conftest import ROAD, car, examples
 from cornercase._common.errors import InputError, SimulationError
 from cornercase.recordings import Recording
-from cornercase.scenario import ConcreteScenario, ScenarioFile
+from cornercase.scenario import ConcreteScenario
+from cornercase.scenario._file import ScenarioFile
 from cornercase.simulators import BuiltinSimulator
 
 # What junk is read as is said; here it only has to run, or to be refused.

@@ -22,7 +22,8 @@ from conftest import (
 from conftest import event as one_event
 from cornercase import check, convert
 from cornercase._common.errors import InputError
-from cornercase.scenario import ScenarioFile, build_concrete_file
+from cornercase.scenario._concrete_file import build_concrete_file
+from cornercase.scenario._file import ScenarioFile
 from cornercase.simulators import BuiltinSimulator, EsminiSimulator
 
 PARAMETERS = '<ParameterDeclaration name="side" parameterType="double" value="{}"/>'
@@ -163,7 +164,7 @@ WILD = Path(__file__).parents[3] / "shared" / "reference" / "wild"
 
 @pytest.mark.skipif(not WILD.is_dir(), reason="the folder of others' scenarios is not there")
 def test_43_2_what_others_wrote_for_carla_lies_on_its_towns() -> None:
-    from cornercase.roads import RoadNetwork
+    from cornercase.roads._network import RoadNetwork
 
     networks: dict[Path, RoadNetwork] = {}
     beside = []

@@ -25,11 +25,11 @@ from conftest import (
 )
 from cornercase import ConcreteScenario, InputError, LogicalScenario
 from cornercase._common.errors import NoticeWarning, SimulationError
-from cornercase._common.ledger import NoticeLabel
+from cornercase._common.io.support_table import NoticeLabel
 from cornercase.cli import app
 from cornercase.recordings import Recording
-from cornercase.scenario import ScenarioFile
-from cornercase.scenario.concrete_files import write_concrete_file
+from cornercase.scenario._concrete_file import write_concrete_file
+from cornercase.scenario._file import ScenarioFile
 from cornercase.simulators import BuiltinSimulator, check
 
 PARAMETERS = """<ParameterDeclaration name="speed" parameterType="double" value="10"/>

@@ -12,8 +12,8 @@ from typing import Any
 import psutil
 import pytest
 
-from cornercase._common import dask_client
 from cornercase._common.errors import InputError
+from cornercase._common.process import dask
 
 distributed = pytest.importorskip("distributed")
 
@@ -57,7 +57,7 @@ _BEFORE: set[int] = set()
 @pytest.fixture(scope="module")
 def client():
     _BEFORE.update(one.port for one in listening())
-    with dask_client.open_connection("local", 2) as made:
+    with dask.open_connection("local", 2) as made:
         yield made
 
 
@@ -107,7 +107,7 @@ def test_42_s4_without_what_makes_certificates_the_extra_is_named(monkeypatch):
 
     monkeypatch.setattr(distributed.security.Security, "temporary", missing)
     with pytest.raises(InputError, match=r"needs the package cryptography; .*cornercase\[cluster\]"):
-        dask_client.connect("local")
+        dask.connect("local")
 
 
 @pytest.mark.slow
@@ -125,7 +125,7 @@ def test_a_cluster_of_ones_own_can_be_closed(client, tmp_path):
         for one in ("cert", "key"):
             settings[f"DASK_DISTRIBUTED__COMM__TLS__{role}__{one.upper()}"] = str(tmp_path / f"{one}.pem")
     code = (
-        "import sys\nfrom cornercase._common.dask_client import connected\n"
+        "import sys\nfrom cornercase._common.process.dask import connected\n"
         "with connected(sys.argv[1]) as client:\n    print(client.submit(pow, 2, 3).result())\n"
     )
     command = [sys.executable, "-c", code, client.scheduler.address]

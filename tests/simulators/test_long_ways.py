@@ -9,7 +9,7 @@ from conftest import car, event, scenario_file, speed_action, story_of, time_tri
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import BuiltinSimulator
-from road_networks import chain, lane, linked, road, virtual, write
+from helpers.road_networks import chain, lane, linked, road, virtual, write
 
 
 def placed(road_id: str, s: float, speed: float, entity: str = "Ego", turned: bool = False) -> str:

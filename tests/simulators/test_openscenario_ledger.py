@@ -11,16 +11,17 @@ import pytest
 from lxml import etree
 
 import cornercase as cc
-from command_line import cornercase
 from conftest import EXAMPLES, at_night
 from cornercase._common.errors import InputError, NoticeWarning
-from cornercase._common.ledger import SupportEntry, SupportStatus
-from cornercase._common.recorded_xml import requested_attributes, iter_children_untracked, is_read
-from cornercase.scenario import LogicalScenario, ScenarioFile
-from cornercase.simulators.builtin.effect import read_and_collect_notices
-from cornercase.simulators.builtin.openscenario import OPENSCENARIO_SUPPORT
-from ledgers import gaps, page, strangers
-from schemas import Schema
+from cornercase._common.io.support_table import SupportEntry, SupportStatus
+from cornercase._common.io.tracked_xml import is_read, iter_children_untracked, requested_attributes
+from cornercase.scenario import LogicalScenario
+from cornercase.scenario._file import ScenarioFile
+from cornercase.simulators.builtin._openscenario_support import OPENSCENARIO_SUPPORT
+from cornercase.simulators.builtin._unsupported import read_and_collect_notices
+from helpers.command_line import cornercase
+from helpers.support_tables import gaps, page, strangers
+from helpers.xml_schemas import Schema
 
 EVERYTHING = Path(__file__).parents[1] / "data" / "everything"
 REFERENCE = Path(__file__).parents[3] / "shared" / "reference" / "openscenario"
@@ -57,7 +58,9 @@ def test_each_line_names_something_of_the_schema():
 
 
 def test_what_is_refused_or_without_effect_says_why():
-    silent = [entry for entry in OPENSCENARIO_SUPPORT.entries if entry.status is not SupportStatus.USED and not entry.note]
+    silent = [
+        entry for entry in OPENSCENARIO_SUPPORT.entries if entry.status is not SupportStatus.USED and not entry.note
+    ]
     assert silent == []
 
 
@@ -104,7 +107,11 @@ def test_what_is_said_to_be_used_is_read():
         files.append(logical.scenario_file)
     found = reading(*files)
     # What may go unread says so by a star.
-    used = [entry for entry in OPENSCENARIO_SUPPORT.entries if entry.status is SupportStatus.USED and entry.ignored_values != ("*",)]
+    used = [
+        entry
+        for entry in OPENSCENARIO_SUPPORT.entries
+        if entry.status is SupportStatus.USED and entry.ignored_values != ("*",)
+    ]
     catalog = [entry for entry in used if entry.element in ("Catalog", "OpenSCENARIO")]
     assert [entry for entry in used if entry not in found and entry not in catalog] == []
     assert [entry for entry in used if not found.get(entry, True)] == []
@@ -152,8 +159,16 @@ WITHOUT_EFFECT = {
 
 @pytest.mark.parametrize("what", WITHOUT_EFFECT)
 def test_what_has_no_effect_is_named_once(tmp_path, what):
-    before = [name for notice in read_and_collect_notices(ScenarioFile.read(EVERYTHING / "everything.xosc")) for name in notice.parts]
-    after = [name for notice in read_and_collect_notices(ScenarioFile.read(changed(tmp_path, WITHOUT_EFFECT[what]))) for name in notice.parts]
+    before = [
+        name
+        for notice in read_and_collect_notices(ScenarioFile.read(EVERYTHING / "everything.xosc"))
+        for name in notice.parts
+    ]
+    after = [
+        name
+        for notice in read_and_collect_notices(ScenarioFile.read(changed(tmp_path, WITHOUT_EFFECT[what])))
+        for name in notice.parts
+    ]
     assert what not in before
     assert after.count(what) == 1
 
@@ -177,7 +192,9 @@ def test_what_cannot_be_used_is_refused_by_name(tmp_path, what):
 
 
 def test_each_line_that_refuses_is_tried():
-    refusing = {entry.element.split("/")[-1] for entry in OPENSCENARIO_SUPPORT.entries if entry.status is SupportStatus.REFUSED}
+    refusing = {
+        entry.element.split("/")[-1] for entry in OPENSCENARIO_SUPPORT.entries if entry.status is SupportStatus.REFUSED
+    }
     assert refusing <= {*REFUSED, "UserDefinedDistribution"}
 
 
@@ -196,7 +213,11 @@ def test_a_word_that_the_schema_does_not_know_is_refused():
                 tried.add(entry)
     OPENSCENARIO_SUPPORT.check_supported(root, "a.xosc")
     # Of the catalog, and what older files have.
-    left = {(entry.element, entry.attribute) for entry in OPENSCENARIO_SUPPORT.entries if entry.allowed_values and entry not in tried}
+    left = {
+        (entry.element, entry.attribute)
+        for entry in OPENSCENARIO_SUPPORT.entries
+        if entry.allowed_values and entry not in tried
+    }
     assert left <= {("ParameterDeclaration", "parameterType")}
 
 
@@ -234,7 +255,9 @@ def test_a_used_catalog_entry_counts_and_others_do_not(tmp_path):
     text = catalog.read_text(encoding="utf-8")
     unused = '<Pedestrian name="other"><Wormhole/></Pedestrian>'
     catalog.write_text(text.replace("</Catalog>", f"{unused}</Catalog>"), encoding="utf-8")
-    assert not any("Wormhole" in name for one in read_and_collect_notices(ScenarioFile.read(path)) for name in one.parts)
+    assert not any(
+        "Wormhole" in name for one in read_and_collect_notices(ScenarioFile.read(path)) for name in one.parts
+    )
     catalog.write_text(
         text.replace('<Pedestrian name="walker" mass="80"', '<Pedestrian name="walker" wings="2"'), encoding="utf-8"
     )

@@ -10,13 +10,14 @@ from typing import Any
 import pytest
 
 import cornercase as cc
-from command_line import cornercase
 from conftest import EXAMPLES
 from cornercase import InputError, SimulationError, SimulatorError
 from cornercase.scenario import ConcreteScenario
-from cornercase.simulators import SIMULATORS, WorkerSimulator, check_settings
+from cornercase.simulators import SIMULATORS, check_settings
+from cornercase.simulators.pool._simulator import WorkerSimulator
 from cornercase.study import Study
-from test_documentation import ROOT, blocks_of
+from documentation.test_documentation import ROOT, blocks_of
+from helpers.command_line import cornercase
 
 PAGE = ROOT / "docs" / "howto" / "own-simulator.md"
 
@@ -77,7 +78,10 @@ def test_42_11_ranges_alone_are_told_what_they_need(tmp_path):
     refused = cornercase("explore", "--range", "v=5:20", "--ego", "Ego", "--other", "B", "--metric", "distance",
                          "-o", "z.db", cwd=tmp_path)  # fmt: skip
     assert refused.returncode == 2
-    assert "your own simulator only needs a file that declares parameters and entities (docs/howto/own-simulator.md)." in refused.stderr
+    assert (
+        "your own simulator only needs a file that declares parameters and entities (docs/howto/own-simulator.md)."
+        in refused.stderr
+    )
     with pytest.raises(InputError, match=r"or a `space` file that names one\.$"):
         cc.LogicalScenario.read(None)
 
@@ -91,7 +95,7 @@ def test_42_11_what_the_page_says_of_options_holds(names):
 
 
 def test_42_11_a_failure_of_the_program_is_tried_again_and_one_of_the_scenario_is_not(tmp_path):
-    from fake_simulators import Plan
+    from helpers.fake_simulators import Plan
 
     (tmp_path / "plan").mkdir()
     plan = Plan(tmp_path / "plan", {1: ["lose", "well"], 2: ["fail", "well"]})

@@ -13,12 +13,13 @@ from lxml import etree
 from typer.testing import CliRunner
 
 from conftest import EXAMPLES, same_recording
-from cornercase._common import files
 from cornercase._common.errors import InputError
+from cornercase._common.io import files
 from cornercase.cli import app
-from cornercase.roads import RoadNetwork
+from cornercase.roads._network import RoadNetwork
 from cornercase.scenario import ConcreteScenario, LogicalScenario
-from cornercase.simulators import BuiltinSimulator, WorkerSimulator
+from cornercase.simulators import BuiltinSimulator
+from cornercase.simulators.pool._simulator import WorkerSimulator
 
 
 @pytest.fixture
@@ -44,7 +45,7 @@ def reads(monkeypatch) -> Counter[str]:
         counted["network"] += 1
         begin(network, *arguments)
 
-    monkeypatch.setattr("cornercase.scenario.xml.read_file", read_file)
+    monkeypatch.setattr("cornercase.scenario._xml.read_file", read_file)
     monkeypatch.setattr(etree, "fromstring", fromstring)
     monkeypatch.setattr(RoadNetwork, "__init__", make)
     return counted

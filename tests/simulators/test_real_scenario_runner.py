@@ -11,11 +11,12 @@ import os
 import numpy as np
 import pytest
 
-from alone import REFERENCE
-from carla_served import Served
-from cornercase.scenario import ConcreteScenario, ScenarioFile
+from cornercase.scenario import ConcreteScenario
+from cornercase.scenario._file import ScenarioFile
 from cornercase.simulators import CarlaSimulator, simulate
-from cornercase.simulators.carla.openscenario_1_0 import ConversionOptions, write_openscenario_1_0
+from cornercase.simulators.carla._openscenario_1_0 import ConversionOptions, write_openscenario_1_0
+from helpers.carla_or_stand_in import Served
+from helpers.isolation import REFERENCE
 
 FOLDER = os.environ.get("CORNERCASE_SCENARIO_RUNNER", "")
 pytestmark = pytest.mark.skipif(not FOLDER or not REFERENCE.is_dir(), reason="CORNERCASE_SCENARIO_RUNNER is not set")
@@ -52,7 +53,9 @@ def apart(one, other):
 @pytest.mark.parametrize("file", protocols(), ids=lambda file: file.stem)
 def test_the_real_tree_of_each_protocol_is_built_and_moves_as_the_scenario_says(file, tmp_path):
     scenario = ScenarioFile.read(file)
-    notes = write_openscenario_1_0(scenario, {}, tmp_path / "one.xosc", ego="Ego", options=ConversionOptions(duration=DURATION))
+    notes = write_openscenario_1_0(
+        scenario, {}, tmp_path / "one.xosc", ego="Ego", options=ConversionOptions(duration=DURATION)
+    )
     assert (tmp_path / "one.xosc").exists()
     sampled = {note.partition(" moves along")[0] for note in notes if " moves along a trajectory" in note}
     expected = simulate(scenario, duration=DURATION)

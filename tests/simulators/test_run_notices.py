@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 import cornercase as cc
-from command_line import X, cornercase
 from conftest import EXAMPLES, car, event, scenario_file, speed_action, story_of, teleport, time_trigger
 from cornercase._common.errors import NoticeWarning
+from helpers.command_line import X, cornercase
 
 ROAD = EXAMPLES / "t_intersection" / "t_intersection.xodr"
 

@@ -8,11 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from command_line import cornercase
 from conftest import ran
 from cornercase._common.errors import InputError
-from cornercase.scenario import ConcreteScenario, read_xml
+from cornercase.scenario import ConcreteScenario
+from cornercase.scenario._xml import read_xml
 from cornercase.simulators import BuiltinSimulator, convert
+from helpers.command_line import cornercase
 
 pytest.importorskip("qc_openscenario", reason="the schema comes with the extra 'validate'")
 
@@ -215,7 +216,7 @@ class Eight(float):
 
 
 def test_numbers_are_written_plainly_with_every_version_of_numpy(tmp_path, monkeypatch):
-    from cornercase.scenario import attributes
+    from cornercase.scenario import _attributes as attributes
 
     monkeypatch.setattr(attributes, "round_result", lambda value: Eight(value) if isinstance(value, float) else value)
     scenario = changed(

@@ -14,12 +14,13 @@ import pytest
 
 from conftest import AXLES, at_night
 from cornercase._common.errors import InputError
-from cornercase.scenario import ScenarioFile, read_xml
+from cornercase.scenario._file import ScenarioFile
+from cornercase.scenario._xml import read_xml
 from cornercase.simulators import CarlaSimulator, convert, simulate
-from cornercase.simulators.carla.dialect import TRAJECTORY_FILE, DrivingAgents
-from cornercase.simulators.carla.openscenario_1_0 import ConversionOptions, write_openscenario_1_0
-from cornercase.simulators.carla.table import HandlingStatus, find_row, load_support_table
-from schemas import Schema
+from cornercase.simulators.carla._dialect import TRAJECTORY_FILE, DrivingAgents
+from cornercase.simulators.carla._openscenario_1_0 import ConversionOptions, write_openscenario_1_0
+from cornercase.simulators.carla._support_table import HandlingStatus, find_row, load_support_table
+from helpers.xml_schemas import Schema
 
 pytest.importorskip("qc_openscenario", reason="the schema comes with the extra 'validate'")
 
@@ -326,7 +327,9 @@ def test_who_would_have_to_react_to_an_agent_and_cannot_is_refused_before_the_ru
     init = f"<PrivateAction>{ROUTE}</PrivateAction>"
     path = write(action=OFFSET, condition=by_entity(NEAR.format("cartesianDistance", "false")))
     path.write_text(path.read_text().replace("</Private>", f"{init}</Private>", 1))
-    closed, open_loop = (ConversionOptions(DrivingAgents({"Ego": "normal"}), open_loop=given) for given in (False, True))
+    closed, open_loop = (
+        ConversionOptions(DrivingAgents({"Ego": "normal"}), open_loop=given) for given in (False, True)
+    )
     with pytest.raises(InputError, match=r"'Other' has to react to Ego.*carla:open_loop=true"):
         write_openscenario_1_0(ScenarioFile.read(path), {}, tmp_path / "one.xosc", ego="Ego", options=closed)
     write_openscenario_1_0(ScenarioFile.read(path), {}, tmp_path / "one.xosc", ego="Ego", options=open_loop)

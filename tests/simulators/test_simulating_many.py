@@ -13,8 +13,8 @@ from typing import Any
 import pytest
 
 import cornercase as cc
-from command_line import X, cornercase
 from cornercase.simulators import SIMULATORS, BuiltinSimulator
+from helpers.command_line import X, cornercase
 
 QUICK: Any = {"duration": 1.0}
 STARTS = (20, 31.5, 40)

@@ -16,7 +16,9 @@ from conftest import (
 )  # fmt: skip
 from cornercase._common.errors import InputError, SimulationError
 from cornercase.recordings import Recording
-from cornercase.scenario import ConcreteScenario, ScenarioFile, write_concrete_file
+from cornercase.scenario import ConcreteScenario
+from cornercase.scenario._concrete_file import write_concrete_file
+from cornercase.scenario._file import ScenarioFile
 from cornercase.simulators import BuiltinSimulator
 
 PRIVATE = '<Private entityRef="Ego">{}</Private>'

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cornercase.simulators.builtin.tracks.lane import LaneTrack
-from road_networks import WIDTH, lane, network, road
+from cornercase.simulators.builtin.tracks._lane import LaneTrack
+from helpers.road_networks import WIDTH, lane, network, road
 
 WAY = 0.5
 SECTION = '<laneSection s="0"><right>{}</right></laneSection>'

@@ -8,9 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from conftest import examples
-from cornercase.simulators.builtin.tracks import chord_kernels, pool
-from cornercase.simulators.builtin.tracks import place_kernels as kernels
-from cornercase.simulators.builtin.tracks.clothoids import ClothoidSpline
+from cornercase.simulators.builtin.kernels import _clothoid_track as clothoid_track
+from cornercase.simulators.builtin.kernels import _track_dispatch as kernels
+from cornercase.simulators.builtin.tracks import _track_pool as track_pool
+from cornercase.simulators.builtin.tracks._clothoid_spline import ClothoidSpline
 
 
 @st.composite
@@ -31,7 +32,7 @@ def _splines(draw: st.DrawFn) -> ClothoidSpline:
     return ClothoidSpline(x, y, heading, start, end, length, clock)
 
 
-def _check(tracks: pool.TrackTable, spline: ClothoidSpline, offset: float) -> None:
+def _check(tracks: track_pool.TrackTable, spline: ClothoidSpline, offset: float) -> None:
     rows = np.arange(len(spline.lengths))
     ends = [spline.chord_length * k + d for k in (0, 1, 2) for d in (-1e-9, 0.0)]
     for distance in [share * spline.lengths for share in (-0.2, 0.0, 0.31, 0.77, 1.0, 1.1)] + ends:
@@ -56,8 +57,8 @@ def _check(tracks: pool.TrackTable, spline: ClothoidSpline, offset: float) -> No
 @given(_splines(), st.sampled_from([0.0, 1.5, -3.0]))
 @settings(max_examples=examples(60), deadline=None)
 def test_splines_are_the_same_compiled(spline: ClothoidSpline, offset: float) -> None:
-    tracks = pool.TrackPool().update([[spline]])
-    assert tracks.kind.tolist() == [pool.CLOTHOID_TRACK]
+    tracks = track_pool.TrackPool().update([[spline]])
+    assert tracks.kind.tolist() == [track_pool.CLOTHOID_TRACK]
     assert tracks.has_times.tolist() == [spline.times is not None]
     _check(tracks, spline, offset)
 
@@ -67,9 +68,9 @@ def test_a_spline_that_is_started_again_shows_at_once() -> None:
         zero, lengths = np.zeros(2), np.full((2, 1), length)
         return ClothoidSpline(zero, zero, zero, 0.0 * lengths, 0.0 * lengths + 0.02, lengths)
 
-    one, held = spline(3.0), pool.TrackPool()
+    one, held = spline(3.0), track_pool.TrackPool()
     held.update([[one]])
     one.copy_rows_from(spline(40.0), np.array([False, True]))
     tracks = held.update([[one]])
-    assert [chord_kernels.spline_length(tracks, 0, n) for n in range(2)] == [3.0, 40.0]
+    assert [clothoid_track.spline_length(tracks, 0, n) for n in range(2)] == [3.0, 40.0]
     _check(tracks, one, 1.0)

@@ -6,19 +6,14 @@ from typing import Any
 
 import pytest
 
-import fake_simulators  # noqa: F401 - makes its simulators known
-from command_line import X
 from cornercase._common.errors import InputError
 from cornercase._common.registry import Registry
-from cornercase.scenario import ScenarioFile
-from cornercase.simulators import (
-    SIMULATORS,
-    BuiltinSimulator,
-    Simulator,
-    WorkerSimulator,
-    list_simulators,
-    create_simulator,
-)
+from cornercase.scenario._file import ScenarioFile
+from cornercase.simulators import SIMULATORS, BuiltinSimulator, Simulator, list_simulators
+from cornercase.simulators._create import create_simulator
+from cornercase.simulators.pool._simulator import WorkerSimulator
+from helpers import fake_simulators as fake_simulators
+from helpers.command_line import X
 
 
 class Least(Simulator):

@@ -8,7 +8,8 @@ from types import ModuleType
 
 from conftest import EXAMPLES, same_recording
 from cornercase.scenario import ConcreteScenario
-from cornercase.simulators import BuiltinSimulator, WorkerSimulator
+from cornercase.simulators import BuiltinSimulator
+from cornercase.simulators.pool._simulator import WorkerSimulator
 
 ROOMS = ("cornercase.simulators.builtin", "cornercase.drivers", "cornercase.roads", "cornercase.scenario")
 PATHS = [EXAMPLES / name / f"{name}.xosc" for name in ("x_intersection", "t_intersection")]

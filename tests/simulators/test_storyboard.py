@@ -12,7 +12,7 @@ import cornercase as cc
 from conftest import car, event, scenario_file, speed_action, story_of, teleport, time_trigger
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import BuiltinSimulator
-from storyboards import write_roads
+from helpers.random_storyboards import write_roads
 
 DT = 0.05
 

@@ -12,9 +12,13 @@ import pytest
 
 from cornercase._common.errors import InputError, SimulationError
 from cornercase.scenario import ConcreteScenario
-from cornercase.simulators import Simulator, SimulatorStream, WorkerSimulator, run_scenarios, streams
-from fake_simulators import FailingSimulator, Plan
-from waiting import lives, until
+from cornercase.simulators import Simulator
+from cornercase.simulators import _stream as stream_module
+from cornercase.simulators._results import run_scenarios
+from cornercase.simulators._stream import SimulatorStream
+from cornercase.simulators.pool._simulator import WorkerSimulator
+from helpers.fake_simulators import FailingSimulator, Plan
+from helpers.waiting import lives, until
 
 
 def concretes(count):
@@ -108,7 +112,7 @@ def test_what_never_ends_is_waited_for_no_longer(monkeypatch):
             return [self]
 
     ends = threading.Event()
-    monkeypatch.setattr(streams, "_CANCEL_TIMEOUT", 0.2)
+    monkeypatch.setattr(stream_module, "_CANCEL_TIMEOUT", 0.2)
     stream = SimulatorStream({"": Deaf()})
     stream.submit(1, lambda _: ends.wait(60.0))
     begun = time.monotonic()

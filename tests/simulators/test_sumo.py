@@ -13,17 +13,19 @@ import psutil
 import pytest
 
 import cornercase as cc
-from command_line import cornercase
 from conftest import ran, same_recording
 from cornercase._common.errors import InputError
-from cornercase.exploration import paper_experiment_config
+from cornercase.exploration._paper_examples import paper_experiment_config
 from cornercase.recordings import read_recording
-from cornercase.report.rerun import rerun_payload
-from cornercase.scenario import ConcreteScenario, ScenarioFile
-from cornercase.simulators import SIMULATORS, BuiltinSimulator, SumoSimulator, list_simulators, create_simulator
-from cornercase.simulators.sumo.network import find_or_convert_network
+from cornercase.report._rerun import rerun_payload
+from cornercase.scenario import ConcreteScenario
+from cornercase.scenario._file import ScenarioFile
+from cornercase.simulators import SIMULATORS, BuiltinSimulator, SumoSimulator, list_simulators
+from cornercase.simulators._create import create_simulator
+from cornercase.simulators.sumo._network import find_or_convert_network
 from cornercase.study import Study
-from waiting import until
+from helpers.command_line import cornercase
+from helpers.waiting import until
 
 pytest.importorskip("libsumo", reason="SUMO comes with the extra 'sumo'")
 
@@ -159,7 +161,7 @@ def test_refuses_in_one_sentence(tmp_path, monkeypatch):
         with pytest.raises(InputError, match=r"netconvert cannot convert it \(.*(document type|not well-formed)"):
             run(broken, {})
     assert not list((tmp_path / "cornercase" / "sumo").glob("*.net.xml"))
-    monkeypatch.setattr("cornercase.simulators.sumo.simulator.find_spec", lambda name: None)
+    monkeypatch.setattr("cornercase.simulators.sumo._simulator.find_spec", lambda name: None)
     with pytest.raises(InputError, match=r"pip install 'cornercase\[sumo\]'"):
         SIMULATORS.create("sumo")
 

@@ -21,9 +21,9 @@ from conftest import (
 )
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import BuiltinSimulator
-from cornercase.simulators.builtin.actions.longitudinal import LongitudinalDistanceAction
-from cornercase.simulators.builtin.actions.synchronise import SynchronizeAction
-from cornercase.simulators.builtin.stepping import Stepper
+from cornercase.simulators.builtin._stepper import Stepper
+from cornercase.simulators.builtin.actions._longitudinal import LongitudinalDistanceAction
+from cornercase.simulators.builtin.actions._synchronize import SynchronizeAction
 
 PARAMETERS = "".join(
     f'<ParameterDeclaration name="{name}" parameterType="double" value="{value}"/>'

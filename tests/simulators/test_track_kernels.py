@@ -9,15 +9,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import road_networks as rn
 from conftest import examples
 from cornercase._common.typing import FloatArray
-from cornercase.roads import LanePath, RoadNetwork, reference_heading, build_road_tables
-from cornercase.simulators.builtin.tracks import columns, lane_kernels, line_kernels, pool
-from cornercase.simulators.builtin.tracks.lane import LaneTrack
-from cornercase.simulators.builtin.tracks.place_kernels import pose_on_track
-from cornercase.simulators.builtin.tracks.polyline import Polyline
-from cornercase.simulators.builtin.tracks.track import ALONG_SEGMENTS, AT_CORNERS, AT_VERTICES
+from cornercase.roads._kernels.heading import build_road_tables, reference_heading
+from cornercase.roads._lane_path import LanePath
+from cornercase.roads._network import RoadNetwork
+from cornercase.simulators.builtin.kernels import _lane_track as lane_track
+from cornercase.simulators.builtin.kernels import _polyline_track as polyline_track
+from cornercase.simulators.builtin.kernels._track_dispatch import pose_on_track
+from cornercase.simulators.builtin.tracks import _track_layout as track_layout
+from cornercase.simulators.builtin.tracks import _track_pool as track_pool
+from cornercase.simulators.builtin.tracks._lane import LaneTrack
+from cornercase.simulators.builtin.tracks._polyline import Polyline
+from cornercase.simulators.builtin.tracks._track import ALONG_SEGMENTS, AT_CORNERS, AT_VERTICES
+from helpers import road_networks as rn
 
 _coordinate = st.require_one_of(st.integers(-5, 5).map(float), st.floats(-200.0, 200.0))
 
@@ -43,8 +48,8 @@ def _lines(draw: st.DrawFn) -> Polyline:
 @given(_lines(), st.lists(st.floats(-0.5, 1.5), min_size=1, max_size=8), st.sampled_from([0.0, 1.5, -3.0]))
 @settings(max_examples=examples(200), deadline=None)
 def test_lines_are_the_same_compiled(line: Polyline, shares: list[float], offset: float) -> None:
-    tracks = pool.TrackPool().update([[line]])
-    assert tracks.kind.tolist() == [pool.POLYLINE_TRACK]
+    tracks = track_pool.TrackPool().update([[line]])
+    assert tracks.kind.tolist() == [track_pool.POLYLINE_TRACK]
     rows = np.arange(len(line.x))
     length = line.distance[:, -1]
     vertices = [line.distance[:, k] + d for k in range(line.x.shape[1]) for d in (-1e-6, 0.0, 5e-7, 1e-6, 3.0)]
@@ -55,18 +60,18 @@ def test_lines_are_the_same_compiled(line: Polyline, shares: list[float], offset
         for n in rows.tolist():
             place = pose_on_track(tracks, 0, n, distance[n], offset)
             np.testing.assert_allclose(place, same[n], rtol=1e-12, atol=1e-12)
-            assert line_kernels.polyline_direction(tracks, 0, n, distance[n]) == direction[n]
-            assert line_kernels.polyline_has_heading(tracks, 0, n, distance[n]) == oriented[n]
+            assert polyline_track.polyline_direction(tracks, 0, n, distance[n]) == direction[n]
+            assert polyline_track.polyline_has_heading(tracks, 0, n, distance[n]) == oriented[n]
     for n in rows.tolist():
-        assert line_kernels.polyline_length(tracks, 0, n) == line.lengths[n]
+        assert polyline_track.polyline_length(tracks, 0, n) == line.lengths[n]
     if line.times is None:
         return
     instants = [line.times[:, k] + d for k in range(line.x.shape[1]) for d in (-0.3, 0.0, 0.3)]
     for time in [*instants, *(share * 20.0 + 0.0 * length for share in shares)]:
         there = line.distance_at_time(time)
         for n in rows.tolist():
-            assert line_kernels.polyline_end_time(tracks, 0, n) == line.times[n, -1]
-            found = line_kernels.polyline_distance_at_time(tracks, 0, n, time[n])
+            assert polyline_track.polyline_end_time(tracks, 0, n) == line.times[n, -1]
+            found = polyline_track.polyline_distance_at_time(tracks, 0, n, time[n])
             assert found == pytest.approx(there[n], rel=1e-12, abs=1e-12)
 
 
@@ -88,7 +93,7 @@ def _tracks_of(network: RoadNetwork) -> list[LaneTrack]:
     return [track for track in found if track is not None]
 
 
-def _check_lane(tracks: pool.TrackTable, g: int, track: LaneTrack, random: np.random.Generator) -> None:
+def _check_lane(tracks: track_pool.TrackTable, g: int, track: LaneTrack, random: np.random.Generator) -> None:
     path, length = track.path, track.length
     near = path.distance[random.integers(0, path.distance.size, 20)]
     distance = np.concatenate([random.uniform(-10.0, length + 10.0, 60), near, [0.0, length, -0.0, -5.0, length + 5.0]])
@@ -101,17 +106,17 @@ def _check_lane(tracks: pool.TrackTable, g: int, track: LaneTrack, random: np.ra
     for i, (d, off, w) in enumerate(zip(distance, offset, way, strict=True)):
         place = pose_on_track(tracks, g, 0, d, off)
         np.testing.assert_allclose(place, (x[i], y[i], heading[i]), rtol=1e-12, atol=1e-12)
-        assert lane_kernels.advance_on_lane(tracks, g, d, off, w) == onward[i]
+        assert lane_track.advance_on_lane(tracks, g, d, off, w) == onward[i]
         where = (path.road[sample[i]], path.lane[sample[i]], s[i], path.forward[sample[i]])
-        assert lane_kernels.road_position_on_lane(tracks, g, d) == where
-        assert lane_kernels.needs_next_lane(tracks, g, d) == (d < track.span[0] or d > track.span[1])
+        assert lane_track.road_position_on_lane(tracks, g, d) == where
+        assert lane_track.needs_next_lane(tracks, g, d) == (d < track.span[0] or d > track.span[1])
     assert tracks.length[g] == track.length
 
 
 @pytest.mark.parametrize("file", _FILES)
 def test_lanes_are_the_same_compiled(file: str) -> None:
     lanes = _tracks_of(RoadNetwork.read(_ROOT / file))
-    tracks = pool.TrackPool().update([lanes])
+    tracks = track_pool.TrackPool().update([lanes])
     random = np.random.default_rng(1)
     for g in range(0, len(lanes), max(len(lanes) // 12, 1)):
         _check_lane(tracks, g, lanes[g], random)
@@ -121,7 +126,7 @@ def test_lanes_inside_of_narrow_bends_are_the_same_compiled(tmp_path: Path) -> N
     for shape in ('<arc curvature="0.2"/>', _SPIRAL):
         network = rn.network(tmp_path, rn.road("bend", 25.0, shape=shape, left=rn.lane(1), right=rn.lane(-1)))
         lanes = _tracks_of(network)
-        tracks = pool.TrackPool().update([lanes])
+        tracks = track_pool.TrackPool().update([lanes])
         for g, lane in enumerate(lanes):
             _check_lane(tracks, g, lane, np.random.default_rng(g))
 
@@ -149,7 +154,7 @@ def test_tables_follow_what_comes_and_changes() -> None:
         return Polyline(np.array([[0.0, 10.0]] * 2), np.full((2, 2), y), np.full((2, 2), np.nan))
 
     one, two = line(0.0), line(5.0)
-    held = pool.TrackPool()
+    held = track_pool.TrackPool()
     tracks = held.update([[one], []])
     assert tracks.rows.tolist() == [[0], [-1]]
     assert held.update([[one], []]) is tracks
@@ -164,11 +169,11 @@ def test_tables_follow_what_comes_and_changes() -> None:
 def test_the_columns_of_a_path_are_where_kernels_look_for_them(tmp_path: Path) -> None:
     path = _tracks_of(rn.network(tmp_path, rn.road("one", 30.0)))[0].path
     named = {
-        columns.DISTANCE: "distance", columns.X: "x", columns.Y: "y", columns.HEADING: "heading", columns.CURVATURE: "curvature",
-        columns.S: "s", columns.ROAD: "road", columns.LANE_NUMBER: "lane", columns.RUNS_ALONG_S: "along", columns.REFERENCE_DISTANCE: "reference",
-        columns.CENTER_OFFSET: "center", columns.CURVATURE_DISTANCE: "bend_at", columns.REFERENCE_CURVATURE: "bend",
+        track_layout.DISTANCE: "distance", track_layout.X: "x", track_layout.Y: "y", track_layout.HEADING: "heading", track_layout.CURVATURE: "curvature",
+        track_layout.S: "s", track_layout.ROAD: "road", track_layout.LANE_NUMBER: "lane", track_layout.RUNS_ALONG_S: "along", track_layout.REFERENCE_DISTANCE: "reference",
+        track_layout.CENTER_OFFSET: "center", track_layout.CURVATURE_DISTANCE: "bend_at", track_layout.REFERENCE_CURVATURE: "bend",
     }  # fmt: skip
-    assert len(path.arrays) == pool.TrackPool().tracks.addresses.shape[1]
+    assert len(path.arrays) == track_pool.TrackPool().tracks.addresses.shape[1]
     for column, name in named.items():
         assert path.arrays[column] is getattr(path, name)
 

@@ -12,11 +12,13 @@ import pytest
 
 from conftest import at_night, moving, ran, same_recording, scenario_file
 from cornercase._common.errors import InputError, SimulationError
-from cornercase.drivers import load_user_driver
+from cornercase.drivers._resolve import load_user_driver
 from cornercase.scenario import ConcreteScenario
-from cornercase.simulators import BuiltinSimulator, WorkerSimulator, run_scenarios
-from fake_simulators import BatchSimulator, FailingSimulator, Plan
-from waiting import lives, until
+from cornercase.simulators import BuiltinSimulator
+from cornercase.simulators._results import run_scenarios
+from cornercase.simulators.pool._simulator import WorkerSimulator
+from helpers.fake_simulators import BatchSimulator, FailingSimulator, Plan
+from helpers.waiting import lives, until
 
 RAISED = "the simulator failed: ZeroDivisionError: of the adapter"
 

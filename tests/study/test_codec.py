@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from cornercase._common.errors import InputError
-from cornercase.study import codec
+from cornercase.study import _codec as codec
 
 ARRAYS = {"time": np.arange(40) / 20.0, "x": np.ones((3, 40)), "names": np.array(["Ego", "Fußgänger"])}
 

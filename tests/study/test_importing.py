@@ -10,13 +10,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-import foreign_recordings as foreign
-from command_line import SPACE, X, cornercase
 from cornercase import InputError
 from cornercase.clustering import analyze
 from cornercase.recordings import read_recording
-from cornercase.study import ImportResult, Study, import_recordings, importing
-from two_cars import met
+from cornercase.study import ImportResult, Study, import_recordings
+from cornercase.study import _import_recordings as import_recordings_module
+from helpers import foreign_recordings as foreign
+from helpers.command_line import SPACE, X, cornercase
+from helpers.two_cars import met
 
 EXPLORED = ["--ego", "Ego", "--other", "Pedestrian", "--metric", "wttc"]
 
@@ -76,7 +77,7 @@ def test_a_broken_disk_fails_the_import_and_not_the_recording(exported, tmp_path
             raise InputError(f"{file}: cannot be read.") from OSError(errno.EIO, "Input/output error")
         return read_recording(file)
 
-    monkeypatch.setattr(importing, "read_recording", fails_once)
+    monkeypatch.setattr(import_recordings_module, "read_recording", fails_once)
     command = ("import", exported / "runs", *EXPLORED, "-o", study)
     assert cornercase(*command).returncode == 2
     with Study.open(study, readonly=True) as opened:

@@ -16,8 +16,9 @@ import pytest
 
 from cornercase import SimulationError
 from cornercase._common.errors import InputError, StudyLostError
-from cornercase.study import Study, open_or_create_study, write_note
-from synthetic import SPACE, about
+from cornercase.study import Study, write_note
+from cornercase.study._study import open_or_create_study
+from helpers.synthetic_study import SPACE, about
 
 POINTS = np.array([[0.25, 0.5], [0.5, 0.25]])
 

@@ -11,7 +11,7 @@ import pytest
 from cornercase._common.errors import InputError
 from cornercase.scenario import ParameterSpace
 from cornercase.study import StudyMeta
-from synthetic import about
+from helpers.synthetic_study import about
 
 SPACE = ParameterSpace.from_ranges(["a=0:10", "b=0:1:0.1"])
 PLAIN = about(SPACE, "distance")

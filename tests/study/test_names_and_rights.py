@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 import cornercase as cc
-from command_line import cornercase
 from cornercase import SimulationError
 from cornercase._common.errors import InputError
 from cornercase.study import Study
-from synthetic import SPACE, about
+from helpers.command_line import cornercase
+from helpers.synthetic_study import SPACE, about
 
 EXAMPLE = Path(cc.__file__).parents[2] / "examples" / "x_intersection"
 POINTS = np.array([[0.25, 0.5], [0.5, 0.25]])

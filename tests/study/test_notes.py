@@ -14,9 +14,9 @@ from cornercase._common.errors import InputError
 from cornercase.recordings import read_recording
 from cornercase.scenario import ParameterSpace
 from cornercase.study import Study, write_note
-from cornercase.study.notes import MAX_NOTE_LENGTH
-from strangers import change
-from synthetic import about
+from cornercase.study._notes import MAX_NOTE_LENGTH
+from helpers.synthetic_study import about
+from helpers.untrusted_files import change
 
 SPACE = ParameterSpace.from_ranges(["a=0:10"])
 
@@ -106,7 +106,7 @@ def small_recording(tmp_path):
 
 
 def test_a_writer_that_does_not_end_is_not_waited_for_forever(explored, monkeypatch):
-    monkeypatch.setattr("cornercase.study.database._NOTE_TIMEOUT", 0.1)
+    monkeypatch.setattr("cornercase.study._database._NOTE_TIMEOUT", 0.1)
     with closing(sqlite3.connect(explored.path, isolation_level=None)) as stuck:
         stuck.execute("BEGIN IMMEDIATE")
         with pytest.raises(InputError, match="locked"):

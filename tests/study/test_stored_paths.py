@@ -17,12 +17,12 @@ from pathlib import Path
 
 import pytest
 
-from command_line import SPACE, X, cornercase
 from cornercase import SimulationError
-from cornercase._common.texts import remove_folders
-from cornercase.study import Study, stored_path
-from cornercase.study.stored_paths import resolve_stored_path
-from sealed import changed
+from cornercase._common.text.sanitize import remove_folders
+from cornercase.study import Study
+from cornercase.study._stored_paths import resolve_stored_path, stored_path
+from helpers.checksums import changed
+from helpers.command_line import SPACE, X, cornercase
 
 MEASURED = ("--ego", "Ego", "--other", "Pedestrian", "--metric", "wttc")
 SEARCH = (*MEASURED, "--optimizer", "sobol", "--budget", "12", "--duration", "6", "--time-step", "0.2")
@@ -176,7 +176,9 @@ def test_42_s6_messages_are_stored_without_folders(tmp_path, written):
     shutil.copy(written / "studies" / "s.db", tmp_path / "s.db")
     (tmp_path / "secret name").mkdir()
     with Study.open(tmp_path / "s.db", readonly=False) as study:
-        study.writer.record_failure(1, SimulationError(f"{tmp_path}/secret name/x.xosc, line 5: no lane at 3 m/s, see {tmp_path}/a.log"))
+        study.writer.record_failure(
+            1, SimulationError(f"{tmp_path}/secret name/x.xosc, line 5: no lane at 3 m/s, see {tmp_path}/a.log")
+        )
         assert study.failed_rows()[0].error == "x.xosc, line 5: no lane at 3 m/s, see a.log"
     for text in ("1 / 2 m/s", "https://a.b/c/d", "a/b/c", "/", "carmaker:project=acc"):
         assert remove_folders(text) == text
@@ -260,7 +262,7 @@ def test_42_10_only_who_asks_for_what_needs_the_scenario_reads_it_there(apart, t
         read.append(stored)
         return resolve_stored_path(stored, study)
 
-    monkeypatch.setattr("cornercase.study.explored.resolve_stored_path", noted)
+    monkeypatch.setattr("cornercase.study._scenario_file.resolve_stored_path", noted)
     for command in (
         ("show", apart),
         ("show", apart, "--config"),

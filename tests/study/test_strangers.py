@@ -18,14 +18,14 @@ import pandas as pd
 import pytest
 
 import cornercase as cc
-from command_line import cornercase
 from conftest import at_night
 from cornercase._common.errors import InputError
 from cornercase.recordings import read_recording
 from cornercase.study import Study
-from cornercase.study.codec import pack_arrays, unpack_arrays
-from strangers import change, copied, set_meta, whole_study
-from synthetic import SPACE, about
+from cornercase.study._codec import pack_arrays, unpack_arrays
+from helpers.command_line import cornercase
+from helpers.synthetic_study import SPACE, about
+from helpers.untrusted_files import change, copied, set_meta, whole_study
 
 HARM = "from pathlib import Path\nPath('harm').touch()\nclass Driver:\n    settings = {}\n"
 
@@ -455,7 +455,11 @@ def test_names_are_no_formulas_in_tables(oddly_named, tmp_path):
     # Undo it.
     with Study.open(oddly_named, readonly=True) as study:
         first, again = study.recording(1), read_recording(tmp_path / "recordings" / "00001.csv")
-        assert (first.names, first.object_types, first.collisions) == (again.names, again.object_types, again.collisions)
+        assert (first.names, first.object_types, first.collisions) == (
+            again.names,
+            again.object_types,
+            again.collisions,
+        )
         table, read = study.table(), pd.read_recording_csv(tmp_path / "scenarios.csv")
     assert read["distance"].dtype == np.float64
     assert list(read["id"]) == list(table["id"])
@@ -466,7 +470,7 @@ def test_a_kept_scenario_is_called_such_that_every_platform_takes_it(oddly_named
     with Study.open(oddly_named, readonly=True) as study:
         assert study.meta.file_name.startswith("CON.")
         assert study.meta.title.startswith("CON.")
-    from cornercase._common.files import portable_name
+    from cornercase._common.io.files import portable_name
 
     for name in ("../../x", "..", "CON", "con.txt", "COM¹", "a\x1b[2Jb", "x" * 5000, "", ".bashrc", "C:\\x", "a/b"):
         made = portable_name(name)

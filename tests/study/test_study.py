@@ -16,12 +16,13 @@ from scipy.spatial.distance import cdist, squareform
 from conftest import same_recording
 from cornercase._common.errors import InputError, SimulationError
 from cornercase._common.typing import FloatArray
-from cornercase.recordings import MOTION_ARRAYS, Collision, Recording, read_recording
+from cornercase.recordings import Collision, Recording, read_recording
+from cornercase.recordings._recording import MOTION_ARRAYS
 from cornercase.scenario import Constraint, ParameterDeclaration, ParameterSpace
 from cornercase.study import Study
-from cornercase.study import arrays as stored_arrays
-from sealed import reseal
-from synthetic import about
+from cornercase.study import _arrays as stored_arrays
+from helpers.checksums import reseal
+from helpers.synthetic_study import about
 
 SPACE = ParameterSpace.from_ranges(["a=0:10", "b=0:1:0.1"])
 META = about(SPACE, "distance", "wttc", seed=3)
@@ -368,7 +369,7 @@ def test_what_is_read_together_is_of_one_moment(study):
 
 def test_a_study_says_what_it_is_and_escapes_names(tmp_path, monkeypatch):
     # Without the page that a notebook shows.
-    monkeypatch.setattr("cornercase.report.inline.render_notebook_report", lambda path: None)
+    monkeypatch.setattr("cornercase.report._notebook.render_notebook_report", lambda path: None)
     space = ParameterSpace.from_ranges(["<b>=0:1"])
     points = np.array([[0.25], [0.75]])
     with Study.create(tmp_path / "s.db", about(space, "distance", ego="<i>Ego</i>")) as study:

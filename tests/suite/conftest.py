@@ -7,7 +7,8 @@ import shutil
 import pytest
 
 import cornercase as cc
-from cornercase.exploration import paper_experiment_config, explore_config
+from cornercase.exploration._explore import explore_config
+from cornercase.exploration._paper_examples import paper_experiment_config
 
 
 @pytest.fixture(scope="session")

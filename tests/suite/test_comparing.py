@@ -10,7 +10,6 @@ from scipy.stats import binom, wilcoxon
 from typer.testing import CliRunner
 
 import cornercase as cc
-from command_line import cornercase
 from cornercase import InputError, SimulationError
 from cornercase.cli import app
 from cornercase.drivers import NORMAL, BehaviourDriver
@@ -18,12 +17,15 @@ from cornercase.optimizers import SobolOptimizer
 from cornercase.recordings import Collision, Recording
 from cornercase.scenario import ParameterSpace
 from cornercase.study import Study
-from cornercase.suite import ScenarioPair, compare_recording_pair, describe_comparison
-from cornercase.suite.comparing_pairs import compare_recordings
-from cornercase.suite.comparing_telling import choose_examples
-from cornercase.suite.comparing_tests import holm_correct, mcnemar_p_value, score_difference, wilcoxon_p_value
-from cornercase.suite.comparing_tests import test_pairs as changes_of
-from synthetic import about
+from cornercase.suite import ScenarioPair
+from cornercase.suite._recording_difference import compare_recording_pair
+from cornercase.suite.compare._choose_examples import choose_examples
+from cornercase.suite.compare._describe_comparison import describe_comparison
+from cornercase.suite.compare._match import compare_recordings
+from cornercase.suite.compare._significance import holm_correct, mcnemar_p_value, score_difference, wilcoxon_p_value
+from cornercase.suite.compare._significance import test_pairs as changes_of
+from helpers.command_line import cornercase
+from helpers.synthetic_study import about
 
 SPACE = ParameterSpace.from_ranges(["a=0:1", "b=0:1"])
 GRID = np.stack(np.meshgrid(np.linspace(0.05, 0.95, 6), np.linspace(0.05, 0.95, 6)), axis=-1).reshape(-1, 2)
@@ -48,7 +50,9 @@ def written(path, gaps, points=GRID, hits=(), failed=(), space=SPACE, metrics=("
                 study.writer.record_failure(row.id, SimulationError("it broke"))
                 continue
             score = float(gaps[k])
-            study.writer.record_result(row.id, recording(score, k in hits), {name: (np.full(3, score), score) for name in metrics})
+            study.writer.record_result(
+                row.id, recording(score, k in hits), {name: (np.full(3, score), score) for name in metrics}
+            )
     return path
 
 

@@ -15,17 +15,18 @@ from typer.testing import CliRunner
 import cornercase as cc
 from cornercase import METRICS, InputError, SimulationError
 from cornercase.cli import app
-from cornercase.cli.failures import run_command
+from cornercase.cli.errors import run_command
 from cornercase.drivers import NORMAL, BehaviourDriver
 from cornercase.optimizers import SobolOptimizer
 from cornercase.recordings import Collision, Recording
 from cornercase.scenario import ParameterSpace
 from cornercase.study import Study
-from cornercase.suite import ALPHA, ScenarioPair
-from cornercase.suite.comparing_tests import holm_correct
-from cornercase.suite.comparing_tests import test_pairs as changes_of
-from cornercase.suite.comparing_verdict import find_findings, decide_verdict
-from synthetic import about
+from cornercase.suite import ScenarioPair
+from cornercase.suite.compare._change_verdict import decide_verdict, find_findings
+from cornercase.suite.compare._comparison import ALPHA
+from cornercase.suite.compare._significance import holm_correct
+from cornercase.suite.compare._significance import test_pairs as changes_of
+from helpers.synthetic_study import about
 
 SPACE = ParameterSpace.from_ranges(["a=0:1", "b=0:1"])
 POINTS = SobolOptimizer(SPACE, 1).ask(36)
@@ -52,7 +53,9 @@ def written(path, gaps, hits=(), failed=(), points=POINTS, metrics=("distance",)
                 study.writer.record_failure(row.id, SimulationError("it broke"))
                 continue
             gap = float(gaps[k])
-            study.writer.record_result(row.id, recording(gap, k in hits), {name: (np.full(3, gap), gap) for name in metrics})
+            study.writer.record_result(
+                row.id, recording(gap, k in hits), {name: (np.full(3, gap), gap) for name in metrics}
+            )
     return path
 
 
@@ -202,7 +205,9 @@ def test_a_place_that_is_missed_by_less_than_the_tolerance_is_the_same(tmp_path)
         with Study.create(tmp_path / name, meta) as made:
             for row in made.writer.add_pending(1, POINTS[:3], SPACE.values(POINTS[:3])):
                 x = np.stack([np.array([0.0, 9.0, 18.0 - short[row.id - 1]]), np.full(3, 50.0)])
-                made.writer.record_result(row.id, replace(recording(50.0), x=x, speed=still), {"distance": (np.full(3, 30.0), 30.0)})
+                made.writer.record_result(
+                    row.id, replace(recording(50.0), x=x, speed=still), {"distance": (np.full(3, 30.0), 30.0)}
+                )
         return tmp_path / name
 
     found = compared(study("old.db", (0.0, 0.0, 0.0)), study("new.db", (0.0, 0.05, 0.5)))

@@ -21,7 +21,7 @@ from conftest import EXAMPLES
 from cornercase import InputError
 from cornercase.cli import app
 from cornercase.study import Study
-from test_golden import same
+from integration.test_golden import same
 
 EXAMPLE = EXAMPLES / "suite"
 FILES = (".github/workflows/suite.yml", ".gitlab-ci.yml", "Jenkinsfile", "Dockerfile")

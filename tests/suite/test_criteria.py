@@ -8,14 +8,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from command_line import cornercase
 from conftest import car, moving, scenario_file
 from cornercase import InputError, NoticeWarning, analyze, explore, reduce
 from cornercase import run_suite as run_scenarios
-from cornercase.scenario import LogicalScenario, ScenarioFile, write_concrete_file
+from cornercase.scenario import LogicalScenario
+from cornercase.scenario._concrete_file import write_concrete_file
+from cornercase.scenario._file import ScenarioFile
 from cornercase.suite import Requirement, judge
-from cornercase.suite.judging import compute_margin
-from two_cars import met
+from cornercase.suite._judge import compute_margin
+from helpers.command_line import cornercase
+from helpers.two_cars import met
 
 pytestmark = pytest.mark.filterwarnings("ignore:adapted:UserWarning", "ignore:not used:UserWarning")
 
@@ -51,9 +53,7 @@ def test_43_6_criteria_of_files_become_requirements_and_the_others_are_named(tmp
     done = cornercase("test", tmp_path / "set", *options, "-o", tmp_path / "run.db")
     assert done.returncode == 1, done.stderr
     said = " ".join(done.stderr.split())
-    assert (
-        "Not used as requirements from the scenarios of set: KeepLaneTest; a recording cannot answer them" in said
-    )
+    assert "Not used as requirements from the scenarios of set: KeepLaneTest; a recording cannot answer them" in said
     told = {one["file"]: one for one in json.loads(done.stdout)["scenarios"]}
     states = {file: {one["requirement"]: one["state"] for one in each["verdicts"]} for file, each in told.items()}
     assert states == {

@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 import cornercase as cc
-from command_line import cornercase
 from conftest import EXAMPLES
 from cornercase._common.errors import InputError
 from cornercase.drivers import generate_mutants
-from cornercase.reduction import MANIFEST, read_reduction
+from cornercase.reduction import read_reduction
+from cornercase.reduction._set_folder import MANIFEST
 from cornercase.suite import analyze_mutants
+from helpers.command_line import cornercase
 
 T = EXAMPLES / "t_intersection" / "t_intersection.xosc"
 

@@ -13,7 +13,7 @@ from conftest import examples
 from cornercase import InputError
 from cornercase.metrics import Formula, Signals
 from cornercase.suite import Requirement, judge
-from two_cars import met
+from helpers.two_cars import met
 
 FORMULAS = (
     "ego.speed > 0",

@@ -13,7 +13,8 @@ import pytest
 
 import cornercase as cc
 from conftest import EXAMPLES, ROAD, car, moving, same_recording, scenario_file
-from cornercase.metrics import METRICS, evaluate_metrics
+from cornercase.metrics import METRICS
+from cornercase.metrics._measure import evaluate_metrics
 from cornercase.scenario import LogicalScenario
 from cornercase.study import Study
 

@@ -14,8 +14,9 @@ import pytest
 
 import cornercase as cc
 from cornercase._common.errors import InputError
-from cornercase.exploration import paper_experiment_config, explore_config
-from cornercase.scenario import format_value
+from cornercase.exploration._explore import explore_config
+from cornercase.exploration._paper_examples import paper_experiment_config
+from cornercase.scenario._types import format_value
 
 
 def test_no_verdicts_of_another_run_are_left_where_nothing_can_be_run(reduced, tmp_path):

@@ -20,15 +20,17 @@ from markdown_it import MarkdownIt
 from typer.testing import CliRunner
 
 import cornercase as cc
-from command_line import cornercase
 from conftest import at_night, moving, private, same_recording, scenario_file, speed_action, teleport
 from cornercase.cli import app
 from cornercase.exploration import examples_folder
 from cornercase.study import Study
-from cornercase.suite import RecordingDifference, ScenarioResult, SuiteResult, Verdict, compare_recording_pair, judge_study
-from cornercase.suite.junit import write_junit
-from cornercase.suite.summary import write_markdown_summary
-from two_cars import met
+from cornercase.suite import RecordingDifference, ScenarioResult, SuiteResult, Verdict
+from cornercase.suite._judge import judge_study
+from cornercase.suite._junit import write_junit
+from cornercase.suite._markdown import write_markdown_summary
+from cornercase.suite._recording_difference import compare_recording_pair
+from helpers.command_line import cornercase
+from helpers.two_cars import met
 
 SCHEMA = etree.XMLSchema(etree.parse(str(Path(__file__).parents[1] / "data" / "junit.xsd")))
 
@@ -123,7 +125,9 @@ def test_of_several_others_it_is_told_whom_each_score_is_against(ran, tmp_path):
 def test_requirements_of_a_kind_are_those_of_its_scenarios(explored, ran, tmp_path):
     kind = next(one.kind for one in ran.scenarios if one.state == "failed")
     shutil.copy(ran.study, tmp_path / "run.db")
-    found = cc.run_suite(explored / "reduced", tmp_path / "run.db", require=[f"for kind {json.dumps(kind)}: no collision"])
+    found = cc.run_suite(
+        explored / "reduced", tmp_path / "run.db", require=[f"for kind {json.dumps(kind)}: no collision"]
+    )
     assert {len(one.verdicts) for one in found.scenarios} == {0, 1}
     assert {one.id for one in found.scenarios if one.verdicts} == {one.id for one in ran.scenarios if one.kind == kind}
     with Study.open(tmp_path / "run.db", readonly=True) as study:
@@ -356,7 +360,7 @@ def test_long_names_leave_room_for_verdicts(reduced, tmp_path):
     ],
 )
 def test_requirements_come_from_files(name, content, tmp_path):
-    from cornercase.suite.requirement_files import read_requirements
+    from cornercase.suite._requirement_files import read_requirements
 
     if name.endswith("yaml"):
         pytest.importorskip("yaml")

@@ -7,11 +7,11 @@ from typing import Any
 
 import pytest
 
-from command_line import cornercase
 from conftest import car, moving, scenario_file
 from cornercase import InputError
 from cornercase import run_suite as run_scenarios
 from cornercase.simulators import simulate_many
+from helpers.command_line import cornercase
 
 SIGNAL = '<ScenarioObject name="signal"/>'
 

@@ -10,11 +10,15 @@ import cornercase as cc
 from conftest import EXAMPLES, moving, same_recording, scenario_file
 from cornercase._common.errors import InputError
 from cornercase.recordings import Recording
-from cornercase.scenario import ConcreteScenario, ScenarioFile, read_declarations
-from cornercase.simulators import SIMULATORS, BuiltinSimulator, run_scenarios, create_simulator
+from cornercase.scenario import ConcreteScenario
+from cornercase.scenario._constraints import read_declarations
+from cornercase.scenario._file import ScenarioFile
+from cornercase.simulators import SIMULATORS, BuiltinSimulator
+from cornercase.simulators._create import create_simulator
+from cornercase.simulators._results import run_scenarios
 from cornercase.study import Study
-from fake_simulators import Plan
-from test_documentation import ROOT, blocks_of
+from documentation.test_documentation import ROOT, blocks_of
+from helpers.fake_simulators import Plan
 
 pytestmark = pytest.mark.filterwarnings("ignore::cornercase._common.errors.NoticeWarning")
 

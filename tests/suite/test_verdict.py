@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from cornercase.suite import Verdict, worst_state
+from cornercase.suite import Verdict
+from cornercase.suite._verdict import worst_state
 
 
 @pytest.mark.parametrize(

@@ -10,8 +10,8 @@ from math import ceil, floor, isfinite, log10
 from numbers import Real
 from typing import Final
 
-from cornercase._common.arguments import repr_short
 from cornercase._common.errors import InputError
+from cornercase._common.validation import repr_short
 
 DEFAULT_MEMORY: Final = "4 GB"
 """Default of all ``memory`` arguments."""

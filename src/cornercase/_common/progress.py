@@ -74,7 +74,8 @@ class ProgressBar:
         if self._progress is not None:
             self._progress.update(self._task, completed=n_done, total=self._total, rate=speed, word=status)
         elif not self._is_quiet and (
-            now - self._last_line_time > _SECONDS_BETWEEN_LINES or (n_done >= self._total and n_done != self._last_n_done)
+            now - self._last_line_time > _SECONDS_BETWEEN_LINES
+            or (n_done >= self._total and n_done != self._last_n_done)
         ):
             self._last_line_time, self._last_n_done = now, n_done
             parts = [f"{n_done} of {self._total} {self._unit}", speed, status]

@@ -9,9 +9,9 @@ from inspect import Parameter, signature
 from typing import Any, Final, Generic, TypeVar, cast
 
 from cornercase._common.errors import InputError, suggest_name
-from cornercase._common.interrupts import count_requests
-from cornercase._common.parts import convert_plugin_errors, unwrap_factory, reraise_termination_request
-from cornercase._common.texts import format_exception
+from cornercase._common.plugin_errors import convert_plugin_errors, reraise_termination_request, unwrap_factory
+from cornercase._common.process.signals import count_requests
+from cornercase._common.text.sanitize import format_exception
 
 T = TypeVar("T")
 

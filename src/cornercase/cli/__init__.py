@@ -7,25 +7,52 @@ import gc
 import sys
 from typing import Final
 
-from cornercase._common.interrupts import install_signal_handlers
-from cornercase._common.platform import replace_unencodable_output
+from cornercase._common.process.platform import replace_unencodable_output
+from cornercase._common.process.signals import install_signal_handlers
 
 # Their order is that of the commands in the help.
 # isort: off
-from cornercase.cli import explore, scenario, recordings, listing, varying, simulating, study, report, demo, testing
-from cornercase.cli import estimating, comparing, verifying, warming
+from cornercase.cli import explore, scenario, recordings, listing, study, report, demo
+from cornercase.cli import vary
+from cornercase.cli import simulate
+from cornercase.cli import test
+from cornercase.cli import estimate
+from cornercase.cli import compare
+from cornercase.cli import verify
+from cornercase.cli import warm_up
 
 # isort: on
-from cornercase.cli.failures import run_command
-from cornercase.cli.messages import print_notices
+from cornercase.cli.errors import run_command
+from cornercase.cli.option_names import print_notices
 from cornercase.cli.options import app, show_tracebacks
 
 # Instead of Python's 700: the many long-lived objects of packages would be scanned three times at import.
 _OBJECTS_BETWEEN_COLLECTIONS: Final = 10_000
 
 __all__ = [
-    "app", "comparing", "demo", "estimating", "explore", "listing", "main", "recordings", "report", "scenario",
-    "simulating", "study", "testing", "varying", "verifying", "warming",
+    "app",
+    "compare",
+    "comparing",
+    "demo",
+    "estimate",
+    "estimating",
+    "explore",
+    "listing",
+    "main",
+    "recordings",
+    "report",
+    "scenario",
+    "simulate",
+    "simulating",
+    "study",
+    "test",
+    "testing",
+    "vary",
+    "varying",
+    "verify",
+    "verifying",
+    "warm_up",
+    "warming",
 ]  # fmt: skip
 
 

@@ -9,12 +9,12 @@ import typer
 
 from cornercase._common.errors import InputError
 from cornercase.cli import options as opt
-from cornercase.cli.messages import use_option_names
+from cornercase.cli.option_names import use_option_names
 from cornercase.cli.options import Option, app, err, out
 from cornercase.cli.profiling import Profile
 
 if TYPE_CHECKING:
-    from cornercase.scenario import ScenarioFile
+    from cornercase.scenario._file import ScenarioFile
     from cornercase.study import Study
 
 # Size of the suite of an example.
@@ -43,8 +43,9 @@ def demo(
       cornercase demo t-intersection -o t
     """
     from cornercase import clustering, reduction
-    from cornercase.cli.warming import compile_in_parallel
-    from cornercase.exploration import paper_experiment_config, explore_config, paper_experiment_mutant_count
+    from cornercase.cli.warm_up import compile_in_parallel
+    from cornercase.exploration._explore import explore_config
+    from cornercase.exploration._paper_examples import paper_experiment_config, paper_experiment_mutant_count
     from cornercase.report import write_report
     from cornercase.study import Study
 

@@ -9,9 +9,9 @@ import typer
 
 from cornercase.cli import options as opt
 from cornercase.cli import parsing
+from cornercase.cli.config_file import Config
 from cornercase.cli.options import Option, app
 from cornercase.cli.profiling import Profile
-from cornercase.cli.study_file import Config
 
 
 @app.command()

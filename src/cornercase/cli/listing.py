@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 from rich.table import Column, Table
 
-from cornercase._common.texts import docstring_summary, format_json
+from cornercase._common.text.sanitize import docstring_summary, format_json
 from cornercase.cli import options as opt
 from cornercase.cli.options import app, out
 
@@ -39,7 +39,9 @@ def metrics(
     listed = [METRICS.create(name) for name in dict.fromkeys(names or METRICS.names())]
     if as_json:
         keys = ("name", "unit", "lower_is_critical", "cap", "source")
-        rows = [{key: getattr(metric, key) for key in keys} | {"definition": docstring_summary(metric)} for metric in listed]
+        rows = [
+            {key: getattr(metric, key) for key in keys} | {"definition": docstring_summary(metric)} for metric in listed
+        ]
         sys.stdout.write(format_json(rows) + "\n")
         return
     # Names are printed whole even on a narrow terminal, as they are typed again.

@@ -15,9 +15,9 @@ from rich.text import Text
 
 from cornercase._common.errors import NoticeWarning
 from cornercase._common.progress import verbosity
-from cornercase._common.texts import escape_control_characters, shorten
+from cornercase._common.text.sanitize import escape_control_characters, shorten
 from cornercase._common.version import __version__
-from cornercase.cli.interrupting import InterruptibleGroup, interrupt_exit_code
+from cornercase.cli.signals import InterruptibleGroup, interrupt_exit_code
 
 if TYPE_CHECKING:
     from cornercase.exploration import ExplorationResult
@@ -160,7 +160,7 @@ Json = Annotated[bool, Option("--json", help="Print JSON, for programs.")]
 
 def _search_maps(context: typer.Context, folders: list[Path] | None) -> None:
     """Search maps in folders, and in those of the environment variable, while the command runs."""
-    from cornercase.scenario import MAPS_VARIABLE, search_maps_in
+    from cornercase.scenario._maps import MAPS_VARIABLE, search_maps_in
 
     if folders or os.environ.get(MAPS_VARIABLE):
         context.with_resource(search_maps_in(folders or ()))

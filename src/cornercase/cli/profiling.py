@@ -13,7 +13,7 @@ from typing import Annotated, Final
 import typer
 
 from cornercase._common.errors import InputError
-from cornercase._common.files import atomic_write
+from cornercase._common.io.files import atomic_write
 
 _FIRST_LINE: Final = "Where cornercase spent its time"
 _MAX_FUNCTIONS: Final = 80
@@ -48,5 +48,7 @@ def _profile_to(file: Path) -> Iterator[None]:
 
 Profile = Annotated[
     Path | None,
-    typer.Option("--profile", metavar="FILE.txt", help="Write how much time each function takes.", callback=_start_profiling),
+    typer.Option(
+        "--profile", metavar="FILE.txt", help="Write how much time each function takes.", callback=_start_profiling
+    ),
 ]

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from cornercase._common.files import check_output_differs_from_source
+from cornercase._common.io.files import check_output_differs_from_source
 from cornercase.cli import options as opt
 from cornercase.cli.options import Option, app, out
 
@@ -39,7 +39,7 @@ def measure(
       cornercase measure recording.csv --ego Ego --other Pedestrian --metric wttc -o courses.csv
     """
     from cornercase.metrics import measure as measure_recording
-    from cornercase.recordings import write_courses
+    from cornercase.recordings._csv import write_courses
 
     check_output_differs_from_source(output, recording)
     measurement = measure_recording(recording, ego, other, metric)

@@ -10,7 +10,7 @@ import typer
 
 from cornercase._common.errors import InputError
 from cornercase._common.memory import DEFAULT_MEMORY
-from cornercase._common.texts import format_json
+from cornercase._common.text.sanitize import format_json
 from cornercase.cli import options as opt
 from cornercase.cli.options import Option, app, out
 from cornercase.cli.profiling import Profile
@@ -136,8 +136,9 @@ def show(
       cornercase show study.db --critical 0.5
       cornercase show study.db --config > study.toml
     """
-    from cornercase.report import summary_to_dict, summarize, format_study_file
-    from cornercase.report.plain import replace_keys_by_words
+    from cornercase.report import summarize
+    from cornercase.report._commands import format_study_file
+    from cornercase.report.text._show import replace_keys_by_words, summary_to_dict
 
     if config:
         if as_json or critical is not None:

@@ -8,10 +8,10 @@ from typing import Annotated, Any
 import typer
 
 from cornercase._common.errors import InputError
-from cornercase._common.texts import shorten
+from cornercase._common.text.sanitize import shorten
 from cornercase.cli import options as opt
 from cornercase.cli import parsing
-from cornercase.cli.messages import MAX_LINE_LENGTH, use_option_names
+from cornercase.cli.option_names import MAX_LINE_LENGTH, use_option_names
 from cornercase.cli.options import Option, app, err, out
 
 

@@ -147,7 +147,7 @@ def reduce(
     """
     from cornercase import reduction
     from cornercase.clustering import read_analysis
-    from cornercase.study import open_study
+    from cornercase.study._study import open_study
     from cornercase.suite import analyze_mutants
 
     exposure = None
@@ -181,7 +181,9 @@ def reduce(
         share=share,
         cover=cover,
         archetypes=None if archetypes is None else parsing.parse_count_or_auto(archetypes, "--archetypes"),
-        archetypes_by=parsing.require_one_of(archetypes_by, ("auto", "hull", "pcha", "parts", "kernel"), "--archetypes-by"),
+        archetypes_by=parsing.require_one_of(
+            archetypes_by, ("auto", "hull", "pcha", "parts", "kernel"), "--archetypes-by"
+        ),
         within=within,
         kill_matrix=exposure,
         scenario=scenario,

@@ -1,3 +1,3 @@
-from .distances import distance_matrix as distance_matrix
-from .distances import distances_to as distances_to
-from .distances import kernel_matrix as kernel_matrix
+from ._distance_matrix import distance_matrix as distance_matrix
+from ._distance_matrix import distances_to as distances_to
+from ._distance_matrix import kernel_matrix as kernel_matrix

@@ -1,13 +1,1 @@
-from .direction import RoadTables as RoadTables
-from .direction import reference_cos_and_sin as reference_cos_and_sin
-from .direction import reference_heading as reference_heading
-from .direction import build_road_tables as build_road_tables
-from .direction import stays_on_road as stays_on_road
-from .lane_path import KINK_ANGLE as KINK_ANGLE
-from .lane_path import LanePath as LanePath
-from .notices import list_unsupported as list_unsupported
-from .opendrive import RoadNetwork as RoadNetwork
-from .reference_line import read_finite_number as read_finite_number
-from .sketch import Region as Region
-from .sketch import RoadOutline as RoadOutline
-from .sketch import outline_roads as outline_roads
+

@@ -12,30 +12,31 @@ from typing import TYPE_CHECKING, Any, Final, Self
 
 import numpy as np
 
-from cornercase._common import arguments
-from cornercase._common.arguments import check_float, check_int
+from cornercase._common import validation
 from cornercase._common.displays import DISPLAYS
 from cornercase._common.errors import InputError
-from cornercase._common.files import check_folder
-from cornercase._common.pending_files import atomic_write_group
-from cornercase._common.texts import parse_json, check_no_surrogates
+from cornercase._common.io.atomic import atomic_write_group
+from cornercase._common.io.files import check_folder
+from cornercase._common.text.sanitize import check_no_surrogates, parse_json
 from cornercase._common.typing import BoolArray, FloatArray
-from cornercase.drivers import ReferenceOutcome
-from cornercase.metrics import METRICS, find_critical_if_condition
+from cornercase._common.validation import check_float, check_int
+from cornercase.drivers.references.r157._preventability import ReferenceOutcome
+from cornercase.metrics import METRICS
+from cornercase.metrics.formulas._critical_if import find_critical_if_condition
 from cornercase.recordings import Collision, Recording
+from cornercase.study._arrays import read_arrays
+from cornercase.study._codec import unpack_arrays, unpack_collisions, unpack_recording
+from cornercase.study._connection import remove_sqlite_files
+from cornercase.study._damage import require_value, reraise_as_damage
+from cornercase.study._database import Database
+from cornercase.study._meta import StudyMeta, hash_points_and_scores
+from cornercase.study._notes import MAX_NOTE_LENGTH
+from cornercase.study._reference_outcomes import decode_reference_outcome, reference_metric_name
+from cornercase.study._run_rates import critical_run_rates
+from cornercase.study._scenario_table import ScenarioRecord, build_scenario_table
+from cornercase.study._schema import TABLES
+from cornercase.study._write_tables import write_scenarios, write_table
 from cornercase.study._writer import StudyWriter, optional_table_names
-from cornercase.study.arrays import read_arrays
-from cornercase.study.codec import unpack_arrays, unpack_collisions, unpack_recording
-from cornercase.study.connecting import remove_sqlite_files
-from cornercase.study.damage import reraise_as_damage, require_value
-from cornercase.study.database import Database
-from cornercase.study.export import write_scenarios, write_table
-from cornercase.study.meta import StudyMeta, hash_points_and_scores
-from cornercase.study.notes import MAX_NOTE_LENGTH
-from cornercase.study.repeated_runs import critical_run_rates
-from cornercase.study.schema import TABLES
-from cornercase.study.second_runs import decode_reference_outcome, reference_metric_name
-from cornercase.study.table import ScenarioRecord, build_scenario_table
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -125,7 +126,7 @@ class Study:
         """
         database: Database | None = None
         try:
-            file = arguments.check_path("path", path)
+            file = validation.check_path("path", path)
             # Its description may be damaged.
             with reraise_as_damage(file):
                 database = Database.open(file, readonly)
@@ -197,10 +198,18 @@ class Study:
             self._row_cache = version, rows
         return list(self._row_cache[1])
 
-    def _decode_row(self, scenario_id: int, round_number: int, point: bytes, parameters: str, state: str, error: str | None) -> ScenarioRecord:
-        require_value(isinstance(scenario_id, int) and scenario_id > 0, f"a scenario is numbered {str(scenario_id)[:60]!r}")
-        row = ScenarioRecord(scenario_id, round_number, np.frombuffer(point, "<f8"), parse_json(parameters), state, error)
-        require_value(row.point.shape == (self.space.dimension,), f"the scenario {scenario_id} has another number of parameters")
+    def _decode_row(
+        self, scenario_id: int, round_number: int, point: bytes, parameters: str, state: str, error: str | None
+    ) -> ScenarioRecord:
+        require_value(
+            isinstance(scenario_id, int) and scenario_id > 0, f"a scenario is numbered {str(scenario_id)[:60]!r}"
+        )
+        row = ScenarioRecord(
+            scenario_id, round_number, np.frombuffer(point, "<f8"), parse_json(parameters), state, error
+        )
+        require_value(
+            row.point.shape == (self.space.dimension,), f"the scenario {scenario_id} has another number of parameters"
+        )
         require_value(bool(np.isfinite(row.point).all()), f"the point of the scenario {scenario_id} is not finite")
         is_plain = all(isinstance(item, str | int | float) for item in row.values.values())
         require_value(is_plain, f"the scenario {scenario_id} has values that are neither numbers nor texts")
@@ -208,11 +217,16 @@ class Study:
             value = parameter.extract_value(row.values)
             if parameter.choices:
                 require_value(
-                    str(value) in parameter.choices, f"the scenario {scenario_id} has an unknown choice of {parameter.name}"
+                    str(value) in parameter.choices,
+                    f"the scenario {scenario_id} has an unknown choice of {parameter.name}",
                 )
             else:
-                require_value(np.isfinite(float(value)), f"the scenario {scenario_id} has no number for {parameter.name}")
-        require_value(isinstance(round_number, int) and isinstance(error, str | None), f"the scenario {scenario_id} is damaged")
+                require_value(
+                    np.isfinite(float(value)), f"the scenario {scenario_id} has no number for {parameter.name}"
+                )
+        require_value(
+            isinstance(round_number, int) and isinstance(error, str | None), f"the scenario {scenario_id} is damaged"
+        )
         return row
 
     def _read_rows_where(self, condition: str, value: int | str) -> list[ScenarioRecord]:
@@ -307,7 +321,9 @@ class Study:
         with self.snapshot():
             self._database.require_all_rows("courses")
             done = self.finished_rows()
-            score_of = {scenario: score for scenario, _, score in self._database.read_rows("courses", "metric = ?", metric)}
+            score_of = {
+                scenario: score for scenario, _, score in self._database.read_rows("courses", "metric = ?", metric)
+            }
         with reraise_as_damage(self.path):
             return np.array([float(score_of[row.id]) for row in done], dtype=np.float64)
 
@@ -371,7 +387,9 @@ class Study:
         with self.snapshot():
             self._database.require_all_rows("against")
             done = self.finished_rows()
-            sources = {scenario: other for scenario, _, other in self._database.read_rows("against", "metric = ?", metric)}
+            sources = {
+                scenario: other for scenario, _, other in self._database.read_rows("against", "metric = ?", metric)
+            }
         with reraise_as_damage(self.path):
             require_value(
                 all(scenario is None or scenario in others for scenario in sources.values()),
@@ -573,7 +591,9 @@ class Study:
         rows = self._database.read_rows("notes")
         with reraise_as_damage(self.path):
             for scenario, note in rows:
-                require_value(isinstance(note, str) and len(note) <= MAX_NOTE_LENGTH, f"the note on the scenario {scenario}")
+                require_value(
+                    isinstance(note, str) and len(note) <= MAX_NOTE_LENGTH, f"the note on the scenario {scenario}"
+                )
             return dict(rows)
 
     def _require_metric(self, metric: str) -> None:
@@ -718,7 +738,9 @@ class Study:
         if missing := sorted(set(array_names).difference(stored)):
             raise InputError(f"{self.path}: its analysis by {name} lacks {', '.join(missing)}; run `analyze` again.")
         with reraise_as_damage(self.path), self.snapshot():
-            values = read_arrays(self._database.read_rows, name, list(array_names or stored), sum(self._count_states().values()))
+            values = read_arrays(
+                self._database.read_rows, name, list(array_names or stored), sum(self._count_states().values())
+            )
             return values, parse_json(rows[0][1])
 
     def read_reduction(self) -> dict[str, Any] | None:
@@ -967,7 +989,7 @@ def open_study(study: Study | Path | str, readonly: bool = False, critical: floa
         with _override_critical(study, threshold):
             yield study
         return
-    with Study.open(arguments.check_path("study", study), readonly) as opened, _override_critical(opened, threshold):
+    with Study.open(validation.check_path("study", study), readonly) as opened, _override_critical(opened, threshold):
         yield opened
 
 

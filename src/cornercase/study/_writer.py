@@ -11,20 +11,20 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy.typing as npt
 
 from cornercase._common.errors import InputError, SimulationError
-from cornercase._common.texts import remove_folders
+from cornercase._common.text.sanitize import remove_folders
 from cornercase._common.typing import FloatArray
-from cornercase.drivers import ReferenceOutcome
-from cornercase.metrics import MetricResult
+from cornercase.drivers.references.r157._preventability import ReferenceOutcome
+from cornercase.metrics._measure import MetricResult
 from cornercase.recordings import Recording
 from cornercase.scenario import Value
-from cornercase.study.arrays import write_arrays
-from cornercase.study.codec import pack_arrays, pack_recording
-from cornercase.study.database import Database
-from cornercase.study.meta import StudyMeta
-from cornercase.study.schema import CREATE_STATEMENTS, TABLES
-from cornercase.study.seals import insert_rows, delete_rows
-from cornercase.study.second_runs import write_reference_outcomes
-from cornercase.study.table import ScenarioRecord
+from cornercase.study._arrays import write_arrays
+from cornercase.study._checksums import delete_rows, insert_rows
+from cornercase.study._codec import pack_arrays, pack_recording
+from cornercase.study._database import Database
+from cornercase.study._meta import StudyMeta
+from cornercase.study._reference_outcomes import write_reference_outcomes
+from cornercase.study._scenario_table import ScenarioRecord
+from cornercase.study._schema import CREATE_STATEMENTS, TABLES
 
 if TYPE_CHECKING:
     from cornercase.study._study import Study
@@ -150,7 +150,9 @@ class StudyWriter:
             insert_rows(connection, "courses", packed)
             if len(self._study.meta.others) > 1:
                 sources = [
-                    (scenario, name, result.against) for name, result in courses.items() if isinstance(result, MetricResult)
+                    (scenario, name, result.against)
+                    for name, result in courses.items()
+                    if isinstance(result, MetricResult)
                 ]
                 insert_rows(connection, "against", sources)
             self._end_scenario(connection, scenario, "done", None, pack_recording(recording))
@@ -169,7 +171,11 @@ class StudyWriter:
         """Make failed scenarios pending again; return their number."""
         failed = self._study.failed_rows()
         with self._database.transaction() as connection:
-            insert_rows(connection, "scenarios", [_encode_pending_row(replace(row, state="pending", error=None)) for row in failed])
+            insert_rows(
+                connection,
+                "scenarios",
+                [_encode_pending_row(replace(row, state="pending", error=None)) for row in failed],
+            )
             for row in failed if self._study.meta.asynchronous else ():
                 # It will get a new result.
                 delete_rows(connection, "results", "scenario = ?", row.id)
@@ -223,7 +229,9 @@ class StudyWriter:
         """Add to the times in s spent in several stages, in one transaction."""
         with self._database.transaction() as connection:
             stored = dict(self._database.read_rows("elapsed"))
-            insert_rows(connection, "elapsed", [(stage, stored.get(stage, 0.0) + spent) for stage, spent in seconds.items()])
+            insert_rows(
+                connection, "elapsed", [(stage, stored.get(stage, 0.0) + spent) for stage, spent in seconds.items()]
+            )
 
 
 def _encode_pending_row(row: ScenarioRecord) -> tuple[Any, ...]:

@@ -1,1 +1,1 @@
-"""The reference drivers of UN Regulation No. 157."""
+"""Reference drivers of regulations."""

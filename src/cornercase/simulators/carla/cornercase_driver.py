@@ -121,7 +121,9 @@ def _plan_route(actor: Any, targets: List[Any]) -> List[Tuple[Any, Any]]:
             if not following:
                 break
             current = last
-            last = min(following, key=lambda point: abs(_direction_difference(current, (point.next(_LOOKAHEAD) or [point])[0])))
+            last = min(
+                following, key=lambda point: abs(_direction_difference(current, (point.next(_LOOKAHEAD) or [point])[0]))
+            )
             plan.append((last, RoadOption.LANEFOLLOW))
     return plan
 

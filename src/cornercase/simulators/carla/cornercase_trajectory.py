@@ -59,7 +59,10 @@ class CornercaseTrajectory(BasicControl):  # type: ignore[misc]
         dx, dy = x - transform.location.x, y - transform.location.y
         if isinstance(self._actor, carla.Walker):
             self._move_walker(dx, dy, step)
-        elif isinstance(self._actor, carla.Vehicle) and math.hypot(dx, dy) < _MAX_DEVIATION + self._speed_at(elapsed) * step:
+        elif (
+            isinstance(self._actor, carla.Vehicle)
+            and math.hypot(dx, dy) < _MAX_DEVIATION + self._speed_at(elapsed) * step
+        ):
             vertical_speed = self._actor.get_velocity().z
             self._actor.set_target_velocity(carla.Vector3D(dx / step, dy / step, vertical_speed))
             self._actor.set_target_angular_velocity(

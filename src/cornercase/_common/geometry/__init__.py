@@ -1,0 +1,1 @@
+"""Boxes in the plane, and which of many overlap."""

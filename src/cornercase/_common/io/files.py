@@ -1,0 +1,127 @@
+"""Read files; write files atomically; check output paths before work begins."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Final
+
+from cornercase._common.errors import InputError
+from cornercase._common.io.atomic import SQLITE_SUFFIXES, atomic_write_group, current_or_new_group, write_error
+from cornercase._common.validation import check_path as path_argument
+
+# Characters that Windows refuses or that control a terminal; device names; maximum length: file systems allow 255
+# bytes, and a suffix and a temporary name need some of them.
+_INVALID_CHARACTERS: Final = re.compile(
+    r'[<>:"/\\|?*\x00-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]+'
+)
+_DEVICE_NAMES: Final = re.compile(r"(con|prn|aux|nul|conin\$|conout\$|com[\d¹²³]|lpt[\d¹²³])\s*(\.|$)", re.IGNORECASE)
+_MAX_NAME_BYTES: Final = 150
+_CHUNK_SIZE: Final = 1 << 20
+MAX_FILE_SIZE: Final = 200_000_000
+"""Bytes; largest file that is read."""
+
+
+def portable_name(text: str) -> str:
+    """Turn a text into a file name that is valid on every platform, cut to 150 bytes, neither hidden nor a folder.
+
+    >>> portable_name("criticality-ttc:accelerating=true")
+    'criticality-ttc-accelerating=true'
+    """
+    name = _INVALID_CHARACTERS.sub("-", text).encode()[:_MAX_NAME_BYTES].decode(errors="ignore").rstrip(". ") or "-"
+    return f"-{name}" if _DEVICE_NAMES.match(name) or name.startswith(".") else name
+
+
+def read_file(path: Path | str, max_size: int = MAX_FILE_SIZE) -> bytes:
+    """Content of a regular file; `InputError` if it cannot be read or has more than `max_size` bytes."""
+    path = Path(path)
+    # No file system allows it.
+    if "\0" in str(path):
+        raise InputError(f"{path}: is not a valid file name.")
+    # Reading a device or a pipe may never end.
+    if path.exists() and not path.is_file():
+        raise InputError(f"{path}: is not a file.")
+    try:
+        with open(path, "rb") as file:
+            # Requesting the maximum would allocate it, whatever the size.
+            content = file.read(min(os.fstat(file.fileno()).st_size, max_size) + 1)
+            # Some system files report size 0.
+            while len(content) <= max_size and (more := file.read(_CHUNK_SIZE)):
+                content += more
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}).") from error
+    if len(content) > max_size:
+        raise InputError(f"{path}: has more than {max_size} bytes, which are not read.")
+    return content
+
+
+@contextmanager
+def atomic_write(path: Path | str) -> Iterator[Path]:
+    """Yield a temporary path next to `path`, and rename it to `path` when the block succeeds.
+
+    The content is synced to disk first, so that a power cut leaves either the old or the new file. Within
+    `atomic_write_group`, files are renamed at the end of that block. `InputError` if it fails; nothing is left behind.
+    """
+    path = Path(path)
+    with current_or_new_group() as files:
+        temporary = files.add_file(path)
+        try:
+            yield temporary
+        except OSError as error:
+            raise write_error(path, error) from error
+
+
+# Suffixes of SQLite's files, and of the lock file of earlier versions.
+_SIDE_FILE_SUFFIXES: Final = (*SQLITE_SUFFIXES, ".lock")
+
+
+def check_output_differs_from_source(output: Path | str, source: Path | str, name: str = "output") -> None:
+    """Raise `InputError` if `output` is the source file (also by another name) or one of SQLite's side files."""
+    output, source = Path(output), Path(source)
+    if output.exists() and source.exists() and output.samefile(source):
+        raise InputError(f"`{name}` {output}: is the file that is read; choose another name.")
+    if _is_side_file(output, source):
+        raise InputError(f"`{name}` {output}: belongs to the file that is read; choose another name.")
+
+
+def check_output_is_not_study(output: Path, study: Path, name: str) -> None:
+    """Raise `InputError` if `output` is the study that is being written, or one of its side files."""
+    if os.path.realpath(output) == os.path.realpath(study) or _is_side_file(output, study):
+        raise InputError(f"`{name}` {output}: is the study, or belongs to it; choose another name.")
+
+
+def _is_side_file(output: Path, database: Path) -> bool:
+    # A circular link is left as it is; writing to it is refused later.
+    database_path, output_path = os.path.realpath(database), os.path.realpath(output)
+    return output_path in {database_path + ending for ending in _SIDE_FILE_SUFFIXES}
+
+
+def check_writable_file(name: str, path: Path) -> None:
+    """Raise `InputError`, before the work begins, if a file could not be written to `path`."""
+    if path.exists() and not path.is_file():
+        raise InputError(f"`{name}` {path}: is not a file; choose another name.")
+    folder = next(parent for parent in (path.parent, *path.parent.parents) if parent.exists())
+    if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
+        raise InputError(f"`{name}` {path}: cannot be written into {folder}; choose another place.")
+
+
+def write_files(contents: Mapping[Path, bytes]) -> None:
+    """Write several files, all or none."""
+    with atomic_write_group():
+        for path, content in contents.items():
+            with atomic_write(path) as temporary:
+                temporary.write_bytes(content)
+
+
+def check_folder(name: str, folder: Path | str) -> Path:
+    """Return the folder's path; `InputError` if it cannot be made because a file is in its place."""
+    folder = path_argument(name, folder)
+    for parent in (folder, *folder.parents):
+        if parent.is_dir():
+            break
+        if parent.exists():
+            raise InputError(f"`{name}` {folder}: {parent} is a file, not a folder; choose another name.")
+    return folder

@@ -1,0 +1,54 @@
+"""File locks between processes of a machine; the operating system frees them when a process ends."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+from typing import Final
+
+from filelock import BaseFileLock, FileLock, Timeout
+
+# Seconds between attempts (locks are held for milliseconds), and seconds until it gives up.
+_POLL_INTERVAL, _TIMEOUT = 0.005, 60.0
+# Locks that timed out; they are not waited for again until somebody frees them.
+_TIMED_OUT: Final[set[Path]] = set()
+
+
+def try_lock(path: Path) -> BaseFileLock | None:
+    """Acquire a lock, or return None if somebody else holds it. OSError if the file cannot be written."""
+    # Any thread may release it.
+    lock = FileLock(path, thread_local=False)
+    try:
+        lock.acquire(blocking=False)
+    except Timeout:
+        # filelock raises the same if the file cannot be created.
+        if not path.exists():
+            path.touch()
+        return None
+    except NotImplementedError as error:
+        raise OSError(None, "its file system has no locks") from error
+    return lock
+
+
+@contextmanager
+def lock(path: Path) -> Iterator[None]:
+    """Hold a lock during the block; reentrant within a thread.
+
+    If its file cannot be written there is nothing to protect, and no lock is held. A holder that has not released it
+    after a minute has been stopped; it is not waited for any longer, nor again.
+    """
+    with ExitStack() as stack:
+        timeout = 0.0 if path in _TIMED_OUT else _TIMEOUT
+        # filelock's Timeout is an OSError, too.
+        with suppress(OSError, NotImplementedError):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            try:
+                stack.enter_context(
+                    FileLock(path, is_singleton=True).acquire(timeout=timeout, poll_interval=_POLL_INTERVAL)
+                )
+            except Timeout:
+                _TIMED_OUT.add(path)
+            else:
+                _TIMED_OUT.discard(path)
+        yield

@@ -1,0 +1,1 @@
+"""Kernels: compiled once, kept on disk, called with pointers."""

@@ -1,0 +1,103 @@
+"""Cache key of a kernel: a digest of its code, of all that it calls, and of the constants it uses."""
+
+from __future__ import annotations
+
+import enum
+import hashlib
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import CodeType, FunctionType, ModuleType
+from typing import Any
+
+import numpy as np
+from numba.core.dispatcher import Dispatcher
+
+
+def kernel_digest(function: Callable[..., Any], options: dict[str, Any]) -> str:
+    """Digest of everything the machine code of a function depends on, in whatever module.
+
+    Closure variables are left out; numba distinguishes versions by them. Raises TypeError for a global of unknown kind.
+    """
+    digest = hashlib.sha256(repr(sorted(options.items())).encode())
+    for part in _DigestWalk().walk(function, frozenset()):
+        digest.update(len(part).to_bytes(8, "little") + part)
+    return digest.hexdigest()
+
+
+# Only names count for these packages: numba discards the cache of its other versions, and refers to functions of the
+# others by name.
+_EXTERNAL_PACKAGES = sys.stdlib_module_names | {"numba", "numpy"}
+
+
+class _DigestWalk:
+    """Walks through a function and what it uses. Each function is visited once, as functions may call one another."""
+
+    def __init__(self) -> None:
+        self.seen: set[Any] = set()
+
+    def walk(self, value: Any, names: frozenset[str]) -> Iterator[bytes]:
+        """Yield the bytes that identify a value; of a module, only its attributes in `names`."""
+        if isinstance(value, Dispatcher):
+            yield repr(sorted(value.targetoptions.items())).encode()
+            value = value.py_func
+        if isinstance(value, bool | int | float | complex | str | bytes | np.generic | np.dtype | None):
+            yield f"{type(value).__name__} {value!r}".encode()
+        elif isinstance(value, tuple):
+            yield f"{type(value).__name__} {len(value)}".encode()
+            for item in value:
+                yield from self.walk(item, names)
+        elif isinstance(value, np.ndarray):
+            yield f"{value.dtype.str} {value.shape}".encode() + value.tobytes()
+        elif isinstance(value, enum.EnumMeta):
+            members: dict[str, Any] = dict(value.__members__)
+            yield repr([(name, member.value) for name, member in members.items()]).encode()
+        elif isinstance(value, ModuleType):
+            if not _is_external(value.__name__):
+                yield from self._walk_names(vars(value), names)
+        elif not hasattr(value, "__module__"):
+            raise TypeError(f"a kernel uses {value!r}, which cannot be hashed.")
+        elif _is_external(value.__module__):
+            yield f"{value.__module__} {getattr(value, '__qualname__', value)}".encode()
+        elif value not in self.seen:
+            self.seen.add(value)
+            yield from (
+                self._walk_function(value)
+                if isinstance(value, FunctionType)
+                else self._walk_source_file(value.__module__)
+            )
+
+    def _walk_names(self, namespace: dict[str, Any], names: frozenset[str]) -> Iterator[bytes]:
+        for name in sorted(names & namespace.keys()):
+            yield name.encode()
+            yield from self.walk(namespace[name], names)
+
+    def _walk_function(self, function: FunctionType) -> Iterator[bytes]:
+        names: set[str] = set()
+        yield from _walk_bytecode(function.__code__, names)
+        yield from self._walk_names(function.__globals__, frozenset(names))
+        yield repr(function.__defaults__).encode()
+
+    def _walk_source_file(self, module: str) -> Iterator[bytes]:
+        """Yield the source file of a module whose objects have no bytecode, such as numba's intrinsics."""
+        if module not in self.seen:
+            self.seen.add(module)
+            yield Path(str(sys.modules[module].__file__)).read_bytes()
+
+
+def _is_external(module: str) -> bool:
+    return module.partition(".")[0] in _EXTERNAL_PACKAGES
+
+
+def _walk_bytecode(code: CodeType, names: set[str]) -> Iterator[bytes]:
+    """Yield instructions and constants (no line numbers), and add the names that occur to `names`."""
+    names.update(code.co_names)
+    yield f"{code.co_varnames} {code.co_freevars} {code.co_names} {code.co_argcount}".encode()
+    yield code.co_code + code.co_exceptiontable
+    for constant in code.co_consts:
+        if isinstance(constant, CodeType):
+            yield from _walk_bytecode(constant, names)
+        elif isinstance(constant, frozenset):
+            yield repr(sorted(map(repr, constant))).encode()
+        else:
+            yield repr(constant).encode()

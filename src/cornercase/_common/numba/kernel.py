@@ -1,0 +1,174 @@
+"""The decorator `kernel`: numba compilation with a cache on disk that concurrent processes share safely."""
+
+# numba's caching internals have no type hints.
+# mypy: disable-error-code="no-untyped-call, no-untyped-def, misc"
+
+from __future__ import annotations
+
+import logging
+import multiprocessing
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any, cast
+from weakref import WeakSet
+
+from numba import njit, types
+from numba.core import event
+from numba.core.caching import FunctionCache
+from numba.core.runtime.nrt import rtsys
+
+from cornercase._common.io.locks import lock
+from cornercase._common.numba.cache_key import kernel_digest
+
+_LOG = logging.getLogger(__name__)
+_KERNELS: WeakSet[Any] = WeakSet()
+
+
+class _SharedCache(FunctionCache):
+    """numba's disk cache, used by one process at a time.
+
+    numba reads the index of a function, adds to it and writes it back. If two processes do so at once, one can end up
+    with the other's machine code under its own key. Truncated files (full disk, crash) count as missing.
+
+    numba keeps machine code while the function's file is unchanged. Here the key covers all that the code contains: the
+    function, what it calls and its constants, in whatever module.
+    """
+
+    def __init__(self, function, options):
+        super().__init__(function)
+        self._options = options
+        self._cache_file._source_stamp = None
+
+    def load_overload(self, sig, target_context):
+        # Loading machine code needs only this; numba would load its whole compiler (a third of a second).
+        rtsys.initialize(target_context)
+        self._set_source_stamp()
+        with lock(self._lock_path()):
+            try:
+                with self._guard_against_spurious_io_errors():
+                    return self._load_overload(sig, target_context)
+            except Exception:  # what pickle raises for a part of a file is not one kind of error
+                self.flush()
+                return None
+
+    def save_overload(self, sig, data):
+        self._set_source_stamp()
+        try:
+            with lock(self._lock_path()):
+                super().save_overload(sig, data)
+        except OSError as error:
+            # A full disk only prevents caching; the compiled code is used all the same.
+            _COMPILATION_LISTENER.report_not_cached(f"{self.cache_path}: {error.strerror}")
+
+    def _index_key(self, sig, codegen):
+        # Machine code accesses the fields of a named tuple by position.
+        return (*super()._index_key(sig, codegen), tuple(_tuple_fields(kind) for kind in sig))
+
+    def _set_source_stamp(self):
+        # Not at definition time: functions that it calls may be defined later.
+        if self._cache_file._source_stamp is None:
+            self._cache_file._source_stamp = kernel_digest(self._py_func, self._options)
+
+    def _lock_path(self):
+        return Path(self.cache_path) / "cornercase.lock"
+
+
+def _tuple_fields(numba_type: Any) -> tuple[Any, ...]:
+    inner: Any = numba_type
+    if not isinstance(numba_type, types.BaseTuple):
+        return ()
+    named = inner.fields if isinstance(numba_type, types.BaseNamedTuple) else ()
+    return (named, *map(_tuple_fields, inner))
+
+
+def kernel(**options: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Decorator: compile with ``numba.njit(nogil=True, **options)``, and cache the machine code on disk."""
+
+    def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
+        compiled = njit(nogil=True, **options)(function)
+        # Without a writable folder, each process compiles anew.
+        with suppress(RuntimeError):
+            compiled._cache = _SharedCache(function, options)
+        _KERNELS.add(compiled)
+        return cast(Callable[..., Any], compiled)
+
+    return decorate
+
+
+class _CompilationListener(event.Listener):
+    """Listens to numba's compilation. If nobody else listens, it logs one warning that kernels are being compiled.
+
+    Worker processes leave that to their parent.
+    """
+
+    def __init__(self) -> None:
+        self.not_cached_reason = ""
+        self.listeners: list[Callable[[str], None]] = []
+        self.start_callbacks: list[Callable[[], None]] = []
+        self.is_quiet = multiprocessing.parent_process() is not None
+
+    def on_start(self, event: Any) -> None:
+        kernel = event.data["dispatcher"]
+        if kernel not in _KERNELS:
+            return
+        cached = isinstance(kernel._cache, _SharedCache)
+        if not cached:
+            self.not_cached_reason = _NO_CACHE_FOLDER_MESSAGE
+        while cached and self.start_callbacks:
+            self.start_callbacks.pop()()
+        for listener in self.listeners:
+            listener(f"{kernel.py_func.__module__.removeprefix('cornercase.')}.{kernel.py_func.__name__}")
+        if not (self.listeners or self.is_quiet):
+            self.is_quiet = True
+            _LOG.warning(_CACHED_MESSAGE if cached else _NOT_CACHED_MESSAGE)
+
+    def on_end(self, event: Any) -> None:
+        pass
+
+    def report_not_cached(self, reason: str) -> None:
+        """Log once why machine code is not cached, unless somebody else listens."""
+        if not (self.not_cached_reason or self.listeners or multiprocessing.parent_process() is not None):
+            _LOG.warning("Compiled kernels cannot be cached: %s.", reason)
+        self.not_cached_reason = reason
+
+
+_CACHED_MESSAGE = (
+    "Compiling kernels for this machine (cached for later runs); 'cornercase warm-up' compiles all in advance."
+)
+_NO_CACHE_FOLDER_MESSAGE = "no cache folder is writable; set NUMBA_CACHE_DIR to one that is"
+_NOT_CACHED_MESSAGE = "Compiling kernels in each process anew; set NUMBA_CACHE_DIR to a writable folder to cache them."
+_COMPILATION_LISTENER = _CompilationListener()
+event.register("numba:compile", _COMPILATION_LISTENER)
+
+
+@contextmanager
+def listen_to_compilation(listener: Callable[[str], None]) -> Iterator[None]:
+    """Within the block, call `listener` with module and name of each kernel that numba compiles; log nothing."""
+    _COMPILATION_LISTENER.listeners.append(listener)
+    try:
+        yield
+    finally:
+        _COMPILATION_LISTENER.listeners.remove(listener)
+
+
+@contextmanager
+def call_on_first_compilation(callback: Callable[[], None]) -> Iterator[None]:
+    """Within the block, call `callback` once, when numba first compiles a kernel that will be cached."""
+    _COMPILATION_LISTENER.start_callbacks.append(callback)
+    try:
+        yield
+    finally:
+        with suppress(ValueError):
+            _COMPILATION_LISTENER.start_callbacks.remove(callback)
+
+
+def count_ready_kernels() -> tuple[int, int]:
+    """Return how many of the imported kernels are ready to run, and how many there are."""
+    kernels = list(_KERNELS)
+    return sum(bool(function.signatures) for function in kernels), len(kernels)
+
+
+def reason_not_cached() -> str:
+    """Reason why compiled machine code could not be cached; empty if it was, or if nothing was compiled."""
+    return _COMPILATION_LISTENER.not_cached_reason

@@ -1,0 +1,130 @@
+"""Turn exceptions of users' drivers, simulators and metrics into one-sentence errors."""
+
+from __future__ import annotations
+
+import re
+import traceback
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import Final
+
+from cornercase._common.errors import InputError, PluginError, RunLostError, SimulationError, is_machine_error
+from cornercase._common.process.signals import collect_interrupts, count_requests, is_termination_request
+from cornercase._common.text.sanitize import remove_folders, shorten
+
+_PACKAGE_FOLDER: Final = str(Path(__file__).parents[1])
+# Limits of a description: lines of the traceback, and characters of a line, of the message and of all.
+_MAX_LINES: Final = 3
+_MAX_LINE_LENGTH: Final = 90
+_MAX_MESSAGE_LENGTH: Final = 200
+_MAX_LENGTH: Final = 700
+_TIME_PATTERN: Final = re.compile(r" at t = (\d[\d.e+-]*) s\b")
+
+
+@contextmanager
+def convert_plugin_errors(name: str, plugin: object, activity: str = "") -> Iterator[None]:
+    """Turn exceptions of a plug-in in the block into `InputError`; keep `InputError` and termination requests.
+
+    `name` starts the sentence: ``"The simulator 'braking'"``; `activity` says when: ``"in ask"``. Exceptions of
+    built-in parts are bugs of cornercase, and stay as they are.
+    """
+    with collect_interrupts():
+        n_requests = count_requests()
+        try:
+            yield
+        except InputError:
+            raise
+        except BaseException as error:
+            reraise_termination_request(error, n_requests)
+            if is_built_in(plugin):
+                raise
+            when = f" {activity}" if activity else ""
+            raise InputError(f"{name} failed{when}: {describe_error(error)}; fix it.") from error
+
+
+def unwrap_factory(factory: Callable[..., object]) -> Callable[..., object]:
+    """Class or function behind a factory, which may be a `partial`."""
+    return factory.func if isinstance(factory, partial) else factory
+
+
+def is_built_in(plugin: object) -> bool:
+    """Whether an object, or its class, comes with cornercase."""
+    return str(getattr(plugin, "__module__", "")).partition(".")[0] == "cornercase"
+
+
+def make_scenario_failure(
+    plugin_name: str, error: BaseException, n_requests_before: int, time: float | None = None
+) -> SimulationError:
+    """Make the failure of a scenario from an exception of a plug-in.
+
+    It is a `RunLostError` (the scenario may be run again) if the machine is at fault, such as a full disk.
+    KeyboardInterrupt is raised if somebody asked the program to end. `n_requests_before` is `count_requests` before the
+    code ran.
+    """
+    reraise_termination_request(error, n_requests_before)
+    message = f"{plugin_name} failed{format_time_of_failure(time)}: {describe_error(error)}"
+    return RunLostError(message) if is_machine_error(error) else PluginError(message)
+
+
+def reraise_termination_request(error: BaseException, n_requests_before: int) -> None:
+    """Raise `KeyboardInterrupt` if an exception came from a termination request."""
+    if is_termination_request(error, n_requests_before):
+        if isinstance(error, KeyboardInterrupt):
+            raise error
+        raise KeyboardInterrupt from error
+
+
+def format_time_of_failure(time: float | None) -> str:
+    """Format the time of a failure in a scenario: ``" at t = 1.25 s"``; empty for None."""
+    return "" if time is None else f" at t = {time:.6g} s"
+
+
+def describe_error(error: BaseException) -> str:
+    """Describe an exception in one line, with the last lines of its traceback and without a full stop.
+
+    ``"RuntimeError: no gap (aeb.py line 12 in acceleration: raise RuntimeError('no gap'))"``. Folders are left out, as
+    they are private.
+    """
+    try:
+        message = str(error)
+    except BaseException:
+        message = ""
+    message = shorten(" ".join(remove_folders(message).split()).rstrip(".: "), _MAX_MESSAGE_LENGTH)
+    name = type(error).__name__
+    lines = "; ".join(_traceback_lines(error))
+    return shorten((f"{name}: {message}" if message else name) + (f" ({lines})" if lines else ""), _MAX_LENGTH)
+
+
+def group_failure_messages(errors: Iterable[str]) -> dict[str, list[int]]:
+    """Group failure messages that differ only in time: message (first and last time) → indices, most frequent first."""
+    texts = list(errors)
+    groups: dict[str, list[int]] = {}
+    for k, text in enumerate(texts):
+        groups.setdefault(_TIME_PATTERN.sub("", text, count=1), []).append(k)
+    ranked = sorted(groups.values(), key=lambda members: (-len(members), members[0]))
+    return {_merge_times([texts[k] for k in members]): members for members in ranked}
+
+
+def _merge_times(texts: list[str]) -> str:
+    """First of several messages that differ only in time, with the earliest and latest time."""
+    instants = [float(match[1]) for text in texts if (match := _TIME_PATTERN.search(text)) is not None]
+    if not instants or min(instants) == max(instants):
+        return texts[0]
+    return _TIME_PATTERN.sub(f" at t = {min(instants):.6g} to {max(instants):.6g} s", texts[0], count=1)
+
+
+def _traceback_lines(error: BaseException) -> list[str]:
+    """Last lines of a traceback, starting where it leaves this package."""
+    frames = list(traceback.walk_tb(error.__traceback__))
+    foreign = [k for k, (frame, _) in enumerate(frames) if not frame.f_code.co_filename.startswith(_PACKAGE_FOLDER)]
+    frames = frames[foreign[0] :] if foreign else []
+    summaries = traceback.StackSummary.extract(iter(frames[-_MAX_LINES:]))
+    return [_format_frame(summary) for summary in summaries]
+
+
+def _format_frame(frame: traceback.FrameSummary) -> str:
+    location = f"{Path(frame.filename).name} line {frame.lineno} in {frame.name}"
+    text = " ".join((frame.line or "").split())
+    return f"{location}: {shorten(text, _MAX_LINE_LENGTH)}" if text else location

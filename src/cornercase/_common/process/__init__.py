@@ -1,0 +1,1 @@
+"""Processes: signals, children, clusters, and what differs between platforms."""

@@ -1,0 +1,290 @@
+"""Differences between Linux, macOS and Windows; no other module checks the platform."""
+
+from __future__ import annotations
+
+import errno
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from multiprocessing import resource_tracker
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from cornercase._common.process.current_folder import hide_current_folder_from_children
+
+if TYPE_CHECKING:
+    from psutil import Process
+
+_WINDOWS: Final = sys.platform == "win32"
+# A virus scanner or an indexer may hold a new file for a moment.
+_MAX_ATTEMPTS, _RETRY_DELAY = 20, 0.05
+# errno values of file systems that do not support an operation.
+_NOT_SUPPORTED_ERRNOS: Final = (errno.EINVAL, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS)
+# Higher exit codes are Windows exceptions, which are known by hexadecimal numbers.
+_FIRST_WINDOWS_EXCEPTION_CODE: Final = 0xC0000000
+
+
+def count_available_cpus() -> int:
+    """Number of CPUs that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def user_cache_folder() -> Path:
+    """Folder for caches of the user's programs: ``XDG_CACHE_HOME`` if set, else that of the platform."""
+    configured = os.environ.get("XDG_CACHE_HOME") or (os.environ.get("LOCALAPPDATA") if _WINDOWS else None)
+    if configured:
+        return Path(configured)
+    return Path.home() / ("Library/Caches" if sys.platform == "darwin" else ".cache")
+
+
+def new_file_mode() -> int:
+    """Permissions of a new file according to the umask."""
+    # The umask can only be read by setting it.
+    mask = os.umask(0o077)
+    os.umask(mask)
+    return 0o666 & ~mask
+
+
+def replace_file(source: Path, target: Path) -> None:
+    """Rename `source` to `target`, replacing it.
+
+    Windows refuses while a program has one of them open; virus scanners do so for a moment, so it is retried for a
+    second.
+    """
+    for _ in range(_MAX_ATTEMPTS if _WINDOWS else 0):
+        with suppress(PermissionError):
+            os.replace(source, target)
+            return
+        time.sleep(_RETRY_DELAY)
+    os.replace(source, target)
+
+
+def can_rename_open_files() -> bool:
+    """Whether a file that is open can be renamed and replaced (not on Windows)."""
+    return not _WINDOWS
+
+
+def fsync_file(path: Path) -> None:
+    """Sync a file's content to disk; nothing if the file system cannot. OSError if the disk is full or broken."""
+    # The user's umask may forbid writing to new files.
+    _fsync(path, os.O_RDWR | getattr(os, "O_BINARY", 0) if _WINDOWS else os.O_RDONLY)
+
+
+def fsync_folder(path: Path) -> None:
+    """Sync the names in a folder to disk; Windows leaves that to the file system."""
+    if not _WINDOWS:
+        # A folder may be writable but not readable.
+        with suppress(PermissionError):
+            _fsync(path, os.O_RDONLY)
+
+
+def _fsync(path: Path, flags: int) -> None:
+    handle = os.open(path, flags)
+    try:
+        if sys.platform == "darwin":
+            import fcntl
+
+            # On macOS, fsync does not flush the disk's own cache.
+            with suppress(OSError):
+                fcntl.fcntl(handle, fcntl.F_FULLFSYNC)
+                return
+        os.fsync(handle)
+    except OSError as error:
+        if error.errno not in _NOT_SUPPORTED_ERRNOS:
+            raise
+    finally:
+        os.close(handle)
+
+
+@contextmanager
+def lock_folder(folder: Path) -> Iterator[None]:
+    """Lock a folder for the block without making a file, where the platform can."""
+    with ExitStack() as stack:
+        # Windows and some file systems cannot lock folders.
+        with suppress(OSError, ImportError):
+            import fcntl
+
+            handle = os.open(folder, os.O_RDONLY)
+            stack.callback(os.close, handle)
+            fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
+
+
+def encode_path(path: Path) -> bytes:
+    """Encode a path for the C library; on Windows in the system's code page, which may lack a character."""
+    return str(path).encode("mbcs", "strict") if _WINDOWS else os.fsencode(path)
+
+
+def detach_from_terminal() -> None:
+    """Ignore Ctrl-C, and make this process and its children a process group where the platform has groups."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if hasattr(signal, "pthread_sigmask"):
+        # Blocked by `block_interrupts`.
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT, *termination_signals()})
+    if hasattr(os, "setsid"):
+        os.setsid()
+
+
+@contextmanager
+def block_interrupts(*other_signals: signal.Signals) -> Iterator[None]:
+    """Block Ctrl-C, and `other_signals`, in this thread and in processes and threads that it starts.
+
+    A child keeps it blocked until `detach_from_terminal`, so that it is not interrupted while it imports. Without
+    effect where the platform has no signal masks.
+    """
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGHUP})
+    try:
+        # Started now, as it would otherwise start with the first process and unblock Ctrl-C. SIGHUP is blocked so that
+        # closing the terminal does not end it unnoticed.
+        with hide_current_folder_from_children():
+            resource_tracker.ensure_running()
+        signal.pthread_sigmask(signal.SIG_SETMASK, {*before, signal.SIGINT, *other_signals})
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def find_program(name: str, folders: Sequence[str] | None = None) -> str | None:
+    """Path of a program in `folders` (default: PATH), or None.
+
+    Never in the current folder, where Windows would look first: a program there is not trusted.
+    """
+    folders_to_search = [path for path in (os.get_exec_path() if folders is None else folders) if path]
+    if not _WINDOWS:
+        return shutil.which(name, path=os.pathsep.join(folders_to_search))
+    endings = os.environ.get("PATHEXT", ".EXE").split(os.pathsep)
+    files = (Path(folder, name + ending) for folder in folders_to_search for ending in endings)
+    return next((str(path) for path in files if path.is_file()), None)
+
+
+def detached_process_options() -> dict[str, Any]:
+    """Options of `subprocess.Popen` for a process that survives this one and its group, without terminal or window."""
+    # Written so that type checkers understand it.
+    if sys.platform == "win32":
+        return {"creationflags": subprocess.CREATE_NO_WINDOW | subprocess.CREATE_NEW_PROCESS_GROUP}
+    return {"start_new_session": True}
+
+
+def list_process_tree(process_id: int, *, include_group: bool = True) -> list[Process]:
+    """The running process and its descendants; with `include_group`, also orphaned members of its group."""
+    # Imported late: only needed to start processes.
+    import psutil
+
+    processes: list[Process] = []
+    with suppress(psutil.Error):
+        process = psutil.Process(process_id)
+        processes += [process, *process.children(recursive=True)]
+    if include_group and hasattr(os, "getpgid"):
+        for process_of_group in psutil.process_iter():
+            with suppress(OSError):
+                if os.getpgid(process_of_group.pid) == process_id and process_of_group not in processes:
+                    processes.append(process_of_group)
+    return processes
+
+
+def kill_process_tree(process_id: int) -> None:
+    """Kill a process, its descendants and its process group."""
+    import psutil
+
+    processes = list_process_tree(process_id, include_group=False)
+    if hasattr(os, "killpg"):
+        with suppress(OSError):
+            os.killpg(process_id, signal.SIGKILL)
+    for process in processes:
+        with suppress(psutil.Error):
+            process.kill()
+
+
+def is_process_running(process_id: int) -> bool:
+    """Whether a process with this id is running."""
+    import psutil
+
+    return psutil.pid_exists(process_id)
+
+
+def termination_signals() -> tuple[signal.Signals, ...]:
+    """Termination signals other than Ctrl-C: SIGTERM, SIGHUP (terminal closed), SIGBREAK (Windows)."""
+    names = ("SIGTERM", "SIGHUP", "SIGBREAK")
+    return tuple(getattr(signal, name) for name in names if hasattr(signal, name))
+
+
+def signal_main_thread(signal_number: int) -> None:
+    """Send a signal to the main thread, which stops waiting where the platform supports it."""
+    if hasattr(signal, "pthread_kill"):
+        signal.pthread_kill(threading.main_thread().ident or 0, signal_number)
+    else:
+        signal.raise_signal(signal_number)
+
+
+def is_killed_externally(exit_code: int | None) -> bool:
+    """Whether an exit code of `multiprocessing` says that a user or the system killed the process; False on Windows."""
+    return (
+        exit_code is not None
+        and exit_code < 0
+        and -exit_code in [getattr(signal, "SIGKILL", 0), *termination_signals()]
+    )
+
+
+def describe_exit_code(exit_code: int | None) -> str:
+    """Describe an exit code of `multiprocessing`: ``"ended with exit code 3"``, ``"was ended by SIGSEGV"``."""
+    if not exit_code:
+        return "ended"
+    if exit_code < 0:
+        names = {number.value: number.name for number in signal.Signals}
+        return f"was ended by {names.get(-exit_code, f'signal {-exit_code}')}"
+    return (
+        f"ended with exit code {exit_code:#010x}"
+        if exit_code >= _FIRST_WINDOWS_EXCEPTION_CODE
+        else f"ended with exit code {exit_code}"
+    )
+
+
+def make_parent_check() -> Callable[[], bool]:
+    """Return a function that says whether this process's parent is still running."""
+    import psutil
+
+    number = os.getppid()
+    try:
+        parent = psutil.Process(number)
+    except psutil.Error:
+        # The parent is invisible, as from inside a container.
+        return lambda: os.getppid() == number
+    # On Windows, `getppid` does not change when the parent ends.
+    return lambda: os.getppid() == number and parent.is_running()
+
+
+def replace_unencodable_output() -> None:
+    """Replace characters that the encoding of stdout or stderr lacks, instead of failing.
+
+    On Windows, a redirected output has a code page of 256 characters unless the user says otherwise.
+    """
+    for stream in (sys.stdout, sys.stderr):
+        reconfigure = getattr(stream, "reconfigure", None)
+        if reconfigure is not None:
+            reconfigure(errors="replace")
+
+
+def count_unallocated_bytes(path: Path) -> int:
+    """Number of bytes of a sparse file that take no disk space yet; 0 if the platform has no sparse files."""
+    if sys.platform == "win32":
+        return 0
+    status = path.stat()
+    return max(status.st_size - 512 * status.st_blocks, 0)
+
+
+def allocate_file(path: Path) -> None:
+    """Allocate the disk space of a sparse file, where the platform can; OSError if there is not enough."""
+    if sys.platform == "linux":
+        with path.open("r+b") as file:
+            os.posix_fallocate(file.fileno(), 0, path.stat().st_size)

@@ -1,0 +1,1 @@
+"""Texts: sources of messages, numbers, and names of foreign origin."""

@@ -1,0 +1,41 @@
+"""Turn worded keys into identifiers for JSON that programs read."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import Any, Final
+
+_NON_ALPHANUMERIC: Final = re.compile(r"[^0-9A-Za-z]+")
+_LEADING_NUMBER: Final = re.compile(r"(\d+)_(.+)")
+
+
+def key_to_identifier(key: str) -> str:
+    """Identifier in lower case made of a worded key.
+
+    >>> from cornercase._common.text.json_keys import identifier
+    >>> identifier("first order, 90 % interval"), identifier("95 % interval")
+    ('first_order_interval_90', 'interval_95')
+    """
+    joined = _NON_ALPHANUMERIC.sub("_", key).strip("_").lower()
+    return _LEADING_NUMBER.sub(r"\2_\1", joined)
+
+
+def keys_to_identifiers(plain: Any, kept_levels: Mapping[str, int]) -> Any:
+    """Replace the keys of nested dictionaries by identifiers.
+
+    `kept_levels` says below which keys, and for how many levels, keys are names of things (such as metrics), which
+    stay.
+    """
+    if isinstance(plain, Mapping):
+        return {
+            key_to_identifier(key): _convert_below_names(value, kept_levels.get(key, 0), kept_levels)
+            for key, value in plain.items()
+        }
+    return [keys_to_identifiers(item, kept_levels) for item in plain] if isinstance(plain, list) else plain
+
+
+def _convert_below_names(plain: Any, levels: int, names: Mapping[str, int]) -> Any:
+    if levels and isinstance(plain, Mapping):
+        return {key: _convert_below_names(value, levels - 1, names) for key, value in plain.items()}
+    return keys_to_identifiers(plain, names)

@@ -1,0 +1,144 @@
+"""Turn whatever ends a command into one sentence and an exit code; tracebacks only with --debug."""
+
+from __future__ import annotations
+
+import errno
+import io
+import os
+import signal
+import sys
+import traceback
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import FrameType
+from typing import Any, Final, cast
+
+import typer
+
+from cornercase._common.errors import InputError, StudyLostError
+from cornercase._common.plugin_errors import describe_error
+from cornercase._common.process.signals import pop_lost_interrupt
+from cornercase._common.text.sanitize import check_no_surrogates, format_exception, shorten
+from cornercase.cli.option_names import MAX_LINE_LENGTH, use_option_names
+from cornercase.cli.options import err, show_tracebacks
+from cornercase.cli.signals import interrupt_exit_code, print_interrupt
+
+# typer may hold click's classes under other names.
+_UsageError: Final = cast("type[Any]", typer.BadParameter.__mro__[1])
+_PACKAGE_FOLDER: Final = Path(__file__).parents[1]
+
+
+def run_command(command: Callable[[], Any]) -> int:
+    """Run the typer application and return its exit code, printing one sentence to stderr unless it succeeds.
+
+    2: input, machine or cornercase itself prevented it; 130 for Ctrl-C, 143 for SIGTERM; 1: the study being written
+    was lost, or (silently) the output pipe was closed.
+    """
+    try:
+        code = command()
+        # Flush here, where an error can still be reported.
+        if sys.stdout is not None:
+            sys.stdout.flush()
+    except _UsageError as error:
+        # click prints several lines; err.print removes control characters from what they quote.
+        message = io.StringIO()
+        error.show(message)
+        err.print("\n".join(shorten(line, MAX_LINE_LENGTH) for line in message.getvalue().rstrip().splitlines()))
+        return int(error.exit_code)
+    except (KeyboardInterrupt, typer.Abort):
+        # Interrupted before or after the command itself, which prints its own message.
+        print_interrupt()
+        return interrupt_exit_code()
+    except BaseException as error:
+        lost_interrupt = pop_lost_interrupt()
+        if show_tracebacks.get():
+            err.print("".join(traceback.format_exception(error)).rstrip())
+        if lost_interrupt:
+            print_interrupt()
+            return interrupt_exit_code()
+        if _is_closed_pipe(error) or (isinstance(error, SystemExit) and _is_closed_pipe(error.__context__)):
+            # typer turns a closed pipe into SystemExit.
+            _discard_output()
+            return 1
+        if isinstance(error, SystemExit) and _is_raised_by_typer(error):
+            return error.code if isinstance(error.code, int) else 0
+        _print_error(_describe_error(error))
+        return 1 if isinstance(error, StudyLostError) else 2
+    # Between commands, typer treats every interrupt as Ctrl-C.
+    return interrupt_exit_code() if code == 128 + signal.SIGINT else code if isinstance(code, int) else 0
+
+
+def _is_raised_by_typer(error: BaseException) -> bool:
+    """Return whether typer raised the exception, as after completing a command for a shell."""
+    *_, (frame, _) = traceback.walk_tb(error.__traceback__)
+    return str(frame.f_globals.get("__name__")).partition(".")[0] in ("typer", "click")
+
+
+def _is_closed_pipe(error: BaseException | None) -> bool:
+    return isinstance(error, OSError) and error.errno == errno.EPIPE
+
+
+def _print_error(sentence: str) -> None:
+    line = use_option_names(sentence).replace("\n", "\\n")
+    err.print(f"cornercase: {shorten(line, MAX_LINE_LENGTH)}")
+
+
+def _discard_output() -> None:
+    """Discard what Python still buffers for a closed pipe, so that it raises no error at exit."""
+    sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115 - as long as the process
+
+
+def _describe_error(error: BaseException) -> str:
+    if isinstance(error, InputError | StudyLostError):
+        return str(error)
+    frames = [frame for frame, _ in traceback.walk_tb(error.__traceback__)]
+    file = _file_in_use(frames)
+    prefix = f"{file}: " if file else ""
+    if isinstance(error, MemoryError):
+        return f"{prefix}needs more memory than available; use fewer or smaller files, or a machine with more memory."
+    if isinstance(error, UnicodeEncodeError):
+        try:
+            check_no_surrogates(error.object)
+        except ValueError as surrogate:
+            return f"{prefix}{surrogate}, which cannot be encoded; rename it."
+    if isinstance(error, OSError) and error.strerror:
+        target = error.filename if isinstance(error.filename, str) else "the output, or a temporary file"
+        return f"{target}: cannot be read or written ({error.strerror}); make room, or choose another path."
+    fault = "is nested too deep" if isinstance(error, RecursionError) else "met a fault of cornercase itself"
+    place = _fault_location(error)
+    if not isinstance(error, Exception):
+        # Not raised by cornercase, but by user code, for example with sys.exit().
+        return f"user code ended the command with {describe_error(error)}; fix that code."
+    return (
+        f"{prefix or 'the command '}{fault} ({shorten(format_exception(error), 200)}{place}); please report it, with the"
+        f" output of 'cornercase --debug'{' and that file' if file else ''}."
+    )
+
+
+def _file_in_use(frames: list[FrameType]) -> Path | None:
+    """Return the file that the innermost function was working on."""
+    for frame in reversed(frames):
+        for value in frame.f_locals.values():
+            if isinstance(value, Path) and _is_file(value):
+                return value
+    return next(_files_in_arguments(), None)
+
+
+def _files_in_arguments() -> Iterator[Path]:
+    yield from (path for argument in sys.argv[2:] if _is_file(path := Path(argument)))
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
+
+
+def _fault_location(error: BaseException) -> str:
+    """Return module and line in the package, so that the same fault has the same words."""
+    for frame in reversed(traceback.extract_tb(error.__traceback__)):
+        path = Path(frame.filename)
+        if path.is_relative_to(_PACKAGE_FOLDER):
+            return f", {path.relative_to(_PACKAGE_FOLDER).as_posix()} line {frame.lineno}"
+    return ""

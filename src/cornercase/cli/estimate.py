@@ -1,0 +1,115 @@
+"""Command `estimate`: estimate the probability of critical scenarios."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from cornercase._common.text.sanitize import format_json
+from cornercase.cli import options as opt
+from cornercase.cli import parsing
+from cornercase.cli.options import Option, app, err, out
+from cornercase.cli.signals import interrupt_exit_code
+
+if TYPE_CHECKING:
+    from cornercase.evidence import Probability
+    from cornercase.exploration import Estimation
+
+
+@app.command()
+def estimate(
+    study: opt.StudyFile,
+    *,
+    output: Annotated[Path, Option("--output", "-o", metavar="ESTIMATE.db", help="Study to write or continue.")],
+    budget: Annotated[int, Option(metavar="N", help="Number of concrete scenarios to run in all.", min=100)] = 2000,
+    critical: Annotated[
+        float | None, Option(metavar="X", help="Score from which a scenario is critical; default: as in the study.")
+    ] = None,
+    encounter: Annotated[
+        float, Option(metavar="M", help="The two meet if their gap is at most this many m.", min=0)
+    ] = 10.0,
+    seed: opt.Seed = 0,
+    scenario: opt.NamedScenario = None,
+    simulator: opt.StudySimulator = None,
+    workers: opt.Workers = 1,
+    cluster: opt.Cluster = None,
+    timeout: opt.Timeout = None,
+    retries: opt.Retries = 1,
+    max_failures: opt.MaxFailures = 5,
+    driver: opt.Drivers = None,
+    as_json: opt.Json = False,
+    maps: opt.Maps = None,
+) -> None:
+    """Estimate how probable critical scenarios and collisions are.
+
+    It draws new scenarios where critical ones are frequent, runs them, and weights them by the distributions of the
+    space. Run the same command again to resume.
+
+    \b
+    Example:
+      cornercase estimate study.db --budget 2000 -o estimate.db
+    """
+    from cornercase import exploration
+
+    estimation = exploration.estimate(
+        study,
+        output,
+        budget=budget,
+        critical=critical,
+        encounter=encounter,
+        seed=seed,
+        scenario=scenario,
+        simulator=simulator,
+        drivers=parsing.parse_pairs(driver or (), "--driver"),
+        workers=workers,
+        cluster=cluster,
+        timeout=timeout,
+        retries=retries,
+        max_failures=max_failures,
+        progress=True,
+    )
+    if as_json:
+        from cornercase.report.text._show import estimate_to_dict
+
+        sys.stdout.write(format_json(estimate_to_dict(estimation.to_json())) + "\n")
+    else:
+        _print_estimation(estimation)
+    if estimation.interrupted:
+        err.print(f"Interrupted. {estimation.study} holds what has ended; run the same command again to resume.")
+        raise typer.Exit(interrupt_exit_code())
+
+
+def _print_estimation(estimation: Estimation) -> None:
+    probabilities = {
+        f"critical ({estimation.criterion})": estimation.critical,
+        "collision": estimation.collision,
+        f"encounter (gap <= {estimation.encounter_gap:g} m)": estimation.encounter,
+        "critical given an encounter": estimation.critical_given_encounter,
+        "collision given an encounter": estimation.collision_given_encounter,
+    }
+    for event, probability in probabilities.items():
+        out.print(f"{event}: {'not known' if probability is None else _format_probability(probability)}")
+    learned = f", {estimation.n_learning} of them to learn where to draw" if estimation.n_learning else ""
+    out.print(f"{estimation.scenarios} scenarios in {estimation.study}{learned}")
+    for warning in estimation.warnings:
+        err.print(warning)
+
+
+def _format_probability(p: Probability) -> str:
+    """Format a probability, its uncertainty, and what plain Monte Carlo would need for the same."""
+    if p.error is None and p.met:
+        return f"between {p.low:.3g} and {p.high:.3g} ({p.method})"
+    if p.error is None:
+        return f"not met; 0 to {p.high:.3g} (95 %, {p.method})"
+    if p.error == 0.0:
+        return f"{p.value:.3g} ({p.method})"
+    text = f"{p.value:.3g}, {p.low:.3g} to {p.high:.3g} (95 %), {p.low_90:.3g} to {p.high_90:.3g} (90 %)"
+    text += f", standard error {p.error:.1%}; {p.method}, met in {p.met} of {p.scenarios}"
+    text += f", effectively {p.effective:.0f}"
+    needed = p.equivalent_monte_carlo_scenarios
+    if needed is not None and needed > p.scenarios:
+        text += f"; plain Monte Carlo would need {needed:.2g}"
+    return text

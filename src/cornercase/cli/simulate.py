@@ -1,0 +1,118 @@
+"""Command `simulate`: run concrete scenarios."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from cornercase._common.errors import InputError
+from cornercase._common.io.files import check_output_differs_from_source
+from cornercase.cli import options as opt
+from cornercase.cli import parsing
+from cornercase.cli.options import Option, app, out
+
+if TYPE_CHECKING:
+    from cornercase.simulators import SimulatedFolder
+
+
+@app.command()
+def simulate(
+    scenarios: opt.ScenarioFiles,
+    *,
+    output: Annotated[
+        Path,
+        Option("--output", "-o", metavar="FILE.csv|DIR", help="Recording to write; a folder for several scenarios."),
+    ],
+    table: Annotated[
+        Path | None,
+        Option(
+            "--parameters",
+            metavar="FILE.csv",
+            help="Run one concrete scenario for each line: a column for each parameter, and 'file' to name recordings.",
+        ),
+    ] = None,
+    values: opt.Values = None,
+    time_step: opt.TimeStep = 0.05,
+    duration: opt.Duration = 60.0,
+    on_collision: opt.OnCollision = "continue",
+    driver: opt.Drivers = None,
+    simulator: opt.SimulatorName = "builtin",
+    ego: Annotated[str, Option(metavar="NAME", help="Entity under test, for a simulator that needs it.")] = "Ego",
+    workers: opt.Workers = 1,
+    cluster: opt.Cluster = None,
+    timeout: opt.Timeout = None,
+    retries: opt.Retries = 1,
+    max_failures: opt.MaxFailures = 5,
+    maps: opt.Maps = None,
+) -> None:
+    """Run concrete scenarios and write their recordings.
+
+    Several scenarios, or one with --parameters, go into a folder that import can read. The same command again makes
+    the recordings that are missing; exit code 1: some could not be run.
+
+    \b
+    Example:
+      cornercase simulate examples/x_intersection/x_intersection.xosc \\
+          --set ego_start=40 -o recording.csv
+      cornercase simulate reduced/*.xosc --workers 4 -o recordings
+      cornercase simulate examples/x_intersection/x_intersection.xosc \\
+          --parameters values.csv -o recordings
+    """
+    from cornercase import simulators
+
+    parameters = parsing.parse_pairs(values or (), "--set")
+    drivers = parsing.parse_pairs(driver or (), "--driver")
+    if table is not None or len(scenarios) > 1:
+        result = simulators.simulate_many(
+            scenarios,
+            output,
+            table=table,
+            values=parameters,
+            time_step=time_step,
+            duration=duration,
+            on_collision=on_collision,
+            drivers=drivers,
+            simulator=simulator,
+            ego=ego,
+            workers=workers,
+            cluster=cluster,
+            timeout=timeout,
+            retries=retries,
+            max_failures=max_failures,
+            progress=True,
+        )
+        _print_folder_result(result)
+        return
+    if workers > 1 or cluster is not None:
+        option = "--cluster" if cluster is not None else "--workers"
+        raise InputError(f"{option}: is for several scenarios; give more files, or --parameters.")
+    (scenario,) = scenarios
+    check_output_differs_from_source(output, scenario)
+    recording = simulators.simulate(
+        scenario,
+        parameters,
+        time_step=time_step,
+        duration=duration,
+        on_collision=on_collision,
+        drivers=drivers,
+        simulator=simulator,
+        ego=ego,
+        timeout=timeout,
+    )
+    recording.to_csv(output)
+    out.print(f"{len(recording.names)} entities, {recording.time[-1]:g} s, written to {output}")
+    for collision in recording.collisions:
+        out.print(f"{' and '.join(collision.entities)} collide at {collision.time:g} s")
+
+
+def _print_folder_result(result: SimulatedFolder) -> None:
+    """Print how many scenarios were run; exit with 1 if some failed."""
+    before = f", {result.n_existing} of which existed before" if result.n_existing else ""
+    out.print(f"{result.done} recording{'s' if result.done > 1 else ''} in {result.folder}{before}.")
+    if result.failed:
+        count = f"{result.failed} scenarios" if result.failed > 1 else "1 scenario"
+        out.print(f"{count} failed, {next(iter(result.failures))} first; the same command tries again.")
+        opt.print_failure_reasons(result.failure_counts)
+        raise typer.Exit(1)

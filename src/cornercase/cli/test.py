@@ -1,0 +1,199 @@
+"""Command `test`: run a suite of concrete scenarios."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Final
+
+import typer
+from rich.table import Column, Table
+
+from cornercase._common.text.sanitize import format_json
+from cornercase.cli import options as opt
+from cornercase.cli import parsing
+from cornercase.cli.options import Option, app, err, out
+
+if TYPE_CHECKING:
+    from cornercase.reduction import KillMatrix
+    from cornercase.suite import SuiteResult
+
+# Number of named scenarios that kill the most mutants.
+_MAX_NAMED_SCENARIOS: Final = 3
+# Length of file names that leaves room for the reasons on 80 columns.
+_MAX_FILE_NAME_LENGTH: Final = 30
+
+
+@app.command(name="test")
+def test_suite(
+    suite: Annotated[
+        Path,
+        typer.Argument(
+            metavar="DIR|manifest.json|FILE.xosc", help="What reduce wrote, a folder of concrete scenarios, or one."
+        ),
+    ],
+    *,
+    output: Annotated[Path, Option("--output", "-o", metavar="RUN.db", help="Study to write or continue.")],
+    require: Annotated[
+        list[str] | None,
+        Option(
+            "--require",
+            metavar="EXPRESSION",
+            help="Requirement on each scenario: 'no collision', 'no collision with NAME', 'no collision at fault',"
+            " 'no collision unless cc-human collides' with this driver at the wheel, 'reach X,Y[,R] within T',"
+            " 'drive D', or a formula such as 'ttc > 1.5' and 'ego.acceleration > -4'.",
+        ),
+    ] = None,
+    requirements: Annotated[
+        Path | None,
+        Option(
+            metavar="FILE.toml|yaml", help="File with more requirements: lists called require, and by file or kind."
+        ),
+    ] = None,
+    require_from_file: Annotated[
+        bool,
+        Option(
+            "--require-from-file",
+            help="Also require the ScenarioRunner criteria of the scenarios, as far as a recording can decide them.",
+        ),
+    ] = False,
+    strict: Annotated[bool, Option("--strict", help="Inconclusive scenarios have not passed.")] = False,
+    junit: Annotated[
+        Path | None, Option(metavar="FILE.xml", help="JUnit file to write, for Jenkins, GitLab or GitHub.")
+    ] = None,
+    summary: Annotated[
+        Path | None, Option(metavar="FILE.md", help="Table in Markdown to write, for GitHub's job summary.")
+    ] = None,
+    as_json: opt.Json = False,
+    against: Annotated[
+        Path | None,
+        Option(
+            metavar="STUDY.db",
+            help="Study with earlier recordings; default: the one that was reduced, if it lies beside the manifest.",
+        ),
+    ] = None,
+    simulator: Annotated[
+        str | None, Option(metavar="NAME", help="Simulator that runs the scenarios; default: that of the manifest.")
+    ] = None,
+    driver: opt.Drivers = None,
+    workers: opt.Workers = 1,
+    cluster: opt.Cluster = None,
+    timeout: opt.Timeout = None,
+    retries: opt.Retries = 1,
+    max_failures: opt.MaxFailures = 5,
+    ego: Annotated[str | None, Option(metavar="NAME", help="Entity under test; default: as in the manifest.")] = None,
+    other: Annotated[
+        list[str] | None, Option(metavar="NAME|*", help="Other entity, also several; default: as in the manifest.")
+    ] = None,
+    metric: Annotated[
+        list[str] | None,
+        Option("--metric", metavar="NAME", help="Criticality metric to store; default: those of the manifest."),
+    ] = None,
+    time_step: Annotated[float | None, Option(metavar="S", help="Time step in s; default: as in the manifest.")] = None,
+    duration: Annotated[
+        float | None, Option(metavar="S", help="Longest duration in s; default: as in the manifest.")
+    ] = None,
+    on_collision: Annotated[
+        str | None, Option(metavar="stop|continue", help="What a collision does; default: as in the manifest.")
+    ] = None,
+    mutants: Annotated[
+        int | None, Option(metavar="N", help="Test how many of N mutants of the ego's driver the suite exposes.", min=1)
+    ] = None,
+    seed: opt.MutantSeed = 0,
+    maps: opt.Maps = None,
+) -> None:
+    """Run a reduced set, or any concrete scenarios, and judge the runs.
+
+    Exit code 0: all passed; 1: some failed or could not be run; 2: nothing could be run. Run the same command again to
+    resume.
+
+    \b
+    Example:
+      cornercase test reduced --driver Ego=aggressive --require "no collision" \\
+          --require "ttc > 0.5" --junit out.xml -o run.db
+    """
+    from cornercase.suite import run_suite
+
+    result = run_suite(
+        suite,
+        output,
+        require=require or (),
+        requirements=requirements,
+        require_from_file=require_from_file,
+        ego=ego,
+        other=other,
+        metrics=metric or (),
+        simulator=simulator,
+        workers=workers,
+        cluster=cluster,
+        timeout=timeout,
+        retries=retries,
+        max_failures=max_failures,
+        time_step=time_step,
+        duration=duration,
+        on_collision=on_collision,
+        drivers=parsing.parse_pairs(driver or (), "--driver"),
+        against=against,
+        junit=junit,
+        summary=summary,
+        mutants=mutants,
+        seed=seed,
+        progress=True,
+    )
+    if as_json:
+        sys.stdout.write(format_json(result.to_json()) + "\n")
+    else:
+        _print_result(result)
+        for written in (junit, summary):
+            if written is not None:
+                err.print(f"Written to {written}")
+    if not result.has_passed(strict=strict):
+        raise typer.Exit(1)
+
+
+def _print_result(result: SuiteResult) -> None:
+    compared = result.against is not None
+    table = Table(
+        Column(
+            "scenario",
+            overflow="fold",
+            no_wrap=max(len(scenario.file) for scenario in result.scenarios) <= _MAX_FILE_NAME_LENGTH,
+        ),
+        Column("verdict", no_wrap=True),
+        Column("why", overflow="fold"),
+        *(["recording"] if compared else []),
+        box=None,
+    )
+    for scenario in result.scenarios:
+        state = "not run" if scenario.state == "error" else scenario.state
+        difference = "–" if scenario.difference is None else scenario.difference.text
+        table.add_row(scenario.file, state, scenario.reason, *([difference] if compared else []))
+    out.print(table)
+    out.print(f"{result.summary}, in {result.study}.")
+    out.print(f"{result.comparison_summary}.")
+    if result.n_ran_before:
+        out.print(
+            f"{result.n_ran_before} of them were already in {result.study} and were not run again; to test a new version,"
+            " name another study with -o."
+        )
+    if result.kill_matrix is not None:
+        _print_kills(result, result.kill_matrix)
+
+
+def _print_kills(result: SuiteResult, exposure: KillMatrix) -> None:
+    """Print which mutants the suite kills, and by which scenarios."""
+    table = Table(Column("mutation", no_wrap=True), "exposed", "of", box=None)
+    for kind, (exposed, count) in exposure.counts_by_mutation.items():
+        table.add_row(kind, str(exposed), str(count))
+    out.print(table)
+    out.print(f"{exposure.summary_text}.")
+    files = {scenario.id: scenario.file for scenario in result.scenarios}
+    counts = dict(zip(exposure.scenarios, exposure.kills.sum(axis=1).tolist(), strict=True))
+    order = sorted((scenario for scenario, count in counts.items() if count), key=lambda scenario: -counts[scenario])
+    if order:
+        names = ", ".join(f"{files[scenario]} ({counts[scenario]})" for scenario in order[:_MAX_NAMED_SCENARIOS])
+        out.print(f"Most are exposed by {names}; {len(order)} of {len(files)} scenarios expose any.")
+    if exposure.survivors:
+        out.print(f"Exposed by none: {' '.join(exposure.survivors)}.")
+    if exposure.failed.all():
+        out.print(f"{exposure.driver} itself fails in all scenarios, so no mutant can be exposed.")

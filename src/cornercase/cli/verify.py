@@ -1,0 +1,76 @@
+"""Command `verify`: check that a study is undamaged, and repair it."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cornercase._common.memory import DEFAULT_MEMORY
+from cornercase._common.text.sanitize import format_json
+from cornercase.cli import options as opt
+from cornercase.cli import parsing
+from cornercase.cli.options import Option, app, out
+
+
+@app.command()
+def verify(
+    study: opt.StudyFile,
+    *,
+    repair: Annotated[
+        bool,
+        Option(
+            "--repair",
+            help="Restore the study, running lost scenarios again; the damaged file is kept as STUDY.db.damaged.",
+        ),
+    ] = False,
+    scenario: opt.NamedScenario = None,
+    simulator: opt.StudySimulator = None,
+    driver: opt.Drivers = None,
+    workers: opt.Workers = 1,
+    memory: opt.Memory = DEFAULT_MEMORY,
+    as_json: opt.Json = False,
+    maps: opt.Maps = None,
+) -> None:
+    """Test whether a study is undamaged; exit code 1 if it is not.
+
+    \b
+    Example:
+      cornercase verify study.db
+      cornercase verify study.db --repair
+    """
+    from cornercase.study import verify as verify_study
+
+    result = verify_study(study)
+    again: tuple[int, ...] = ()
+    lost: tuple[str, ...] = ()
+    damaged: Path | None = None
+    if repair and not result.is_sound:
+        from cornercase.exploration import repair as repair_study
+
+        drivers = parsing.parse_pairs(driver or [], "--driver")
+        repaired = repair_study(
+            study, scenario=scenario, simulator=simulator, drivers=drivers, workers=workers, memory=memory
+        )
+        again, lost, damaged = repaired.rerun_ids, repaired.lost_content, repaired.damaged_file
+    if as_json:
+        values = {"sound": result.is_sound, "checked": result.checked, "problems": list(result.problems)}
+        if repair:
+            values |= {"damaged": None if damaged is None else str(damaged), "again": list(again), "lost": list(lost)}
+        sys.stdout.write(format_json(values) + "\n")
+    else:
+        for problem in result.problems:
+            out.print(f"{study}: {problem}")
+        if result.is_sound and result.checked:
+            out.print(f"{study}: undamaged; all checksums match.")
+        elif result.is_sound:
+            out.print(f"{study}: readable; studies of its earlier version have no checksums.")
+        if damaged is not None:
+            how = "Repaired in part" if lost else "Repaired"
+            out.print(f"{how}; {len(again)} scenarios were run again, and the damaged file is {damaged}.")
+            for sentence in lost:
+                out.print(f"Lost: {sentence}.")
+    if lost or (not result.is_sound and not repair):
+        raise typer.Exit(1)

@@ -1,0 +1,239 @@
+"""Command `warm-up`: compile all kernels in advance."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tempfile
+import time
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from functools import partial
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import typer
+
+from cornercase.cli.options import app, err, out
+
+if TYPE_CHECKING:
+    from cornercase._common.typing import FloatArray
+    from cornercase.recordings import Recording
+
+# Neither the number nor the duration of scenarios affects what is compiled.
+_N_SCENARIOS, _DURATION = 12, 3.0
+# Too many scenarios for all pairwise distances.
+_LARGE_SET: Final = 2100
+# Modules that contain one of these texts define kernels.
+_KERNEL_IMPORTS: Final = ("compiling import kernel", "compiling.kernel")
+_LATE_PROGRAM: Final = "from cornercase.cli.warm_up import compile_later; compile_later()"
+
+
+@app.command(name="warm-up")
+def warm_up() -> None:
+    """Compile in advance what other commands would compile at first use.
+
+    Compiled code is stored beside the package, or in the folder NUMBA_CACHE_DIR. Run it when you build a container
+    image, which then starts at full speed. Exit code 1 if it cannot be stored.
+
+    \b
+    Example:
+      cornercase warm-up
+    """
+    from cornercase._common.numba.kernel import count_ready_kernels, listen_to_compilation, reason_not_cached
+    from cornercase._common.progress import ProgressBar
+
+    start, compiled = time.monotonic(), list[str]()
+    _import_kernels()
+    bar = ProgressBar(count_ready_kernels()[1], "compiling", "kernels")
+
+    def on_kernel_compiled(name: str) -> None:
+        compiled.append(name)
+        ready, total = count_ready_kernels()
+        bar.update(ready, name, total)
+
+    try:
+        with (
+            tempfile.TemporaryDirectory() as folder,
+            listen_to_compilation(on_kernel_compiled),
+            warnings.catch_warnings(),
+        ):
+            # Notices about the examples do not matter here.
+            warnings.simplefilter("ignore")
+            for room, run in _runs_by_room(Path(folder)):
+                bar.update(count_ready_kernels()[0], room)
+                run()
+        bar.update(count_ready_kernels()[1], "", count_ready_kernels()[1])
+    finally:
+        bar.stop()
+    seconds = f"{time.monotonic() - start:.0f} s"
+    if not compiled:
+        out.print(f"Everything is already compiled (checked in {seconds}).")
+    elif unkept := reason_not_cached():
+        err.print(f"{len(set(compiled))} kernels compiled in {seconds}, but not stored: {unkept}.")
+        raise typer.Exit(1)
+    else:
+        out.print(f"{len(set(compiled))} kernels compiled and stored in {seconds}.")
+
+
+@contextmanager
+def compile_in_parallel(program: str = _LATE_PROGRAM) -> Iterator[None]:
+    """Context in which a second process compiles what runs after the simulations, once this process compiles.
+
+    Both share the cache, so that the kernels of the other process are ready when they are needed.
+    """
+    from cornercase._common.numba.kernel import call_on_first_compilation
+    from cornercase._common.process.platform import count_available_cpus
+
+    processes: list[subprocess.Popen[bytes]] = []
+
+    def start_process() -> None:
+        # -P: the current folder may be untrusted.
+        command, nothing = [sys.executable, "-P", "-c", program], subprocess.DEVNULL
+        # Its stdin closes when this process ends for any reason.
+        processes.append(subprocess.Popen(command, stdin=subprocess.PIPE, stdout=nothing, stderr=nothing))
+
+    if count_available_cpus() < 2:
+        yield
+        return
+    try:
+        with call_on_first_compilation(start_process):
+            yield
+    finally:
+        # An incompletely written cache file counts as missing.
+        for process in processes:
+            process.terminate()
+            process.communicate()
+
+
+def compile_late_kernels() -> None:
+    """Compile what the examples need late: drivers and all after the simulations.
+
+    To be called in a process of its own, which ends with its standard input.
+    """
+    import numpy as np
+
+    from cornercase import clustering, dtw, metrics
+    from cornercase._common.process.parent_death import exit_when_stdin_closes
+
+    exit_when_stdin_closes()
+    _call_driver()
+    crossing = _crossing_recording()
+    metrics.measure(crossing, "Ego", "Other", ["wttc"])
+    for dimensions in (2, 4, 1):
+        dtw.distance_matrix([np.zeros((2, dimensions)), np.ones((2, dimensions))], dtype="float32", n_jobs=1)
+    clustering.find_outcome(crossing, "Ego", "Other")
+    clustering.cluster(_two_group_distances())
+
+
+def _call_driver() -> None:
+    """Call a built-in driver once."""
+    import numpy as np
+
+    from cornercase import drivers
+
+    distance, ones = np.arange(0.0, 50.0, 0.5), np.ones(1)
+    path = drivers.DrivenPath(distance, distance, *np.zeros((3, len(distance))))
+    driver = drivers.driver_by_name("normal")
+    driver.start(1, 1)
+    driver.acceleration(
+        drivers.Situation(
+            0.0, 0.05, path, ones, ones, 0.0 * ones, 0.0 * ones, ones, 0.0 * ones,
+            length=4.0, width=2.0, center_x=1.5, target_speed=10.0 * ones,
+            others_x=np.full((1, 1), 30.0), others_y=np.zeros((1, 1)), others_heading=np.zeros((1, 1)),
+            others_speed=np.zeros((1, 1)), others_length=ones, others_width=ones, others_center_x=0.0 * ones,
+            others_object_type=("pedestrian",), active=np.ones(1, dtype=np.bool_),
+        )
+    )  # fmt: skip
+
+
+def _import_kernels() -> None:
+    """Import all modules with kernels, so that their number is known before the first one is compiled."""
+    package = Path(__file__).parents[1]
+    for path in sorted(package.rglob("*.py")):
+        if path != Path(__file__) and any(sign in path.read_text("utf-8") for sign in _KERNEL_IMPORTS):
+            import_module(".".join(("cornercase", *path.relative_to(package).with_suffix("").parts)))
+
+
+def _runs_by_room(folder: Path) -> Iterator[tuple[str, Callable[[], Any]]]:
+    """Yield the room and a small run of everything that compiles: running it shows what it needs."""
+    from cornercase import clustering, drivers, exploration, metrics, optimizers, reduction, report, simulators
+    from cornercase._common.errors import InputError
+
+    for name in ("x-intersection", "t-intersection"):
+        config = replace(exploration.paper_experiment_config(name, budget=_N_SCENARIOS), duration=_DURATION)
+        study = folder / name / "study.db"
+        reduced, scenario = study.parent / "reduced", config.logical.scenario_file
+        yield "simulators", partial(exploration.explore_config, config, study)
+        yield "clustering", partial(clustering.analyze, study)
+        yield "reduction", partial(reduction.reduce, study, reduced, scenario=scenario)
+        yield "evidence", partial(report.summarize, study)
+    # The few scenarios of an example may have no groups.
+    yield "clustering", partial(clustering.cluster, _two_group_distances())
+    # With few scenarios all pairwise distances are computed.
+    yield "reduction", _reduce_large_set
+    # Short runs never reach a crossing.
+    yield "clustering", partial(clustering.find_outcome, _crossing_recording(), "Ego", "Other")
+    simulate = partial(simulators.simulate, scenario, duration=_DURATION)
+    for plugin in drivers.DRIVERS.names():
+        yield "drivers", partial(simulate, drivers={"Ego": plugin})
+    yield "metrics", partial(metrics.measure, simulate(), config.ego, config.other)
+    for plugin in optimizers.OPTIMIZERS.names():
+        changed = replace(config, optimizer=plugin, critical=1.0, metrics=config.metrics[:1])
+
+        def explore(searched: exploration.ExplorationConfig = changed, study: Path = folder / f"{plugin}.db") -> None:
+            try:
+                exploration.explore_config(searched, study)
+            except InputError:
+                # Its extra is not installed.
+                return
+
+        yield "optimizers", explore
+
+
+def _reduce_large_set() -> None:
+    """Reduce a set that is too large for all pairwise distances."""
+    import numpy as np
+
+    from cornercase import clustering, reduction
+
+    points = np.linspace(0.0, 1.0, _LARGE_SET)[:, None]
+    distances = clustering.EmbeddedDistances(points)
+    selected = reduction.select_scenarios(points, [distances], np.zeros(len(points), dtype=np.int64), size=2)
+    reduction.measure_nearest_distances(
+        distances, [scenario.index for scenario in selected] + list(range(0, _LARGE_SET, 10)), draws=1
+    )
+
+
+def _two_group_distances() -> FloatArray:
+    """Return distances of two well separated groups."""
+    import numpy as np
+
+    positions = np.concatenate([np.linspace(0.0, 1.0, 12), np.linspace(9.0, 10.0, 12)])
+    return np.asarray(np.abs(np.subtract.outer(positions, positions)))
+
+
+def _crossing_recording() -> Recording:
+    """Return a recording of two cars whose paths cross."""
+    import numpy as np
+
+    from cornercase import recordings
+
+    time = np.arange(20.0)
+    position, zeros = time - 10.0, np.zeros((2, len(time)))
+    return recordings.Recording(
+        time=time,
+        names=("Ego", "Other"),
+        object_types=("car", "car"),
+        x=np.stack([2.0 * position, zeros[0]]),
+        y=np.stack([zeros[0], 2.0 * position - 9.0]),
+        heading=np.stack([zeros[0], zeros[0] + 0.5 * np.pi]),
+        speed=zeros + 2.0,
+        acceleration=zeros,
+        length=np.full(2, 4.0),
+        width=np.full(2, 2.0),
+        center_x=np.zeros(2),
+    )

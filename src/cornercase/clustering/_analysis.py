@@ -1,0 +1,294 @@
+"""Analysis: the clusters of a study's scenarios by one aspect, as stored and read back."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from cornercase._common.typing import FloatArray, IntArray
+from cornercase.clustering._agreement import mutual_information_with_critical
+from cornercase.clustering._clustering import Candidate, Clustering
+from cornercase.clustering._embedding import Distances, EmbeddedDistances
+from cornercase.clustering.naming._profiles import Profile
+from cornercase.clustering.naming._rules import Rule
+from cornercase.study import Study
+from cornercase.study._damage import dataclass_from_json, require_value, reraise_as_damage
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Analysis:
+    """Clusters of a study's scenarios by one aspect; `read_distances` returns the distances.
+
+    Attributes
+    ----------
+    by : str
+        The aspect: one of `cornercase.clustering.ASPECTS`, or the name of a metric.
+    unit : str
+        Unit of the distances; ``"1"`` for none.
+    window : float or None
+        s; largest difference in time of two instants that were matched; None for any.
+    ids : ndarray of int64, shape (n,)
+        Scenarios.
+    clustering : Clustering
+        Their clusters, in the order of `ids`.
+    fitted_ids : ndarray of int64, shape (m,)
+        Ids of the scenarios in which the clusters were found; the others were assigned later.
+    profiles : tuple of Profile
+        What the scenarios of each cluster have in common, noise last; empty in a study of an early version.
+    fact_agreement : mapping of str to float
+        Adjusted mutual information of the clusters and facts about the scenarios, by fact; empty in a study of an early
+        version.
+    stride : int
+        One of this many instants was compared.
+    embedding_error : float or None
+        Mean error of the distances between scenarios that are no landmarks, as a share of the mean distance; None if
+        all pairs were compared.
+    """
+
+    by: str
+    unit: str
+    window: float | None
+    ids: IntArray
+    clustering: Clustering
+    fitted_ids: IntArray
+    profiles: tuple[Profile, ...]
+    fact_agreement: Mapping[str, float] = field(default_factory=dict)
+    stride: int = 1
+    embedding_error: float | None = None
+
+    @property
+    def labels(self) -> IntArray:
+        """Cluster of each scenario, shape (n,); the largest is 0, -1 is noise."""
+        return self.clustering.labels
+
+    @property
+    def sizes(self) -> list[int]:
+        """Number of scenarios in each cluster, without noise."""
+        counts = np.bincount(self.labels[self.labels >= 0], minlength=self.clustering.n_clusters)
+        return [int(count) for count in counts]
+
+    def rows_of(self, scenario_ids: IntArray | list[int]) -> IntArray:
+        """Return the rows of some scenarios in `ids`.
+
+        Parameters
+        ----------
+        scenario_ids : ndarray of int64 or list of int, shape (m,)
+            Ids; those that were not analysed are left out.
+
+        Returns
+        -------
+        ndarray of int64, shape (k,)
+            Rows, in the order of the ids.
+        """
+        row_of = {scenario: row for row, scenario in enumerate(self.ids.tolist())}
+        return np.array([row_of[int(i)] for i in scenario_ids if int(i) in row_of], dtype=np.int64)
+
+    def __repr__(self) -> str:
+        clustering = self.clustering
+        return (
+            f"Analysis(by {self.by}: {len(self.ids)} scenarios, clusters of {self.sizes}, {clustering.noise:.0%} noise,"
+            f" {clustering.method}, gamma={clustering.gamma:.4g}, eps={clustering.eps:.4g},"
+            f" min_samples={clustering.min_samples})"
+        )
+
+
+def analysis_to_storage(
+    study: Study, analysis: Analysis, dtw_distances: FloatArray, distances: Distances
+) -> tuple[dict[str, npt.ArrayLike], dict[str, Any]]:
+    """Return the arrays and the info that `Study.save_analysis` stores of an analysis.
+
+    `dtw_distances` are between all scenarios or the landmarks, `distances` between all scenarios.
+    """
+    clustering = analysis.clustering
+    arrays: dict[str, npt.ArrayLike] = {"ids": analysis.ids, "distances": dtw_distances}
+    if isinstance(distances, EmbeddedDistances):
+        arrays = {"ids": analysis.ids, "between": dtw_distances, "places": distances.coordinates}
+    arrays |= {
+        "labels": clustering.labels,
+        "embedding": clustering.embedding,
+        "landmarks": clustering.landmarks,
+    }
+    info = {
+        "unit": analysis.unit,
+        "window": analysis.window,
+        "gamma": clustering.gamma,
+        "eps": clustering.eps,
+        "min_samples": clustering.min_samples,
+        "scale": clustering.scale,
+        "explained": clustering.explained,
+        "method": clustering.method,
+        "stability": clustering.stability,
+        "landmarks": len(clustering.landmarks),
+        "error": clustering.error,
+        "candidates": [asdict(item) for item in clustering.candidates],
+        "fitted": analysis.fitted_ids.tolist(),
+        "profiles": [asdict(item) for item in analysis.profiles],
+        "tells": dict(analysis.fact_agreement),
+    }
+    if analysis.embedding_error is not None:
+        info |= {"every": analysis.stride, "inexact": analysis.embedding_error}
+    if study.critical != study.meta.critical:
+        info["critical_threshold"] = study.critical
+    return arrays, info
+
+
+def read_analysis(study: Study, by: str) -> Analysis:
+    """Read back what `analyze` found by one aspect.
+
+    Parameters
+    ----------
+    study : Study
+        Analysed before.
+    by : str
+        Aspect.
+
+    Returns
+    -------
+    Analysis
+        As `analyze` returned it.
+
+    Raises
+    ------
+    InputError
+        The study was not analysed by it, or what it holds is damaged.
+    """
+    run = {row.id for row in study.finished_rows()}
+    arrays, info = study.read_analysis(by, "ids", "labels", "embedding", "landmarks")
+    with reraise_as_damage(study.path):
+        ids, labels, embedding = arrays["ids"], arrays["labels"], arrays["embedding"]
+        n = len(ids)
+        require_value(
+            {array.dtype.kind for array in (ids, labels, arrays["landmarks"])} == {"i"}, "labels that are no integers"
+        )
+        require_value(
+            ids.ndim == 1 and set(ids.tolist()) <= run and len(set(ids.tolist())) == n, "scenarios that were not run"
+        )
+        require_value(n > 0, "an analysis without scenarios")
+        require_value(
+            labels.shape == (n,) and labels.min(initial=-1) >= -1 and labels.max(initial=-1) < n, "unsuitable labels"
+        )
+        require_value(
+            embedding.ndim == 2 and len(embedding) == n and embedding.dtype.kind == "f", "an unsuitable embedding"
+        )
+        window = None if info["window"] is None else float(info["window"])
+        tells = {str(fact): float(mutual) for fact, mutual in info["tells"].items()}
+        clustering, profiles = _clustering_from_storage(arrays, info), _profiles_from_storage(info)
+        fitted = np.array([int(i) for i in info["fitted"]], dtype=np.int64)
+        clusters, sizes = np.unique(labels, return_counts=True)
+        described = sorted((profile.cluster, profile.size) for profile in profiles)
+        require_value(
+            described in ([], list(zip(clusters.tolist(), sizes.tolist(), strict=True))), "profiles of other clusters"
+        )
+        require_value(
+            {profile.example for profile in profiles} <= {None, *ids.tolist()}, "an example that is not a scenario"
+        )
+        require_value(isinstance(info["unit"], str), "a unit that is not a string")
+        stride, embedding_error = int(info.get("every", 1)), info.get("inexact")
+        require_value(stride >= 1, "a stride below 1")
+        embedding_error = None if embedding_error is None else float(embedding_error)
+        analysis = Analysis(by, info["unit"], window, ids, clustering, fitted, profiles, tells, stride, embedding_error)
+        threshold = info.get("critical_threshold", study.meta.critical)
+    if not tells or threshold == study.critical:
+        return analysis
+    facts = {fact: mutual for fact, mutual in tells.items() if fact != "critical"}
+    return replace(analysis, fact_agreement=facts | mutual_information_with_critical(study, ids, labels))
+
+
+def _clustering_from_storage(arrays: Mapping[str, Any], info: Mapping[str, Any]) -> Clustering:
+    numbers = {name: float(info[name]) for name in ("gamma", "eps", "scale", "explained", "error")}
+    require_value(info["method"] in ("dbscan", "hdbscan"), "an unknown clustering method")
+    return Clustering(
+        labels=arrays["labels"],
+        embedding=arrays["embedding"],
+        min_samples=int(info["min_samples"]),
+        candidates=tuple(dataclass_from_json(Candidate, item) for item in info["candidates"]),
+        method=info["method"],
+        landmarks=arrays["landmarks"],
+        **numbers,
+    )
+
+
+def _profiles_from_storage(info: Mapping[str, Any]) -> tuple[Profile, ...]:
+    profiles = []
+    for item in info["profiles"]:
+        scores = {name: (float(low), float(mid), float(high)) for name, (low, mid, high) in item["scores"].items()}
+        outcomes = {outcome: int(count) for outcome, count in item["outcomes"].items()}
+        require_value(min(outcomes.values(), default=0) >= 0, "a negative number of scenarios")
+        rules = tuple(dataclass_from_json(Rule, rule) for rule in item["rules"])
+        profiles.append(dataclass_from_json(Profile, {**item, "scores": scores, "outcomes": outcomes, "rules": rules}))
+    return tuple(profiles)
+
+
+def read_analyses(study: Study) -> dict[str, Analysis]:
+    """Read back all analyses of a study.
+
+    Parameters
+    ----------
+    study : Study
+        Analysed before.
+
+    Returns
+    -------
+    dict of str to Analysis
+        By aspect: the ego's trajectory first, the metrics last.
+    """
+    return {by: read_analysis(study, by) for by in study.analyzed_aspects()}
+
+
+def read_distances(study: Study, by: str) -> Distances:
+    """Read the distances by which scenarios were clustered.
+
+    Parameters
+    ----------
+    study : Study
+        Analysed before.
+    by : str
+        Aspect.
+
+    Returns
+    -------
+    ndarray of float64, shape (n, n), or EmbeddedDistances
+        Dynamic Time Warping between the scenarios in `Analysis.ids`, in the unit of the aspect. If scenarios were
+        compared with landmarks only, they are computed on demand from an embedding; index them like a matrix.
+
+    Raises
+    ------
+    InputError
+        The study was not analysed by it, or what it holds is damaged.
+    """
+    if study.read_analysis(by, "ids")[1].get("inexact") is not None:
+        arrays, _ = study.read_analysis(by, "ids", "places")
+        with reraise_as_damage(study.path):
+            coordinates = arrays["places"]
+            require_value(coordinates.ndim == 2 and len(coordinates) == len(arrays["ids"]), "an unsuitable embedding")
+            require_value(
+                coordinates.dtype.kind == "f" and bool(np.isfinite(coordinates).all()), "an embedding without numbers"
+            )
+            return EmbeddedDistances(coordinates)
+    arrays, _ = study.read_analysis(by, "ids", "distances")
+    distances: FloatArray = arrays["distances"]
+    with reraise_as_damage(study.path):
+        _require_distances(distances, len(arrays["ids"]))
+    return distances
+
+
+def read_landmark_distances(study: Study, by: str) -> FloatArray:
+    """Read the distances between the landmarks of an analysis, shape (m, m)."""
+    arrays, _ = study.read_analysis(by, "landmarks", "between")
+    distances: FloatArray = arrays["between"]
+    with reraise_as_damage(study.path):
+        _require_distances(distances, len(arrays["landmarks"]))
+    return distances
+
+
+def _require_distances(distances: FloatArray, n_scenarios: int) -> None:
+    require_value(
+        distances.shape == (n_scenarios, n_scenarios) and distances.dtype.kind == "f", "distances of other scenarios"
+    )
+    require_value(
+        bool((np.isfinite(distances) & (distances >= 0.0)).all()), "distances that are negative or not finite"
+    )

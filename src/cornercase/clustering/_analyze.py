@@ -1,0 +1,362 @@
+"""`analyze`: cluster the scenarios of a study."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, Literal
+
+import numpy as np
+
+from cornercase._common.errors import InputError
+from cornercase._common.memory import DEFAULT_MEMORY, MemoryLimit
+from cornercase._common.process.dask import open_connection
+from cornercase._common.progress import ProgressBar, show_bars
+from cornercase._common.typing import FloatArray, IntArray
+from cornercase._common.validation import check_str_sequence
+from cornercase.clustering._agreement import collect_facts, mutual_information_with_facts
+from cornercase.clustering._analysis import (
+    Analysis,
+    analysis_to_storage,
+    read_analysis,
+    read_distances,
+    read_landmark_distances,
+)
+from cornercase.clustering._assign import refit
+from cornercase.clustering._clustering import Clustering, ClusteringMethod
+from cornercase.clustering._embedding import Distances, EmbeddedDistances
+from cornercase.clustering._ending import Outcome, find_outcome
+from cornercase.clustering._landmarks import MAX_ALL_PAIRS, PairwiseComparer, assign_by_landmarks, cluster_by_landmarks
+from cornercase.clustering._scenario_clustering import ScenarioClustering
+from cornercase.clustering._series import (
+    aspect_series,
+    create_aspect,
+    default_aspects,
+    distance_unit,
+    downsample,
+    downsampling_stride,
+    read_series,
+    require_aspect,
+    require_same_channels,
+    window_in_instants,
+)
+from cornercase.clustering.naming._predicates import NamingFacts
+from cornercase.clustering.naming._profiles import profile_clusters
+from cornercase.clustering.naming._scenario_features import measure_features
+from cornercase.study import Study
+from cornercase.study._study import open_study
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+# Recordings from which the length and memory of all are estimated.
+_SAMPLED_RECORDINGS: Final = 100
+# Bytes per pair in the matrix and in what is derived from it, per pair of a further aspect that waits to be stored, and
+# per scenario besides its series.
+_BYTES_PER_PAIR: Final = 80
+_BYTES_PER_WAITING_PAIR: Final = 20
+_BYTES_PER_SCENARIO: Final = 8_000
+
+
+def analyze(
+    study: Study | Path | str,
+    by: str | Sequence[str] | None = None,
+    *,
+    gamma: float | Literal["auto"] = "auto",
+    eps: float | Literal["auto"] = "auto",
+    min_samples: int | Literal["auto"] = "auto",
+    method: ClusteringMethod | None = None,
+    window: float | None = None,
+    keep_clusters: bool = False,
+    critical: float | None = None,
+    workers: int = 1,
+    cluster: str | Client | None = None,
+    memory: str | float = DEFAULT_MEMORY,
+    progress: bool = False,
+) -> dict[str, Analysis]:
+    """Cluster the scenarios of a study by behaviour and by criticality, and store the result in it.
+
+    For each aspect, scenarios are compared by Dynamic Time Warping, and `ScenarioClustering` clusters them by these
+    distances. With more than 2,000 scenarios, each is compared only with 500 random ones, the landmarks, and series are
+    downsampled to at most 100 instants (for a series of median length). The landmarks are clustered, and the others
+    join their clusters. Distances between the others follow from landmark multidimensional scaling;
+    `Analysis.embedding_error` says how exact they are.
+
+    Parameters
+    ----------
+    study : Study or path
+        Open for writing, or the file.
+    by : str or sequence of str, optional
+        Aspects: any of `cornercase.clustering.ASPECTS`, and metrics of the study. By default the ego's trajectory,
+        the bearing of the other, the interaction of both, and all metrics of the study.
+    gamma, eps : float or "auto", default "auto"
+        Kernel width and radius of the neighbourhood, without unit.
+    min_samples : int or "auto", default "auto"
+        Least number of scenarios in a dense neighbourhood.
+    method : {"dbscan", "hdbscan"}, optional
+        Algorithm that finds the clusters; by default DBSCAN.
+    window : float, optional
+        s; largest difference in time of two instants that are matched, beyond the difference of the recordings'
+        lengths. By default any, as in the paper: then waiting costs nothing by itself.
+    keep : bool, default False
+        Keep the existing clusters of the study, and assign the scenarios that were run since to them, as in
+        `ScenarioClustering.predict`.
+    critical : float, optional
+        Score from which a scenario is critical, to compare the clusters with; by default that of the study, which is
+        not changed.
+    workers : int, default 1
+        Processes of a local cluster.
+    cluster : str or distributed.Client, optional
+        Dask cluster that computes the distances: ``"local"`` for `workers` local processes, the address of a scheduler,
+        the file that a scheduler wrote, or a client, which stays open. The result is the same to the bit.
+    memory : str or float, default "4 GB"
+        Memory limit of the process, in bytes or as text; more scenarios than fit are refused.
+    progress : bool, default False
+        Show a progress bar.
+
+    Returns
+    -------
+    dict of str to Analysis
+        By aspect.
+
+    Raises
+    ------
+    InputError
+        Fewer than two scenarios were run, the study cannot be compared by an aspect, a setting is out of range or
+        given for clusters that are kept, or the series do not fit in the memory.
+
+    See Also
+    --------
+    ScenarioClustering : The clustering of any distances.
+    cornercase.reduce : Selects a few scenarios of each cluster.
+
+    References
+    ----------
+    B. Schütt, S. Otten, E. Sax, "Clustering-based criticality analysis for testing of automated driving systems",
+    2023, section "Scenario Clustering".
+    """
+    model = ScenarioClustering(gamma, eps, min_samples, method="dbscan" if method is None else method)
+    model.check_settings()
+    limit = MemoryLimit.from_value(memory)
+    requested = None if by is None else tuple(dict.fromkeys(check_str_sequence("by", by)))
+    with open_study(study, critical=critical) as opened:
+        aspects = default_aspects(opened) if requested is None else requested
+        for aspect in aspects:
+            require_aspect(opened, aspect)
+        existing = set(aspects) & set(opened.analyzed_aspects())
+        if (
+            keep_clusters
+            and existing
+            and ({gamma, eps, min_samples} != {"auto"} or method is not None or window is not None)
+        ):
+            raise InputError(
+                "`keep`: the settings of kept clusters cannot change;"
+                " leave out `gamma`, `eps`, `min_samples`, `method` and `window`."
+            )
+        with show_bars(progress), open_connection(cluster, workers, else_none=True) as client:
+            return _analyze_by_aspects(opened, aspects, model, window, keep_clusters, limit, client, progress)
+
+
+@dataclass(frozen=True, eq=False)
+class _Inputs:
+    """Inputs read from the recordings of all scenarios that were run."""
+
+    outcomes: list[Outcome]
+    naming_facts: NamingFacts
+    times: list[FloatArray]
+    """Times of each recording in s; empty without a window."""
+    series: dict[str, list[FloatArray]]
+    """By aspect, without metrics."""
+
+
+def _analyze_by_aspects(
+    study: Study,
+    aspects: Sequence[str],
+    model: ScenarioClustering,
+    window: float | None,
+    keep_clusters: bool,
+    memory_limit: MemoryLimit,
+    client: Client | None,
+    progress: bool,
+) -> dict[str, Analysis]:
+    ids = np.array([row.id for row in study.finished_rows()], dtype=np.int64)
+    if len(ids) < 2:
+        ran, failed = "1 scenario was" if len(ids) else "no scenario was", study.failed_rows()
+        failures = f", {len(failed)} failed, the first one with: {failed[0].error}" if failed else ""
+        raise InputError(f"{study.path}: {ran} run{failures}; clustering needs at least 2.")
+    start = time.monotonic()
+    previous = {
+        aspect: read_analysis(study, aspect)
+        for aspect in aspects
+        if keep_clusters and aspect in study.analyzed_aspects()
+    }
+    stride = _choose_stride(study, ids)
+    strides = {aspect: previous[aspect].stride if aspect in previous else stride for aspect in aspects}
+    bar = ProgressBar(len(ids), "reading", "scenarios") if progress and len(ids) > MAX_ALL_PAIRS else None
+    try:
+        inputs = _read_inputs(study, ids, strides, memory_limit, bar, with_times=window is not None or keep_clusters)
+    finally:
+        if bar:
+            bar.stop()
+    window_in_instants(inputs.times, window)
+    facts = collect_facts(study, inputs.outcomes)
+    spent = {"read": time.monotonic() - start, "compare": 0.0, "cluster": 0.0}
+    results, to_store = {}, {}
+    for name in aspects:
+        start = time.monotonic()
+        existing = previous.pop(name, None)
+        dtw_window = window if existing is None else existing.window
+        series = (
+            inputs.series.pop(name)
+            if name in inputs.series
+            else [downsample(aspect, strides[name]) for aspect in read_series(study, name)]
+        )
+        window_instants = window_in_instants([downsample(times, strides[name]) for times in inputs.times], dtw_window)
+        comparing = PairwiseComparer(series, strides[name], window_instants, client, name if progress else None)
+        clustering, fitted, stored_distances, distances, embedding_error = _cluster_by_aspect(
+            study, ids, comparing, model, name, existing
+        )
+        profiles = profile_clusters(study, clustering.labels, inputs.naming_facts, distances)
+        agreements = mutual_information_with_facts(clustering.labels, facts)
+        unit = distance_unit(study, name)
+        results[name] = Analysis(
+            name, unit, dtw_window, ids, clustering, fitted, profiles, agreements, strides[name], embedding_error
+        )
+        to_store[name] = analysis_to_storage(study, results[name], stored_distances, distances)
+        spent["compare"] += comparing.seconds
+        spent["cluster"] += time.monotonic() - start - comparing.seconds
+    outcomes = {i: outcome.text for i, outcome in zip(ids.tolist(), inputs.outcomes, strict=True)}
+    study.writer.save_analyses(to_store, outcomes)
+    study.writer.add_elapsed_times(spent)
+    return results
+
+
+def _choose_stride(study: Study, ids: IntArray) -> int:
+    """Stride of the series, from the lengths of some of the recordings; 1 if all pairs are compared."""
+    if len(ids) <= MAX_ALL_PAIRS:
+        return 1
+    sample = ids[np.linspace(0, len(ids) - 1, _SAMPLED_RECORDINGS).astype(np.int64)]
+    return downsampling_stride([len(study.recording(scenario).time) for scenario in sample.tolist()])
+
+
+def _read_inputs(
+    study: Study,
+    ids: IntArray,
+    strides: dict[str, int],
+    memory_limit: MemoryLimit,
+    bar: ProgressBar | None,
+    *,
+    with_times: bool,
+) -> _Inputs:
+    outcomes, traits, times = [], [], []
+    main = study.primary_other()
+    aspects = {name: create_aspect(name) for name in strides if name not in study.meta.metrics}
+    series_by_aspect: dict[str, list[FloatArray]] = {name: [] for name in aspects}
+    # Each recording is decompressed once.
+    for count, i in enumerate(ids.tolist(), 1):
+        recording = study.recording(i).with_absent_entities(study.meta.others)
+        outcomes.append(find_outcome(recording, study.meta.ego, main))
+        traits.append(measure_features(recording, outcomes[-1]))
+        if with_times:
+            times.append(recording.time)
+        for name, aspect in aspects.items():
+            series_by_aspect[name].append(downsample(aspect_series(study, i, recording, aspect, main), strides[name]))
+        if count == _SAMPLED_RECORDINGS:
+            _require_memory(study, series_by_aspect, len(strides), len(ids), memory_limit)
+        if bar:
+            bar.update(count, "read")
+    for name, series in series_by_aspect.items():
+        require_same_channels(study, name, ids.tolist(), series)
+    account = NamingFacts.from_scenarios(outcomes, traits, study.space, [row.values for row in study.finished_rows()])
+    return _Inputs(outcomes, account, times, series_by_aspect)
+
+
+def _require_memory(
+    study: Study,
+    series_by_aspect: dict[str, list[FloatArray]],
+    n_aspects: int,
+    n_scenarios: int,
+    memory_limit: MemoryLimit,
+) -> None:
+    """Raise an error if all series will not fit, judged by the first ones."""
+    first = max(map(len, series_by_aspect.values()), default=0)
+    series = sum(values.nbytes for series in series_by_aspect.values() for values in series) / max(first, 1)
+    pairs = min(n_scenarios, MAX_ALL_PAIRS) ** 2 * (_BYTES_PER_PAIR + (n_aspects - 1) * _BYTES_PER_WAITING_PAIR)
+    advice = (
+        ", or analyze by fewer aspects at a time with `by`"
+        if n_scenarios * series > pairs and len(series_by_aspect) > 1
+        else ""
+    )
+    memory_limit.check_fits(
+        pairs + n_scenarios * (series + _BYTES_PER_SCENARIO),
+        f"{study.path}: the series of {n_scenarios} scenarios",
+        f"give more{advice}",
+    )
+
+
+def _cluster_by_aspect(
+    study: Study,
+    ids: IntArray,
+    comparer: PairwiseComparer,
+    model: ScenarioClustering,
+    by: str,
+    existing: Analysis | None,
+) -> tuple[Clustering, IntArray, FloatArray, Distances, float | None]:
+    """Return clusters, ids they were found in, distances to store, all distances, and the error of these."""
+    if existing is None and len(ids) > MAX_ALL_PAIRS:
+        result = cluster_by_landmarks(comparer, model)
+        return (
+            result.clustering,
+            ids,
+            result.landmark_distances,
+            EmbeddedDistances(result.embedding),
+            result.embedding_error,
+        )
+    if existing is not None and (existing.embedding_error is not None or len(ids) > MAX_ALL_PAIRS):
+        # An analysis without landmarks uses all its scenarios as landmarks.
+        references = (
+            existing.ids[existing.clustering.landmarks] if existing.embedding_error is not None else existing.fitted_ids
+        )
+        rows = existing.rows_of(references.tolist())
+        if existing.embedding_error is not None:
+            stored = read_landmark_distances(study, by)
+        else:
+            stored = read_distances(study, by)[np.ix_(rows, rows)]
+        landmarks = np.flatnonzero(np.isin(ids, references))
+        result = assign_by_landmarks(comparer, landmarks, stored, existing.clustering, existing.labels[rows])
+        return (
+            result.clustering,
+            existing.fitted_ids,
+            stored,
+            EmbeddedDistances(result.embedding),
+            result.embedding_error,
+        )
+    distances = comparer.distances_between(np.arange(len(ids)), show_progress=True)
+    if existing is None:
+        return model.fit(distances).result_, ids, distances, distances, None
+    # Known distances are reused, since the kept clusters were found with them to the last digit.
+    known, rows = np.flatnonzero(np.isin(ids, existing.ids)), existing.rows_of(ids.tolist())
+    distances[np.ix_(known, known)] = read_distances(study, by)[np.ix_(rows, rows)]
+    return *_extend_clusters(existing, ids, distances), distances, distances, None
+
+
+def _extend_clusters(existing: Analysis, ids: IntArray, distances: FloatArray) -> tuple[Clustering, IntArray]:
+    """Extend the clusters of an earlier analysis to scenarios run since; also return the ids they were found in."""
+    # A failed scenario may have been run again since, so the earlier ones need not come first.
+    is_fitted = np.isin(ids, existing.fitted_ids)
+    clustering = existing.clustering
+    model = refit(existing, distances[np.ix_(is_fitted, is_fitted)])
+    labels, embedding = np.empty(len(ids), dtype=np.int64), np.empty((len(ids), clustering.embedding.shape[1]))
+    labels[is_fitted], embedding[is_fitted] = model.labels_, model.embedding_
+    to_earlier = distances[np.ix_(~is_fitted, is_fitted)]
+    labels[~is_fitted], embedding[~is_fitted] = model.predict(to_earlier), model.transform(to_earlier)
+    extended = replace(
+        model.result_,
+        labels=labels,
+        embedding=embedding,
+        candidates=clustering.candidates,
+        landmarks=np.flatnonzero(is_fitted)[model.landmarks_],
+    )
+    return extended, ids[is_fitted]

@@ -1,0 +1,60 @@
+"""Assignment of new scenarios to the clusters of an analysis."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from cornercase._common.typing import FloatArray, IntArray
+from cornercase.clustering._analysis import Analysis, read_distances, read_landmark_distances
+from cornercase.clustering._density import assign_to_nearest_cluster
+from cornercase.clustering._landmarks import PairwiseComparer
+from cornercase.clustering._scenario_clustering import ScenarioClustering
+from cornercase.clustering._series import downsample, read_series, window_in_instants
+from cornercase.dtw import distance_matrix
+from cornercase.study import Study
+
+
+def refit(analysis: Analysis, distances: FloatArray) -> ScenarioClustering:
+    """Refit the clusters of an analysis, so that further scenarios can be assigned to them.
+
+    `distances`, shape (m, m), are those of the scenarios that it was fitted on, or of the landmarks.
+    """
+    clustering = analysis.clustering
+    dimensions = clustering.embedding.shape[1]
+    return ScenarioClustering(
+        clustering.gamma, clustering.eps, clustering.min_samples, dimensions, method=clustering.method
+    ).fit(distances)
+
+
+def assign_to_clusters(study: Study, analysis: Analysis, other_study: Study, ids: Sequence[int]) -> IntArray:
+    """Assign scenarios `ids` of another study to the clusters of an analysis; -1 is noise.
+
+    Works as `ScenarioClustering.predict`. The other study has the same entities, and the same metric if the analysis is
+    by one.
+    """
+    if not len(ids):
+        return np.zeros(0, dtype=np.int64)
+    uses_landmarks = analysis.embedding_error is not None
+    reference_ids = analysis.ids[analysis.clustering.landmarks] if uses_landmarks else analysis.fitted_ids
+    references = reference_ids.tolist()
+    series: list[FloatArray] = []
+    times: list[FloatArray] = []
+    for source, scenarios in ((study, references), (other_study, list(ids))):
+        series += read_series(source, analysis.by, scenarios, study.primary_other())
+        times += [source.recording(scenario).time for scenario in scenarios]
+    series, times = ([downsample(values, analysis.stride) for values in columns] for columns in (series, times))
+    window = window_in_instants(times, analysis.window)
+    rows, count = analysis.rows_of(references), len(references)
+    if uses_landmarks:
+        comparing = PairwiseComparer(series, analysis.stride, window)
+        to_landmarks = comparing.distances_to_landmarks(np.arange(count), np.arange(count, len(series)))
+        model = refit(analysis, read_landmark_distances(study, analysis.by))
+        reference_clustering = replace(model.result_, labels=analysis.labels[rows])
+        return assign_to_nearest_cluster(model.transform(to_landmarks), reference_clustering)
+    # In single precision, as in `analyze`.
+    distances = distance_matrix(series, window=window, dtype="float32").astype(np.float64)
+    model = refit(analysis, read_distances(study, analysis.by)[np.ix_(rows, rows)])
+    return model.predict(distances[count:, :count])

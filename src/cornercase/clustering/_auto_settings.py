@@ -1,0 +1,258 @@
+"""Search for the kernel width and the neighbourhood radius that show the clusters best."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from typing import Final, Literal, NamedTuple
+
+import numpy as np
+from scipy.spatial.distance import pdist, squareform
+from threadpoolctl import threadpool_limits
+
+from cornercase._common.progress import progress_step
+from cornercase._common.typing import FloatArray, IntArray
+from cornercase.clustering._clustering import NOISE_LABEL, Candidate, Clustering, ClusteringMethod
+from cornercase.clustering._density import cluster_by_density
+from cornercase.clustering._kernel_pca import KernelPca
+from cornercase.clustering._kernels.spanning_tree import fill_spanning_tree
+from cornercase.clustering._n_clusters import estimate_clusters
+from cornercase.clustering._stability import StabilityScorer
+from cornercase.clustering._validity import ValidityScorer
+
+# Grid of ``"auto"``. Three components, as in the paper, can separate a few clusters; a dozen clusters need more.
+GAMMAS: Final = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
+COMPONENTS: Final = (3, 6, 12, 24)
+# With a single cluster, the kernel has fallen to 1/e at the median distance.
+SINGLE_CLUSTER_GAMMA: Final = 1.0
+# Share of the edges within clusters that a radius covers: all, or all but those to a few points that become noise.
+EPS_QUANTILES: Final = (1.0, 0.99, 0.97, 0.94, 0.9, 0.8)
+# Agreement with the expected clusters that ends the search.
+GOOD_AGREEMENT: Final = 0.97
+NOISE_COST: Final = 1.0
+# Breaks ties between equal agreements in favour of the wider gap.
+MARGIN_SHARE: Final = 0.02
+MIN_SCORE: Final = 0.0
+MIN_STABILITY: Final = 0.5
+# The first candidate that is this stable is taken, of at most `MAX_JUDGED`.
+GOOD_STABILITY: Final = 0.9
+INSTABILITY_COST: Final = 0.1
+MAX_JUDGED: Final = 6
+# Largest number of scenarios on which validity and the error of landmarks are computed.
+MAX_SCORED: Final = 1000
+_MIN_SCENARIOS: Final = 5
+
+_Auto = Literal["auto"]
+
+
+def search_settings(
+    distances: FloatArray,
+    *,
+    gamma: float | _Auto,
+    eps: float | _Auto,
+    min_samples: int | _Auto,
+    n_components: int | _Auto,
+    method: ClusteringMethod,
+) -> Clustering:
+    """Cluster with the given settings, and with the best of those that are ``"auto"``.
+
+    `ScenarioClustering` says what is best. `distances`, shape (n, n), are in `canonical_order`, since the assignment of
+    border points depends on the order.
+    """
+    n = len(distances)
+    positive = distances[distances > 0.0]
+    scale = float(np.median(positive)) if len(positive) else 0.0
+    scaled = distances / scale if scale else distances
+    searching = "auto" in (gamma, eps) and n >= _MIN_SCENARIOS
+    search = _SettingsSearch(scaled, searching, method)
+    spaces = list(_candidate_spaces(n, n_components, min_samples, search.smallest if searching else 0))
+    has_structure = search.expected.max() > 0 or eps != "auto"
+    widths = (gamma,) if gamma != "auto" else GAMMAS if searching and has_structure else (SINGLE_CLUSTER_GAMMA,)
+    # The last digits would depend on the number of BLAS threads.
+    with (
+        threadpool_limits(limits=1),
+        progress_step(len(spaces) * len(widths), "clustering", "settings at most") as update_progress,
+    ):
+        for k, (dimensions, neighbours) in enumerate(spaces):
+            for i, width in enumerate(widths, start=1):
+                search.evaluate_kernel(width, eps, dimensions, neighbours)
+                update_progress(k * len(widths) + i)
+            if not searching or search.best_score >= GOOD_AGREEMENT:
+                break
+        best = search.best_candidate(settings_given="auto" not in (gamma, eps)) if searching else 0
+    settings, labels, space = search.candidates[best]
+    return Clustering(
+        labels=labels,
+        embedding=space.points,
+        gamma=settings.gamma,
+        eps=settings.eps,
+        min_samples=settings.min_samples,
+        scale=scale,
+        explained=space.explained,
+        candidates=tuple(candidate for candidate, _, _ in search.candidates),
+        method=method,
+        landmarks=np.zeros(0, dtype=np.int64),
+        error=0.0,
+    )
+
+
+def canonical_order(distances: FloatArray) -> IntArray:
+    """Return the scenarios by rising sum of distances, an order that does not depend on how they were given."""
+    return np.argsort(distances.sum(axis=1), kind="stable").astype(np.int64)
+
+
+def _candidate_spaces(
+    n_scenarios: int, n_components: int | _Auto, min_samples: int | _Auto, smallest_cluster: int
+) -> Iterator[tuple[int, int]]:
+    """Yield pairs of dimensions and `min_samples` to try, the usual ones first."""
+    usual = max(3, math.ceil(math.log(n_scenarios))) if n_scenarios >= _MIN_SCENARIOS else 1
+    # A cluster of five is not dense if six are needed; clusters that touch need more neighbours to be separated.
+    neighbours = [value for value in (usual, 3, 2 * usual) if value <= max(smallest_cluster, 1)]
+    neighbours = list(dict.fromkeys(neighbours)) or [usual]
+    for value in neighbours if min_samples == "auto" else (min_samples,):
+        for dimensions in COMPONENTS if n_components == "auto" else (n_components,):
+            yield dimensions, value
+
+
+def _mean_f_measure(labels: IntArray, expected: IntArray) -> float:
+    """Smaller of two mean F-measures: of each expected cluster with its best match, and vice versa."""
+    shared = np.zeros((int(expected.max()) + 1, int(labels.max()) + 1))
+    if not shared.size:
+        return 0.0
+    is_member = labels != NOISE_LABEL
+    np.add.at(shared, (expected[is_member], labels[is_member]), 1.0)
+    sizes = np.bincount(expected)[:, None] + np.bincount(labels[is_member], minlength=shared.shape[1])
+    matches = 2.0 * shared / sizes
+    return float(min(matches.max(axis=1).mean(), matches.max(axis=0).mean()))
+
+
+class _Embedding(NamedTuple):
+    """The part of a fitted kernel space that the search needs."""
+
+    points: FloatArray
+    explained: float
+
+
+class _SettingsSearch:
+    """Candidate settings and how well each shows the clusters that the distances show."""
+
+    def __init__(self, distances: FloatArray, searching: bool, method: ClusteringMethod) -> None:
+        self._scaled, self._searching, self._method = distances, searching, method
+        self.expected = estimate_clusters(distances) if searching else np.zeros(len(distances), dtype=np.int64)
+        self.smallest = int(np.bincount(self.expected).min())
+        self.candidates: list[tuple[Candidate, IntArray, _Embedding]] = []
+        self._embeddings: dict[tuple[float, int], _Embedding] = {}
+
+    @property
+    def best_score(self) -> float:
+        """Highest score of all candidates so far."""
+        return max(candidate.score for candidate, _, _ in self.candidates)
+
+    def evaluate_kernel(self, gamma: float, eps: float | _Auto, n_components: int, min_samples: int) -> None:
+        """Try all neighbourhood radii for one kernel."""
+        if (gamma, n_components) not in self._embeddings:
+            fitted = KernelPca(gamma, n_components).fit(self._scaled)
+            self._embeddings[gamma, n_components] = _Embedding(fitted.embedding, fitted.explained)
+        space = self._embeddings[gamma, n_components]
+        steps = _TreeEdges(space.points, self.expected, min_samples)
+        for radius in steps.candidate_radii(self._method) if eps == "auto" else (eps,):
+            labels = cluster_by_density(space.points, radius, min_samples, self._method)
+            clusters, noise = int(labels.max()) + 1, float(np.mean(labels == NOISE_LABEL))
+            agreement, score = math.nan, -math.inf
+            if self._searching:
+                agreement = _mean_f_measure(labels, self.expected)
+                score = agreement - NOISE_COST * noise + MARGIN_SHARE * steps.gap_clearness
+            candidate = Candidate(
+                gamma,
+                radius,
+                clusters,
+                noise,
+                math.nan,
+                math.nan,
+                math.nan,
+                score,
+                n_components,
+                min_samples,
+                agreement,
+            )
+            self.candidates.append((candidate, labels, space))
+
+    def best_candidate(self, settings_given: bool) -> int:
+        """Return the index of the best candidate, after judging the best few by stability and validity."""
+        indices = np.arange(len(self._scaled))
+        self._stability = StabilityScorer(self._scaled, indices, method=self._method, max_part_size=MAX_SCORED)
+        # At equal scores the wider radius is more robust when scenarios are left out.
+        by_score = sorted(
+            range(len(self.candidates)), key=lambda k: (-self.candidates[k][0].score, -self.candidates[k][0].eps)
+        )
+        highest = self.candidates[by_score[0]][0].score
+        judged: dict[tuple[float, int, int], int] = {}
+        for k in by_score:
+            candidate, _, _ = self.candidates[k]
+            if candidate.score < highest - INSTABILITY_COST or len(judged) == MAX_JUDGED:
+                break
+            key = (candidate.gamma, candidate.n_components, candidate.min_samples)
+            if key in judged:
+                continue
+            judged[key] = k
+            if self._add_stability(k) >= GOOD_STABILITY:
+                break
+        best = max(judged.values(), key=lambda k: self.candidates[k][0].score)
+        best_by_count = {candidate.clusters: k for k in reversed(by_score) for candidate in [self.candidates[k][0]]}
+        best_by_count[self.candidates[best][0].clusters] = best
+        compared = sorted(best_by_count.values(), key=lambda k: -self.candidates[k][0].score)[:MAX_JUDGED]
+        validity = ValidityScorer(self._scaled, indices[:: math.ceil(len(indices) / MAX_SCORED)])
+        for k in {*compared, *([best_by_count[1]] if 1 in best_by_count else [])}:
+            self._add_stability(k)
+            candidate, labels, space = self.candidates[k]
+            if candidate.clusters > 1:
+                dbcv, silhouette = validity.dbcv_and_silhouette(labels)
+                self.candidates[k] = replace(candidate, dbcv=dbcv, silhouette=silhouette), labels, space
+        winner = self.candidates[best][0]
+        if not settings_given and 1 in best_by_count and (winner.score < MIN_SCORE or winner.stability < MIN_STABILITY):
+            return best_by_count[1]
+        return best
+
+    def _add_stability(self, index: int) -> float:
+        """Add the stability of a candidate to it and to its score."""
+        candidate, labels, space = self.candidates[index]
+        if math.isnan(candidate.stability):
+            stability = self._stability.mean_rand_index(candidate, labels)
+            candidate = replace(
+                candidate, stability=stability, score=candidate.score - INSTABILITY_COST * (1.0 - stability)
+            )
+            self.candidates[index] = candidate, labels, space
+        return candidate.stability
+
+
+class _TreeEdges:
+    """Edges of the minimum spanning tree in an embedding: within the expected clusters, and between them."""
+
+    def __init__(self, points: FloatArray, expected: IntArray, min_samples: int) -> None:
+        n, distances = len(points), squareform(pdist(points))
+        self._largest = float(distances.max(initial=0.0))
+        core = np.partition(distances, min(min_samples, n) - 1, axis=1)[:, min(min_samples, n) - 1]
+        edges, lengths = np.empty((2, n - 1), dtype=np.int64), np.empty(n - 1)
+        fill_spanning_tree(np.maximum(distances, np.maximum(core[:, None], core)), edges, lengths)
+        is_across = expected[edges[0]] != expected[edges[1]]
+        self._within, self._across = lengths[~is_across], lengths[is_across]
+
+    @property
+    def gap_clearness(self) -> float:
+        """How clear the gap between clusters is, 0 to 1."""
+        if not len(self._across) or not len(self._within):
+            return 0.0
+        return max(0.0, 1.0 - float(self._within.max() / max(self._across.min(), 1e-300)))
+
+    def candidate_radii(self, method: ClusteringMethod) -> Iterable[float]:
+        """Radii to try: between the edges within clusters and those across; the largest connects everything."""
+        tiny = 1e-9 + 1e-6 * self._largest
+        # A radius equal to a distance would make neighbours depend on the last digits.
+        connects_all = self._largest + tiny
+        if not len(self._across) or not len(self._within):
+            return (connects_all,)
+        gap = float(self._across.min())
+        steps = {float(np.quantile(self._within, q)) + tiny for q in EPS_QUANTILES}
+        radii = {math.sqrt(step * gap) for step in steps if step < gap} | {step for step in steps if step >= gap}
+        return [*sorted(radii), connects_all, *((0.0,) if method == "hdbscan" else ())]

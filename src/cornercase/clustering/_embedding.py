@@ -1,0 +1,195 @@
+"""Distances that are computed on demand from a low-dimensional embedding."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import eigh
+
+from cornercase._common.numba.blas import single_threaded_blas
+from cornercase._common.typing import FloatArray, IntArray
+from cornercase.clustering._kernels.nearest_selected import fill_nearest_distances
+
+MAX_DIMENSIONS: Final = 48
+"""Largest number of coordinates."""
+
+# Axes with a variance below this share of the largest one are rounding errors.
+_AXIS_TOLERANCE: Final = 1e-9
+# Distances per block: 64 MB.
+_BLOCK_SIZE: Final = 2**23
+# One of the 64 nearest scenarios is nearly always in a random choice, unless that has fewer than one in twenty.
+_N_NEAREST: Final = 64
+_SPARSE_SHARE: Final = 0.05
+_N_WALKS: Final = 8
+_KMEANS_ITERATIONS: Final = 30
+
+
+class EmbeddedDistances:
+    """Squared Euclidean distances of embedded scenarios, computed on demand; behaves like a matrix of shape (n, m).
+
+    `rows`, shape (n, p), and `columns`, shape (m, p), are coordinates; by default both are the same scenarios. Supports
+    indexing by rows and by ``numpy.ix_``.
+    """
+
+    def __init__(self, rows: FloatArray, columns: FloatArray | None = None) -> None:
+        self._rows = rows
+        self._columns = rows if columns is None else columns
+        self._row_norms = np.einsum("ij,ij->i", self._rows, self._rows)
+        self._column_norms = np.einsum("ij,ij->i", self._columns, self._columns)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Numbers of rows and of columns."""
+        return len(self._rows), len(self._columns)
+
+    @property
+    def coordinates(self) -> FloatArray:
+        """Coordinates of the scenarios of the rows, shape (n, p)."""
+        return self._rows
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def __getitem__(self, which: Any) -> FloatArray:
+        if isinstance(which, tuple):
+            rows, columns = (index.ravel() if isinstance(index, np.ndarray) else index for index in which)
+        else:
+            rows, columns = which, slice(None)
+        if isinstance(rows, (int, np.integer)):
+            row: FloatArray = self[[int(rows)]][0]
+            return row
+        distances = self._inner_products(rows, columns)
+        distances *= -2.0
+        distances += self._row_norms[rows][:, None]
+        distances += self._column_norms[columns]
+        np.maximum(distances, 0.0, out=distances)
+        return distances
+
+    def _inner_products(self, rows: Any, columns: Any) -> FloatArray:
+        with single_threaded_blas():
+            products: FloatArray = self._rows[rows] @ self._columns[columns].T
+        return products
+
+    def __array__(self, dtype: npt.DTypeLike = None, copy: bool | None = None) -> FloatArray:
+        return self[:] if dtype is None else self[:].astype(dtype)
+
+    def subset(self, rows: IntArray, columns: IntArray) -> EmbeddedDistances:
+        """Return the distances of some of the rows and columns."""
+        return EmbeddedDistances(self._rows[rows], self._columns[columns])
+
+    def row_blocks(self) -> Iterator[slice]:
+        """Yield slices of the rows such that the distances of each take at most 64 MB."""
+        step = max(1, _BLOCK_SIZE // max(1, len(self._columns)))
+        for first in range(0, len(self), step):
+            yield slice(first, min(first + step, len(self)))
+
+    def max(self) -> float:
+        """Return the largest distance, nearly.
+
+        Walks from eight scenarios to the farthest one until that leads no farther; all pairs would take n² time.
+        """
+        largest = 0.0
+        for start in np.linspace(0, len(self) - 1, _N_WALKS).astype(np.int64).tolist():
+            current, longest = start, -1.0
+            while (row := self[current]).max(initial=0.0) > longest:
+                current, longest = int(row.argmax()), float(row.max(initial=0.0))
+            largest = max(largest, longest)
+        return largest
+
+    def medoid(self, members: IntArray) -> int:
+        """Return the medoid of some scenarios: the member nearest to their mean, since the distances are squares."""
+        points = self._rows[members]
+        return int(members[((points - points.mean(axis=0)) ** 2).sum(axis=1).argmin()])
+
+    def distances_to_nearest(self, rows: IntArray) -> FloatArray:
+        """Return the distance of every column to the nearest of some rows, shape (m,)."""
+        transposed = EmbeddedDistances(self._columns, self._rows[rows])
+        return np.concatenate([transposed[block].min(axis=1) for block in transposed.row_blocks()])
+
+    def distances_to_nearest_per_choice(self, row_choices: IntArray) -> FloatArray:
+        """Return the distance of every column to the nearest row of each choice, shape (draws, m)."""
+        n = len(self)
+        if row_choices.shape[1] < _SPARSE_SHARE * n or n <= 2 * _N_NEAREST:
+            return np.array([self.distances_to_nearest(choice) for choice in row_choices])
+        is_chosen = np.zeros((len(row_choices), n), dtype=np.bool_)
+        np.put_along_axis(is_chosen, row_choices, True, axis=1)
+        distances = np.empty((len(row_choices), len(self._columns)))
+        transposed = EmbeddedDistances(self._columns, self._rows)
+        for block in transposed.row_blocks():
+            rows, columns = transposed._row_norms[block], transposed._column_norms
+            fill_nearest_distances(
+                transposed._inner_products(block, slice(None)),
+                rows,
+                columns,
+                is_chosen,
+                _N_NEAREST,
+                distances[:, block],
+            )
+        return distances
+
+    def medoids(self, count: int) -> IntArray:
+        """Choose `count` scenarios with a small mean distance from all to the nearest one, in rising order.
+
+        The distances are squares, so k-means minimises their sum; the scenario nearest to each mean is taken. D.
+        Arthur, S. Vassilvitskii, "k-means++: The advantages of careful seeding", 2007.
+        """
+        n = len(self)
+        if count >= n:
+            return np.arange(n)
+        from sklearn.cluster import KMeans
+        from sklearn.exceptions import ConvergenceWarning
+
+        # k-means warns if identical scenarios leave fewer groups than asked for.
+        with single_threaded_blas(), warnings.catch_warnings():
+            warnings.simplefilter("ignore", ConvergenceWarning)
+            model = KMeans(count, n_init=1, max_iter=_KMEANS_ITERATIONS, random_state=0).fit(self._rows)
+        groups = model.labels_
+        squares = ((self._rows - model.cluster_centers_[groups]) ** 2).sum(axis=1)
+        order = np.lexsort((squares, groups))
+        selected = order[np.unique(groups[order], return_index=True)[1]]
+        remaining = np.setdiff1d(np.arange(n), selected)[: count - len(selected)]
+        return np.sort(np.concatenate((selected, remaining))).astype(np.int64)
+
+
+class LandmarkMDS:
+    """Landmark multidimensional scaling: coordinates of scenarios from their distances to some landmarks.
+
+    `landmark_distances`, shape (m, m), are the distances of the landmarks. Uses the roots of the distances: DTW sums
+    along a path and is no metric, but its root is nearly Euclidean. Only the 48 largest axes are kept, so distances
+    between very similar scenarios come out too small. V. de Silva, J. Tenenbaum, "Sparse multidimensional scaling using
+    landmark points", 2004.
+    """
+
+    def __init__(self, landmark_distances: FloatArray) -> None:
+        self._means = landmark_distances.mean(axis=0)
+        centred = -0.5 * (landmark_distances - self._means - self._means[:, None] + self._means.mean())
+        m = len(landmark_distances)
+        with single_threaded_blas():
+            values, vectors = eigh(centred, subset_by_index=[max(0, m - MAX_DIMENSIONS), m - 1])
+        values, vectors = values[::-1], vectors[:, ::-1]
+        is_used = values > max(_AXIS_TOLERANCE * float(values[0]), 1e-300)
+        # Each axis is signed so that its largest entry is positive, as in kernel space.
+        signs = np.sign(vectors[np.abs(vectors).argmax(axis=0), np.arange(vectors.shape[1])])
+        # If all landmarks are identical, all scenarios get the same coordinates.
+        self._axes = (vectors * signs)[:, is_used] / np.sqrt(values[is_used]) if is_used.any() else np.zeros((m, 1))
+        embedded = EmbeddedDistances(self._project(landmark_distances))
+        (rows, columns) = np.triu_indices(m, 1)
+        estimated, true = embedded[:][rows, columns], landmark_distances[rows, columns]
+        squares = float((estimated * estimated).sum())
+        self._scale = np.sqrt((estimated * true).sum() / squares) if squares else 1.0
+
+    def _project(self, to_landmarks: FloatArray) -> FloatArray:
+        with single_threaded_blas():
+            return np.asarray(-0.5 * (to_landmarks - self._means) @ self._axes)
+
+    def embed(self, to_landmarks: FloatArray) -> FloatArray:
+        """Embed scenarios by their distances to the landmarks, shape (n, m)."""
+        return self._project(to_landmarks) * self._scale
+
+
+Distances = npt.NDArray[np.float64] | EmbeddedDistances
+"""Distances between scenarios: a full matrix, or computed from an embedding."""

@@ -1,0 +1,159 @@
+"""Clustering of many scenarios by landmarks, so that nothing grows with the square of their number.
+
+Every scenario is compared with a few landmarks only. The landmarks are clustered, and the others join their clusters.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+
+from cornercase._common.progress import ProgressBar
+from cornercase._common.typing import FloatArray, IntArray
+from cornercase.clustering._clustering import Clustering
+from cornercase.clustering._density import assign_to_nearest_cluster, renumber_by_size
+from cornercase.clustering._embedding import EmbeddedDistances, LandmarkMDS
+from cornercase.clustering._scenario_clustering import ScenarioClustering
+from cornercase.dtw import distance_matrix, distances_to
+
+MAX_ALL_PAIRS: Final = 2000
+"""Largest number of scenarios for which all pairs are compared; with more, each is compared with the landmarks."""
+N_LANDMARKS: Final = 500
+"""Number of landmarks."""
+# Scenarios, other than landmarks, on which the error of the embedding is measured.
+_N_ERROR_SCENARIOS: Final = 200
+# Scenarios that are compared with the landmarks at a time; takes some seconds.
+_BATCH_SIZE: Final = 1000
+
+
+@dataclass(frozen=True, eq=False)
+class ComparisonResult:
+    """Clusters and embedding of scenarios that were compared with landmarks.
+
+    `embedding`, shape (n, p), are coordinates for `EmbeddedDistances`; `landmark_distances`, shape (m, m), are the
+    distances of the landmarks; `embedding_error` is the mean absolute error of embedded distances between other
+    scenarios, as a share of the mean distance.
+    """
+
+    clustering: Clustering
+    embedding: FloatArray
+    landmark_distances: FloatArray
+    embedding_error: float
+
+
+@dataclass(eq=False)
+class PairwiseComparer:
+    """DTW comparison of downsampled series; distances are multiplied by the stride `stride`.
+
+    `window` is in instants; `progress` is the label of a bar, None for no bar; `seconds` is the time spent so far.
+    """
+
+    series: Sequence[FloatArray]
+    stride: int
+    window: int | None
+    client: Any = None
+    progress: str | None = None
+    seconds: float = 0.0
+
+    def distances_between(self, scenario_indices: IntArray, *, show_progress: bool = False) -> FloatArray:
+        """Return the distances between some scenarios, shape (m, m)."""
+        start = time.monotonic()
+        selected_series = [self.series[i] for i in scenario_indices.tolist()]
+        # Single precision is several times as fast, and its seventh digit decides nothing here.
+        distances = distance_matrix(
+            selected_series,
+            window=self.window,
+            dtype="float32",
+            progress=show_progress and self.progress is not None,
+            **self._client_options,
+        ).astype(np.float64)
+        self.seconds += time.monotonic() - start
+        return distances * self.stride if self.stride > 1 else distances
+
+    def distances_to_landmarks(self, landmarks: IntArray, scenario_indices: IntArray) -> FloatArray:
+        """Return the distances from some scenarios to the landmarks, shape (n, m)."""
+        rows, columns = ([self.series[i] for i in indices.tolist()] for indices in (scenario_indices, landmarks))
+        start = time.monotonic()
+        distances = distances_to(rows, columns, window=self.window, dtype="float32", **self._client_options).astype(
+            np.float64
+        )
+        self.seconds += time.monotonic() - start
+        return distances * self.stride
+
+    @property
+    def _client_options(self) -> dict[str, Any]:
+        return {} if self.client is None else {"client": self.client}
+
+
+def draw_landmarks(n_scenarios: int) -> IntArray:
+    """Draw landmark scenarios at random, in rising order; so they are dense where scenarios are."""
+    drawn = np.random.default_rng(0).choice(n_scenarios, min(N_LANDMARKS, n_scenarios), replace=False)
+    return np.sort(drawn).astype(np.int64)
+
+
+def cluster_by_landmarks(comparer: PairwiseComparer, model: ScenarioClustering) -> ComparisonResult:
+    """Cluster the landmarks with the settings of `model`, and assign all other scenarios to their clusters."""
+    landmarks = draw_landmarks(len(comparer.series))
+    landmark_distances = comparer.distances_between(landmarks)
+    fitted = ScenarioClustering(**{**model.get_params(), "landmarks": None}).fit(landmark_distances)
+    clustering, coordinates, error = _assign_all(comparer, landmarks, landmark_distances, fitted)
+    return ComparisonResult(
+        replace(clustering, labels=renumber_by_size(clustering.labels)), coordinates, landmark_distances, error
+    )
+
+
+def assign_by_landmarks(
+    comparer: PairwiseComparer,
+    landmarks: IntArray,
+    landmark_distances: FloatArray,
+    existing: Clustering,
+    labels: IntArray,
+) -> ComparisonResult:
+    """Assign scenarios to clusters of an earlier analysis; landmarks keep their `labels`, shape (m,)."""
+    dimensions = existing.embedding.shape[1]
+    fitted = ScenarioClustering(
+        existing.gamma, existing.eps, existing.min_samples, dimensions, method=existing.method
+    ).fit(landmark_distances)
+    fitted.result_ = replace(fitted.result_, labels=labels)
+    clustering, coordinates, error = _assign_all(comparer, landmarks, landmark_distances, fitted)
+    return ComparisonResult(replace(clustering, candidates=existing.candidates), coordinates, landmark_distances, error)
+
+
+def _assign_all(
+    comparer: PairwiseComparer, landmarks: IntArray, landmark_distances: FloatArray, fitted: ScenarioClustering
+) -> tuple[Clustering, FloatArray, float]:
+    """Clusters and coordinates of all scenarios, and the error of embedded distances."""
+    n = len(comparer.series)
+    clustering, embedder = fitted.result_, LandmarkMDS(landmark_distances)
+    labels, embedding = np.empty(n, dtype=np.int64), np.empty((n, clustering.embedding.shape[1]))
+    blocks = []
+    bar = ProgressBar(n, f"by {comparer.progress}", "scenarios") if comparer.progress else None
+    try:
+        for first in range(0, n, _BATCH_SIZE):
+            batch = np.arange(first, min(first + _BATCH_SIZE, n))
+            to_landmarks = comparer.distances_to_landmarks(landmarks, batch)
+            embedding[batch] = fitted.transform(to_landmarks)
+            labels[batch] = assign_to_nearest_cluster(embedding[batch], clustering)
+            blocks.append(embedder.embed(to_landmarks))
+            if bar:
+                bar.update(first + len(batch), "")
+    finally:
+        if bar:
+            bar.stop()
+    embedding[landmarks], labels[landmarks] = clustering.embedding, clustering.labels
+    coordinates = np.concatenate(blocks)
+    non_landmarks = np.setdiff1d(np.arange(n), landmarks)
+    sample = non_landmarks[
+        np.linspace(0, len(non_landmarks) - 1, min(_N_ERROR_SCENARIOS, len(non_landmarks))).astype(np.int64)
+    ]
+    kernel_error = error = 0.0
+    if len(sample) > 1:
+        true, estimated = comparer.distances_between(sample), EmbeddedDistances(coordinates[sample])[:]
+        error = float(np.abs(true - estimated).sum() / max(float(true.sum()), 1e-300))
+        kernel_error = fitted.kernel_approximation_error(comparer.distances_to_landmarks(landmarks, sample), true)
+    extended = replace(clustering, labels=labels, embedding=embedding, landmarks=landmarks, error=kernel_error)
+    return extended, coordinates, error

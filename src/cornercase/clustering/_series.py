@@ -1,0 +1,155 @@
+"""Time series by which the scenarios of a study are compared."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+
+from cornercase._common.errors import InputError, suggest_name
+from cornercase._common.plugin_errors import reraise_termination_request
+from cornercase._common.process.signals import count_requests
+from cornercase._common.text.sanitize import format_exception
+from cornercase._common.typing import FloatArray
+from cornercase.clustering._aspects import ASPECTS, EGO_TRAJECTORY, Aspect
+from cornercase.metrics import METRICS
+from cornercase.recordings import Recording
+from cornercase.recordings._recording import MOTION_ARRAYS
+from cornercase.study import Study
+
+DEFAULT_ASPECTS: Final = (EGO_TRAJECTORY, "bearing", "interaction")
+"""Aspects that `analyze` uses besides the metrics of the study."""
+MAX_INSTANTS: Final = 100
+"""Largest number of instants of a series of median length."""
+
+
+def default_aspects(study: Study) -> tuple[str, ...]:
+    """Return the aspects that `analyze` uses by default: `DEFAULT_ASPECTS`, then the metrics of the study."""
+    return (*DEFAULT_ASPECTS, *study.meta.metrics)
+
+
+def require_aspect(study: Study, aspect: str) -> None:
+    """Raise `InputError` unless `aspect` is one of `ASPECTS` or a metric of the study."""
+    if aspect in study.meta.metrics:
+        return
+    if aspect.partition(":")[0] not in ASPECTS:
+        names = sorted({*ASPECTS.names(), *study.meta.metrics})
+        raise InputError(f"`by` {aspect}: {study.path} has no such aspect or metric; {suggest_name(aspect, names)}")
+    create_aspect(aspect)
+
+
+def create_aspect(name: str) -> Aspect:
+    """Create an aspect of `ASPECTS` and check its name and unit; another package may have registered it."""
+    try:
+        aspect = ASPECTS.create(name)
+        unit, _ = aspect.unit, aspect.name
+    except InputError:
+        raise
+    except Exception as error:
+        raise InputError(f"The aspect '{name}' cannot be created: {format_exception(error)}.") from error
+    if not isinstance(unit, str):
+        raise InputError(f"The aspect '{name}' has {unit!r} as its unit; it has to be a string.")
+    return aspect
+
+
+def read_series(
+    study: Study, aspect: str, ids: Sequence[int] | None = None, other_entity: str | None = None
+) -> list[FloatArray]:
+    """Return one time series per finished scenario, or per scenario of `ids`: shape (T_i, k); (T_i,) for a metric.
+
+    `other_entity` is the entity that aspects look at besides the ego, by default the main other one of the study.
+    """
+    require_aspect(study, aspect)
+    ids = [row.id for row in study.finished_rows()] if ids is None else ids
+    if aspect in study.meta.metrics:
+        metric = METRICS.create(aspect)
+        return [metric.clip_course(study.course(scenario, aspect)) for scenario in ids]
+    aspect_object, other_entity = create_aspect(aspect), study.primary_other() if other_entity is None else other_entity
+    series = [
+        aspect_series(study, scenario, study.recording(scenario), aspect_object, other_entity) for scenario in ids
+    ]
+    require_same_channels(study, aspect, ids, series)
+    return series
+
+
+def aspect_series(study: Study, scenario: int, recording: Recording, aspect: Aspect, other_entity: str) -> FloatArray:
+    """Return the time series of one scenario for an aspect, shape (T, k), checked.
+
+    `other_entity` is the entity that the aspect looks at besides the ego; it is the same in all scenarios that are
+    compared.
+    """
+    # Read-only, since all aspects get the same recording.
+    for name in MOTION_ARRAYS:
+        getattr(recording, name).flags.writeable = False
+    requests = count_requests()
+    try:
+        values = aspect.series(recording.with_absent_entities([other_entity]), study.meta.ego, other_entity)
+    except BaseException as error:
+        reraise_termination_request(error, requests)
+        raise InputError(
+            f"The aspect '{aspect.name}' fails for scenario {scenario} of {study.path}: {format_exception(error)}."
+        ) from error
+    try:
+        series = np.asarray(values).astype(np.float64, casting="same_kind")
+    except (TypeError, ValueError):
+        raise InputError(
+            f"The aspect '{aspect.name}' returns no numbers for scenario {scenario} of {study.path}; it has to return"
+            f" one finite row for each of {len(recording.time)} instants."
+        ) from None
+    if series.ndim != 2 or len(series) != len(recording.time) or not series.size or not np.isfinite(series).all():
+        raise InputError(
+            f"The aspect '{aspect.name}' returns shape {series.shape} for scenario {scenario} of {study.path}, or"
+            f" values that are not finite; it has to return one finite row for each of {len(recording.time)} instants."
+        )
+    return series
+
+
+def require_same_channels(study: Study, aspect: str, ids: Sequence[int], series: Sequence[FloatArray]) -> None:
+    """Raise `InputError` if the series differ in their number of channels."""
+    for scenario, values in zip(ids, series, strict=True):
+        if values.shape[1:] != series[0].shape[1:]:
+            raise InputError(
+                f"The aspect '{aspect}' returns {values.shape[1]} channels for scenario {scenario} of {study.path}, and"
+                f" {series[0].shape[1]} for scenario {ids[0]}; it has to return the same number for all."
+            )
+
+
+def distance_unit(study: Study, aspect: str) -> str:
+    """Return the unit of DTW distances by an aspect: that of its series, since they are sums; "1" for none."""
+    require_aspect(study, aspect)
+    return METRICS.create(aspect).unit if aspect in study.meta.metrics else create_aspect(aspect).unit
+
+
+def window_in_instants(times: Sequence[FloatArray], window_seconds: float | None) -> int | None:
+    """Convert a DTW window in s into instants, for `cornercase.dtw.distance_matrix`; None for no window."""
+    if window_seconds is None:
+        return None
+    if (
+        isinstance(window_seconds, bool)
+        or not isinstance(window_seconds, int | float | np.number)
+        or not 0.0 <= window_seconds < math.inf
+    ):
+        raise InputError(f"`window` {window_seconds!r}: give a time in s of at least 0.")
+    steps = [float(np.median(np.diff(time))) for time in times if len(time) > 1]
+    if not steps:
+        return 1
+    if max(steps) > 1.01 * min(steps):
+        raise InputError(
+            f"`window`: the recordings have time steps from {min(steps):.4g} s to {max(steps):.4g} s; leave it out."
+        )
+    # The cap avoids an overflow; no recording has that many instants.
+    return math.floor(min(float(window_seconds) / steps[0], 1e9) + 1e-6) + 1
+
+
+def downsampling_stride(lengths: Sequence[int]) -> int:
+    """Return the stride, at least 1, that leaves at most 100 instants of a series of median length."""
+    return max(1, math.ceil(float(np.median(lengths)) / MAX_INSTANTS))
+
+
+def downsample(series: FloatArray, stride: int) -> FloatArray:
+    """Take every `stride`-th instant of a series, shape (T,) or (T, k), and the last one."""
+    if stride == 1:
+        return series
+    return np.concatenate((series[:-1:stride], series[-1:]))

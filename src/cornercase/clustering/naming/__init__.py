@@ -1,0 +1,1 @@
+"""Names of clusters: predicates that hold for their scenarios."""

@@ -1,0 +1,83 @@
+"""The built-in driver: plans its speed, follows, yields, and knows only what it has seen."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from inspect import Parameter, Signature
+from typing import Any, Final, cast
+
+from cornercase._common.errors import InputError
+from cornercase._common.typing import BoolArray
+from cornercase.drivers._compiled import CompiledDriver
+from cornercase.drivers._kernels.structs import BEHAVIOUR, KNOWN, YIELDING
+from cornercase.drivers._presets import AGGRESSIVE, CAUTIOUS, NORMAL, Behaviour, check_parameter
+
+_ALLOWED_ZERO: Final = frozenset(
+    {"standing_caution", "reaction_time", "memory", "lateral_margin", "braking_distance", "safety_time"}
+)
+
+
+class BehaviourDriver(CompiledDriver):
+    """Driver with the parameters of a `Behaviour`.
+
+    It takes the lowest of the accelerations allowed by its own speed plan, by each entity that it follows and by each
+    entity that it yields to; see ``docs/drivers.md``.
+
+    Parameters
+    ----------
+    behaviour : Behaviour, default NORMAL
+        Its parameters.
+
+    Raises
+    ------
+    InputError
+        If a parameter is out of range.
+    """
+
+    kind = BEHAVIOUR
+
+    def __init__(self, behaviour: Behaviour = NORMAL) -> None:
+        _check_parameters(behaviour)
+        self.settings = {"driver": "behaviour", **behaviour._asdict()}
+        self.parameters = tuple(behaviour)
+        self.start(0, 0)
+
+    @property
+    def known_mask(self) -> BoolArray:
+        """Entities that the driver knows of, ndarray of bool, shape (N, A)."""
+        return self._fleet.awareness[0, :, KNOWN]
+
+    @property
+    def yielding_mask(self) -> BoolArray:
+        """Entities that the driver yields to, ndarray of bool, shape (N, A)."""
+        return self._fleet.awareness[0, :, YIELDING]
+
+
+def _check_parameters(behaviour: Behaviour) -> None:
+    for name, value in behaviour._asdict().items():
+        check_parameter(name, value, name in _ALLOWED_ZERO)
+    if behaviour.field_of_view > 2.0 * math.pi:
+        raise InputError(
+            f"The driver's field_of_view is {behaviour.field_of_view:g}; give an angle in rad of at most 6.2832."
+        )
+
+
+def _preset_factory(behaviour: Behaviour) -> Callable[..., BehaviourDriver]:
+    """Return a function that builds a preset, with each parameter as an option."""
+
+    def build(**overrides: float) -> BehaviourDriver:
+        return BehaviourDriver(behaviour._replace(**{name: float(value) for name, value in overrides.items()}))
+
+    factory: Any = build
+    # The registry reads the options from the signature.
+    factory.__signature__ = Signature(
+        [
+            Parameter(name, Parameter.KEYWORD_ONLY, default=value, annotation=float)
+            for name, value in behaviour._asdict().items()
+        ]
+    )
+    return cast(Callable[..., BehaviourDriver], factory)
+
+
+cautious, normal, aggressive = map(_preset_factory, (CAUTIOUS, NORMAL, AGGRESSIVE))

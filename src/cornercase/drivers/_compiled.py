@@ -1,0 +1,245 @@
+"""Drivers with compiled decisions, alone or gathered in a fleet for the simulator's kernels."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import ClassVar, TypeGuard
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from cornercase._common.typing import BoolArray, FloatArray, IntArray
+from cornercase.drivers._base import DrivenPath, Driver, Situation
+from cornercase.drivers._kernels.decide import compute_accelerations
+from cornercase.drivers._kernels.structs import (
+    AHEAD_FOR,
+    BEHAVIOUR,
+    CENTER_X,
+    CONFLICT_SINCE,
+    FIRST_SEEN,
+    HALF_LENGTH,
+    HALF_WIDTH,
+    LAST_SEEN,
+    NOT_COMPILED,
+    TURN,
+    VULNERABLE,
+    Fleet,
+    Routes,
+)
+from cornercase.drivers._presets import Behaviour, FollowParameters
+from cornercase.drivers._route import count_route_samples, plan_route
+
+_MIN_LIMIT = 1e-3
+"""Lowest limit in m/s², whatever the vehicle can do."""
+_VULNERABLE_TYPES = ("pedestrian", "bicycle")
+
+# Points and measures by path shared by all scenarios, then by lateral acceleration and deceleration.
+_ROUTE_CACHE: WeakKeyDictionary[DrivenPath, dict[tuple[float, float], tuple[FloatArray, FloatArray]]] = (
+    WeakKeyDictionary()
+)
+
+
+class CompiledDriver(Driver):
+    """A driver with compiled decisions: a fleet of one, or a row of a larger fleet."""
+
+    kind: ClassVar[int]
+    """Kind of driver, as in `Fleet.kind`."""
+
+    parameters: tuple[float, ...]
+    """Parameters of that kind."""
+
+    def start(self, scenarios: int, others: int) -> None:
+        """Reset all state for a batch of N `scenarios` with A `others` in each."""
+        self._fleet = _empty_fleet(1, scenarios, others)
+        self._fleet.kind[0] = self.kind
+        self._fleet.parameters[0, : len(self.parameters)] = self.parameters
+        # Keep a reference to the path, so that its id stays unique.
+        self._routes: dict[int, tuple[DrivenPath, int]] = {}
+
+    def attach_to_fleet(self, fleet: Fleet, row: int) -> None:
+        """Move the driver's state into a row of a fleet, and keep a view of it.
+
+        Parameters
+        ----------
+        fleet : Fleet
+            The fleet.
+        row : int
+            Row of the driver.
+        """
+        rows, own_fleet = slice(row, row + 1), self._fleet
+        view = Fleet(
+            kind=fleet.kind[rows],
+            parameters=fleet.parameters[rows],
+            own=fleet.own[rows],
+            boxes=fleet.boxes[rows],
+            memory=fleet.memory[rows],
+            awareness=fleet.awareness[rows],
+            routes=own_fleet.routes,
+        )
+        view.kind[:], view.parameters[:] = own_fleet.kind, own_fleet.parameters
+        view.memory[:], view.awareness[:] = own_fleet.memory, own_fleet.awareness
+        self._fleet = view
+
+    def acceleration(self, situation: Situation) -> FloatArray:
+        """Return the acceleration along the path in m/s², shape (N,); 0 in scenarios that are not active."""
+        s, fleet = situation, self._fleet
+        fleet.own[0] = 0.5 * s.length, 0.5 * s.width, s.center_x
+        fleet.boxes[0, HALF_LENGTH], fleet.boxes[0, HALF_WIDTH] = 0.5 * s.others_length, 0.5 * s.others_width
+        fleet.boxes[0, CENTER_X] = s.others_center_x
+        fleet.boxes[0, VULNERABLE] = _is_vulnerable(s.others_object_type)
+        track = self._plan_route_index(s.path)
+        driven = np.stack((s.distance, s.x, s.y, s.heading, s.speed, s.target_speed), axis=1)
+        others = np.stack((s.others_x, s.others_y, s.others_heading, s.others_speed), axis=1)
+        active = np.ascontiguousarray(s.active)
+        result: FloatArray = compute_accelerations(self._fleet, track, s.time, s.time_step, driven, others, active)
+        return result
+
+    def _plan_route_index(self, path: DrivenPath) -> int:
+        """Index of the route along a path among the driver's own routes; plans it if needed."""
+        if self.kind != BEHAVIOUR:
+            return 0
+        if id(path) not in self._routes:
+            self._routes[id(path)] = (path, len(self._routes))
+            self._fleet = set_route(self._fleet, 0, self._routes[id(path)][1], path)
+        return self._routes[id(path)][1]
+
+
+def is_compiled(driver: Driver) -> TypeGuard[CompiledDriver]:
+    """Check whether compiled code decides for a driver: a derived class may override `acceleration`."""
+    return isinstance(driver, CompiledDriver) and type(driver).acceleration is CompiledDriver.acceleration
+
+
+def limit_driver_acceleration(
+    driver: CompiledDriver, max_acceleration: float, max_deceleration: float
+) -> dict[str, float]:
+    """Limit a started driver to what its vehicle can do (m/s²), until it is started again.
+
+    Returns the driver's own value for each limit that it exceeds: ``"acceleration"``, ``"deceleration"``. The driver
+    must not be in a fleet yet.
+    """
+    fields = Behaviour._fields if driver.kind == BEHAVIOUR else FollowParameters._fields
+    parameters, exceeded = driver._fleet.parameters[0], dict[str, float]()
+    for limit, bound, names in (
+        ("acceleration", max_acceleration, ("acceleration",)),
+        ("deceleration", max_deceleration, ("max_deceleration", "comfortable_deceleration")),
+    ):
+        rows = [fields.index(name) for name in names]
+        if parameters[rows[0]] > bound:
+            exceeded[limit] = float(parameters[rows[0]])
+        # The formulas divide by these values.
+        parameters[rows] = np.minimum(parameters[rows], max(bound, _MIN_LIMIT))
+    return exceeded
+
+
+def build_fleet(
+    drivers: Sequence[Driver],
+    driven_rows: Sequence[int],
+    scenarios: int,
+    length: FloatArray,
+    width: FloatArray,
+    center_x: FloatArray,
+    object_types: Sequence[str],
+) -> Fleet:
+    """Gather started drivers, so that kernels and `Driver.acceleration` share one state.
+
+    The drivers' state moves into the fleet's arrays, of which they keep views. `driven_rows` is the row of the entity
+    of each driver; the boxes of all E entities are in m. The fleet has no routes yet.
+    """
+    fleet = _empty_fleet(len(drivers), scenarios, max(len(object_types) - 1, 0))
+    boxes = np.stack((0.5 * length, 0.5 * width, center_x, _is_vulnerable(object_types)))
+    for d, (driver, e) in enumerate(zip(drivers, driven_rows, strict=True)):
+        fleet.own[d] = boxes[:VULNERABLE, e]
+        fleet.boxes[d] = np.delete(boxes, e, axis=1)
+        if is_compiled(driver):
+            driver.attach_to_fleet(fleet, d)
+    return fleet
+
+
+def set_route(fleet: Fleet, driver: int, track: int, path: DrivenPath, changed: BoolArray | None = None) -> Fleet:
+    """Plan a driver's route along a track, replacing the previous one for that track.
+
+    `changed`: scenarios (N,) in which a path that differs between scenarios has changed; all by default. Returns a
+    fleet with the route, in new arrays or in those of the given fleet.
+    """
+    samples, rows = count_route_samples(path), len(np.atleast_2d(path.distance))
+    routes, chosen = fleet.routes, np.arange(rows)
+    first = routes.row[driver, track] if track < routes.row.shape[1] else -1
+    if first >= 0 and (routes.rows[driver, track], routes.samples[first]) == (rows, samples):
+        if changed is not None and rows > 1:
+            chosen = np.flatnonzero(changed)
+    else:
+        if first >= 0:
+            routes = _remove_route(routes, driver, track)
+        first = len(routes.begin)
+        routes = _append_empty_route(routes, driver, track, rows, samples)
+    if len(chosen):
+        behaviour = Behaviour(*fleet.parameters[driver])
+        points = routes.begin[first + chosen][:, None] + np.arange(samples)
+        routes.points[points], routes.measures[first + chosen] = _plan_route_points(path, behaviour, chosen)
+    return fleet._replace(routes=routes)
+
+
+def _plan_route_points(path: DrivenPath, behaviour: Behaviour, rows: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Points and measures of rows of a path, as in `Routes`; cached across batches for lanes."""
+    lateral, braking = behaviour.lateral_acceleration, behaviour.comfortable_deceleration
+    cache = _ROUTE_CACHE.setdefault(path, {}) if path.distance.ndim == 1 else {}
+    if (lateral, braking) not in cache:
+        plan = plan_route(path, lateral_acceleration=lateral, deceleration=braking, rows=rows)
+        columns = plan.x, plan.y, plan.cos, plan.sin, plan.max_speed_squared, plan.straight_count
+        measures = plan.step, plan.max_spacing, plan.max_turn
+        cache[lateral, braking] = np.stack(columns, axis=-1), np.stack(measures, axis=-1)
+    return cache[lateral, braking]
+
+
+def _append_empty_route(routes: Routes, driver: int, track: int, rows: int, samples: int) -> Routes:
+    """Append empty rows of `samples` points each as the route of a driver along a track."""
+    padding = ((0, 0), (0, max(track + 1 - routes.row.shape[1], 0)))
+    row, counts = np.pad(routes.row, padding, constant_values=-1), np.pad(routes.rows, padding)
+    row[driver, track], counts[driver, track] = len(routes.begin), rows
+    return Routes(
+        row=row,
+        rows=counts,
+        begin=np.append(routes.begin, len(routes.points) + samples * np.arange(rows)),
+        samples=np.append(routes.samples, np.full(rows, samples)),
+        measures=np.concatenate((routes.measures, np.empty((rows, 3)))),
+        points=np.concatenate((routes.points, np.empty((rows * samples, 6)))),
+    )
+
+
+def _remove_route(routes: Routes, driver: int, track: int) -> Routes:
+    """Remove the route of a driver along a track."""
+    first, rows = int(routes.row[driver, track]), int(routes.rows[driver, track])
+    removed = slice(first, first + rows)
+    points = int(routes.samples[removed].sum())
+    begin = int(routes.begin[first])
+    row = np.where(routes.row > first, routes.row - rows, routes.row)
+    row[driver, track] = -1
+    return Routes(
+        row=row,
+        rows=routes.rows,
+        begin=np.delete(np.where(routes.begin > begin, routes.begin - points, routes.begin), removed),
+        samples=np.delete(routes.samples, removed),
+        measures=np.delete(routes.measures, removed, axis=0),
+        points=np.delete(routes.points, slice(begin, begin + points), axis=0),
+    )
+
+
+def _empty_fleet(drivers: int, scenarios: int, others: int) -> Fleet:
+    memory = np.full((drivers, scenarios, AHEAD_FOR + 1, others), np.nan)
+    memory[:, :, TURN], memory[:, :, AHEAD_FOR] = 0.0, 0.0
+    memory[:, :, FIRST_SEEN], memory[:, :, LAST_SEEN], memory[:, :, CONFLICT_SINCE] = np.inf, -np.inf, np.inf
+    none = np.empty(0, dtype=np.int64)
+    unplanned = np.full((drivers, 1), -1, dtype=np.int64)
+    return Fleet(
+        kind=np.full(drivers, NOT_COMPILED, dtype=np.int64),
+        parameters=np.zeros((drivers, len(Behaviour._fields))),
+        own=np.zeros((drivers, 3)),
+        boxes=np.zeros((drivers, VULNERABLE + 1, others)),
+        memory=memory,
+        awareness=np.zeros((drivers, scenarios, 3, others), dtype=np.bool_),
+        routes=Routes(unplanned, unplanned + 1, none, none, np.empty((0, 3)), np.empty((0, 6))),
+    )
+
+
+def _is_vulnerable(object_types: Sequence[str]) -> BoolArray:
+    return np.array([object_type in _VULNERABLE_TYPES for object_type in object_types], dtype=np.bool_)

@@ -1,0 +1,162 @@
+"""Describe drivers: as stored in studies, as text, and as a command line option."""
+
+from __future__ import annotations
+
+import hashlib
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Final
+from weakref import WeakKeyDictionary
+
+from cornercase._common.errors import InputError
+from cornercase._common.plugin_errors import is_built_in, unwrap_factory
+from cornercase.drivers._base import Driver
+from cornercase.drivers._mutants import nearest_preset_name
+from cornercase.drivers._registry import DRIVERS
+from cornercase.drivers.references.r157._models import REFERENCES
+
+# Attribute in which a driver created by name stores its name and options.
+_SPEC_ATTRIBUTE: Final = "_cornercase_name"
+_CHECKSUM_DIGITS: Final = 8
+_checksums: Final[WeakKeyDictionary[type, str]] = WeakKeyDictionary()
+
+
+def record_driver_spec(driver: Driver, name: str, options: Mapping[str, object]) -> None:
+    """Store on a driver the name and the options it was created with.
+
+    Raises `InputError` if the driver has options but no `__dict__` to store them.
+    """
+    try:
+        vars(driver)[_SPEC_ATTRIBUTE] = (name, dict(sorted(options.items())))
+    except TypeError:
+        if options:
+            raise InputError(
+                f"The driver '{name}' takes no options, since its class has __slots__ and no __dict__ to keep them;"
+                " derive it from cornercase.drivers.Driver."
+            ) from None
+
+
+def serialize_driver(driver: str | Driver) -> str | dict[str, Any]:
+    """Return a driver as plain JSON values.
+
+    A registered driver is its name; an object of cornercase's own classes is its settings. Any other driver is a dict:
+    ``driver``, the class as ``"package.module:Class"``; ``options``, if it was created by name; ``sha256`` of the file
+    that defines the class, if there is one; ``settings``, if the class defines them.
+    """
+    if isinstance(driver, str):
+        return driver
+    cls = type(driver)
+    class_path = f"{cls.__module__}:{cls.__qualname__}"
+    spec = getattr(driver, "__dict__", {}).get(_SPEC_ATTRIBUTE)
+    if spec is None and cls.__module__.startswith("cornercase."):
+        return dict(driver.settings)
+    name, options = (class_path, None) if spec is None else spec
+    description: dict[str, Any] = {"driver": name}
+    if options is not None:
+        description["options"] = dict(options)
+    if checksum := _source_file_checksum(cls):
+        description["sha256"] = checksum
+    if driver.settings != {"driver": class_path}:
+        description["settings"] = dict(driver.settings)
+    return description
+
+
+def _source_file_checksum(cls: type) -> str:
+    """SHA-256 of the file that defines a class, as of when the class was first seen; empty without a file."""
+    # A module edited in the meantime is not reloaded.
+    if cls not in _checksums:
+        file = getattr(sys.modules.get(cls.__module__), "__file__", None)
+        content = None
+        with suppress(OSError, TypeError):
+            content = Path(file or "").read_bytes()
+        _checksums[cls] = "" if content is None else hashlib.sha256(content).hexdigest()
+    return _checksums[cls]
+
+
+def driver_command_option(description: object) -> str | None:
+    """Command line option that creates a driver again, such as ``"my_aeb:Aeb:reaction=0.3"``; None if unknown.
+
+    `description` comes from a study, so it may hold anything. Objects created in Python code have no such option.
+    """
+    if isinstance(description, str):
+        return description
+    if not isinstance(description, Mapping):
+        return None
+    name, options = description.get("driver"), description.get("options")
+    if isinstance(name, str) and isinstance(options, Mapping):
+        return ":".join(
+            [name, ",".join(f"{key}={_format_option_value(value)}" for key, value in options.items())]
+            if options
+            else [name]
+        )
+    with suppress(InputError):
+        return nearest_preset_name(description)
+    # Never create an object of another package because a study names it.
+    delay = description.get("delay")
+    if isinstance(name, str) and name in REFERENCES and len(description) == 2 and isinstance(delay, int | float):
+        return f"{name}:delay={delay}"
+    return None
+
+
+def user_driver_spec(driver: str | Driver) -> str | None:
+    """Name and options by which the user chose a driver that is not part of cornercase.
+
+    None for a driver of cornercase and for an object created in Python code.
+    """
+    if isinstance(driver, str):
+        factory = DRIVERS.get_factory(driver.partition(":")[0])
+        return None if is_built_in(unwrap_factory(factory)) else driver
+    spec = getattr(driver, "__dict__", {}).get(_SPEC_ATTRIBUTE)
+    if spec is None or is_built_in(type(driver)):
+        return None
+    name, options = spec
+    return driver_command_option({"driver": name, "options": options})
+
+
+def format_driver(description: object) -> str:
+    """Format a serialized driver as text, such as ``"my_aeb:Aeb, reaction=0.3, sha256 1234abcd…"``."""
+    if isinstance(description, str):
+        return description
+    if not isinstance(description, Mapping):
+        return "as the file says" if description is None else str(description)
+    checksum, options = description.get("sha256"), description.get("options")
+    if checksum is None and options is None and (command := driver_command_option(description)) is not None:
+        return command
+    parts = [str(description.get("driver", "a driver"))]
+    if isinstance(options, Mapping):
+        parts += [f"{key}={_format_option_value(value)}" for key, value in options.items()]
+    else:
+        # Without options, only its settings distinguish it.
+        settings = description.get("settings")
+        values = settings if isinstance(settings, Mapping) else description
+        parts += [
+            f"{key}={_format_option_value(value)}" for key, value in values.items() if key not in ("driver", "sha256")
+        ]
+    if isinstance(checksum, str):
+        parts.append(f"sha256 {checksum[:_CHECKSUM_DIGITS]}…")
+    return ", ".join(parts)
+
+
+def _format_option_value(value: object) -> str:
+    return str(value).lower() if isinstance(value, bool) else str(value)
+
+
+def iter_driver_changes(stored: object, current: object) -> Iterator[tuple[str, str, str, bool]]:
+    """Yield (entity, before, now, only_the_file) for each entity whose driver differs.
+
+    `stored` and `current` are serialized drivers by entity. `only_the_file`: same class and options, but its file has
+    changed.
+    """
+    old, new = (dict(drivers) if isinstance(drivers, Mapping) else {} for drivers in (stored, current))
+    for entity in sorted({*old, *new}):
+        before, after = old.get(entity), new.get(entity)
+        if before != after:
+            are_mappings = isinstance(before, Mapping) and isinstance(after, Mapping)
+            only_file_changed = are_mappings and _without_checksum(before) == _without_checksum(after)
+            yield entity, format_driver(before), format_driver(after), only_file_changed
+
+
+def _without_checksum(description: Any) -> dict[str, object]:
+    return {key: value for key, value in description.items() if key != "sha256"}

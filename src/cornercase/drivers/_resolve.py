@@ -1,0 +1,137 @@
+"""Create a driver from the name given on the command line."""
+
+from __future__ import annotations
+
+from typing import Protocol, TypeGuard, runtime_checkable
+
+from cornercase._common.errors import InputError, suggest_name
+from cornercase._common.plugin_errors import reraise_termination_request
+from cornercase._common.process.current_folder import import_from_current_folder
+from cornercase._common.process.signals import collect_interrupts, count_requests
+from cornercase._common.registry import check_options, parse_options
+from cornercase._common.text.sanitize import format_exception
+from cornercase._common.typing import FloatArray
+from cornercase.drivers._base import Driver, Situation
+from cornercase.drivers._description import record_driver_spec
+from cornercase.drivers._registry import DRIVERS, is_registered_driver
+
+
+@runtime_checkable
+class _DriverProtocol(Protocol):
+    """What makes an object a driver, whether or not its class derives from `Driver`."""
+
+    settings: dict[str, object]
+
+    def start(self, scenarios: int, others: int) -> None: ...
+
+    def acceleration(self, situation: Situation) -> FloatArray: ...
+
+
+def is_driver(candidate: object) -> TypeGuard[Driver]:
+    """Check whether an object is a driver, by base class or by its members; False for a class."""
+    return (
+        not isinstance(candidate, type)
+        and isinstance(candidate, _DriverProtocol)
+        and isinstance(candidate.settings, dict)
+    )
+
+
+def create_driver_named_in_file(name: str) -> Driver:
+    """Create a driver named by a scenario file, such as ``"normal:reaction_time=0.6,horizon=4"``.
+
+    A file may come from anywhere: it cannot name a class to load, and options must be numbers, since strings could name
+    files or programs. Otherwise raises `InputError`.
+    """
+    if not is_registered_driver(name):
+        hint = suggest_name(name.partition(":")[0], DRIVERS.names())
+        raise InputError(f"asks for the driver '{name}', which does not exist; {hint}")
+    if (other := _find_non_numeric_option(name)) is not None:
+        raise InputError(f"asks for the driver '{name}' with the option '{other}'; in a file, options are numbers.")
+    return DRIVERS.create(name)
+
+
+def _find_non_numeric_option(name: str) -> str | None:
+    """First option of a driver that is not a number; None if there is none."""
+    options = name.partition(":")[2]
+    for option in options.split(",") if options else ():
+        key, _, value = option.partition("=")
+        try:
+            float(value)
+        except ValueError:
+            return key
+    return None
+
+
+def is_compiled_driver_name(name: str) -> bool:
+    """Check whether a name, possibly with options, is a registered driver with compiled decisions."""
+    from cornercase.drivers._compiled import CompiledDriver
+
+    return is_registered_driver(name) and isinstance(DRIVERS.create(name), CompiledDriver)
+
+
+def load_user_driver(name: str) -> Driver:
+    """Create a user's own driver from ``"package.module:Class"``, possibly with options ``":reaction=0.3"``.
+
+    This runs the module, so the name must come from the person at the command line, never from a file. The module is
+    searched among installed packages, then in the current folder. Raises `InputError` if anything of this fails.
+    """
+    module_name, _, class_and_options = name.partition(":")
+    class_name, colon, text = class_and_options.partition(":")
+    if "=" in class_name:
+        raise InputError(f"There is no driver '{module_name}'; {suggest_name(module_name, DRIVERS.names())}")
+    if not all(identifier.isidentifier() for identifier in module_name.split(".")) or not class_name.isidentifier():
+        raise InputError(f"The driver '{name}' is not of the form package.module:Class.")
+    class_path = f"{module_name}:{class_name}"
+    if colon and not text:
+        raise InputError(f"The driver '{name}' ends in a colon; give options as in '{class_path}:name=value'.")
+    # Otherwise Python would treat a `KeyboardInterrupt` raised by the driver as Ctrl-C.
+    with collect_interrupts():
+        requests = count_requests()
+        try:
+            module = import_from_current_folder(module_name)
+        except ModuleNotFoundError as error:
+            raise InputError(
+                f"The driver '{name}' cannot be loaded since there is no module '{error.name}';"
+                " install it or run the command in its folder."
+            ) from error
+        except BaseException as error:
+            reraise_termination_request(error, requests)
+            raise InputError(
+                f"The driver '{name}' cannot be loaded since its module fails: {format_exception(error)}."
+            ) from error
+        driver_class = getattr(module, class_name, None)
+        if not isinstance(driver_class, type):
+            raise InputError(f"The driver '{name}' cannot be loaded since '{module_name}' has no class '{class_name}'.")
+        options = parse_options("driver", class_path, driver_class, text) if text else {}
+        check_options("driver", class_path, driver_class, options)
+        try:
+            driver = driver_class(**options)
+        except InputError:
+            raise
+        except BaseException as error:
+            reraise_termination_request(error, requests)
+            raise InputError(f"The driver '{name}' cannot be created: {format_exception(error)}.") from error
+    if not is_driver(driver):
+        raise InputError(
+            f"The class '{class_path}' is not a driver: it neither derives from cornercase.drivers.Driver nor has"
+            " start(), acceleration() and a dict called settings."
+        )
+    record_driver_spec(driver, class_path, options)
+    return driver
+
+
+def driver_by_name(name: str) -> Driver:
+    """Create a driver from a registered name or ``"package.module:Class"``, either possibly with options."""
+    return load_user_driver(name) if ":" in name and not is_registered_driver(name) else DRIVERS.create(name)
+
+
+def resolve_driver(driver: str | Driver) -> str | Driver:
+    """Load a driver, but keep the name of a registered one, so that studies and files can store it."""
+    if not isinstance(driver, str):
+        return driver
+    created = driver_by_name(driver)
+    if is_registered_driver(driver):
+        if _find_non_numeric_option(driver) is None:
+            return driver
+        record_driver_spec(created, driver, {})
+    return created

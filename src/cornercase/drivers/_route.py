@@ -1,0 +1,108 @@
+"""The path resampled for the driver's speed planning."""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from cornercase._common.typing import FloatArray, IntArray
+from cornercase.drivers._base import DrivenPath
+
+ROUTE_STEP: Final = 0.5
+"""Sample distance of a route in m, reduced to divide its length; contacts are refined between samples."""
+
+_MAX_SPEED = 100.0
+
+# Largest deviation in m per sample of a straight line.
+_STRAIGHT_TOLERANCE = 1e-10
+
+
+class Route(NamedTuple):
+    """A path sampled at equal distances, in one row for all scenarios or one row for each.
+
+    `step` (N,) is the sample distance in m. Arrays of shape (N, R): `x` and `y` in m, `cos` and `sin` of the heading,
+    `max_speed_squared`, the square of the highest speed in m²/s² that the curves ahead allow (the lowest within one
+    step), and `straight_count`, the number of following samples on a straight line. Of shape (N,): `max_spacing`, the
+    largest distance in m between consecutive samples, and `max_turn`, the largest one between their directions as unit
+    vectors.
+    """
+
+    step: FloatArray
+    x: FloatArray
+    y: FloatArray
+    cos: FloatArray
+    sin: FloatArray
+    max_speed_squared: FloatArray
+    straight_count: FloatArray
+    max_spacing: FloatArray
+    max_turn: FloatArray
+
+
+def plan_route(
+    path: DrivenPath, *, lateral_acceleration: float, deceleration: float, rows: IntArray | None = None
+) -> Route:
+    """Resample a path and compute the speed that its curves allow; only the given `rows` of it, if any.
+
+    The speed v satisfies v² |κ| ≤ a_lat, and v² ≤ v_c² + 2 b d for each sample at distance d ahead whose own limit is
+    v_c, with the lateral acceleration a_lat and the deceleration b in m/s².
+    """
+    arrays = [np.atleast_2d(array) for array in (path.distance, path.x, path.y, path.heading, path.curvature)]
+    if rows is not None:
+        arrays = [array[rows] for array in arrays]
+    planned = [
+        _plan_path_row(row, lateral_acceleration, deceleration, count_route_samples(path))
+        for row in zip(*arrays, strict=True)
+    ]
+    step, *curves = (np.array(column) for column in zip(*planned, strict=True))
+    x, y, cos, sin, squared_speed = curves
+    longest, sharpest = (np.hypot(np.diff(a), np.diff(b)).max(axis=1) for a, b in ((x, y), (cos, sin)))
+    straight = np.array([_count_straight_samples(*row) for row in zip(step, x, y, cos, sin, strict=True)])
+    return Route(step, x, y, cos, sin, squared_speed, straight, longest, sharpest)
+
+
+def count_route_samples(path: DrivenPath) -> int:
+    """Number of samples in a row of the path's `Route`."""
+    return max(2, int(np.ceil(path.distance.max() / ROUTE_STEP)) + 1)
+
+
+def _count_straight_samples(step: float, x: FloatArray, y: FloatArray, cos: FloatArray, sin: FloatArray) -> FloatArray:
+    """Number of samples that follow each sample of a row on a straight line in its direction."""
+    position_error = np.hypot(np.diff(x) - step * cos[:-1], np.diff(y) - step * sin[:-1])
+    direction_change = np.hypot(np.diff(cos), np.diff(sin))
+    ends = np.append(
+        np.flatnonzero((position_error > _STRAIGHT_TOLERANCE) | (direction_change > _STRAIGHT_TOLERANCE)), len(x) - 1
+    )
+    samples = np.arange(len(x))
+    counts: FloatArray = (ends[np.searchsorted(ends, samples)] - samples).astype(np.float64)
+    return counts
+
+
+def _plan_path_row(
+    row: tuple[FloatArray, ...],
+    lateral_acceleration: float,
+    deceleration: float,
+    count: int,
+) -> tuple[float, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    distance, x, y, heading, curvature = row
+    in_curve = lateral_acceleration / np.maximum(np.abs(curvature), lateral_acceleration / _MAX_SPEED**2)
+    from_start = in_curve + 2.0 * deceleration * distance
+    squared = np.minimum.accumulate(from_start[::-1])[::-1] - 2.0 * deceleration * distance
+    sample_distance = np.linspace(0.0, distance[-1], count)
+    sample_heading = np.interp(sample_distance, distance, heading)
+    step = float(sample_distance[1])
+    # Use the lowest limit around each sample, so that interpolation never exceeds the path's limit.
+    window = np.stack(
+        [np.searchsorted(distance, sample_distance - step), np.searchsorted(distance, sample_distance + step, "right")],
+        axis=1,
+    )
+    lowest = np.minimum.reduceat(np.append(squared, np.inf), window.ravel())[::2]
+    squared_speed = np.minimum(lowest, np.interp(sample_distance, distance, squared))
+    return (
+        step,
+        np.interp(sample_distance, distance, x),
+        np.interp(sample_distance, distance, y),
+        np.cos(sample_heading),
+        np.sin(sample_heading),
+        squared_speed,
+    )

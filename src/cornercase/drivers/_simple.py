@@ -1,0 +1,54 @@
+"""A driver that keeps its speed and its distance, and never yields."""
+
+from __future__ import annotations
+
+from cornercase.drivers._compiled import CompiledDriver
+from cornercase.drivers._kernels.structs import SIMPLE
+from cornercase.drivers._presets import FollowParameters, check_parameter
+
+
+class SimpleDriver(CompiledDriver):
+    """Drive at the scenario's target speed, and brake for what is straight ahead in the own lane.
+
+    It is inattentive and looks neither left nor right, like the traffic that a test puts in an ego's way. It keeps its
+    distance with the Intelligent Driver Model (Treiber, Hennecke and Helbing 2000).
+
+    Parameters
+    ----------
+    acceleration, comfortable_deceleration, max_deceleration : float
+        In m/s².
+    time_headway : float
+        In s.
+    min_gap : float
+        In m.
+    reaction_time : float
+        Time in s for which something has to be ahead before it reacts.
+    sight_range : float
+        In m.
+
+    Raises
+    ------
+    InputError
+        If a parameter is out of range.
+    """
+
+    kind = SIMPLE
+
+    def __init__(
+        self,
+        *,
+        acceleration: float = 3.0,
+        comfortable_deceleration: float = 3.0,
+        max_deceleration: float = 4.0,
+        time_headway: float = 0.8,
+        min_gap: float = 1.5,
+        reaction_time: float = 2.5,
+        sight_range: float = 60.0,
+    ) -> None:
+        values = (acceleration, comfortable_deceleration, max_deceleration, time_headway, min_gap, reaction_time)
+        keeping = FollowParameters(*map(float, (*values, sight_range)))
+        for name, value in keeping._asdict().items():
+            check_parameter(name, value, name == "reaction_time")
+        self.parameters = tuple(keeping)
+        self.settings = {"driver": "simple", **keeping._asdict()}
+        self.start(0, 0)

@@ -1,0 +1,1 @@
+"""The reference drivers of UN Regulation No. 157."""

@@ -1,0 +1,78 @@
+"""The reference drivers of UN Regulation No. 157 as drivers of a scenario."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from cornercase._common.errors import InputError, suggest_name
+from cornercase._common.typing import FloatArray
+from cornercase.drivers._base import Driver, Situation
+from cornercase.drivers.references.r157._models import REFERENCES, BrakingReaction
+from cornercase.drivers.references.r157._perception import ReferencePerception
+
+# m/s² towards the scenario's target speed while nothing is unsafe.
+_TARGET_SPEED_ACCELERATION, _TARGET_SPEED_DECELERATION = 2.0, 4.0
+
+
+class ReferenceDriver(Driver):
+    """A reference driver of UN Regulation No. 157, defined for cut-ins, cut-outs and decelerations.
+
+    It drives at the scenario's target speed until another vehicle becomes unsafe; from then on it brakes or keeps its
+    speed. It does not steer, does not predict crossing paths, and does not accelerate again; see ``docs/drivers.md``.
+
+    Parameters
+    ----------
+    name : {"cc-human", "fsm", "rss", "reg157"}
+        Careful and competent human, fuzzy safety model, Responsibility-Sensitive Safety, reaction time of 5.2.5.2.
+    delay : float, optional
+        Time in s from the first unsafe instant to braking; the regulation's by default.
+
+    Raises
+    ------
+    InputError
+        If there is no such reference driver, or the delay is below 0.
+
+    References
+    ----------
+    UN Regulation No. 157, 5.2.5.2 and Annex 4, Appendix 3; Annex 3, Appendix 3 of the 01 series of amendments.
+    Mattas et al., Driver models for the definition of safety requirements of automated vehicles in international
+    regulations. Application to motorway driving conditions, Accident Analysis & Prevention 174 (2022) 106743.
+    """
+
+    def __init__(self, name: str, delay: float | None = None) -> None:
+        if name not in REFERENCES:
+            raise InputError(f"There is no reference driver '{name}'; {suggest_name(name, sorted(REFERENCES))}")
+        reference = REFERENCES[name]
+        if delay is not None:
+            if not (np.isfinite(delay) and delay >= 0.0):
+                raise InputError(
+                    f"`delay` of the driver '{name}' is {delay}; it has to be a number of seconds, 0 or more."
+                )
+            reference = replace(reference, delay=float(delay))
+        self._reference = reference
+        self.settings = {"driver": name, "delay": reference.delay}
+        self.start(0, 0)
+
+    def start(self, scenarios: int, others: int) -> None:
+        """Reset all state for a batch of N `scenarios` with A `others` in each."""
+        self._reaction = BrakingReaction(self._reference, scenarios)
+        self._surroundings = ReferencePerception(scenarios, others)
+        self._acceleration = np.zeros(scenarios)
+
+    def acceleration(self, situation: Situation) -> FloatArray:
+        """Return the acceleration along the path in m/s², shape (N,); 0 in scenarios that are not active."""
+        s, dt = situation, situation.time_step
+        assessment = self._reference.assess(self._surroundings.relative_motion(s, self._acceleration))
+        is_unsafe = assessment.unsafe & s.active[:, None]
+        deceleration = np.where(is_unsafe, assessment.deceleration, 0.0).max(axis=1, initial=0.0)
+        unsafe = is_unsafe.any(axis=1)
+        reaction = self._reaction.acceleration(unsafe, deceleration, dt)
+        # Without a target speed, keep the current one.
+        target = np.where(np.isfinite(s.target_speed), s.target_speed, s.speed)
+        max_acceleration = np.where(self._reaction.reacted, 0.0, _TARGET_SPEED_ACCELERATION)
+        free = np.clip((target - s.speed) / dt, -_TARGET_SPEED_DECELERATION, max_acceleration)
+        a = np.maximum(np.where(unsafe, reaction, free), -s.speed / dt)
+        self._acceleration[s.active] = a[s.active]
+        return np.where(s.active, a, 0.0)

@@ -1,0 +1,240 @@
+"""Reference drivers in the three scenarios of the regulation, at 10 Hz, without a scenario file."""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from cornercase._common.typing import BoolArray, FloatArray
+from cornercase.drivers.references.r157._models import (
+    GRAVITY,
+    REFERENCES,
+    URGENT_TIME_TO_COLLISION,
+    BrakingReaction,
+    RelativeMotion,
+    time_to_collision,
+)
+
+TIME_STEP: Final = 0.1
+"""s."""
+
+MAX_STEPS: Final = 350
+"""Maximum number of time steps of a run."""
+
+LENGTH, WIDTH = 4.3, 1.9
+"""Length and width of a car in m."""
+
+STANDING_LENGTH: Final = 5.0
+"""Length in m of the standing car in a cut-out."""
+
+LANE: Final = 3.5
+"""Lane width in m."""
+
+WANDERING: Final = 0.375
+"""Offset in m from the lane centre from which a car counts as cutting in or out; Annex 4, Appendix 3."""
+
+# Increase of the lateral speed in m/s per time step, at 1.5 m/s².
+_LATERAL_SPEED_STEP = 0.15
+
+
+class EncounterOutcome(NamedTuple):
+    """Results of N encounters.
+
+    Attributes
+    ----------
+    crash : ndarray of bool, shape (N,)
+        Whether the ego touches another vehicle.
+    proactive, critical : ndarray of float64, shape (N,)
+        Fuzzy surrogate safety metrics of `fsm`, 0 for other models: the maximum of the run; in a cut-out, the values
+        with respect to the standing car when the car ahead leaves the middle of its lane, or 0 if that car crashes.
+    gap : ndarray of float64, shape (N,)
+        Initial gap in m to the car ahead.
+    """
+
+    crash: BoolArray
+    proactive: FloatArray
+    critical: FloatArray
+    gap: FloatArray
+
+
+def drive_cut_in(
+    name: str, speed: FloatArray, other_speed: FloatArray, gap: FloatArray, lateral_speed: FloatArray
+) -> EncounterOutcome:
+    """Simulate a reference driver while a car cuts in from the next lane.
+
+    The other car moves from the middle of the next lane to the middle of the ego's lane. Before that, its lateral speed
+    rises with 1.5 m/s².
+
+    Parameters
+    ----------
+    name : str
+        Name of a reference driver.
+    speed, other_speed : ndarray of float64, shape (N,)
+        In m/s.
+    gap : ndarray of float64, shape (N,)
+        Bumper-to-bumper gap in m when the other has reached its lateral speed, still one lane width aside.
+    lateral_speed : ndarray of float64, shape (N,)
+        In m/s.
+
+    Returns
+    -------
+    EncounterOutcome
+        A run of `cc-human` ends without a crash if the time to collision at the intrusion is above 2 s.
+
+    References
+    ----------
+    UN Regulation No. 157, Annex 4, Appendix 3.
+    """
+    reference, n = REFERENCES[name], len(speed)
+    rising, ramp_distance = _lateral_ramp(lateral_speed)
+    x, v, a = np.zeros(n), speed.copy(), np.zeros(n)
+    other_x = gap + LENGTH + (speed - other_speed) * TIME_STEP * rising.sum(axis=0)
+    lateral_distance = LANE + ramp_distance
+    reaction, false = BrakingReaction(reference, n), np.zeros(n, dtype=np.bool_)
+    crash, over, intruded = false.copy(), false.copy(), false.copy()
+    proactive, critical, start = np.zeros(n), np.zeros(n), other_x - LENGTH
+    for i in range(MAX_STEPS):
+        current_lateral_speed = (
+            np.where(rising[i], i * _LATERAL_SPEED_STEP, lateral_speed) if i < len(rising) else lateral_speed
+        )
+        current_lateral_speed = np.where(lateral_distance <= 0.0, 0.0, current_lateral_speed)
+        touches = (np.abs(other_x - x) < LENGTH) & (np.abs(lateral_distance) < WIDTH) & ~over
+        crash, over = crash | touches, over | touches
+        current_gap = (other_x - LENGTH / 2) - (x + LENGTH / 2)
+        view = RelativeMotion(
+            current_gap,
+            lateral_distance - WIDTH,
+            current_lateral_speed,
+            v,
+            other_speed,
+            a,
+            np.full(n, 2 * LENGTH),
+            false,
+        )
+        if name == "cc-human":
+            begins = (view.lateral_gap < 0.0) & ~intruded
+            intruded |= begins
+            over |= begins & (time_to_collision(view) > URGENT_TIME_TO_COLLISION)
+        assessment = reference.assess(view)
+        proactive = np.where(over, proactive, np.maximum(proactive, assessment.proactive))
+        critical = np.where(over, critical, np.maximum(critical, assessment.critical))
+        v, a = _speed_after_step(v, reaction.acceleration(assessment.unsafe, assessment.deceleration, TIME_STEP))
+        x, other_x, lateral_distance = (
+            x + v * TIME_STEP,
+            other_x + other_speed * TIME_STEP,
+            lateral_distance - current_lateral_speed * TIME_STEP,
+        )
+    return EncounterOutcome(crash, proactive, critical, start)
+
+
+def drive_cut_out(name: str, speed: FloatArray, front_gap: FloatArray, lateral_speed: FloatArray) -> EncounterOutcome:
+    """Simulate a reference driver behind a car that leaves the lane in front of a standing car.
+
+    If the car that cuts out hits the standing car, it stops immediately.
+
+    Parameters
+    ----------
+    name : str
+        Name of a reference driver.
+    speed : ndarray of float64, shape (N,)
+        Speed in m/s of the ego and of the car that it follows.
+    front_gap : ndarray of float64, shape (N,)
+        Gap in m from that car to the standing car, as if the standing car were 4.3 m long; it is 5 m long, with the
+        same middle.
+    lateral_speed : ndarray of float64, shape (N,)
+        Lateral speed in m/s of the cut-out, from the start.
+
+    Returns
+    -------
+    EncounterOutcome
+        Results by encounter.
+
+    References
+    ----------
+    UN Regulation No. 157, Annex 4, Appendix 3.
+    """
+    reference, n = REFERENCES[name], len(speed)
+    start = reference.following_gap(speed)
+    x, v, a, other_v, none = np.zeros(n), speed.copy(), np.zeros(n), speed.copy(), np.zeros(n)
+    other_x, lateral_distance = start + LENGTH, np.zeros(n)
+    # The gap is defined for a car of the usual length; the standing car is longer.
+    standing_x, half = other_x + LENGTH + front_gap, (LENGTH + STANDING_LENGTH) / 2
+    always, in_lane = np.ones(n, dtype=np.bool_), np.full(n, -WIDTH)
+    reaction, crash, hit, is_recorded = BrakingReaction(reference, n), ~always, ~always, ~always
+    proactive, critical = np.zeros(n), np.zeros(n)
+    for _ in range(MAX_STEPS):
+        hit = hit | ((standing_x - other_x < half) & (lateral_distance < WIDTH))
+        crash = crash | (standing_x - x < half) | (hit & (other_x - x < LENGTH) & (lateral_distance < WIDTH))
+        other_v = np.where(hit, 0.0, other_v)
+        leaves = (lateral_distance > WANDERING) | hit
+        lengths = np.full(n, 2 * half)
+        view = RelativeMotion(
+            (standing_x - STANDING_LENGTH / 2) - (x + LENGTH / 2), in_lane, none, v, none, a, lengths, always
+        )
+        to_standing = reference.assess(view)
+        gap = (other_x - LENGTH / 2) - (x + LENGTH / 2)
+        view = RelativeMotion(gap, lateral_distance - WIDTH, none, v, other_v, a, np.full(n, 2 * LENGTH), always)
+        to_other = reference.assess(view)
+        first = leaves & ~is_recorded & ~hit
+        proactive[first], critical[first] = to_standing.proactive[first], to_standing.critical[first]
+        is_recorded |= leaves
+        unsafe = np.where(hit, to_other.unsafe, to_standing.unsafe & leaves)
+        deceleration = np.where(hit, to_other.deceleration, to_standing.deceleration)
+        v, a = _speed_after_step(v, reaction.acceleration(unsafe, deceleration, TIME_STEP))
+        x, other_x = x + v * TIME_STEP, other_x + other_v * TIME_STEP
+        lateral_distance = lateral_distance + np.where(hit, 0.0, lateral_speed) * TIME_STEP
+    return EncounterOutcome(crash, np.where(hit, 0.0, proactive), np.where(hit, 0.0, critical), start)
+
+
+def drive_deceleration(name: str, speed: FloatArray, deceleration: FloatArray) -> EncounterOutcome:
+    """Simulate a reference driver behind a car that brakes at a constant rate to a standstill.
+
+    Parameters
+    ----------
+    name : str
+        Name of a reference driver.
+    speed : ndarray of float64, shape (N,)
+        Speed in m/s of both.
+    deceleration : ndarray of float64, shape (N,)
+        In units of 9.81 m/s².
+
+    Returns
+    -------
+    EncounterOutcome
+        Results by encounter.
+
+    References
+    ----------
+    UN Regulation No. 157, Annex 4, Appendix 3.
+    """
+    reference, n = REFERENCES[name], len(speed)
+    start = reference.following_gap(speed)
+    x, v, a, other_x, other_v = np.zeros(n), speed.copy(), np.zeros(n), start + LENGTH, speed.copy()
+    reaction, crash, always = BrakingReaction(reference, n), np.zeros(n, dtype=np.bool_), np.ones(n, dtype=np.bool_)
+    proactive, critical = np.zeros(n), np.zeros(n)
+    for _ in range(MAX_STEPS - 1):
+        crash = crash | (other_x - x < LENGTH)
+        gap = (other_x - LENGTH / 2) - (x + LENGTH / 2)
+        view = RelativeMotion(gap, np.full(n, -WIDTH), np.zeros(n), v, other_v, a, np.full(n, 2 * LENGTH), always)
+        assessment = reference.assess(view)
+        proactive = np.where(crash, proactive, np.maximum(proactive, assessment.proactive))
+        critical = np.where(crash, critical, np.maximum(critical, assessment.critical))
+        v, a = _speed_after_step(v, reaction.acceleration(assessment.unsafe, assessment.deceleration, TIME_STEP))
+        other_v = np.maximum(other_v - deceleration * GRAVITY * TIME_STEP, 0.0)
+        x, other_x = x + v * TIME_STEP, other_x + other_v * TIME_STEP
+    return EncounterOutcome(crash, proactive, critical, start)
+
+
+def _lateral_ramp(lateral_speed: FloatArray) -> tuple[BoolArray, FloatArray]:
+    """Time steps in which the lateral speed rises, bool (steps, N), and the lateral distance covered in m, (N,)."""
+    steps = np.ceil(lateral_speed / _LATERAL_SPEED_STEP)
+    instants = np.arange(max(int(steps.max(initial=0.0)), 1))[:, None]
+    rising = instants < steps
+    return rising, (rising * instants).sum(axis=0) * _LATERAL_SPEED_STEP * TIME_STEP
+
+
+def _speed_after_step(speed: FloatArray, acceleration: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Speed after a time step, not below 0, and the resulting acceleration."""
+    risen = np.maximum(speed + acceleration * TIME_STEP, 0.0)
+    return risen, (risen - speed) / TIME_STEP

@@ -1,0 +1,235 @@
+"""A distance matrix that does not fit in memory: written to a file square by square, and resumable.
+
+Next to the matrix is the journal ``NAME.progress``: a line with a fingerprint of the series and the settings, then a
+line for each finished square with its CRC-32. A square is recorded after it has been flushed, so a killed process loses
+only the current square; the same call with ``resume=True`` computes it and the rest, and any square that does not match
+its checksum.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import mmap
+import os
+import shutil
+import zlib
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from cornercase._common.errors import InputError
+from cornercase._common.memory import format_size
+from cornercase._common.process.platform import allocate_file, count_unallocated_bytes
+from cornercase.dtw import _pairs as pairs
+from cornercase.dtw._dask_tiles import ClusterTiles
+from cornercase.dtw._pairs import DtwSettings
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+# Series per side of a square: a few seconds of work, and 16 MB of the file with its mirror image.
+SIDE = 1024
+
+_FORMAT: Any = np.lib.format
+
+Floats = npt.NDArray[np.floating[Any]]
+FloatMap = np.memmap[Any, np.dtype[np.floating[Any]]]
+
+
+def fill_matrix_file(
+    series: Sequence[Floats],
+    out: str | os.PathLike[str] | FloatMap,
+    *,
+    resume: bool,
+    settings: DtwSettings,
+    report_progress: Callable[[int], None],
+    client: Client | None = None,
+) -> FloatMap:
+    """Fill a matrix on disk from checked series: a new file at a path, or a memmap (n, n) of an existing one.
+
+    With `resume`, continue with the existing squares. A Dask `client` computes the squares; this process writes them.
+    Raises `InputError` if `out` does not fit, exists without `resume`, belongs to other series or settings, or lacks
+    space.
+    """
+    size = len(series)
+    path = Path(_path_of_memmap(out, size, settings.dtype) if isinstance(out, np.memmap) else out)
+    journal = path.with_name(path.name + ".progress")
+    fingerprint = _fingerprint(series, settings)
+    if isinstance(out, np.memmap):
+        if not resume:
+            journal.unlink(missing_ok=True)
+    elif not resume and path.exists():
+        raise InputError(f"{path}: already exists; continue it with resume=True, or give another path.")
+    elif resume and path.exists() and not journal.exists():
+        raise InputError(f"{path}: {journal.name} is missing, so its content is unknown; give another path.")
+    elif not path.exists():
+        journal.unlink(missing_ok=True)
+    existed = path.exists()
+    try:
+        checksums = _read_or_create_journal(journal, fingerprint)
+        view = out if isinstance(out, np.memmap) else _open_memmap(path, size, settings.dtype, new=not checksums)
+        try:
+            _allocate_disk_space(path)
+        except (InputError, OSError):
+            if not existed:
+                path.unlink()
+                journal.unlink()
+            raise
+        _compute_missing_squares(view, series, journal, checksums, settings, report_progress, client)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror}).") from error
+    return view
+
+
+def _compute_missing_squares(
+    view: FloatMap,
+    series: Sequence[Floats],
+    journal: Path,
+    checksums: dict[tuple[int, int], int],
+    settings: DtwSettings,
+    report_progress: Callable[[int], None],
+    client: Client | None,
+) -> None:
+    bands = [range(first, min(first + SIDE, len(series))) for first in range(0, len(series), SIDE)]
+    parts = [[series[i] for i in band] for band in bands]
+    missing = []
+    for a in range(len(bands)):
+        for b in range(a, len(bands)):
+            if (a, b) in checksums and _matches_checksum(view, bands[a], bands[b], checksums[a, b]):
+                report_progress(pairs.count_cells(parts[a], None if a == b else parts[b]))
+            else:
+                missing.append((a, b))
+    with journal.open("ab") as notes:
+        for a, b, square in _iter_squares(parts, missing, settings, report_progress, client):
+            rows, columns = bands[a], bands[b]
+            pairs.require_finite_distances(square, rows.start, columns.start)
+            # Map each square separately: unmapped pages no longer count as this process's memory.
+            memmap = np.memmap(str(view.filename), view.dtype, "r+", view.offset, view.shape)
+            memmap[rows.start : rows.stop, columns.start : columns.stop] = square
+            memmap[columns.start : columns.stop, rows.start : rows.stop] = square.T
+            memmap.flush()
+            del memmap
+            notes.write(f"{a} {b} {_checksum(square)}\n".encode())
+            notes.flush()
+            os.fsync(notes.fileno())
+
+
+def _matches_checksum(view: FloatMap, rows: range, columns: range, checksum: int) -> bool:
+    """Check that a square and its mirror image match a checksum."""
+    # Map each square separately, as for writing.
+    memmap = np.memmap(str(view.filename), view.dtype, "r", view.offset, view.shape)
+    square = memmap[rows.start : rows.stop, columns.start : columns.stop]
+    mirror = memmap[columns.start : columns.stop, rows.start : rows.stop].T
+    return _checksum(square) == checksum == _checksum(mirror)
+
+
+def _checksum(square: Floats) -> int:
+    return zlib.crc32(np.ascontiguousarray(square).tobytes())
+
+
+def _iter_squares(
+    parts: Sequence[Sequence[Floats]],
+    missing: Sequence[tuple[int, int]],
+    settings: DtwSettings,
+    report_progress: Callable[[int], None],
+    client: Client | None,
+) -> Iterator[tuple[int, int, Floats]]:
+    if client is None:
+        for a, b in missing:
+            yield a, b, pairs.compute_distances(parts[a], None if a == b else parts[b], settings, report_progress)
+        return
+    for a, b, square in ClusterTiles(client, settings, parts).iter_squares(missing):
+        yield a, b, square
+        report_progress(pairs.count_cells(parts[a], None if a == b else parts[b]))
+
+
+def _path_of_memmap(out: FloatMap, size: int, dtype: np.dtype[Any]) -> str:
+    """Return the path of the file under a memmap, if it can be filled."""
+    if out.shape != (size, size) or out.dtype != dtype:
+        raise InputError(f"out is {out.dtype} of shape {out.shape}; give {dtype} of shape ({size}, {size}).")
+    if out.filename is None or not isinstance(out.base, mmap.mmap) or not out.flags.c_contiguous:
+        raise InputError("out is not a map of a whole file in row-major order; give such a numpy.memmap, or a path.")
+    if out.mode not in ("r+", "w+"):
+        raise InputError(f"out is open in mode {out.mode!r}; open it with 'r+'.")
+    return os.fspath(out.filename)
+
+
+def _open_memmap(path: Path, size: int, dtype: np.dtype[Any], *, new: bool) -> FloatMap:
+    if not new:
+        # Extend a truncated file; its missing squares are computed again.
+        end = _header_size(path) + size * size * dtype.itemsize
+        if path.stat().st_size < end:
+            os.truncate(path, end)
+    try:
+        view: FloatMap = np.lib.format.open_memmap(path, "w+" if new else "r+", dtype, (size, size))
+    except ValueError as error:
+        raise InputError(f"{path}: is not a NumPy file; give another path.") from error
+    if view.shape != (size, size) or view.dtype != dtype or not view.flags.c_contiguous:
+        raise InputError(f"{path}: holds {view.dtype} of shape {view.shape}, which does not match.")
+    return view
+
+
+def _allocate_disk_space(path: Path) -> None:
+    """Allocate the whole file now: the system kills a process that writes into a map of a full disk."""
+    lacking = count_unallocated_bytes(path)
+    free = shutil.disk_usage(path).free
+    if lacking > free:
+        raise InputError(
+            f"{path}: needs {format_size(lacking)} more disk space, but only {format_size(free)} are free;"
+            " free some space, or give a path on another disk."
+        )
+    if lacking > 0:
+        allocate_file(path)
+
+
+def _header_size(path: Path) -> int:
+    """Bytes before the numbers of a NumPy file."""
+    with path.open("rb") as file:
+        try:
+            version = _FORMAT.read_magic(file)
+            (_FORMAT.read_array_header_1_0 if version == (1, 0) else _FORMAT.read_array_header_2_0)(file)
+        except ValueError as error:
+            raise InputError(f"{path}: is not a NumPy file; give another path.") from error
+        return file.tell()
+
+
+def _read_or_create_journal(journal: Path, fingerprint: str) -> dict[tuple[int, int], int]:
+    """Return checksums of the finished squares; start the journal if there is none."""
+    if not journal.exists():
+        journal.write_text(fingerprint + "\n", encoding="utf-8", newline="\n")
+        return {}
+    content = journal.read_bytes()
+    # Drop an incomplete last line.
+    complete = content[: content.rfind(b"\n") + 1]
+    if len(complete) < len(content):
+        journal.write_bytes(complete)
+    first, *squares = complete.decode(errors="replace").splitlines() or [fingerprint]
+    if not complete:
+        journal.write_text(fingerprint + "\n", encoding="utf-8", newline="\n")
+    if first != fingerprint:
+        raise InputError(
+            f"{journal}: belongs to other series or settings; give those again, or delete it and the matrix."
+        )
+    checksums = {}
+    for line in squares:
+        # A damaged line: its square is computed again.
+        with suppress(ValueError):
+            a, b, checksum = map(int, line.split())
+            checksums[a, b] = checksum
+    return checksums
+
+
+def _fingerprint(series: Sequence[Floats], settings: DtwSettings) -> str:
+    digest = hashlib.sha256()
+    for values in series:
+        digest.update(repr(values.shape).encode())
+        digest.update(values.tobytes())
+    cost = "squared" if settings.squared else "euclidean"
+    return (
+        f"cornercase-dtw 2 {digest.hexdigest()} {len(series)} {cost} window={settings.window} "
+        f"{settings.dtype} {settings.device} side={SIDE}"
+    )

@@ -1,0 +1,159 @@
+"""All distances of a set of series in memory, on the CPU or the GPU, without redundant ones."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from importlib.util import find_spec
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from cornercase._common.errors import InputError
+from cornercase._common.typing import IntArray
+from cornercase.dtw import _cpu as cpu
+
+Floats = npt.NDArray[np.floating[Any]]
+
+
+@dataclass(frozen=True)
+class DtwSettings:
+    """What is computed, and where; `squared` and `window` as in ``cornercase.dtw.distance_matrix``."""
+
+    squared: bool
+    window: int | None
+    dtype: np.dtype[Any]
+    n_jobs: int
+    device: Literal["cpu", "cuda"]
+
+
+def compute_distances(
+    rows: Sequence[Floats],
+    columns: Sequence[Floats] | None,
+    settings: DtwSettings,
+    report_progress: Callable[[int], None],
+    max_distance: float | None = None,
+) -> Floats:
+    """Distances of checked series, shape (len(rows), len(columns)); infinite on overflow or if not computed.
+
+    `columns` None means the rows. `report_progress` gets the number of cells done since its last call. Distances that
+    surely exceed `max_distance` need not be computed (for all pairs of the rows on the CPU).
+    """
+    total = count_cells(rows, columns)
+    distinct_rows, row_of = remove_duplicates(rows)
+    distinct_columns, column_of = (None, row_of) if columns is None else remove_duplicates(columns)
+    if settings.window is None:
+        distinct_rows, distinct_columns = trim_common_constant_parts(distinct_rows, distinct_columns)
+    needed = None
+    if max_distance is not None:
+        from cornercase.dtw._lower_bounds import find_pairs_within_distance
+
+        needed = find_pairs_within_distance(distinct_rows, max_distance, settings.squared)
+    computed = count_cells(distinct_rows, distinct_columns)
+    share = total / computed if computed else 0.0
+
+    def report_done(done: int) -> None:
+        report_progress(round(done * share))
+
+    if settings.device == "cuda":
+        from cornercase.dtw import _cuda as cuda_module
+
+        result = cuda_module.compute_distances_on_gpu(
+            distinct_rows,
+            distinct_columns,
+            squared=settings.squared,
+            window=settings.window,
+            dtype=settings.dtype,
+            report_progress=report_done,
+        )
+    else:
+        result = cpu.compute_distances_on_cpu(
+            distinct_rows,
+            distinct_columns,
+            squared=settings.squared,
+            window=settings.window,
+            dtype=settings.dtype,
+            n_jobs=settings.n_jobs,
+            report_progress=report_done,
+            needed=needed,
+        )
+    if len(distinct_rows) < len(rows) or (distinct_columns and columns and len(distinct_columns) < len(columns)):
+        result = result[row_of[:, None], column_of]
+    return result
+
+
+def require_finite_distances(
+    distances: Floats, first_row: int = 0, first_column: int = 0, column_label: str = ""
+) -> None:
+    """Raise `InputError` for the first pair whose distance has overflowed.
+
+    `first_row`, `first_column`: index of the first row and column; `column_label`: what a column is, with a trailing
+    space.
+    """
+    if not np.isfinite(distances).all():
+        i, j = np.argwhere(~np.isfinite(distances))[0] + (first_row, first_column)
+        raise InputError(
+            f"The distance of series {i} and {column_label}{j} is too large for {distances.dtype}; scale the values down."
+        )
+
+
+def require_gpu() -> None:
+    """Raise `InputError` if there is no usable GPU; numba's simulator counts as one."""
+    if os.environ.get("NUMBA_ENABLE_CUDASIM") == "1":
+        return
+    if find_spec("numba_cuda") is None:
+        raise InputError("device 'cuda' needs the extra 'gpu'; install cornercase[gpu] or choose device 'cpu'.")
+
+    if not cuda_module.is_available():
+        raise InputError("device 'cuda' needs an NVIDIA GPU and its driver, but none was found; choose device 'cpu'.")
+
+
+def count_cells(rows: Sequence[Floats], columns: Sequence[Floats] | None) -> int:
+    """Total number of cells of the tables of all pairs."""
+    lengths = np.array([len(values) for values in rows], dtype=np.float64)
+    if columns is None:
+        return int((lengths.sum() ** 2 - (lengths**2).sum()) / 2)
+    return int(lengths.sum() * sum(len(values) for values in columns))
+
+
+def remove_duplicates(series: Sequence[Floats]) -> tuple[Sequence[Floats], IntArray]:
+    """Return series without bitwise duplicates, and the index among them for each series."""
+    positions: dict[bytes, int] = {}
+    index = np.array([positions.setdefault(values.tobytes(), len(positions)) for values in series], dtype=np.int64)
+    _, first = np.unique(index, return_index=True)
+    return [series[i] for i in first], index
+
+
+def trim_common_constant_parts(
+    rows: Sequence[Floats], columns: Sequence[Floats] | None
+) -> tuple[Sequence[Floats], Sequence[Floats] | None]:
+    """Shorten a common constant start, or end, of all series to one point, which changes no distance.
+
+    A metric's course at its cap is such a rest. Without a window the distances stay the same to the bit. Let x begin
+    with p and y with q times the point c. A path that leaves the square of the two rests before both are over, say at
+    ``x[i]`` with ``i < p``, continues along ``x[i] ... x[p - 1]``, all c, and meets each of the columns on its way at
+    least once. Resting until ``(p - 1, q - 1)`` costs nothing, and meeting each of these columns from ``x[p - 1]``
+    costs a subset of the same terms in the same order; omitting non-negative terms raises no rounded sum. So some
+    cheapest path rests, and its part before ``(p - 1, q - 1)`` can be cut off. The end is the start reversed. A common
+    start that is not constant cannot be cut off: after 0, 3 in both, a path may have left early to meet zeros in the
+    other.
+    """
+    series = [*rows, *(columns or ())]
+    starts = np.array([values[0] for values in series])
+    ends = np.array([values[-1] for values in series])
+    at_begin, at_end = bool((starts == starts[0]).all()), bool((ends == ends[0]).all())
+    if not at_begin and not at_end:
+        return rows, columns
+
+    def shorten(values: Floats) -> Floats:
+        if at_begin:
+            moving = np.flatnonzero((values != values[0]).any(axis=1))
+            values = values[moving[0] - 1 :] if len(moving) else values[:1]
+        if at_end:
+            moving = np.flatnonzero((values != values[-1]).any(axis=1))
+            values = values[: moving[-1] + 2] if len(moving) else values[:1]
+        return values
+
+    return [shorten(values) for values in rows], None if columns is None else [shorten(values) for values in columns]

@@ -1,0 +1,233 @@
+"""Committee of classifiers that predicts which scenarios are critical."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, ClassVar, Final
+
+import numpy as np
+from scipy.special import ndtr
+
+from cornercase._common.typing import BoolArray, FloatArray, IntArray
+from cornercase.evidence._feature_models import FeatureKernels, PerBranchFeatureModels
+from cornercase.evidence.gp._kernel import evenly_spaced_indices, indices_with_rare_values
+from cornercase.evidence.gp._process import GaussianProcess, fit_boundary_process, squash_around_threshold
+from cornercase.metrics import Feature
+
+PREDICTED_CRITICAL: Final = 0.45
+"""Probability from which a scenario is predicted critical: half of the F1 score, 0.9, that a search aims at.
+
+The set with the best F1 score contains all scenarios whose probability is at least half of that score: Z. C. Lipton,
+C. Elkan, B. Naryanaswamy, "Optimal thresholding of classifiers to maximize F1 measure", ECML PKDD (2014).
+"""
+
+if TYPE_CHECKING:
+    from sklearn.ensemble import ExtraTreesClassifier, RandomForestClassifier
+
+_TREES: Final = 64
+_FOLDS: Final = 5
+# For the weights of the members: trees per member, EM steps, and prior count of scenarios for each member.
+_WEIGHTING_TREES, _EM_STEPS, _PRIOR_COUNT = 24, 30, 2.0
+_MIN_PROBABILITY: Final = 0.01  # probabilities of members are clipped to this
+# Features that hardly depend on the parameters or are redundant: with them trees find the boundary no better.
+_UNUSED_FEATURES: Final = frozenset(
+    {
+        *("nearest-cos", "nearest-sin", "nearest-ego-speed", "nearest-other-speed", "nearest-way"),
+        *("crossing-distance", "turn-time", "turn-way", "duration", "way", "contact"),
+    }
+)
+
+
+class Committee:
+    """Predicts which scenarios are critical by the weighted probabilities of three members.
+
+    1. Extremely randomised trees on the parameters and predicted features of the recordings. A score jumps between the
+       branches of a scenario, such as the other going first; features tell the branches apart. Gaussian processes
+       predict the features of each scenario from all other scenarios and from those of each branch
+       (`PerBranchFeatureModels`). Without features, the score is used instead.
+    2. A random forest on the parameters, which follows jumps too.
+    3. The process of `fit_boundary_process`, which is best at smooth boundaries.
+
+    The weights maximize the likelihood of the known outcomes under the weighted mean of out-of-fold predictions.
+
+    `fit` learns everything; `condition_on` updates the data at less cost. With more than 2,000 scenarios the feature
+    processes use 2,000: half of them nearest to the threshold, the others evenly spaced among the rest. Trees use at
+    most 4,000: half nearest to the threshold, of the rest the rarer class first. The process uses all.
+
+    `columns` describes the features; `has_prediction` says whether the last coordinate of points is the prediction of
+    another study (`SourceStudyModel`); `process` is the third member.
+
+    Source: H. S. Seung, M. Opper, H. Sompolinsky, "Query by committee", COLT (1992); P. Geurts, D. Ernst, L. Wehenkel,
+    "Extremely randomized trees", Machine Learning 63 (2006); D. H. Wolpert, "Stacked generalization", Neural Networks 5
+    (1992).
+    """
+
+    max_process_scenarios: ClassVar[int] = 2000
+    max_tree_scenarios: ClassVar[int] = 4000
+
+    def __init__(
+        self, threshold: float, columns: Sequence[Feature] = (), seed: int = 0, *, has_prediction: bool = False
+    ) -> None:
+        self._threshold, self._seed, self._has_prediction = threshold, seed, has_prediction
+        self._inputs = [j for j, feature in enumerate(columns) if feature.name not in _UNUSED_FEATURES]
+        self._branches = [j for j, feature in enumerate(columns) if feature.branch]
+        self.process: GaussianProcess
+        self._feature_models: PerBranchFeatureModels
+
+    def fit(self, points: FloatArray, scores: FloatArray, features: FloatArray | None = None) -> Committee:
+        """Learn kernels and weights from points (n, e), finite scores (n,), not all equal, and features (n, f)."""
+        self.process = fit_boundary_process(points, scores, self._threshold, has_prediction=self._has_prediction)
+        self._train_on_subset(points, scores, features)
+        self._weights = _fit_member_weights(self._out_of_fold_by_member(_WEIGHTING_TREES), self._critical)
+        return self
+
+    def condition_on(self, points: FloatArray, scores: FloatArray, features: FloatArray | None = None) -> Committee:
+        """Replace the scenarios, keeping kernels and weights; arguments as for `fit`."""
+        self.process.condition_on_scores(points, scores, self._threshold)
+        self._train_on_subset(points, scores, features, self._feature_models.kernels)
+        return self
+
+    def _train_on_subset(
+        self,
+        points: FloatArray,
+        scores: FloatArray,
+        features: FloatArray | None,
+        kernels: Mapping[int | None, FeatureKernels] | None = None,
+    ) -> None:
+        """Train trees and feature processes on the scenarios, or a subset of many; kernels are learned if not given."""
+        self._all_points, self._tree_scenarios = points, self._select_tree_scenarios(scores)
+        points, scores = points[self._tree_scenarios], scores[self._tree_scenarios]
+        features = None if features is None else features[self._tree_scenarios]
+        inputs, subset = self._feature_inputs(scores, features), self._select_process_scenarios(scores)
+        self._critical, self._classes = scores <= self._threshold, self._class_labels(scores, features)
+        self._feature_models = PerBranchFeatureModels(points, inputs, self._classes // 2, kernels, subset)
+        self._points, self._columns = points, np.hstack([points, self._feature_models.leave_one_out])
+        self._trees, self._forest = self._train_trees(np.arange(len(points)), _TREES)
+
+    def predict(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the probability of being critical, and that of the likeliest branch, (m,) each, at points (m, e)."""
+        mean, deviation = self.process.predict(points)
+        critical, classes = self._combine_members(points, mean / np.hypot(deviation, self.process.kernel.noise))
+        branches = self._trees.classes_ // 2
+        by_branch = np.stack([classes[:, branches == branch].sum(axis=1) for branch in np.unique(branches)])
+        return critical, np.minimum(by_branch.max(axis=0), 1.0)
+
+    def _combine_members(self, points: FloatArray, t: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Weighted probability of being critical, and that of each class; `t`: the process in deviations above 0."""
+        classes = self._trees.predict_proba(np.hstack([points, self._feature_models.predict_features(points)]))
+        by_member = [
+            _critical_probability_of_classes(self._trees, classes),
+            _critical_probability_by_forest(self._forest, points),
+            ndtr(-t),
+        ]
+        return np.asarray(self._weights @ np.stack(by_member)), classes
+
+    def out_of_fold_probability(self) -> FloatArray:
+        """Probability of being critical of each known scenario, predicted from others, (n,).
+
+        By trees that were trained without the scenario's fold, and by the process of all other scenarios.
+        """
+        probability = np.empty(len(self._all_points))
+        probability[self._tree_scenarios] = self._out_of_fold_by_member(_TREES) @ self._weights
+        # The trees were not trained on the rest, so no folds are needed there.
+        rest = np.setdiff1d(np.arange(len(probability)), self._tree_scenarios)
+        if len(rest):
+            mean, deviation = self.process.leave_one_out(rest)
+            probability[rest] = self._combine_members(self._all_points[rest], mean / deviation)[0]
+        return probability
+
+    def _out_of_fold_by_member(self, n_trees: int) -> FloatArray:
+        """Out-of-fold probabilities by each member for the scenarios that trees use, (n, 3), `n_trees` trees each."""
+        mean, deviation = self.process.leave_one_out(self._tree_scenarios)
+        probability: FloatArray = np.stack([np.empty(len(mean)), np.empty(len(mean)), ndtr(-mean / deviation)], axis=1)
+        for train, test in self._train_test_folds():
+            trees, forest = self._train_trees(train, n_trees)
+            probability[test, 0] = _critical_probability_of_classes(trees, trees.predict_proba(self._columns[test]))
+            probability[test, 1] = _critical_probability_by_forest(forest, self._points[test])
+        return probability
+
+    def _train_test_folds(self) -> Iterator[tuple[IntArray, IntArray]]:
+        smallest_class = int(np.bincount(self._critical, minlength=2).min())
+        if smallest_class < 2:
+            # A class of one scenario cannot be stratified.
+            indices = np.arange(len(self._points))
+            parts = np.array_split(np.random.default_rng(self._seed).permutation(indices), _FOLDS)
+            return ((np.setdiff1d(indices, part), part) for part in parts)
+        from sklearn.model_selection import StratifiedKFold
+
+        folds = StratifiedKFold(min(_FOLDS, smallest_class), shuffle=True, random_state=self._seed)
+        return iter(folds.split(self._points, self._critical))
+
+    def _train_trees(self, indices: IntArray, n_trees: int) -> tuple[ExtraTreesClassifier, RandomForestClassifier]:
+        """Train trees on predicted features for the classes, and a forest on parameters for being critical."""
+        from sklearn.ensemble import ExtraTreesClassifier, RandomForestClassifier
+
+        # Every split considers all features, since few of them tell the branches of a scenario apart.
+        trees = ExtraTreesClassifier(n_trees, max_features=None, random_state=self._seed)
+        forest = RandomForestClassifier(n_trees, random_state=self._seed)
+        return trees.fit(self._columns[indices], self._classes[indices]), forest.fit(
+            self._points[indices], self._critical[indices]
+        )
+
+    def _select_tree_scenarios(self, scores: FloatArray) -> IntArray:
+        """Scenarios that trees use: all, or half nearest to the threshold, and of the rest the rarer class first."""
+        if len(scores) <= self.max_tree_scenarios:
+            return np.arange(len(scores))
+        near, rest = self._nearest_and_rest(scores, self.max_tree_scenarios // 2)
+        critical = scores[rest] <= self._threshold
+        rare = critical if 2 * critical.sum() < len(critical) else ~critical
+        return np.sort(
+            np.concatenate([near, rest[indices_with_rare_values(len(rest), self.max_tree_scenarios - len(near), rare)]])
+        )
+
+    def _select_process_scenarios(self, scores: FloatArray) -> IntArray | None:
+        """Scenarios that the feature processes use: None for all, or half nearest to the threshold.
+
+        The other half is evenly spaced among the rest.
+        """
+        if len(scores) <= self.max_process_scenarios:
+            return None
+        near, rest = self._nearest_and_rest(scores, self.max_process_scenarios // 2)
+        return np.sort(
+            np.concatenate([near, rest[evenly_spaced_indices(len(rest), self.max_process_scenarios - len(near))]])
+        )
+
+    def _nearest_and_rest(self, scores: FloatArray, count: int) -> tuple[IntArray, IntArray]:
+        """Indices of the `count` scores nearest to the threshold, and of the others in order."""
+        order = np.argsort(np.abs(scores - self._threshold), kind="stable")
+        return order[:count], np.sort(order[count:])
+
+    def _feature_inputs(self, scores: FloatArray, features: FloatArray | None) -> FloatArray:
+        if features is None or not self._inputs:
+            return squash_around_threshold(scores, self._threshold, self.process.squash_scale)[:, None]
+        return features[:, self._inputs]
+
+    def _class_labels(self, scores: FloatArray, features: FloatArray | None) -> IntArray:
+        """Class of each scenario: odd if critical; the other bits are the signs of the branch features."""
+        critical: BoolArray = scores <= self._threshold
+        classes = critical.astype(np.int64)
+        if features is not None:
+            for k, j in enumerate(self._branches):
+                classes += 2 ** (k + 1) * (features[:, j] > 0.0)
+        return classes
+
+
+def _critical_probability_of_classes(trees: ExtraTreesClassifier, class_probabilities: FloatArray) -> FloatArray:
+    """Probability of being critical from probabilities of classes."""
+    return np.asarray(np.minimum(class_probabilities[:, trees.classes_ % 2 == 1].sum(axis=1), 1.0))
+
+
+def _critical_probability_by_forest(forest: RandomForestClassifier, points: FloatArray) -> FloatArray:
+    """Probability of being critical by a forest, which may have seen one class only."""
+    return np.asarray(forest.predict_proba(points)[:, forest.classes_].sum(axis=1))
+
+
+def _fit_member_weights(by_member: FloatArray, critical: BoolArray) -> FloatArray:
+    """Weights of members that maximize the likelihood of the outcomes under their weighted mean (EM for a mixture)."""
+    likelihood = np.clip(np.where(critical[:, None], by_member, 1.0 - by_member), _MIN_PROBABILITY, 1.0)
+    weights = np.full(likelihood.shape[1], 1.0 / likelihood.shape[1])
+    for _ in range(_EM_STEPS):
+        joint = weights * likelihood
+        weights = (joint / joint.sum(axis=1, keepdims=True)).sum(axis=0) + _PRIOR_COUNT
+        weights /= weights.sum()
+    return weights

@@ -1,0 +1,437 @@
+"""Estimate how much of a space is critical, and how much of that an exploration may have missed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+from scipy.special import ndtri
+
+from cornercase._common.numba.blas import single_threaded_blas
+from cornercase._common.row_keys import row_keys
+from cornercase._common.typing import BoolArray, FloatArray, IntArray
+from cornercase.evidence._calibration import ProbitCalibration
+from cornercase.evidence._committee import PREDICTED_CRITICAL, Committee
+from cornercase.evidence._interval_estimate import Estimate
+from cornercase.evidence._multi_fidelity import SourceStudyModel, augment_points
+from cornercase.evidence._out_of_sample import cross_validate_scores
+from cornercase.evidence._proportions import anytime_upper_bound, proportion_interval
+from cornercase.evidence._set_samples import N_DRAWS, SetSamples
+from cornercase.evidence._space_sample import SpaceSample
+from cornercase.evidence.gp._blas import multiply_lower_triangular
+from cornercase.evidence.gp._process import encode_points, fit_boundary_process, require_enough_scores
+from cornercase.metrics import Feature
+from cornercase.scenario import ParameterSpace
+
+# Points for which critical sets are drawn jointly.
+_JOINT_POINTS: Final = 1500
+# Added to the standard deviation of outcomes, so that some nearly certain points are sampled too.
+_MIN_DEVIATION: Final = 0.02
+# Scenarios chosen independently of scores, and critical ones among them, from which intervals are given. With fewer
+# critical ones, intervals of what is missed were too narrow on the first half of benchmarks/calibration.py.
+_MIN_SCENARIOS, _MIN_CRITICAL = 20, 3
+# Weight of one prediction in the likelihood; below 1 because errors of neighbouring predictions are correlated. In the
+# whole set false positives and false negatives cancel, so the critical fraction is known better than its parts. Chosen
+# on the first half of benchmarks/calibration.py.
+_WHOLE_SET_WEIGHT, _PARTS_WEIGHT = 1.0, 0.5
+# Probability that a hidden region at a random place contains no scenario that was run.
+_ESCAPE_PROBABILITY: Final = 0.05
+# Probabilities are clipped to this and to one minus this.
+_MIN_PROBABILITY: Final = 1e-3
+
+MIN_REGION_FRACTION: Final = 0.01
+"""Default of the smallest fraction of the space that counts as a region."""
+
+
+class CriticalSet:
+    """Estimate of the set of all critical scenarios of a space, from those that were run.
+
+    A Gaussian process of the scores (`fit_boundary_process`) predicts each scenario of the initial design, and each
+    audit, from all others. The quality of these predictions calibrates the probability that a scenario is critical
+    (`ProbitCalibration`). Critical sets are drawn with these probabilities, with the correlation of the process between
+    points, and with the calibration drawn from its posterior.
+
+    A critical scenario counts as found if it was run, or if the mean of the process there is beyond the threshold.
+    Audits never affect what is found. With `features` a `Committee` predicts instead of the process, which is one of
+    its members; found is then what it gives a probability of at least `PREDICTED_CRITICAL`. The process still provides
+    the correlation.
+
+    `points` (n, d) were run and have `scores` (n,), lower is more critical, NaN for a failed scenario. `initial_design`
+    (n,) marks those chosen independently of scores, by default all. `audits` are random points and their scores, which
+    the optimizer has not observed. `features` are the columns and their values (n, f). `source_model` gives one more
+    coordinate of the process, which is dropped if it misleads; the calibration uses the scenarios at hand only.
+    ValueError if there are fewer than 10 scores, or all are the same.
+
+    Leave-one-out prediction: C. E. Rasmussen, C. K. I. Williams, "Gaussian Processes for Machine Learning" (2006),
+    equation 5.12.
+    """
+
+    def __init__(
+        self,
+        space: ParameterSpace,
+        points: FloatArray,
+        scores: FloatArray,
+        threshold: float,
+        seed: int = 0,
+        *,
+        initial_design: BoolArray | None = None,
+        audits: tuple[FloatArray, FloatArray] | None = None,
+        features: tuple[Sequence[Feature], FloatArray] | None = None,
+        source_model: SourceStudyModel | None = None,
+    ) -> None:
+        finished = np.isfinite(scores)
+        self._is_initial_design = (
+            np.ones(int(finished.sum()), dtype=np.bool_) if initial_design is None else initial_design[finished]
+        )
+        points, scores = require_enough_scores(points, scores)
+        self._space, self._seed = space, seed
+        self._critical = scores <= threshold
+        self._sample = SpaceSample.from_space(space, seed)
+        self._encoded_points, self._source_model = encode_points(space, points), source_model
+        coordinates, has_prediction = augment_points(source_model, self._encoded_points), source_model is not None
+        self._committee: Committee | None = None
+        if features is not None and 0 < self._critical.sum() < len(scores):
+            columns, values = features
+            self._committee = Committee(threshold, columns, seed, has_prediction=has_prediction)
+            self._committee.fit(coordinates, scores, values[finished])
+            self._process = self._committee.process
+        else:
+            self._process = fit_boundary_process(coordinates, scores, threshold, has_prediction=has_prediction)
+        mean, self._z = self._margin_and_z(self._sample.encoded_points)
+        self._outcome_by_key = dict(
+            zip(row_keys(space.snap(points)), np.where(self._critical, np.inf, -np.inf), strict=True)
+        )
+        self._known_outcome = self._outcomes_of(self._sample.points)
+        self._is_found = _is_predicted_critical(mean, self._known_outcome)
+        audit_points, audit_scores = audits if audits is not None else (points[:0], scores[:0])
+        self._audit_points = audit_points[np.isfinite(audit_scores)]
+        self._audit_is_critical = audit_scores[np.isfinite(audit_scores)] <= threshold
+        # One thread, so that sums do not depend on the number of threads.
+        with single_threaded_blas():
+            t, critical = self._prediction_record(coordinates, scores, threshold)
+            edge = 0.0 if self._committee is None else float(_normal_deviate(np.array(PREDICTED_CRITICAL)))
+            self._missed_none = not (critical & (t > edge)).any()
+            self._calibrations = (
+                ProbitCalibration(t, critical, _WHOLE_SET_WEIGHT),
+                ProbitCalibration(t, critical, _PARTS_WEIGHT),
+            )
+
+    @property
+    def uses_committee(self) -> bool:
+        """Whether a `Committee` predicts instead of the process: if there are features and both classes."""
+        return self._committee is not None
+
+    def _margin_and_z(self, encoded_points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return `(margin, z)` at encoded points.
+
+        `margin` is negative where the model predicts *critical*; `z` is the distance to the threshold in standard
+        deviations.
+        """
+        encoded_points = augment_points(self._source_model, encoded_points)
+        if self._committee is not None:
+            t = _normal_deviate(self._committee.predict(encoded_points)[0])
+            return t - _normal_deviate(np.array(PREDICTED_CRITICAL)), t
+        mean, deviation = self._process.predict(encoded_points)
+        return mean, mean / np.hypot(deviation, self._process.kernel.noise)
+
+    def _prediction_record(
+        self, points: FloatArray, scores: FloatArray, threshold: float
+    ) -> tuple[FloatArray, BoolArray]:
+        """Out-of-sample `z` of the scenarios chosen independently of scores, and whether these were critical."""
+        if self._committee is not None:
+            t = _normal_deviate(self._committee.out_of_fold_probability())[self._is_initial_design]
+        else:
+            mean, deviation = cross_validate_scores(
+                self._process, points, scores, threshold, np.flatnonzero(self._is_initial_design)
+            )
+            t = mean / deviation
+        critical = self._critical[self._is_initial_design]
+        if len(self._audit_points):
+            t = np.concatenate([t, self._margin_and_z(encode_points(self._space, self._audit_points))[1]])
+            critical = np.concatenate([critical, self._audit_is_critical])
+        return t, critical
+
+    @cached_property
+    def _joint_points(self) -> tuple[IntArray, FloatArray]:
+        """Points for which critical sets are drawn jointly, and the fraction of the space that each represents."""
+        probability = np.where(self._known_outcome == 0.0, self._calibrations[1].probability_of_critical(self._z), 0.0)
+        return self._sample.subset(np.sqrt(probability * (1.0 - probability)) + _MIN_DEVIATION, _JOINT_POINTS)
+
+    def _draw_standardized_errors(self, indices: IntArray, key: int) -> FloatArray:
+        """Draw standardized errors of the predictions at some points, (m, draws), correlated as the process.
+
+        Another key gives independent draws.
+        """
+        factor, deviation = self._process.joint_covariance(
+            augment_points(self._source_model, self._sample.encoded_points[indices])
+        )
+        standard = np.random.default_rng([self._seed, key]).standard_normal((len(factor), N_DRAWS))
+        normal = multiply_lower_triangular(factor, standard)
+        normal /= deviation[:, None]
+        return normal
+
+    @cached_property
+    def _set_samples(self) -> tuple[SetSamples, SetSamples]:
+        """Critical sets drawn with the calibration for the whole set, and with that for its parts."""
+        with single_threaded_blas():
+            normal = self._draw_standardized_errors(self._joint_points[0], 4)
+        whole, parts = (
+            SetSamples(
+                correction, self._seed, self._sample.weights, self._z, self._known_outcome, self._joint_points, normal
+            )
+            for correction in self._calibrations
+        )
+        return whole, parts
+
+    @property
+    def _whole_set_samples(self) -> SetSamples:
+        return self._set_samples[0]
+
+    @property
+    def _parts_samples(self) -> SetSamples:
+        return self._set_samples[1]
+
+    def predict(self, points: FloatArray) -> BoolArray:
+        """Whether scenarios (n, d) are critical, as run or as predicted, (n,)."""
+        if not len(points):
+            return np.zeros(0, dtype=np.bool_)
+        return _is_predicted_critical(
+            self._margin_and_z(encode_points(self._space, points))[0], self._outcomes_of(points)
+        )
+
+    def _outcomes_of(self, points: FloatArray) -> FloatArray:
+        """Outcome of scenarios, (n,): inf if run and critical, -inf if run and not critical, 0 if not run."""
+        return np.array([self._outcome_by_key.get(key, 0.0) for key in row_keys(self._space.snap(points))])
+
+    @cached_property
+    def is_exhausted(self) -> bool:
+        """Whether all scenarios of a finite space were run, so that the fraction is exact and nothing is missed."""
+        return self._sample.is_complete and bool((self._known_outcome != 0.0).all())
+
+    @property
+    def has_both_classes(self) -> bool:
+        """Whether both critical and other scenarios were run."""
+        return bool(self._critical.any() and not self._critical.all())
+
+    @property
+    def interval_unavailable(self) -> str | None:
+        """Reason why `critical_fraction` and `missed_fraction` have no interval; None if they have one.
+
+        Scenarios chosen by scores say nothing about how often predictions are wrong elsewhere.
+        """
+        count = int(self._is_initial_design.sum()) + len(self._audit_points)
+        if count >= _MIN_SCENARIOS or self.is_exhausted:
+            return None
+        return f"only {count} scenarios were chosen without looking at scores; {_MIN_SCENARIOS} are needed, audits are such"
+
+    @property
+    def missed_interval_unavailable(self) -> str | None:
+        """Reason why `missed_fraction` has no interval; None if it has one."""
+        hits = int(self._critical[self._is_initial_design].sum() + self._audit_is_critical.sum())
+        if self.interval_unavailable is not None or hits >= _MIN_CRITICAL or self.is_exhausted:
+            return self.interval_unavailable
+        return (
+            f"only {hits} of the scenarios that were chosen without looking at scores are critical; {_MIN_CRITICAL} are"
+            " needed"
+        )
+
+    @cached_property
+    def critical_fraction(self) -> Estimate:
+        """Critical fraction of the space; bounded by random scenarios only as long as all outcomes are the same."""
+        if self.has_both_classes:
+            return Estimate.from_draws(self._whole_set_samples.critical_fraction)
+        hits = int(self._critical[self._is_initial_design].sum() + self._audit_is_critical.sum())
+        bounds = proportion_interval(hits, int(self._is_initial_design.sum()) + len(self._audit_is_critical))
+        # Bounds that hold whatever the scenarios are that were not run.
+        critical, others = (
+            float(self._sample.weights[mask].sum()) for mask in (self._known_outcome > 0.0, self._known_outcome < 0.0)
+        )
+        low, high = max(bounds.low, min(critical, 1.0)), min(bounds.high, max(1.0 - others, 0.0))
+        return Estimate(min(max(float(self._whole_set_samples.critical_fraction.mean()), low), high), low, high)
+
+    @cached_property
+    def missed_fraction(self) -> Estimate:
+        """Fraction of the critical set that is not found; 1 while nothing critical was run, 0 if exhausted."""
+        if not self._critical.any():
+            return Estimate(*[float(not self.is_exhausted)] * 3)
+        with single_threaded_blas():
+            not_found = np.clip(
+                self._parts_samples.critical_fraction_within(~self._is_found),
+                0.0,
+                self._parts_samples.critical_fraction,
+            )
+        # Empty draws are ignored, since something is critical.
+        nonempty = self._parts_samples.critical_fraction > 0.0
+        estimate = Estimate(1.0, 0.0, 1.0)
+        if nonempty.any():
+            estimate = Estimate.from_draws(not_found[nonempty] / self._parts_samples.critical_fraction[nonempty])
+        # As long as no prediction missed a critical scenario, it is possible that none is missed.
+        return replace(estimate, low=0.0) if self._missed_none else estimate
+
+    @cached_property
+    def max_hidden_fraction(self) -> float:
+        """Fraction of the critical set that an unexplored region may hold, in addition to `missed_fraction`.
+
+        It is the fraction of a ball without any scenario that was run, as large as the largest that escapes with a
+        probability of 5 %. It depends on the location of scenarios, not on the predicted scores.
+        """
+        ball = float(np.quantile(self._empty_ball_fractions, 1.0 - _ESCAPE_PROBABILITY))
+        return ball / max(ball + self.critical_fraction.value, 1e-12)
+
+    @cached_property
+    def audited_critical_fraction(self) -> Estimate:
+        """Critical fraction of the space by the audits alone."""
+        return proportion_interval(int(self._audit_is_critical.sum()), len(self._audit_is_critical))
+
+    @cached_property
+    def _missed_audits_and_total(self) -> tuple[int, int]:
+        critical = self._audit_points[self._audit_is_critical]
+        return int((~self.predict(critical)).sum()), len(critical)
+
+    @property
+    def audited_missed_fraction(self) -> Estimate:
+        """Fraction of the critical audits that are not found: what is missed, by the audits alone."""
+        return proportion_interval(*self._missed_audits_and_total)
+
+    @property
+    def audited_missed_upper_bound(self) -> float:
+        """Upper bound of `audited_missed_fraction` that holds at all times, whenever runs are stopped."""
+        return anytime_upper_bound(*self._missed_audits_and_total)
+
+    def fraction_inside(self, other: CriticalSet) -> Estimate:
+        """Fraction of this critical set that lies in `other`, which is of another score, with the same seed."""
+        with single_threaded_blas():
+            both = self._parts_samples.overlap_fraction(
+                other._parts_samples, other._draw_standardized_errors(self._joint_points[0], 5), np.arange(N_DRAWS)
+            )
+        nonempty = self._parts_samples.critical_fraction > 0.0
+        fractions = (
+            np.clip(both[nonempty] / self._parts_samples.critical_fraction[nonempty], 0.0, 1.0)
+            if nonempty.any()
+            else np.ones(1)
+        )
+        return Estimate.from_draws(fractions)
+
+    def draw_overlap_with(self, other: CriticalSet) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Draw the fractions of the space that are critical here, in `other`, and in both, shape (draws,) each.
+
+        `other` is from other scenarios of the same space, with the same seed. The draws of both are independent.
+        """
+        # The calibrations of both are drawn with the same random numbers; permuted, they are independent.
+        order = np.random.default_rng([self._seed, 6]).permutation(N_DRAWS)
+        fractions, other_fractions = (
+            self._whole_set_samples.critical_fraction,
+            other._whole_set_samples.critical_fraction[order],
+        )
+        with single_threaded_blas():
+            both = self._whole_set_samples.overlap_fraction(
+                other._whole_set_samples, other._draw_standardized_errors(self._joint_points[0], 5), order
+            )
+        return fractions, other_fractions, np.clip(both, 0.0, np.minimum(fractions, other_fractions))
+
+    def draw_parameter_means(self) -> FloatArray:
+        """Draw the mean of each parameter over the critical set, (draws, d), in the parameters' units.
+
+        NaN for a parameter with choices, and where a draw is empty.
+        """
+        values = self._space.values(self._sample.points)
+        means = np.full((N_DRAWS, self._space.dimension), np.nan)
+        with single_threaded_blas():
+            whole = self._parts_samples.critical_fraction_within(np.ones(len(self._z)))
+            for k, parameter in enumerate(self._space.parameters):
+                if not parameter.choices:
+                    x = np.array([parameter.extract_number(value) for value in values])
+                    with np.errstate(divide="ignore", invalid="ignore"):
+                        mean = np.clip(
+                            self._parts_samples.critical_fraction_within(x - x.min()) / whole + x.min(),
+                            x.min(),
+                            x.max(),
+                        )
+                    means[:, k] = np.where(self._parts_samples.critical_fraction > 0.0, mean, np.nan)
+        return means
+
+    def p_overlooked_region(self, size: float = MIN_REGION_FRACTION) -> float:
+        """Probability, by the process, that some critical region contains no scenario that was run.
+
+        `size` is the smallest fraction of the space that counts as a region. As long as nothing critical was run, it is
+        that of a region at a random place (`unexplored_fraction`).
+        """
+        if not self._critical.any():
+            return self.unexplored_fraction(size)
+        drawn = self._parts_samples.joint_draws
+        edges, regions = self._neighbour_graph
+        weights = np.concatenate([self._joint_points[1], np.zeros(regions)])
+        count = 0
+        for is_critical in np.concatenate([drawn, np.ones((regions, N_DRAWS), dtype=np.bool_)]).T:
+            label = _label_components(edges[:, is_critical[edges[0]] & is_critical[edges[1]]], len(is_critical))
+            sizes = np.bincount(label, weights=weights * is_critical, minlength=label.max() + 1)
+            has_run = np.zeros(len(sizes), dtype=np.bool_)
+            has_run[label[len(drawn) :]] = True
+            count += bool(((sizes >= size) & ~has_run).any())
+        return count / N_DRAWS
+
+    def unexplored_fraction(self, size: float = MIN_REGION_FRACTION) -> float:
+        """Fraction of the space around which a ball of volume `size` contains none of the scenarios that were run.
+
+        It needs no assumption about the scores: a critical ball of this size at a random place contains such a scenario
+        with a probability of one minus this fraction. Parts of the ball outside the space do not count.
+        """
+        return float((self._empty_ball_fractions > size).mean())
+
+    @cached_property
+    def _empty_ball_fractions(self) -> FloatArray:
+        with single_threaded_blas():
+            return self._sample.empty_ball_fractions(self._encoded_points)
+
+    @cached_property
+    def _neighbour_graph(self) -> tuple[IntArray, int]:
+        """Pairs of neighbours, (2, E), among sampled points and critical regions, and the number of these.
+
+        Critical scenarios that were run are connected in every draw, so each of their connected regions is a single
+        node.
+        """
+        sample = self._sample.encoded_points[self._joint_points[0]]
+        count = len(sample)
+        edges = _neighbour_pairs(np.concatenate([sample, self._encoded_points]))
+        is_node = np.concatenate([np.ones(count, dtype=np.bool_), self._critical])
+        edges = edges[:, is_node[edges[0]] & is_node[edges[1]]]
+        was_run = edges >= count
+        region = _label_components(edges[:, was_run.all(axis=0)] - count, len(self._encoded_points))
+        node = np.concatenate([np.arange(count), count + region])
+        edges = np.unique(np.sort(node[edges[:, ~was_run.all(axis=0)]], axis=0), axis=1)
+        # Drop regions without a neighbour among the sampled points, and renumber the others.
+        regions, index = np.unique(edges[edges >= count], return_inverse=True)
+        edges[edges >= count] = count + index
+        return edges, len(regions)
+
+
+def _neighbour_pairs(points: FloatArray) -> IntArray:
+    """Pairs of neighbouring points, (2, E), of points (n, e)."""
+    if points.shape[1] == 1:
+        # The two nearest points may lie on the same side, so connect each point with the next one instead.
+        order = np.argsort(points[:, 0], kind="stable")
+        return np.stack([order[:-1], order[1:]])
+    nearest = cKDTree(points).query(points, k=min(2 * points.shape[1] + 1, len(points)))[1]
+    near = np.asarray(nearest, dtype=np.int64)[:, 1:]
+    return np.stack([np.repeat(np.arange(len(points)), near.shape[1]), near.ravel()])
+
+
+def _label_components(edges: IntArray, count: int) -> IntArray:
+    """Label of the connected component of each of `count` nodes, (count,)."""
+    graph = coo_array((np.ones(edges.shape[1]), (edges[0], edges[1])), shape=(count, count))
+    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
+
+
+def _normal_deviate(probability: FloatArray) -> FloatArray:
+    """Normal deviate of a probability of being critical, negative where critical is likely."""
+    return np.asarray(-ndtri(np.clip(probability, _MIN_PROBABILITY, 1.0 - _MIN_PROBABILITY)))
+
+
+def _is_predicted_critical(margin: FloatArray, known_outcome: FloatArray) -> BoolArray:
+    return np.where(known_outcome == 0.0, margin <= 0.0, known_outcome > 0.0)

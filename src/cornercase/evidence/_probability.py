@@ -1,0 +1,174 @@
+"""Probabilities of events, with confidence intervals."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from scipy.special import stdtrit
+
+from cornercase._common.clopper_pearson import clopper_pearson_interval
+from cornercase._common.typing import BoolArray, FloatArray
+
+_LEVELS: Final = (0.95, 0.9)
+
+
+@dataclass(frozen=True)
+class Probability:
+    """A probability with its confidence intervals.
+
+    Attributes
+    ----------
+    value : float
+    low, high : float
+        Bounds of the 95 % interval.
+    low_90, high_90 : float
+        Bounds of the 90 % interval.
+    method : str
+        Description of the method.
+    error : float or None
+        Relative standard error; None if the event did not occur, or if only a part of a finite space was run.
+    scenarios, met : int
+        Number of scenarios, and of those in which the event occurred.
+    effective : float
+        Effective sample size of the scenarios in which the event occurred.
+    largest : float
+        Largest fraction of the estimate that a single scenario contributes.
+    """
+
+    value: float
+    low: float
+    high: float
+    low_90: float
+    high_90: float
+    method: str
+    error: float | None
+    scenarios: int
+    met: int
+    effective: float
+    largest: float
+
+    def __str__(self) -> str:
+        return f"{self.value:.3g} ({self.low:.3g} to {self.high:.3g})"
+
+    @property
+    def equivalent_monte_carlo_scenarios(self) -> float | None:
+        """Number of scenarios with which plain Monte Carlo would have the same relative standard error."""
+        if not self.error or not 0.0 < self.value <= 1.0:
+            return None
+        return (1.0 - self.value) / (self.value * self.error**2)
+
+    def to_json(self) -> dict[str, Any]:
+        """Convert to plain values.
+
+        Returns
+        -------
+        dict of str to object
+        """
+        return {
+            "probability": self.value,
+            "95 % interval": [self.low, self.high],
+            "90 % interval": [self.low_90, self.high_90],
+            "method": self.method,
+            "relative standard error": self.error,
+            "scenarios": self.scenarios,
+            "met in": self.met,
+            "effective number met": self.effective,
+            "largest share of one scenario": self.largest,
+            "plain Monte Carlo would need": self.equivalent_monte_carlo_scenarios,
+        }
+
+
+def probability_from_counts(met: int, scenarios: int) -> Probability:
+    """Probability from scenarios drawn from the distribution itself, with the Clopper-Pearson interval.
+
+    The event occurred in `met` of `scenarios` scenarios.
+    """
+    value = met / scenarios if scenarios else 0.0
+    bounds = _bounds_of_both_levels(lambda tail: clopper_pearson_interval(met, scenarios, tail))
+    # An event that always occurred may still fail once in `scenarios + 1`.
+    error = math.sqrt(max(1.0 - value, 1.0 / (scenarios + 1)) / met) if met else None
+    largest = 1.0 / met if met else 0.0
+    return Probability(value, *bounds, "plain Monte Carlo, Clopper-Pearson", error, scenarios, met, float(met), largest)
+
+
+def probability_from_weights(weights: FloatArray, met: BoolArray, common_error: float = 0.0) -> Probability:
+    """Probability from independent scenarios of a proposal distribution, with an interval of its logarithm.
+
+    `weights` (n,) are the density of the distribution over that of the proposal, `met` (n,) whether the event occurred;
+    `common_error` is the relative standard error that all weights have in common.
+
+    The interval is that of the logarithm, since the estimate is skewed: mostly slightly too low, rarely much too high.
+    The quantiles are those of Student's t, with the effective number of occurrences less one as degrees of freedom.
+    """
+    parts = np.where(met, weights, 0.0)
+    total, count = float(parts.sum()), len(parts)
+    if total <= 0.0:
+        return probability_from_counts(0, 0)
+    # Weights are 1 only on average, so the estimate of a nearly certain event may exceed 1.
+    value = min(total / count, 1.0)
+    spread = float(parts.std(ddof=1)) if count > 1 else value
+    relative = float(np.hypot(spread / np.sqrt(count) / value, common_error))
+    effective = total**2 / float((parts**2).sum())
+    bounds = _log_normal_bounds(value, relative, effective)
+    largest = float(parts.max()) / total
+    return Probability(
+        value, *bounds, "importance sampling, log-normal", relative, count, int(met.sum()), effective, largest
+    )
+
+
+def probability_from_enumeration(probabilities: FloatArray, met: BoolArray, total: float | None = None) -> Probability:
+    """Probability from all scenarios of a finite space, which has no error; from a part of them, bounds.
+
+    `probabilities` (n,) are the probabilities of the scenarios that were run, `total` is the sum over all scenarios, by
+    default all were run. The bounds hold whatever the other scenarios are; the value is in the middle.
+    """
+    normalization = float(probabilities.sum()) if total is None else total
+    weights = probabilities / normalization
+    low = min(float(weights[met].sum()), 1.0)
+    high = low if total is None else max(1.0 - float(weights[~met].sum()), low)
+    effective = low**2 / float((weights[met] ** 2).sum()) if met.any() else 0.0
+    largest = float(weights[met].max()) / low if met.any() else 0.0
+    method = f"{'all' if total is None else f'only {len(probabilities)}'} scenarios of the space were run"
+    error = 0.0 if total is None else None
+    bounds = (low, high, low, high)
+    return Probability(
+        0.5 * (low + high), *bounds, method, error, len(probabilities), int(met.sum()), effective, largest
+    )
+
+
+def conditional_probability(both: Probability, condition: Probability) -> Probability | None:
+    """Conditional probability from those of both events and of the condition, found from different scenarios.
+
+    With an interval of its logarithm; None if one of them did not occur.
+    """
+    if both.error is None or condition.error is None:
+        return None
+    value, error = min(both.value / condition.value, 1.0), float(np.hypot(both.error, condition.error))
+    bounds = _log_normal_bounds(value, error, min(both.effective, condition.effective))
+    return Probability(
+        value, *bounds, f"quotient; {both.method}", error, both.scenarios, both.met, both.effective, both.largest
+    )
+
+
+Bounds = tuple[float, float, float, float]
+
+
+def _bounds_of_both_levels(interval: Callable[[float], tuple[float, float]]) -> Bounds:
+    """Bounds of the 95 % and 90 % intervals, from a function of the tail probability."""
+    wide, narrow = (0.5 * (1.0 - level) for level in _LEVELS)
+    return *interval(wide), *interval(narrow)
+
+
+def _log_normal_bounds(value: float, error: float, effective: float) -> Bounds:
+    """Bounds of the intervals from the standard error of the logarithm."""
+
+    def interval_for_tail(tail: float) -> tuple[float, float]:
+        # Limited, so that the exponential does not overflow.
+        reach = min(float(stdtrit(max(effective - 1.0, 1.0), 1.0 - tail)) * error, 700.0)
+        return value * math.exp(-reach), min(value * math.exp(reach), 1.0)
+
+    return _bounds_of_both_levels(interval_for_tail)

@@ -1,0 +1,212 @@
+"""Importance sampling of rare events, with a proposal that is learned first and then frozen."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from scipy.special import ndtr, ndtri
+
+from cornercase._common.errors import InputError
+from cornercase._common.typing import BoolArray, FloatArray
+from cornercase.evidence._mixture import TMixture
+from cornercase.evidence.gp._process import encode_points, fit_boundary_process, require_enough_scores
+from cornercase.scenario import ParameterSpace
+
+# Limits of the unit interval whose normal quantiles are finite.
+_MIN_QUANTILE, _MAX_QUANTILE = 1e-16, 1.0 - 1.2e-16
+# Fraction of the learning scenarios in the first round, number of later rounds, and least size of a round.
+_FIRST_ROUND_FRACTION, _ROUNDS, _MIN_ROUND_SIZE = 0.2, 12, 20
+# Effective number of scenarios per coefficient of a component's mean that a proposal is fitted to, and the multiple of
+# it, in events, from which the learning ends early.
+_PER_COEFFICIENT, _EVENTS_FACTOR = 10, 10
+# Standard deviations of the wide components, which search unknown regions; their fraction of a round, and at the end.
+_WIDE_DEVIATIONS, _WIDE_FRACTION, _FINAL_WIDE_FRACTION = (1.5, 2.5), 0.25, 0.15
+# Fractions of the frozen proposal for the parameters' distribution and for the proposals of earlier rounds.
+_FINAL_PLAIN_FRACTION, _FINAL_EARLIER_FRACTION = 0.05, 0.2
+_CANDIDATES: Final = 20_000
+_N_CONSTRAINT_DRAWS: Final = 20_000
+_MAX_TRIES: Final = 10_000
+_HARDLY_ANY: Final = (
+    "Hardly any scenario fulfils the constraints of the parameters; choose ranges that lie within the constraints."
+)
+
+
+class ImportanceSampling:
+    """Draws scenarios among which a rare event is frequent, and weights them.
+
+    The unit cube is mapped to a space in which the parameters are standard normal. The first scenarios follow that
+    distribution. Then, round by round, a mixture of t distributions is fitted to the scenarios nearest to the event, as
+    many as it can be learned from, with their weights; the next round is drawn from it and from wide normal
+    distributions. With enough events the proposal is frozen, with parts of all earlier ones, of the wide ones and of
+    the parameters' distribution. Later scenarios are independent, so the mean of the weights of the events is an
+    unbiased estimate of their probability, whatever was learned before. Deterministic given its arguments and the
+    recorded results.
+
+    `n_events` is the number of events, which share each round; `max_learning_scenarios` is the greatest number of
+    scenarios until the proposal is frozen; `initial_proposal` is an optional first guess.
+    """
+
+    def __init__(
+        self,
+        space: ParameterSpace,
+        n_events: int,
+        max_learning_scenarios: int,
+        seed: int,
+        initial_proposal: TMixture | None = None,
+    ) -> None:
+        self._space, self._events, self._learn, self._seed = space, n_events, max_learning_scenarios, seed
+        self._plain = max(_MIN_ROUND_SIZE, round(_FIRST_ROUND_FRACTION * max_learning_scenarios))
+        self._size = max(_MIN_ROUND_SIZE, (max_learning_scenarios - self._plain) // _ROUNDS)
+        self._points, self._scores = np.zeros((0, space.dimension)), np.zeros(0)
+        self._met = np.zeros((0, n_events), dtype=np.bool_)
+        self._plain_distribution = TMixture.normal_around_zero(space.dimension)
+        self._wide = [TMixture.normal_around_zero(space.dimension, deviation) for deviation in _WIDE_DEVIATIONS]
+        self._earlier = [] if initial_proposal is None else [initial_proposal]
+        self._proposal, self._drawn = self._plain_distribution, list[tuple[int, TMixture]]()
+        self._rounds, self._ready, self._asked, self._frozen = 0, 0, 0, False
+        self._factor: tuple[float, float] | None = None
+
+    @property
+    def next_stage(self) -> str:
+        """Purpose of the next round: ``"law"``, ``"learn"`` or ``"estimate"``."""
+        return "law" if self._rounds == 0 else "estimate" if self._frozen else "learn"
+
+    def draw_round(self, max_count: int) -> FloatArray:
+        """Draw a round of at most `max_count` scenarios, (n, d) in the unit cube, within the constraints.
+
+        Raises
+        ------
+        InputError
+            Hardly any scenario fulfils the constraints.
+        """
+        count = max_count if self._frozen else min(max_count, self._size if self._rounds else self._plain)
+        rng = np.random.default_rng((self._seed, 0, self._rounds))
+        admitted = np.zeros((0, self._space.dimension))
+        for _ in range(_MAX_TRIES):
+            points = ndtr(self._proposal.draw_points(count - len(admitted), rng))
+            admitted = np.concatenate([admitted, points[self._space.is_admissible(points)]])
+            if len(admitted) == count:
+                return admitted
+        raise InputError(_HARDLY_ANY)
+
+    def record_round(self, points: FloatArray, scores: FloatArray, occurred: BoolArray) -> None:
+        """Record the results of a round, and learn from them unless the proposal is frozen.
+
+        `scores` (n,) are lower nearer to the events, NaN for a failed scenario; `occurred` (n, events): which events
+        occurred.
+        """
+        if not self._frozen:
+            self._drawn.append((len(points), self._proposal))
+            self._points = np.concatenate([self._points, _to_standard_normal(points)])
+            self._scores = np.concatenate([self._scores, scores])
+            self._met = np.concatenate([self._met, occurred])
+            self._learn_proposal()
+        self._rounds += 1
+
+    def importance_weights(self, points: FloatArray) -> FloatArray:
+        """Weights (n,) of scenarios that were drawn with the frozen proposal; 1 on average.
+
+        Density of the parameters' distribution over that of the proposal, both within the constraints.
+        """
+        normal = _to_standard_normal(points)
+        factor, _ = self._constraint_factor_and_error()
+        return np.asarray(
+            factor * np.exp(self._plain_distribution.log_density(normal) - self._proposal.log_density(normal))
+        )
+
+    @property
+    def common_weight_error(self) -> float:
+        """Relative standard error that all weights have in common, from the fraction within the constraints."""
+        return self._constraint_factor_and_error()[1]
+
+    def _constraint_factor_and_error(self) -> tuple[float, float]:
+        """Fraction of the proposal within the constraints over that of the distribution; relative standard error."""
+        if not self._space.declarations:
+            return 1.0, 0.0
+        if self._factor is None:
+            rng = np.random.default_rng((self._seed, 1))
+            fractions = [
+                float(self._space.is_admissible(ndtr(mixture.draw_points(_N_CONSTRAINT_DRAWS, rng))).mean())
+                for mixture in (self._proposal, self._plain_distribution)
+            ]
+            if not all(fractions):
+                raise InputError(_HARDLY_ANY)
+            error = np.sqrt(sum((1.0 - fraction) / fraction for fraction in fractions) / _N_CONSTRAINT_DRAWS)
+            self._factor = fractions[0] / fractions[1], float(error)
+        return self._factor
+
+    def _learn_proposal(self) -> None:
+        """Fit the next proposal to the scenarios nearest to each event."""
+        count = len(self._points)
+        proposals = [np.log(n / count) + mixture.log_density(self._points) for n, mixture in self._drawn]
+        log_weights = self._plain_distribution.log_density(self._points) - np.logaddexp.reduce(proposals, axis=0)
+        weights = np.exp(log_weights - log_weights.max())
+        rng = np.random.default_rng((self._seed, 2, self._rounds))
+        fitted, ready = [], True
+        for event in range(self._events):
+            nearest, enough_events = self._select_nearest_to_event(event, weights)
+            fitted.append((1.0 / self._events, TMixture.fit(self._points[nearest], weights[nearest], rng)))
+            ready &= enough_events
+        new = TMixture.from_parts(fitted)
+        self._ready = self._ready + 1 if ready else 0
+        # Two rounds in a row, so that the last fit includes scenarios of a proposal at the event.
+        if self._ready >= 2 or count + self._size > self._learn:
+            earlier = [(_FINAL_EARLIER_FRACTION / len(self._earlier), mixture) for mixture in self._earlier]
+            wide = [(_FINAL_WIDE_FRACTION / len(_WIDE_DEVIATIONS), mixture) for mixture in self._wide]
+            rest = 1.0 - _FINAL_PLAIN_FRACTION - sum(share for share, _ in (*earlier, *wide))
+            self._proposal = TMixture.from_parts(
+                [(rest, new), (_FINAL_PLAIN_FRACTION, self._plain_distribution), *wide, *earlier]
+            )
+            self._frozen = True
+            return
+        parts = [new, *self._earlier[:1]] if self._rounds == 0 else [new]
+        wide = [(_WIDE_FRACTION / len(_WIDE_DEVIATIONS), mixture) for mixture in self._wide]
+        self._proposal = TMixture.from_parts([*(((1.0 - _WIDE_FRACTION) / len(parts), part) for part in parts), *wide])
+        self._earlier.append(new)
+
+    def _select_nearest_to_event(self, event: int, weights: FloatArray) -> tuple[BoolArray, bool]:
+        """Mask of the scenarios nearest to an event that the fit uses, and whether there are enough events."""
+        met = self._met[:, event]
+        # The worst score gives no direction towards the event; failures rank last.
+        finite = np.isfinite(self._scores)
+        informative = (finite & (self._scores < self._scores[finite].max(initial=-np.inf))) | met
+        order = np.lexsort((np.where(finite, self._scores, np.inf), ~informative, ~met))
+        ordered = weights[order]
+        effective = np.cumsum(ordered) ** 2 / np.maximum(np.cumsum(ordered**2), 1e-300)
+        needed = _PER_COEFFICIENT * (self._space.dimension + 2)
+        hits = int(met.sum())
+        count = max(int(np.searchsorted(np.maximum.accumulate(effective), needed)) + 1, hits)
+        n_informative = int(informative.sum())
+        selected = np.zeros(len(weights), dtype=np.bool_)
+        selected[order[: min(count, n_informative) if n_informative else len(order)]] = True
+        return selected, hits >= count and bool(effective[hits - 1] >= _EVENTS_FACTOR * needed)
+
+
+def initial_proposal(
+    space: ParameterSpace, points: FloatArray, scores: FloatArray, threshold: float, seed: int
+) -> TMixture | None:
+    """Proposal for critical scenarios from a Gaussian process of scenarios that were run.
+
+    In the space in which the parameters are standard normal; None if too little is known. `scores` and `threshold` are
+    minimized, NaN for a failed scenario.
+    """
+    try:
+        points, scores = require_enough_scores(points, scores)
+    except ValueError:
+        return None
+    rng = np.random.default_rng((seed, 3))
+    law = TMixture.normal_around_zero(space.dimension)
+    wide = [(1.0, TMixture.normal_around_zero(space.dimension, deviation)) for deviation in _WIDE_DEVIATIONS]
+    proposal = TMixture.from_parts([(1.0, law), *wide])
+    candidates = proposal.draw_points(_CANDIDATES, rng)
+    process = fit_boundary_process(encode_points(space, points), scores, threshold)
+    mean, deviation = process.predict(encode_points(space, ndtr(candidates)))
+    weights = np.exp(law.log_density(candidates) - proposal.log_density(candidates))
+    weights *= ndtr(-mean / np.maximum(deviation, 1e-9))
+    return TMixture.fit(candidates, weights, rng) if weights.sum() > 0.0 else None
+
+
+def _to_standard_normal(points: FloatArray) -> FloatArray:
+    """Map points of the unit cube to the space in which the parameters are standard normal."""
+    return np.asarray(ndtri(np.clip(points, _MIN_QUANTILE, _MAX_QUANTILE)))

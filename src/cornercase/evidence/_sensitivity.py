@@ -1,0 +1,132 @@
+"""Global sensitivity of a score to the parameters."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from cornercase._common.numba.blas import single_threaded_blas
+from cornercase._common.typing import FloatArray
+from cornercase.evidence.gp._blas import multiply_lower_triangular
+from cornercase.evidence.gp._kernel import evenly_spaced_indices
+from cornercase.evidence.gp._process import GaussianProcess, encode_points, require_enough_scores
+from cornercase.scenario import ParameterSpace
+
+_SAMPLES: Final = 4096
+# Points at which the process is drawn for the intervals, and number of draws.
+_N_POINTS, _N_DRAWS = 2048, 200
+_MAX_LEFT_OUT: Final = 4096  # greatest number of values that are left out in turn
+_INTERVAL: Final = (0.05, 0.95)
+LITTLE_INFLUENCE: Final = 0.05
+"""Total index below which a parameter has little influence."""
+MIN_PREDICTED: Final = 0.1
+"""Least predicted fraction of the variance for the indices to be meaningful."""
+
+
+@dataclass(frozen=True)
+class Sensitivity:
+    """How much of a score's variance comes from each parameter.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Parameters that have more than one value.
+    first, total : tuple of float
+        Fraction of the variance that a parameter explains alone (first-order index), and with interactions (total
+        index).
+    first_interval, total_interval : tuple of (float, float)
+        Their 90 % credible intervals, from draws of the process.
+    predicted : float
+        Fraction of the variance of the scores that the process predicts by leave-one-out, of at most 4,096 scenarios:
+        how reliable the indices are.
+    """
+
+    names: tuple[str, ...]
+    first: tuple[float, ...]
+    total: tuple[float, ...]
+    first_interval: tuple[tuple[float, float], ...]
+    total_interval: tuple[tuple[float, float], ...]
+    predicted: float
+
+    @property
+    def is_meaningful(self) -> bool:
+        """Whether enough of the variance is predicted for the indices to be meaningful."""
+        return self.predicted >= MIN_PREDICTED
+
+    @property
+    def uninfluential_parameters(self) -> tuple[str, ...]:
+        """Parameters whose total index, with its interval, is below 0.05; none if hardly anything is predicted."""
+        intervals = zip(self.names, self.total_interval, strict=True)
+        return tuple(name for name, (_, high) in intervals if high < LITTLE_INFLUENCE) if self.is_meaningful else ()
+
+
+def estimate_sensitivity(space: ParameterSpace, points: FloatArray, scores: FloatArray, seed: int = 0) -> Sensitivity:
+    """Sobol' indices of the mean of a Gaussian process of the scores, with intervals from draws of the process.
+
+    Parameters vary independently over their ranges, regardless of constraints. `points` (n, d) are in the unit cube,
+    `scores` (n,) may be minimized or not, NaN for a failed scenario. ValueError if there are fewer than 10 scores, or
+    all are equal.
+
+    Source: I. M. Sobol', "Global sensitivity indices for nonlinear mathematical models and their Monte Carlo
+    estimates", Mathematics and Computers in Simulation 55 (2001); A. Saltelli et al., "Variance based sensitivity
+    analysis of model output", Computer Physics Communications 181 (2010), with the estimators of scipy.
+    """
+    points, scores = require_enough_scores(points, scores)
+    values = (scores - scores.mean()) / scores.std()
+    process = GaussianProcess(1.0).fit(encode_points(space, points), values)
+    subset = evenly_spaced_indices(len(values), _MAX_LEFT_OUT)
+    errors = values[subset] - process.leave_one_out(subset)[0]
+
+    def predict_scores(points: FloatArray) -> FloatArray:
+        mean, _ = process.predict(encode_points(space, space.snap(points.T)))
+        return mean[None, :]
+
+    predicted = float(1.0 - np.mean(errors**2))
+    if space.dimension == 1:
+        return Sensitivity(space.names, (1.0,), (1.0,), ((1.0, 1.0),), ((1.0, 1.0),), predicted)
+    from scipy.stats import sobol_indices, uniform
+
+    distributions: Any = [uniform()] * space.dimension
+    with single_threaded_blas():
+        result: Any = sobol_indices(
+            func=predict_scores, n=_SAMPLES, dists=distributions, rng=np.random.default_rng(seed)
+        )
+        spreads = _index_deviations(space, process, seed)
+    varied = [parameter.size != 1 for parameter in space.parameters]
+    names = tuple(name for name, is_varied in zip(space.names, varied, strict=True) if is_varied)
+    indices, intervals = [], []
+    for order, spread in zip((result.first_order, result.total_order), spreads, strict=True):
+        # Indices are not defined if the scores do not vary; they count as 0.
+        index = np.clip(np.nan_to_num(order.ravel()[varied]), 0.0, 1.0)
+        low, high = np.quantile(np.clip(index + spread[:, varied], 0.0, 1.0), _INTERVAL, axis=0)
+        indices.append(tuple(index.tolist()))
+        bounds = np.minimum(low, index).tolist(), np.maximum(high, index).tolist()
+        intervals.append(tuple(zip(*bounds, strict=True)))
+    return Sensitivity(names, indices[0], indices[1], intervals[0], intervals[1], predicted)
+
+
+def _index_deviations(space: ParameterSpace, process: GaussianProcess, seed: int) -> tuple[FloatArray, FloatArray]:
+    """Deviations of the first-order and total indices of draws of a process from those of its mean, (draws, d) each.
+
+    Both are computed at the same few points, so that the sampling error cancels.
+    """
+    dims = space.dimension
+    count = 1 << ((_N_POINTS // (dims + 2)).bit_length() - 1)
+    # Imported late, since it takes half a second.
+    from scipy.stats import qmc
+
+    samples = qmc.Sobol(2 * dims, seed=np.random.default_rng([seed, 2])).random(count)
+    a, b = samples[:, :dims], samples[:, dims:]
+    mixed = [np.where(np.arange(dims) == j, b, a) for j in range(dims)]
+    points = encode_points(space, space.snap(np.concatenate([a, b, *mixed])))
+    mean, _ = process.predict(points)
+    factor, _ = process.joint_covariance(points, with_noise=False)
+    normal = np.random.default_rng([seed, 3]).standard_normal((len(points), _N_DRAWS))
+    values = np.concatenate([mean[:, None], mean[:, None] + multiply_lower_triangular(factor, normal)], axis=1)
+    values_a, values_b, *values_mixed = values.reshape(dims + 2, count, -1)
+    variance = np.maximum(np.concatenate([values_a, values_b]).var(axis=0), 1e-12)
+    first = np.array([(values_b * (value - values_a)).mean(axis=0) / variance for value in values_mixed]).T
+    total = np.array([0.5 * ((values_a - value) ** 2).mean(axis=0) / variance for value in values_mixed]).T
+    return first[1:] - first[0], total[1:] - total[0]

@@ -1,0 +1,87 @@
+"""Differences between two critical sets of one space."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cornercase._common.typing import FloatArray
+from cornercase.evidence._critical_set_estimate import CriticalSet
+from cornercase.evidence._interval_estimate import Estimate
+
+
+@dataclass(frozen=True)
+class SetDifference:
+    """Difference between two critical sets of one space.
+
+    Attributes
+    ----------
+    old, new : Estimate
+        Critical fractions of the space.
+    change : Estimate
+        The new one less the old one.
+    gained, lost : Estimate
+        Fractions of the space that are critical in the new set only, and in the old set only.
+    middles : tuple of (Estimate, Estimate, Estimate) or None, length d
+        For each parameter its mean over the old set, over the new set, and the difference, in the parameter's unit;
+        None for one with choices.
+    """
+
+    old: Estimate
+    new: Estimate
+    change: Estimate
+    gained: Estimate
+    lost: Estimate
+    middles: tuple[tuple[Estimate, Estimate, Estimate] | None, ...]
+
+    @classmethod
+    def from_critical_sets(cls, old: CriticalSet, new: CriticalSet) -> SetDifference:
+        """Compare two critical sets that were estimated from different scenarios.
+
+        Parameters
+        ----------
+        old, new : CriticalSet
+            Of the same space and with the same seed; neither may have a `CriticalSet.missed_interval_unavailable`.
+
+        Returns
+        -------
+        SetDifference
+
+        Notes
+        -----
+        Both sets are drawn independently. If neither is known well, the draws differ even where the sets are equal, so
+        the draws bound `gained` and `lost` from above only; the lower bound is given by the change of the critical
+        fraction.
+        """
+        old_draws, new_draws, both_draws = old.draw_overlap_with(new)
+        change = _difference_of_draws(old_draws, new_draws)
+        middles: list[tuple[Estimate, Estimate, Estimate] | None] = []
+        for before, after in zip(old.draw_parameter_means().T, new.draw_parameter_means().T, strict=True):
+            before, after = before[np.isfinite(before)], after[np.isfinite(after)]
+            if len(before) and len(after):
+                middles.append(
+                    (Estimate.from_draws(before), Estimate.from_draws(after), _difference_of_draws(before, after))
+                )
+            else:
+                middles.append(None)
+        return cls(
+            old.critical_fraction,
+            new.critical_fraction,
+            change,
+            _estimate_with_lower_bound(new_draws - both_draws, change.low),
+            _estimate_with_lower_bound(old_draws - both_draws, -change.high),
+            tuple(middles),
+        )
+
+
+def _difference_of_draws(before: FloatArray, after: FloatArray) -> Estimate:
+    """Estimate of `after - before` from all pairs of independent draws."""
+    return Estimate.from_draws((after[:, None] - before).ravel())
+
+
+def _estimate_with_lower_bound(draws: FloatArray, low: float) -> Estimate:
+    """Estimate from draws that bound it from above, with the lower bound `low`."""
+    estimate = Estimate.from_draws(draws)
+    low = max(low, 0.0)
+    return Estimate(max(estimate.value, low), low, max(estimate.high, low))

@@ -1,0 +1,108 @@
+"""Samples of critical sets from the posterior, on the sampled points of a space."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.special import ndtr
+
+from cornercase._common.numba.blas import single_threaded_blas
+from cornercase._common.typing import BoolArray, FloatArray, IntArray
+from cornercase.evidence._calibration import ProbitCalibration
+
+N_DRAWS: Final = 400
+"""Number of critical sets that are drawn."""
+
+# Bins of points with nearly the same probability.
+_N_BINS: Final = 1024
+
+
+class SetSamples:
+    """Samples of a critical set: drawn jointly on some points, with marginal probabilities on all points.
+
+    `weights` (n,) are the fractions of the space that points represent, `z` (n,) the predictions, and `known_outcome`
+    (n,) is inf where a critical scenario was run, -inf where another one was run, else 0. `joint_points` holds the
+    indices (m,) of the points with joint draws and the fraction of the space that each represents,
+    `standardized_errors` (m, `N_DRAWS`) standard normal numbers for them, with the correlation of their scores.
+    """
+
+    def __init__(
+        self,
+        calibration: ProbitCalibration,
+        seed: int,
+        weights: FloatArray,
+        z: FloatArray,
+        known_outcome: FloatArray,
+        joint_points: tuple[IntArray, FloatArray],
+        standardized_errors: FloatArray,
+    ) -> None:
+        self._weights, self._z, self._known_outcome, self._standardized_errors = (
+            weights,
+            z,
+            known_outcome,
+            standardized_errors,
+        )
+        self._a, self._b = calibration.draw_parameters(N_DRAWS, np.random.default_rng([seed, 3]))
+        self.joint_indices, self._joint_weights = joint_points
+
+    @cached_property
+    def joint_draws(self) -> BoolArray:
+        """Whether each of the joint points is critical in each draw, (m, draws)."""
+        return np.asarray(self._standardized_errors <= self._critical_limit(self.joint_indices))
+
+    @cached_property
+    def _residuals(self) -> FloatArray:
+        """Outcome less marginal probability of each joint point in each draw, (m, draws)."""
+        return np.asarray(self.joint_draws - ndtr(self._critical_limit(self.joint_indices)))
+
+    @cached_property
+    def _probability_bins(self) -> tuple[IntArray, FloatArray]:
+        """Bin of each point by `z`, and the probability of being critical by bin and draw."""
+        order = np.argsort(self._z[self._known_outcome == 0.0], kind="stable")
+        bins = [
+            part for part in np.array_split(np.flatnonzero(self._known_outcome == 0.0)[order], _N_BINS) if len(part)
+        ]
+        # The last two bins hold the scenarios that were run: those that are not critical, then the critical ones.
+        bin_of = np.where(self._known_outcome > 0.0, len(bins) + 1, len(bins))
+        for k, members in enumerate(bins):
+            bin_of[members] = k
+        middle = np.array([self._z[members].mean() for members in bins])
+        probability = ndtr(-(self._a + self._b * middle[:, None]))
+        return bin_of, np.concatenate([probability, np.zeros((1, N_DRAWS)), np.ones((1, N_DRAWS))])
+
+    def _critical_limit(self, indices: IntArray) -> FloatArray:
+        """Normal deviate up to which a point is critical in each draw; infinite if it was run."""
+        limit = -(self._a + self._b * self._z[indices, None])
+        return np.where(self._known_outcome[indices, None] == 0.0, limit, self._known_outcome[indices, None])
+
+    def critical_fraction_within(self, weights: BoolArray | FloatArray) -> FloatArray:
+        """Sum of `weights` (a mask or numbers) over the critical set, as a fraction of the space, (draws,)."""
+        bin_of, probability = self._probability_bins
+        expected = np.bincount(bin_of, weights=self._weights * weights, minlength=len(probability)) @ probability
+        # The joint draws on some points give the spread, the probabilities on all points the mean.
+        return np.asarray(expected + (self._joint_weights * weights[self.joint_indices]) @ self._residuals)
+
+    @cached_property
+    def critical_fraction(self) -> FloatArray:
+        """Critical fraction of the space in each draw, (draws,)."""
+        with single_threaded_blas():
+            return np.clip(self.critical_fraction_within(np.ones(len(self._z), dtype=np.bool_)), 0.0, 1.0)
+
+    def overlap_fraction(self, other: SetSamples, standardized_errors: FloatArray, order: IntArray) -> FloatArray:
+        """Fraction of the space that is critical here and in a draw of `other`, (draws,).
+
+        `standardized_errors` (m, `N_DRAWS`) is as for this set, with the correlation of the other scores; draw
+        `order[i]` of `other` is paired with draw i.
+        """
+        limit = other._critical_limit(self.joint_indices)[:, order]
+        # As in `fractions`: some points give the spread, all points the mean.
+        (bins, probability), (other_bins, other_probability) = self._probability_bins, other._probability_bins
+        weights = coo_array((self._weights, (bins, other_bins)), shape=(len(probability), len(other_probability)))
+        both = (probability * np.asarray(weights.tocsr() @ other_probability[:, order])).sum(axis=0)
+        both += self._joint_weights @ (
+            (self.joint_draws & (standardized_errors <= limit)) - (self.joint_draws - self._residuals) * ndtr(limit)
+        )
+        return np.asarray(both)

@@ -1,0 +1,1 @@
+"""TODO evidence/gp"""

@@ -1,0 +1,195 @@
+"""Search without rounds: the optimizer is asked for the next scenario as soon as one has ended."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from cornercase._common.progress import ProgressBar
+from cornercase._common.typing import FloatArray
+from cornercase.exploration._condition_references import PendingCondition
+from cornercase.exploration._config import ExplorationConfig
+from cornercase.exploration._explorer import ScenarioExplorer
+from cornercase.exploration._objective import Objective
+from cornercase.exploration._proposals import iter_rounds
+from cornercase.exploration._repeat_policy import RepeatedRun
+from cornercase.optimizers import Optimizer
+from cornercase.scenario import ConcreteScenario
+from cornercase.simulators import Simulator
+from cornercase.simulators._stream import SimulatorStream
+from cornercase.study import ScenarioRecord, Study
+
+
+def max_pending_scenarios(n_parallel: int) -> int:
+    """Number of scenarios in progress for `places` parallel simulators.
+
+    One simulator: one, so that each proposal knows all results. Otherwise half as many again, so that none has to wait.
+    """
+    return n_parallel if n_parallel == 1 else n_parallel + -(-n_parallel // 2)
+
+
+class AsynchronousExplorer(ScenarioExplorer):
+    """Searches a logical scenario without rounds.
+
+    As soon as a scenario has ended, the optimizer is told its result, and all that arrived meanwhile, and asked for
+    another. The study holds the order of the results, so a search that was killed is resumed identically: the optimizer
+    is told in that order, and pending scenarios run first. Parameters as for `ScenarioExplorer`.
+    """
+
+    def __init__(
+        self,
+        config: ExplorationConfig,
+        simulator: Simulator,
+        optimizer: Optimizer,
+        study: Study,
+        objective: Objective | None = None,
+        references: Mapping[str, Simulator] | None = None,
+    ) -> None:
+        super().__init__(config, simulator, optimizer, study, objective, references)
+        self._simulators = {"": simulator, **(references or {})}
+        if config.patience is not None:
+            self._patience, self._patience_unit = config.patience * config.batch, "scenarios"
+        # By scenario id: rows in progress, their repeats, those that need a reference run; new results.
+        self._pending: dict[int, ScenarioRecord] = {}
+        self._repeated_runs: dict[int, RepeatedRun] = {}
+        self._pending_conditions: dict[int, PendingCondition] = {}
+        self._new_results: list[ScenarioRecord] = []
+        self._new_scores: dict[int, Any] = {}
+        self._n_results = self._rounds_checked = 0
+
+    def _run_until_stop(self, bar: ProgressBar | None, check_interrupt: Callable[[], None]) -> str:
+        """Run scenarios in parallel; once nothing else runs, check if runs are deterministic."""
+        reason = self._run_without_rounds(bar, check_interrupt)
+        self._runner.check_repeatability()
+        return reason
+
+    def _run_without_rounds(self, bar: ProgressBar | None, check_interrupt: Callable[[], None]) -> str:
+        """Keep scenarios in progress until a criterion holds and all have ended; return the criterion."""
+        start, reason = time.monotonic(), None
+        with closing(SimulatorStream(self._simulators)) as stream:
+            proposed, number = self._resume_without_rounds(stream)
+            while True:
+                if bar is not None:
+                    bar.update(proposed - len(self._pending), self._incumbent.label)
+                n_free = max_pending_scenarios(stream.count_parallel()) - len(self._pending)
+                if reason is None and n_free > 0:
+                    self._tell_new_results()
+                    reason = self._stop_reason(proposed, time.monotonic() - start)
+                if reason is None and n_free > 0:
+                    rows = self._propose_next(number + 1, proposed, min(n_free, self._config.budget - proposed))
+                    if rows:
+                        self._submit_rows(stream, rows)
+                        proposed, number = proposed + len(rows), number + 1
+                    else:
+                        reason = self._exhausted_reason(proposed)
+                if not self._pending:
+                    self._tell_new_results()
+                    assert reason is not None
+                    return reason
+                self._wait_for_result(stream, check_interrupt)
+                # Collect results that arrived meanwhile.
+                while self._pending and stream.has_result:
+                    self._wait_for_result(stream, check_interrupt)
+                self._clock.save_times()
+
+    def _resume_without_rounds(self, stream: SimulatorStream) -> tuple[int, int]:
+        """Tell the optimizer the stored results in their order, and submit pending scenarios."""
+        rows = self._study.rows()
+        minimized = self._objective.minimized_scores(self._study)
+        scores = dict(zip((row.id for row in rows if row.state == "done"), minimized, strict=True))
+        for turn in iter_rounds(self._study):
+            if not turn.proposed:
+                # The next round will be told further results as well.
+                self._new_results, self._new_scores = list(turn.finished), scores
+                break
+            if turn.finished:
+                self._tell_round(list(turn.finished), scores)
+            if self._optimizer.is_stateful_ask and (searched := self._without_audits(turn.proposed)):
+                self._ask_tell.pending = self._points_without_audits(turn.pending)
+                self._ask_tell.ask(len(searched))
+        pending = [row for row in rows if row.state == "pending"]
+        # A killed search has evaluated its stop criteria on these results; one that had ended evaluates them again.
+        self._rounds_checked = self._n_results // self._config.batch if pending else -1
+        self._submit_rows(stream, pending)
+        return len(rows), rows[-1].round if rows else 0
+
+    def _propose_next(self, round_number: int, n_proposed: int, n_wanted: int) -> list[ScenarioRecord]:
+        self._ask_tell.pending = self._points_without_audits(list(self._pending.values()))
+        return self._propose_round(round_number, n_proposed, n_wanted)
+
+    def _without_audits(self, rows: Sequence[ScenarioRecord]) -> list[ScenarioRecord]:
+        return [row for row in rows if not self._study.meta.is_audit(row.id)]
+
+    def _submit_rows(self, stream: SimulatorStream, rows: Sequence[ScenarioRecord]) -> None:
+        for row in rows:
+            self._pending[row.id] = row
+            self._submit_scenario(stream, self._runner.start_scenario(row))
+
+    def _submit_scenario(self, stream: SimulatorStream, repeated_run: RepeatedRun) -> None:
+        self._repeated_runs[repeated_run.row.id] = repeated_run
+        stream.submit(
+            repeated_run.row.id,
+            partial(self._simulate_in_thread, self._runner.requested_concrete_scenarios(repeated_run)),
+        )
+
+    def _simulate_in_thread(self, concretes: Sequence[ConcreteScenario], simulator: Simulator) -> list[Any]:
+        """Run in a worker thread; must not touch other state of the search."""
+        return list(self._runner.simulate(simulator, concretes))
+
+    def _wait_for_result(self, stream: SimulatorStream, check_interrupt: Callable[[], None]) -> None:
+        """Wait for the next result, and store it or submit another run of the scenario."""
+        with self._clock("simulate"):
+            key, outcomes = stream.wait_for_result(check_interrupt)
+        row = self._pending[key]
+        if row.id in self._pending_conditions:
+            result: Any = self._pending_conditions.pop(row.id)
+            self._runner.record_reference_run(result, outcomes[0])
+        else:
+            result = self._runner.record_outcomes(self._repeated_runs.pop(row.id), outcomes)
+        if isinstance(result, RepeatedRun):
+            self._submit_scenario(stream, result)
+            return
+        if isinstance(result, PendingCondition) and result.next_reference is not None:
+            self._pending_conditions[row.id] = result
+            stream.submit(
+                row.id,
+                partial(
+                    self._simulate_in_thread,
+                    self._runner.requested_concrete_scenarios(self._runner.start_scenario(row)),
+                ),
+                result.next_reference,
+            )
+            return
+        score = self._runner.store_decided(result) if isinstance(result, PendingCondition) else result
+        if score is not None:
+            self._new_scores[row.id] = score
+        self._new_results.append(self._pending.pop(row.id))
+        self._runner.require_any_result()
+
+    def _tell_new_results(self) -> None:
+        """Tell the optimizer the new results in the order of their arrival."""
+        if self._new_results:
+            self._tell_round(self._new_results, self._new_scores)
+        self._new_results, self._new_scores = [], {}
+
+    def _update_patience(self, scores: FloatArray) -> None:
+        self._n_results += len(scores)
+        for score in scores:
+            self._n_without_improvement = 0 if self._incumbent.update(score[None]) else self._n_without_improvement + 1
+
+    def _stop_criteria_reason(self) -> str | None:
+        """Check stop criteria no more often than a search in rounds does."""
+        rounds = self._n_results // self._config.batch
+        if rounds == self._rounds_checked:
+            return None
+        self._rounds_checked = rounds
+        return super()._stop_criteria_reason()
+
+    def _points_without_audits(self, rows: Sequence[ScenarioRecord]) -> FloatArray:
+        """Points of the rows that are not audits, shape (p, d)."""
+        return np.array([row.point for row in self._without_audits(rows)]).reshape(-1, self._space.dimension)

@@ -1,0 +1,105 @@
+"""Run scenarios again with a reference driver if the condition depends on it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from cornercase._common.errors import SimulationError
+from cornercase.drivers.references.r157._preventability import ReferenceOutcome, assess_preventability
+from cornercase.exploration._config import ExplorationConfig
+from cornercase.metrics import CriticalIf
+from cornercase.metrics._measure import MetricResult
+from cornercase.metrics.formulas._critical_if import ConditionState
+from cornercase.recordings import Recording
+from cornercase.scenario import ConcreteScenario
+from cornercase.simulators import Simulator
+from cornercase.study import ScenarioRecord
+
+SimulateScenarios = Callable[[Simulator, Sequence[ConcreteScenario]], Iterator[Recording | SimulationError]]
+
+
+@dataclass(eq=False)
+class PendingCondition:
+    """A finished scenario whose condition may depend on references.
+
+    `courses` are the results by metric, `looked` is the condition evaluated without references, `outcomes` are the
+    reference runs by name, `error` says why one of them failed.
+    """
+
+    row: ScenarioRecord
+    recording: Recording
+    results: dict[str, MetricResult]
+    condition_state: ConditionState
+    reference_outcomes: dict[str, ReferenceOutcome] = field(default_factory=dict)
+    error: SimulationError | None = None
+
+    @property
+    def next_reference(self) -> str | None:
+        """Name of the reference to run next; None if none is needed."""
+        return (
+            None
+            if self.error is not None
+            else self.condition_state.next_reference_to_run(self._collisions_by_reference)
+        )
+
+    @property
+    def _collisions_by_reference(self) -> dict[str, bool | None]:
+        return {name: outcome.collides for name, outcome in self.reference_outcomes.items()}
+
+    def decided_results(self) -> dict[str, MetricResult]:
+        """Results by metric, with the score of the condition according to the references."""
+        metric = self.condition_state.metric
+        result, score = self.results[metric.name], self.condition_state.score(self._collisions_by_reference)
+        against = result.against if score < metric.cap else None
+        return self.results | {metric.name: MetricResult(result.course, score, against)}
+
+
+class ReferenceRuns:
+    """Runs scenarios again with reference drivers in the ego."""
+
+    def __init__(
+        self,
+        config: ExplorationConfig,
+        condition: CriticalIf,
+        references: Mapping[str, Simulator],
+        simulate: SimulateScenarios,
+    ) -> None:
+        self._config, self._condition, self._references, self._simulate = config, condition, references, simulate
+
+    def evaluate_condition(
+        self, row: ScenarioRecord, recording: Recording, results: dict[str, MetricResult]
+    ) -> PendingCondition:
+        """Evaluate the condition without references."""
+        return PendingCondition(
+            row, recording, results, self._condition.evaluate(recording, self._config.ego, self._config.others)
+        )
+
+    def decide_conditions(self, scenarios: Sequence[PendingCondition]) -> Iterator[PendingCondition]:
+        """Run references until every condition is decided; yield each scenario when it is."""
+        remaining = list(scenarios)
+        while remaining:
+            for name in dict.fromkeys(item.next_reference for item in remaining):
+                group = [item for item in remaining if item.next_reference == name]
+                if name is not None:
+                    self._run_reference(name, group)
+            yield from (item for item in remaining if item.next_reference is None)
+            remaining = [item for item in remaining if item.next_reference is not None]
+
+    def _run_reference(self, reference: str, scenarios: Sequence[PendingCondition]) -> None:
+        concretes = [self._config.logical.concrete_scenario(scenario.row.values) for scenario in scenarios]
+        # Exhaust the iterator, so that the simulator cleans up.
+        for scenario, run in zip(scenarios, list(self._simulate(self._references[reference], concretes)), strict=True):
+            self.record_reference_run(scenario, reference, run)
+
+    def record_reference_run(
+        self, scenario: PendingCondition, reference: str, outcome: Recording | SimulationError
+    ) -> None:
+        """Record the run of a scenario with reference `name`."""
+        if isinstance(outcome, SimulationError):
+            scenario.error = SimulationError(f"run again with reference:{reference}: {outcome}")
+        else:
+            config = self._config
+            scenario.reference_outcomes[reference] = assess_preventability(
+                reference, outcome, scenario.recording, config.ego, config.others
+            )

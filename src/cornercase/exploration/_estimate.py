@@ -1,0 +1,195 @@
+"""Estimate the probability of critical scenarios of a study."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import time
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from cornercase._common.errors import InputError
+from cornercase._common.io.files import check_output_differs_from_source
+from cornercase._common.typing import FloatArray
+from cornercase._common.validation import check_bool, check_float, check_int, check_path
+from cornercase.drivers import Driver
+from cornercase.evidence._rare_events import ImportanceSampling, initial_proposal
+from cornercase.exploration._config import ExplorationConfig, config_from_study, require_same_settings
+from cornercase.exploration._estimation import Estimation
+from cornercase.exploration._explore import simulator_from_config
+from cornercase.exploration._probability_estimator import ProbabilityEstimator
+from cornercase.scenario._file import ScenarioFile
+from cornercase.simulators.pool._simulator import DEFAULT_MAX_FAILURES
+from cornercase.study import Study
+from cornercase.study._study import open_or_create_study
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+_LEARNING_FRACTION: Final = 0.4
+_MIN_BUDGET: Final = 100
+_N_EVENTS: Final = 2
+# Stored name of the optimizer of an estimate.
+_ESTIMATE_OPTIMIZER_NAME = re.compile(
+    r"importance-sampling:learn=(?P<learn>\d+),known=(?P<known>\d+)-(?P<digest>[0-9a-f]+)"
+)
+
+
+# The parameters are the options of the command.
+def estimate(
+    study: Path | str,
+    output: Path | str,
+    *,
+    budget: int = 2000,
+    critical: float | None = None,
+    encounter: float = 10.0,
+    seed: int = 0,
+    scenario: Path | str | ScenarioFile | None = None,
+    simulator: str | None = None,
+    drivers: Mapping[str, str | Driver] | None = None,
+    workers: int = 1,
+    cluster: str | Client | None = None,
+    timeout: float | None = None,
+    retries: int = 1,
+    max_failures: int = DEFAULT_MAX_FAILURES,
+    progress: bool = False,
+) -> Estimation:
+    """Estimate the probability of critical scenarios and collisions under the distributions of a study's space.
+
+    New scenarios are run with the study's simulator and settings, and stored in a study of their own. The sampling
+    distribution is learned first, from the study and in rounds; the independent draws after that give an unbiased
+    estimate. If you call it again, it resumes where it stopped; with a larger `budget` it continues from there.
+
+    Parameters
+    ----------
+    study : path
+        The explored study; it is only read.
+    output : path
+        Study file to create or resume.
+    budget : int, default 2000
+        Number of scenarios in total; at most 40 % of the first budget are used for learning.
+    critical : float, optional
+        Threshold: score from which a scenario is critical. Default: that of the study.
+    encounter : float, default 10.0
+        The ego and the other have an encounter if the gap between their boxes is at most this many m at some time.
+    seed : int, default 0
+        The same seed gives the same result.
+    scenario : path or Scenario, optional
+        The explored file. By default it is searched for at its stored path, next to the study and in the current
+        folder, and recognized by its fingerprint.
+    simulator : str, optional
+        Default: that of the study, without options.
+    drivers : mapping of str to str or Driver, optional
+        Your own drivers by entity, if the study has such; presets are taken from the study.
+    workers : int, default 1
+        Number of simulators that run in parallel.
+    cluster : str or distributed.Client, optional
+        Dask cluster to run on: ``"local"`` for `workers` local processes, the address of a scheduler, a scheduler file,
+        or a client, which stays open.
+    timeout : float, optional
+        Time in s after which a scenario is cancelled.
+    retries : int, default 1
+        How often a scenario is run again after the simulator died or hung.
+    max_failures : int, default 5
+        Stop after this many consecutive scenarios in which the simulator died or hung; 0 for no limit. An exception of
+        a driver, the simulator or a metric fails its scenario only, unless that many scenarios have failed before any
+        gave a result.
+    progress : bool, default False
+        Show progress on standard error.
+
+    Returns
+    -------
+    Estimation
+
+    Raises
+    ------
+    InputError
+        An argument cannot be used, the study has no threshold or belongs to something else, or the output does.
+
+    See Also
+    --------
+    cornercase.explore : Creates the study.
+
+    Examples
+    --------
+    The study has to be explored before::
+
+        probability = cornercase.estimate("study.db", "estimate.db", budget=5000).critical
+    """
+    study_file, output_file = check_path("study", study), check_path("output", output)
+    check_output_differs_from_source(output_file, study_file)
+    budget, seed = check_int("budget", budget, minimum=_MIN_BUDGET), check_int("seed", seed)
+    encounter = check_float("encounter", encounter, minimum=0.0)
+    check_bool("progress", progress)
+    with Study.open(study_file, readonly=True) as source:
+        if _ESTIMATE_OPTIMIZER_NAME.fullmatch(source.meta.optimizer):
+            raise InputError(f"{study_file}: is an estimate itself; name the study that it is based on.")
+        config = _estimate_config(source, scenario, budget, critical, seed, simulator, drivers or {})
+        config = replace(config, workers=workers, cluster=cluster, timeout=timeout)
+        config = replace(config, retries=retries, max_failures=max_failures)
+        learn, n_known = _stored_sample_sizes(output_file, round(_LEARNING_FRACTION * budget))
+        objective = config.make_objective()
+        threshold = objective.minimized_threshold(config.critical)
+        points, scores = source.points(), objective.minimized_scores(source)
+    n_known = len(points) if n_known is None else min(n_known, len(points))
+    points, scores = points[:n_known], scores[:n_known]
+    start = time.monotonic()
+    with simulator_from_config(config) as running:
+        meta = config.make_study_meta(objective, running.settings, study=output_file)
+        name = f"importance-sampling:learn={learn},known={n_known}-{_hash_scores(points, scores)}"
+        meta = replace(meta, critical=objective.convert_orientation(threshold), optimizer=name)
+        require_same_settings(study_file, source.meta, running)
+        initial_proposal = initial_proposal(config.logical.space, points, scores, threshold, seed)
+        sampling = ImportanceSampling(config.logical.space, _N_EVENTS, learn, seed, initial_proposal)
+        with open_or_create_study(output_file, meta) as opened:
+            opened.writer.resume(meta)
+            opened.writer.add_elapsed_time("files", time.monotonic() - start)
+            result = ProbabilityEstimator(config, running, sampling, opened, encounter).run(progress)
+    return result
+
+
+def _estimate_config(
+    study: Study,
+    scenario: Path | str | ScenarioFile | None,
+    budget: int,
+    critical: float | None,
+    seed: int,
+    simulator: str | None,
+    drivers: Mapping[str, str | Driver],
+) -> ExplorationConfig:
+    """Return the study's configuration with another budget and seed."""
+    if study.meta.pareto:
+        raise InputError(f"{study.path}: was searched for a Pareto front, so it has no threshold.")
+    config = config_from_study(study, study.path, scenario, simulator, drivers)
+    # Draws need none of the other search settings.
+    return replace(
+        config,
+        optimizer="random",
+        critical=study.meta.critical if critical is None else critical,
+        budget=budget,
+        seed=seed,
+        batch=ExplorationConfig.batch,
+        asynchronous=False,
+        repeats=1,
+        max_repeats=None,
+        audit=0.0,
+    )
+
+
+def _stored_sample_sizes(output: Path, n_learn: int) -> tuple[int, int | None]:
+    """Return the numbers of scenarios for learning and of the study; a resumed output keeps its own."""
+    if output.exists():
+        with suppress(InputError), Study.open(output, readonly=True) as existing:
+            if (match := _ESTIMATE_OPTIMIZER_NAME.fullmatch(existing.meta.optimizer)) is not None:
+                return int(match["learn"]), int(match["known"])
+    return n_learn, None
+
+
+def _hash_scores(points: FloatArray, scores: FloatArray) -> str:
+    content = points.astype("<f8").tobytes() + np.asarray(scores, dtype="<f8").tobytes()
+    return hashlib.sha256(content).hexdigest()[:12]

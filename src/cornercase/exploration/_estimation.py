@@ -1,0 +1,163 @@
+"""The result of a probability estimate."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from cornercase._common.typing import BoolArray, FloatArray
+from cornercase.evidence import Probability
+from cornercase.evidence._probability import probability_from_counts
+
+# An interval may be too narrow below this effective sample size, or above this share of a single scenario.
+_MIN_EFFECTIVE_SAMPLES: Final = 30.0
+_MAX_SINGLE_SHARE: Final = 0.2
+
+
+@dataclass(frozen=True, eq=False)
+class EventOutcomes:
+    """Outcomes of the scenarios of an estimate.
+
+    `scores`, shape (n,), are minimized, NaN if failed; `critical`, `collision` and `encounter`, shape (n,), are False
+    if failed.
+    """
+
+    scores: FloatArray
+    is_critical: BoolArray
+    has_collision: BoolArray
+    has_encounter: BoolArray
+
+    @property
+    def event_columns(self) -> BoolArray:
+        """Critical and collision as columns, shape (n, 2)."""
+        return np.stack([self.is_critical, self.has_collision], axis=1)
+
+    @property
+    def is_failed(self) -> BoolArray:
+        """Which scenarios failed, shape (n,)."""
+        return np.isnan(self.scores)
+
+    @classmethod
+    def concatenate(cls, parts: list[EventOutcomes]) -> EventOutcomes:
+        """Concatenate outcomes."""
+        names = ("scores", "critical", "collision", "encounter")
+        dtypes = (np.float64, np.bool_, np.bool_, np.bool_)
+        return cls(
+            *(
+                np.concatenate([np.zeros(0, dtype), *(getattr(part, name) for part in parts)])
+                for name, dtype in zip(names, dtypes, strict=True)
+            )
+        )
+
+
+@dataclass(frozen=True, repr=False)
+class Estimation:
+    """Probabilities under the distributions of a space.
+
+    Attributes
+    ----------
+    study : Path
+        Contains all scenarios that were run for the estimate.
+    criterion : str
+        What is critical, such as ``"ttc <= 0.5 s"``.
+    within : float
+        Gap in m up to which two entities have an encounter.
+    critical, collision, encounter : Probability
+        That a scenario is critical; that the ego and the other collide; that they have an encounter.
+    critical_given_encounter, collision_given_encounter : Probability or None
+        None if unknown.
+    scenarios, learned, failed : int
+        Number of scenarios in total; used for learning only; failed.
+    warnings : tuple of str
+        Reasons not to trust the result, as sentences.
+    interrupted : bool
+        Whether it ended before its budget was used up.
+    """
+
+    study: Path
+    criterion: str
+    encounter_gap: float
+    critical: Probability
+    collision: Probability
+    encounter: Probability
+    critical_given_encounter: Probability | None
+    collision_given_encounter: Probability | None
+    scenarios: int
+    n_learning: int
+    failed: int
+    warnings: tuple[str, ...] = ()
+    interrupted: bool = False
+
+    def __repr__(self) -> str:
+        return (
+            f"<Estimation: critical {self.critical}, collision {self.collision}; {self.scenarios} scenarios in"
+            f" {self.study}>"
+        )
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the result as plain values.
+
+        Returns
+        -------
+        dict of str to object
+            By words; ``cornercase estimate --json`` prints identifiers instead.
+        """
+        conditional = {
+            "critical given an encounter": self.critical_given_encounter,
+            "collision given an encounter": self.collision_given_encounter,
+        }
+        return {
+            "critical is": self.criterion,
+            "an encounter is": f"gap <= {self.encounter_gap:g} m",
+            "critical": self.critical.to_json(),
+            "collision": self.collision.to_json(),
+            "encounter": self.encounter.to_json(),
+            **{
+                name: None if probability is None else probability.to_json()
+                for name, probability in conditional.items()
+            },
+            "scenarios": self.scenarios,
+            "to learn where to draw": self.n_learning,
+            "failed": self.failed,
+            "warnings": list(self.warnings),
+        }
+
+
+def describe_doubts(event: str, estimate: Probability, direct_estimate: Probability) -> list[str]:
+    """Describe why a probability may be wrong, in sentences.
+
+    `found` is the probability of the event `name`, `plain` the one from the draws of the space's own distributions
+    only.
+    """
+    if estimate.error == 0.0:
+        return []
+    if not estimate.met:
+        return [
+            f"No {event} occurred. The {direct_estimate.scenarios} scenarios that were drawn from the distributions themselves"
+            f" bound its probability by {direct_estimate.high:.3g} (95 %)."
+        ]
+    sentences = []
+    if estimate.effective < _MIN_EFFECTIVE_SAMPLES:
+        sentences.append(
+            f"The probability of a {event} is based on {estimate.effective:.0f} effective scenarios; its interval may be"
+            " too narrow. Use a larger budget."
+        )
+    elif estimate.largest > _MAX_SINGLE_SHARE:
+        sentences.append(
+            f"One scenario accounts for {estimate.largest:.0%} of the probability of a {event}; its interval may be too"
+            " narrow. Use a larger budget."
+        )
+    if estimate.high < direct_estimate.low or estimate.low > direct_estimate.high:
+        sentences.append(
+            f"The estimates of the probability of a {event} differ: {direct_estimate} from the {direct_estimate.scenarios} scenarios drawn"
+            f" from the distributions themselves, {estimate} from the others. A region may have been missed."
+        )
+    return sentences
+
+
+def probability_from_direct_draws(occurred: BoolArray) -> Probability:
+    """Probability of an event from draws of the space's own distributions, `met` of shape (n,)."""
+    return probability_from_counts(int(occurred.sum()), len(occurred))

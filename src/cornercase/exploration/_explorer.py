@@ -1,0 +1,288 @@
+"""The exploration loop: the paper's figure "scenario exploration workflow"."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from copy import copy
+from dataclasses import dataclass, field
+from itertools import groupby
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from cornercase._common.plugin_errors import group_failure_messages
+from cornercase._common.process.signals import collect_interrupts
+from cornercase._common.progress import ProgressBar
+from cornercase._common.row_keys import row_keys
+from cornercase._common.typing import FloatArray
+from cornercase.exploration._config import ExplorationConfig
+from cornercase.exploration._constant_metrics import MIN_SCENARIOS_TO_COMPARE, describe_constant_metrics
+from cornercase.exploration._objective import Incumbent, Objective
+from cornercase.exploration._proposals import AskTell, ProposalSource
+from cornercase.exploration._runner import ScenarioRunner, StageTimer
+from cornercase.exploration._stopping import StopCriteria
+from cornercase.exploration._study_critical_set import source_study_model
+from cornercase.metrics import compute_features
+from cornercase.optimizers import Optimizer
+from cornercase.simulators import Simulator
+from cornercase.study import ScenarioRecord, Study
+
+# Largest space whose scenarios within the constraints are counted.
+_MAX_COUNTED_SPACE: Final = 1 << 18
+
+
+@dataclass(frozen=True)
+class ExplorationResult:
+    """How an exploration ended.
+
+    Attributes
+    ----------
+    study : Path
+    done, failed : int
+        Number of scenarios in the study that gave a result, and that failed.
+    reason : str
+        Why it ended, as a part of a sentence.
+    interrupted : bool
+    alike : tuple of str
+        A sentence for each searched metric that has the same score in all scenarios.
+    notes : tuple of str
+        The same for metrics that are not searched, unless this was reported before for this study.
+    same : bool or None
+        Whether the stored results led to the same proposals again; None if this was not checked.
+    reasons : mapping of str to int
+        Number of failed scenarios by reason, the most frequent first.
+    """
+
+    study: Path
+    done: int
+    failed: int
+    reason: str
+    interrupted: bool = False
+    constant_metrics: tuple[str, ...] = ()
+    new_constant_metrics: tuple[str, ...] = ()
+    reproducible: bool | None = None
+    failure_counts: Mapping[str, int] = field(default_factory=dict)
+
+    @classmethod
+    def from_study(
+        cls, study: Study, reason: str, interrupted: bool = False, n_done_before: int | None = None
+    ) -> ExplorationResult:
+        """Create the result from an open study.
+
+        Parameters
+        ----------
+        study : Study
+        reason : str
+        interrupted : bool, default False
+        before : int, optional
+            Number of scenarios that the study held when this search started or was resumed; by default no notes are
+            made.
+
+        Returns
+        -------
+        ExplorationResult
+        """
+        messages = describe_constant_metrics(study)
+        searched = [messages.pop(name) for name in study.meta.objective_metrics if name in messages]
+        # Reported once, when the study reaches the minimum number of scenarios.
+        notes = (
+            tuple(messages.values()) if n_done_before is not None and n_done_before < MIN_SCENARIOS_TO_COMPARE else ()
+        )
+        failed = study.failed_rows()
+        reasons = {
+            reason_text: len(rows)
+            for reason_text, rows in group_failure_messages(row.error or "" for row in failed).items()
+        }
+        return cls(
+            study.path,
+            len(study.finished_rows()),
+            len(failed),
+            reason,
+            interrupted,
+            tuple(searched),
+            notes,
+            reasons=reasons,
+        )
+
+    @property
+    def n_finished(self) -> int:
+        """Number of scenarios that gave a result or failed."""
+        return self.done + self.failed
+
+    def __repr__(self) -> str:
+        failed = f", {self.failed} failed" if self.failed else ""
+        return f"<ExplorationResult: {self.done} scenarios done{failed} in {self.study}; {self.reason}>"
+
+
+class ScenarioExplorer:
+    """Searches a logical scenario in rounds, steps (1) to (6) of the paper's activity diagram.
+
+    The optimizer chooses parameters, the simulator runs them, the metrics evaluate them, until a termination criterion
+    holds. Each scenario is stored as soon as it has ended; an existing study is resumed. `optimizer` has to be a fresh
+    one: it is told what the study contains. `references` are simulators with a reference driver in the ego, by name.
+    """
+
+    def __init__(
+        self,
+        config: ExplorationConfig,
+        simulator: Simulator,
+        optimizer: Optimizer,
+        study: Study,
+        objective: Objective | None = None,
+        references: Mapping[str, Simulator] | None = None,
+    ) -> None:
+        self._config, self._optimizer, self._study = config, optimizer, study
+        self._space = config.logical.space
+        self._objective = config.make_objective() if objective is None else objective
+        threshold = config.minimized_threshold(self._objective)
+        self._stopping = StopCriteria(
+            config.parse_stop_criteria(),
+            self._space,
+            threshold,
+            config.seed,
+            config.optimizer,
+            has_audits=config.audit > 0.0,
+            source_model=None if threshold is None or not config.stop_when else source_study_model(study, threshold),
+        )
+        self._clock = StageTimer(study)
+        self._runner = ScenarioRunner(config, simulator, self._objective, study, self._clock, references)
+        self._incumbent, self._n_without_improvement = Incumbent(self._objective), 0
+        self._patience, self._patience_unit = config.patience, "rounds"
+        self._uses_features = "features" in optimizer.requires
+        if (warm_start := study.warm_start_data()) is not None:
+            optimizer.warm_start(*warm_start)
+
+    def run(self, progress: bool = False) -> ExplorationResult:
+        """Explore until a termination criterion holds; `progress` shows best score, rate and remaining time."""
+        self._ask_tell = AskTell(self._optimizer, self._study.meta.asynchronous)
+        self._proposal_source = ProposalSource(self._ask_tell, self._study)
+        before = len(self._study.finished_rows())
+        bar = ProgressBar(self._config.budget, "exploring", "scenarios") if progress else None
+        try:
+            with collect_interrupts() as check:
+                reason = self._run_until_stop(bar, check)
+        except KeyboardInterrupt:
+            return ExplorationResult.from_study(
+                self._study, "it was interrupted", interrupted=True, n_done_before=before
+            )
+        finally:
+            if bar is not None:
+                bar.stop()
+            self._clock.save_times()
+            self._runner.notices.issue_warnings()
+        return ExplorationResult.from_study(self._study, reason, n_done_before=before)
+
+    def _run_until_stop(self, bar: ProgressBar | None, check_interrupt: Callable[[], None]) -> str:
+        """Run rounds and return why the search ended."""
+        start = time.monotonic()
+        done, number = self._resume_study(bar)
+        while True:
+            self._runner.check_repeatability()
+            check_interrupt()
+            if bar is not None:
+                bar.update(done, self._incumbent.label)
+            if (reason := self._stop_reason(done, time.monotonic() - start)) is not None:
+                return reason
+            number += 1
+            rows = self._propose_round(number, done, min(self._config.batch, self._config.budget - done))
+            if not rows:
+                return self._exhausted_reason(done)
+            self._tell_round(rows, self._simulate_rows(rows, bar))
+            done += len(rows)
+            self._clock.save_times()
+
+    def _propose_round(self, round_number: int, n_done: int, n_wanted: int) -> list[ScenarioRecord]:
+        """Propose and store one round; empty if the search has no more proposals."""
+        with self._clock("optimize"):
+            points = self._proposal_source.propose(n_done, n_wanted)
+        if len(points) == 0:
+            return []
+        with self._clock("store"):
+            return self._study.writer.add_pending(round_number, points, self._space.values(points))
+
+    def _stop_reason(self, n_done: int, seconds: float) -> str | None:
+        """Return the termination criterion that holds; None if none does."""
+        config = self._config
+        if n_done >= config.budget:
+            return f"the budget of {config.budget} scenarios is used up"
+        if self._patience is not None and self._n_without_improvement >= self._patience:
+            return f"{self._patience} {self._patience_unit} brought no improvement"
+        if config.max_seconds is not None and seconds >= config.max_seconds:
+            return f"{config.max_seconds:g} s have passed"
+        return self._stop_criteria_reason()
+
+    def _exhausted_reason(self, n_done: int) -> str:
+        """Return why the search proposes nothing more: the space is exhausted, or the constraints leave nothing."""
+        size = self._space.size
+        # An audit may be the same scenario as a proposal of the search.
+        points = np.array([row.point for row in self._study.rows()]).reshape(-1, self._space.dimension)
+        n_run = len(set(row_keys(self._space.snap(points))))
+        if size is not None and n_run < size <= _MAX_COUNTED_SPACE:
+            size = int(self._space.is_admissible(self._space.full_factorial()).sum())
+        if size is not None and n_run >= size:
+            return f"all {size} scenarios of the space were run"
+        return f"the search has no proposals after these {n_done} scenarios"
+
+    def _stop_criteria_reason(self) -> str | None:
+        """Return which stop criteria on the critical set hold; None unless all do."""
+        if not self._stopping.is_ready:
+            return None
+        with self._clock("judge"):
+            return self._stopping.describe_reached()
+
+    def _resume_study(self, bar: ProgressBar | None) -> tuple[int, int]:
+        """Run pending scenarios and tell the optimizer all results; return the numbers of scenarios and rounds."""
+        rows = self._study.rows()
+        minimized = self._objective.minimized_scores(self._study)
+        scores = dict(zip((row.id for row in rows if row.state == "done"), minimized, strict=True))
+        for _, members in groupby(rows, key=lambda row: row.round):
+            round_rows = list(members)
+            scores |= self._simulate_rows([row for row in round_rows if row.state == "pending"], bar)
+            self._tell_round(round_rows, scores)
+        return len(rows), rows[-1].round if rows else 0
+
+    def _simulate_rows(self, rows: list[ScenarioRecord], bar: ProgressBar | None) -> dict[int, Any]:
+        """Run scenarios; return the minimized scores of the successful ones by id."""
+        scores: dict[int, Any] = {}
+        best, farthest = copy(self._incumbent), 0
+        for number, score in self._runner.run_rows(rows):
+            scores[number] = score
+            best.update(score[None])
+            # A scenario with extra runs ends after later ones.
+            farthest = max(farthest, number)
+            if bar is not None:
+                bar.update(farthest, best.label)
+        return scores
+
+    def _tell_round(self, rows: list[ScenarioRecord], scores_by_id: Mapping[int, Any]) -> None:
+        """Pass the scores of one round to the optimizer and the stop criteria; audits only to the latter."""
+        failed = np.full_like(self._objective.least_critical_scores, np.nan)
+        missing = failed if self._objective.pareto else np.nan
+        scores = np.array([scores_by_id.get(row.id, missing) for row in rows])
+        points = np.array([row.point for row in rows])
+        audits = np.array([self._study.meta.is_audit(row.id) for row in rows], dtype=np.bool_)
+        with self._clock("judge"):
+            self._stopping.add_audits(points[audits], scores[audits])
+        searched = [row for row, audit in zip(rows, audits, strict=True) if not audit]
+        if not searched:
+            return
+        points, scores = points[~audits], scores[~audits]
+
+        features = (self._read_features(searched, scores_by_id),) if self._uses_features else ()
+        with self._clock("judge"):
+            self._stopping.add_results(points, scores, *features)
+        with self._clock("optimize"):
+            self._ask_tell.tell(points, scores, *features)
+        self._update_patience(scores)
+
+    def _update_patience(self, scores: FloatArray) -> None:
+        """Count the rounds without an improvement."""
+        self._n_without_improvement = 0 if self._incumbent.update(scores) else self._n_without_improvement + 1
+
+    def _read_features(self, rows: list[ScenarioRecord], scores_by_id: Mapping[int, Any]) -> FloatArray:
+        """Features of the stored recordings of one round, shape (m, f)."""
+        with self._clock("measure"):
+            recordings = [self._study.recording(row.id) if row.id in scores_by_id else None for row in rows]
+            return compute_features(recordings, self._config.ego, self._config.others)

@@ -1,0 +1,116 @@
+"""Propose the next scenarios, and repeat the rounds of a stored study."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import groupby
+from typing import Any
+
+import numpy as np
+
+from cornercase._common.plugin_errors import convert_plugin_errors
+from cornercase._common.typing import FloatArray
+from cornercase.exploration._study_critical_set import audit_sampler
+from cornercase.optimizers import Optimizer
+from cornercase.study import ScenarioRecord, Study
+from cornercase.study._meta import count_audits
+
+
+class AskTell:
+    """An optimizer behind one interface for rounds and for asynchronous search.
+
+    `pending`, shape (p, d), are the points that are running while an asynchronous search is asked.
+    """
+
+    def __init__(self, optimizer: Optimizer, asynchronous: bool) -> None:
+        self._optimizer, self._asynchronous = optimizer, asynchronous
+        self.pending: FloatArray | None = None
+        self._name = f"The search '{optimizer.name}'"
+        self._result_sums: list[list[FloatArray]] = []
+
+    def ask(self, n: int) -> FloatArray:
+        """Propose at most `n` points, shape (m, d), as in `Optimizer.ask`."""
+        with convert_plugin_errors(self._name, self._optimizer, "in ask"):
+            if not self._asynchronous:
+                return self._optimizer.ask(n)
+            points = np.zeros((0, 0)) if self.pending is None else self.pending
+            return self._optimizer.ask_async(n, points, *self._pseudo_results(len(points)))
+
+    def tell(self, points: FloatArray, *results: FloatArray) -> None:
+        """Pass scores, shape (m,) or (m, k), and features, shape (m, f), of points, shape (m, d)."""
+        tell: Any = self._optimizer.tell
+        with convert_plugin_errors(self._name, self._optimizer, "in tell"):
+            tell(points, *results)
+        if self._asynchronous:
+            # Running sums and counts, so that the mean costs the same however many results there are.
+            finite = [np.isfinite(result) for result in results]
+            new = [np.where(mask, result, 0.0).sum(axis=0) for mask, result in zip(finite, results, strict=True)]
+            counts = [mask.sum(axis=0) for mask in finite]
+            before = self._result_sums or [[np.zeros_like(result), np.zeros_like(result)] for result in new]
+            self._result_sums = [[a + n, b + c] for (a, b), n, c in zip(before, new, counts, strict=True)]
+
+    def _pseudo_results(self, count: int) -> list[FloatArray]:
+        """Pseudo-results of a constant liar for `count` points: the mean of all results, NaN if there are none."""
+        with np.errstate(invalid="ignore"):
+            return [np.repeat((total / number)[None], count, axis=0) for total, number in self._result_sums]
+
+
+class ProposalSource:
+    """Chooses the scenarios to run: proposals of a search, with random audits among them."""
+
+    def __init__(self, ask_tell: AskTell, study: Study) -> None:
+        self._ask_tell, self._study = ask_tell, study
+        self._audit_sampler = audit_sampler(study.space, study.meta.seed)
+
+    def propose(self, n_done: int, n_wanted: int) -> FloatArray:
+        """Choose `wanted` scenarios after the first `done`: snapped points, shape (m, d); m < `wanted` if exhausted."""
+        meta, space = self._study.meta, self._study.space
+        audits = [meta.is_audit(n_done + k + 1) for k in range(n_wanted)]
+        proposals = iter(self._ask_tell.ask(n_wanted - sum(audits)) if not all(audits) else ())
+        first, last = (count_audits(meta.audit, count) for count in (n_done, n_done + n_wanted))
+        audit_points = iter(self._audit_sampler.ask(last)[first:])
+        points = []
+        for audit in audits:
+            point = next(audit_points if audit else proposals, None)
+            if point is None:
+                break
+            points.append(point)
+        return space.snap(np.array(points).reshape(-1, space.dimension))
+
+
+@dataclass(frozen=True)
+class Round:
+    """A round of a study, and what was known when it was proposed.
+
+    `ended`: rows whose results came since the round before, in that order; `pending`: rows that were running;
+    `proposed`: rows of the round, empty if no round was proposed after these results.
+    """
+
+    finished: tuple[ScenarioRecord, ...]
+    pending: tuple[ScenarioRecord, ...]
+    proposed: tuple[ScenarioRecord, ...]
+
+
+def iter_rounds(study: Study) -> Iterator[Round]:
+    """Iterate over the rounds of a study; without rounds, the last one has the results that came after it."""
+    rows = study.rows()
+    rounds = {number: tuple(members) for number, members in groupby(rows, key=lambda row: row.round)}
+    if not study.meta.asynchronous:
+        ended: tuple[ScenarioRecord, ...] = ()
+        for members in rounds.values():
+            yield Round(ended, (), members)
+            ended = members
+        return
+    by_id = {row.id: row for row in rows}
+    results_by_round: dict[int, list[ScenarioRecord]] = {}
+    for scenario, turn in study.result_order():
+        results_by_round.setdefault(turn, []).append(by_id[scenario])
+    pending: dict[int, ScenarioRecord] = {}
+    for number in sorted({*rounds, *results_by_round}):
+        new_results = tuple(results_by_round.get(number, ()))
+        for row in new_results:
+            del pending[row.id]
+        proposed = rounds.get(number, ())
+        yield Round(new_results, tuple(pending.values()), proposed)
+        pending |= {row.id: row for row in proposed}

@@ -1,0 +1,358 @@
+"""Repair a damaged study: lost scenarios are run again."""
+
+from __future__ import annotations
+
+import math
+import os
+import shutil
+import sqlite3
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass, replace
+from itertools import count, groupby, takewhile
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from cornercase._common.errors import InputError
+from cornercase._common.io.atomic import SQLITE_SUFFIXES
+from cornercase._common.io.files import atomic_write
+from cornercase._common.memory import DEFAULT_MEMORY, MemoryLimit, format_size, report_memory_need
+from cornercase._common.process.platform import fsync_file, lock_folder
+from cornercase._common.validation import check_int, check_path
+from cornercase.drivers import Driver
+from cornercase.exploration._asynchronous import AsynchronousExplorer
+from cornercase.exploration._config import config_from_study, require_same_settings
+from cornercase.exploration._explore import reference_simulators, simulator_from_config
+from cornercase.exploration._explorer import ScenarioExplorer
+from cornercase.exploration._proposals import AskTell, ProposalSource
+from cornercase.optimizers import create_optimizer
+from cornercase.scenario._file import ScenarioFile
+from cornercase.study import ScenarioRecord, Study, verify
+from cornercase.study._import_recordings import IMPORTED_SIMULATOR
+from cornercase.study._recovery.file_lock import DamagedFileLock
+from cornercase.study._recovery.rebuild import RecoveredStudy, rebuild_study
+
+_DAMAGED_SUFFIX: Final = ".damaged"
+# Memory needed, relative to the size of the file: all rows, and those of one table a second time.
+_MEMORY_FACTOR: Final = 1.5
+
+
+@dataclass(frozen=True)
+class RepairResult:
+    """Result of repairing a study.
+
+    Attributes
+    ----------
+    study : Path
+    damaged : Path or None
+        Where the damaged file is now; None if there was nothing to repair.
+    again : tuple of int
+        Ids of the scenarios that were run again.
+    lost : tuple of str
+        What could not be recovered, as parts of a sentence.
+    """
+
+    study: Path
+    damaged_file: Path | None
+    rerun_ids: tuple[int, ...]
+    lost_content: tuple[str, ...]
+
+
+def repair(
+    study: Path | str,
+    *,
+    scenario: Path | str | ScenarioFile | None = None,
+    simulator: str | None = None,
+    drivers: Mapping[str, str | Driver] | None = None,
+    workers: int = 1,
+    memory: str | float = DEFAULT_MEMORY,
+) -> RepairResult:
+    """Repair a damaged study.
+
+    Intact content is kept. Scenarios that lost content are run again with the study's simulator and settings. If their
+    parameters are lost, the optimizer proposes them again. If their number is lost, the exploration continues up to its
+    budget. The damaged file is kept under another name. The study is locked for other writers until it is replaced.
+
+    Parameters
+    ----------
+    study : path
+    scenario : path or Scenario, optional
+        The explored file. By default it is searched for at its stored path, next to the study and in the current
+        folder, and recognized by its fingerprint.
+    simulator : str, optional
+        Default: that of the study, without options.
+    drivers : mapping of str to str or Driver, optional
+        Your own drivers by entity, if the study has such; presets are taken from the study.
+    workers : int, default 1
+        Number of simulators that run in parallel.
+    memory : str or float, default "4 GB"
+        Memory limit of the process, as text or in bytes.
+
+    Returns
+    -------
+    Repaired
+
+    Raises
+    ------
+    InputError
+        The study cannot be repaired, something needed is missing, another process writes to it, it changed meanwhile,
+        or more memory is needed; the study is left unchanged.
+
+    See Also
+    --------
+    cornercase.study.verify : Lists the damage.
+    """
+    file = check_path("study", study)
+    # Replace the target of a symbolic link, not the link.
+    file = file.resolve()
+    workers = check_int("workers", workers, minimum=1)
+    limit = MemoryLimit.from_value(memory)
+    with _reword_file_errors(file), lock_folder(file.parent):
+        _undo_keep_damaged_file(file)
+    if verify(file).is_sound:
+        return RepairResult(file, None, (), ())
+
+    with (
+        _reword_file_errors(file),
+        ExitStack() as exit_stack,
+        _restore_name_on_error(file),
+        DamagedFileLock(file) as held,
+    ):
+        size = file.stat().st_size
+        need = _MEMORY_FACTOR * size
+        limit.check_fits(need, f"the contents of a study of {format_size(size)}", "give more")
+        report_memory_need("The contents of the study", need)
+        with atomic_write(file) as temporary, _reword_file_name(temporary, file):
+            temporary.unlink()
+            remains = rebuild_study(file, temporary)
+            lost = list(remains.lost)
+            held.lock()
+            if remains.to_rerun or not remains.is_count_known:
+                _require_repeatable_search(file, remains)
+                _rerun_lost_scenarios(file, temporary, remains, scenario, simulator, drivers or {}, workers)
+            if not remains.is_count_known:
+                lost.append(f"how many scenarios it had; its search went on to its budget of {remains.meta.budget}")
+            lost += _describe_changed_tables(temporary, remains)
+            # Flush now: nothing slow may come between `require_same` and the replacement.
+            fsync_file(temporary)
+            # Another repair would undo this one halfway.
+            exit_stack.enter_context(lock_folder(file.parent))
+            held.require_unchanged()
+            held.release_before_rename()
+            damaged_copy = _keep_damaged_file(file)
+            held.set_path(damaged_copy)
+    return RepairResult(file, damaged_copy, remains.to_rerun, tuple(lost))
+
+
+@contextmanager
+def _reword_file_errors(file: Path) -> Iterator[None]:
+    """Turn file system and SQLite errors into one sentence."""
+    try:
+        yield
+    except (OSError, sqlite3.Error) as error:
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise InputError(f"{file}: cannot be repaired ({reason}); make room, or copy it elsewhere.") from error
+
+
+@contextmanager
+def _reword_file_name(temporary: Path, file: Path) -> Iterator[None]:
+    """Replace the name of the temporary file in errors by the user's."""
+    try:
+        yield
+    except InputError as error:
+        text = str(error).replace(str(temporary), str(file))
+        raise error if text == str(error) else InputError(text) from error
+
+
+@contextmanager
+def _restore_name_on_error(file: Path) -> Iterator[None]:
+    """Remove the second name of the damaged file if the study is not replaced after all."""
+    try:
+        yield
+    except BaseException:
+        with suppress(OSError):
+            _undo_keep_damaged_file(file)
+        raise
+
+
+def _keep_damaged_file(file: Path) -> Path:
+    """Give the damaged file a second name, so that its own name always exists."""
+    damaged_copy = _unused_damaged_name(file)
+    try:
+        os.link(file, damaged_copy)
+    except OSError:
+        # Not all file systems have hard links.
+        with atomic_write(damaged_copy) as copy:
+            shutil.copyfile(file, copy)
+    for ending in SQLITE_SUFFIXES:
+        companion = file.with_name(file.name + ending)
+        if companion.exists():
+            os.replace(companion, damaged_copy.with_name(damaged_copy.name + ending))
+    return damaged_copy
+
+
+def _undo_keep_damaged_file(file: Path) -> None:
+    """Undo `_keep_damaged_file` if a killed repair left the damaged file with two names."""
+    for damaged_copy in takewhile(Path.exists, _damaged_file_names(file)):
+        if not damaged_copy.samefile(file):
+            continue
+        for ending in SQLITE_SUFFIXES:
+            companion, original = damaged_copy.with_name(damaged_copy.name + ending), file.with_name(file.name + ending)
+            if original.exists() and original.stat().st_size:
+                # Another process has written to the study since.
+                companion.unlink(missing_ok=True)
+            elif companion.exists():
+                os.replace(companion, original)
+        damaged_copy.unlink()
+
+
+def _unused_damaged_name(file: Path) -> Path:
+    return next(name for name in _damaged_file_names(file) if not name.exists())
+
+
+def _damaged_file_names(file: Path) -> Iterator[Path]:
+    """Names for damaged files, in order."""
+    yield file.with_name(file.name + _DAMAGED_SUFFIX)
+    yield from (file.with_name(f"{file.name}{_DAMAGED_SUFFIX}-{number}") for number in count(2))
+
+
+def _require_repeatable_search(file: Path, recovered: RecoveredStudy) -> None:
+    meta, again = recovered.meta, len(recovered.to_rerun)
+    if (
+        meta.simulator == IMPORTED_SIMULATOR
+        or meta.optimizer == "none"
+        or meta.optimizer.startswith("importance-sampling:")
+    ):
+        command = "import" if meta.simulator == IMPORTED_SIMULATOR else "test" if meta.suite else "estimate"
+        problem = f"{again} of its scenarios are damaged" if again else "the number of its scenarios is lost"
+        raise InputError(
+            f"{file}: {problem}, and no search can propose them again; run `{command}` again, with another file name."
+        )
+    if meta.asynchronous and not all(recovered.rounds.values()):
+        raise InputError(
+            f"{file}: the list of its scenarios is lost, and a search without rounds cannot be repeated; run"
+            " `explore` again with another study."
+        )
+
+
+def _describe_changed_tables(repaired_file: Path, recovered: RecoveredStudy) -> list[str]:
+    """Name tables that differ from their stored row counts and checksums."""
+    with Study.open(repaired_file) as opened:
+        totals = opened.checksum_totals()
+    skipped = ("notes", "outcomes", "analyses", "arrays")
+    different = [
+        name
+        for name, total in recovered.checksum_totals.items()
+        if name not in skipped and totals.get(name, (0, 0)) != total
+    ]
+    return [f"its table {name} is not what it was" for name in sorted(different)]
+
+
+def _rerun_lost_scenarios(
+    file: Path,
+    repaired_file: Path,
+    recovered: RecoveredStudy,
+    scenario: Path | str | ScenarioFile | None,
+    simulator: str | None,
+    drivers: Mapping[str, str | Driver],
+    workers: int,
+) -> None:
+    with Study.open(repaired_file, readonly=False) as opened:
+        config = replace(config_from_study(opened, file, scenario, simulator, drivers), workers=workers)
+        objective = config.make_objective()
+        optimizer = create_optimizer(
+            config.optimizer,
+            config.logical.space,
+            config.seed,
+            threshold=config.minimized_threshold(objective),
+            budget=config.budget,
+        )
+        with simulator_from_config(config) as running, reference_simulators(config) as references:
+            require_same_settings(file, opened.meta, running)
+            explorer_class = (
+                _RepairExplorer if recovered.is_count_known or not config.asynchronous else AsynchronousExplorer
+            )
+            explorer = explorer_class(config, running, optimizer, opened, objective, references)
+            if isinstance(explorer, _RepairExplorer):
+                explorer.restore_rounds(recovered.rounds, recovered.is_count_known)
+            else:
+                explorer.run()
+
+
+class _RepairExplorer(ScenarioExplorer):
+    """Runs the pending scenarios of a study, and asks its optimizer for lost ones."""
+
+    def restore_rounds(self, rounds: Mapping[int, int], is_count_known: bool) -> None:
+        """Restore the study round by round.
+
+        `rounds` maps scenario ids to rounds, 0 if unknown. If not `counted`, the number of scenarios is lost and the
+        search continues up to its budget.
+        """
+        self._is_count_known = is_count_known
+        if not is_count_known:
+            rounds = dict.fromkeys(range(1, self._config.budget + 1), 0) | dict(rounds)
+        elif all(rounds.values()):
+            # All rounds are known, so the optimizer is not needed.
+            self._simulate_rows([row for row in self._study.rows() if row.state == "pending"], None)
+            return
+        self._ask_tell = AskTell(self._optimizer, self._study.meta.asynchronous)
+        self._proposal_source = ProposalSource(self._ask_tell, self._study)
+        minimized = self._objective.minimized_scores(self._study)
+        scores: dict[int, Any] = dict(zip((row.id for row in self._study.finished_rows()), minimized, strict=True))
+        batch, done = self._config.batch, 0
+        for number, members in groupby(_fill_unknown_rounds(rounds, batch).items(), key=lambda item: item[1]):
+            ids = [scenario for scenario, _ in members]
+            rows_by_id = {row.id: row for row in self._study.rows_of_round(number)}
+            if missing := [scenario for scenario in ids if scenario not in rows_by_id]:
+                rows_by_id |= self._propose_missing(number, ids, missing, done, rows_by_id)
+            rows = [rows_by_id[scenario] for scenario in ids if scenario in rows_by_id]
+            if not rows:
+                return
+            scores |= self._simulate_rows([row for row in rows if row.state == "pending"], None)
+            self._tell_round(rows, scores)
+            done += len(rows)
+
+    def _propose_missing(
+        self,
+        round_number: int,
+        ids: Sequence[int],
+        missing: Sequence[int],
+        n_done: int,
+        rows_by_id: Mapping[int, ScenarioRecord],
+    ) -> dict[int, ScenarioRecord]:
+        points = self._proposal_source.propose(n_done, len(ids))
+        if not self._is_count_known:
+            # The search may have fewer proposals.
+            ids = ids[: len(points)]
+            missing = [scenario for scenario in missing if scenario in ids]
+        same = len(points) == len(ids) and all(
+            np.array_equal(points[k], rows_by_id[scenario].point)
+            for k, scenario in enumerate(ids)
+            if scenario in rows_by_id
+        )
+        if not same:
+            raise InputError(
+                f"{self._study.path}: its search does not propose the same scenarios again, for example because of"
+                " another version of cornercase; run `explore` again with another study."
+            )
+        indices = [ids.index(scenario) for scenario in missing]
+        rows = self._study.writer.add_pending(
+            round_number, points[indices], self._space.values(points[indices]), missing
+        )
+        return {row.id: row for row in rows}
+
+
+def _fill_unknown_rounds(rounds: Mapping[int, int], batch: int) -> dict[int, int]:
+    """Fill in unknown rounds: that of the scenario before, until the round is full."""
+    next_round, last = {}, math.inf
+    for scenario in sorted(rounds, reverse=True):
+        next_round[scenario] = last = rounds[scenario] or last
+    filled: dict[int, int] = {}
+    current, count = 1, 0
+    for scenario in sorted(rounds):
+        round_number = rounds[scenario] or int(min(current if count < batch else current + 1, next_round[scenario]))
+        current, count = round_number, count + 1 if round_number == current else 1
+        filled[scenario] = round_number
+    return filled

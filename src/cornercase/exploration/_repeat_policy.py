@@ -1,0 +1,81 @@
+"""Repeated runs of a scenario, and extra runs while it is undecided whether it is critical."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from cornercase._common.errors import SimulationError
+from cornercase._common.typing import FloatArray
+from cornercase.exploration._config import ExplorationConfig
+from cornercase.exploration._objective import Objective
+from cornercase.metrics._measure import MetricResult, evaluate_metrics
+from cornercase.recordings import Recording
+from cornercase.study import ScenarioRecord
+from cornercase.study._run_rates import is_criticality_undecided
+
+
+@dataclass(eq=False)
+class RepeatedRun:
+    """A scenario and its runs so far.
+
+    `wanted`: runs to do next, 0 for none; `ran`: runs done, including failed ones; `runs`: recording and results by
+    metric of each successful run; `error`: error of the first failed run.
+    """
+
+    row: ScenarioRecord
+    n_requested: int
+    n_done: int = 0
+    runs: list[tuple[Recording, dict[str, MetricResult]]] = field(default_factory=list)
+    error: SimulationError | None = None
+
+
+class RepeatPolicy:
+    """Decides how often scenarios are run.
+
+    Each is run `repeats` times. With `most_repeats`, a scenario gets `repeats` further runs, up to `most_repeats`,
+    while its runs do not tell on which side of the threshold it is (`is_criticality_undecided`). If all runs failed, there are no more.
+    Raises `InputError` if `most_repeats` needs a threshold and there is none.
+    """
+
+    def __init__(self, config: ExplorationConfig, objective: Objective) -> None:
+        self._config, self._objective = config, objective
+        self._threshold = config.minimized_threshold(objective)
+
+    def start_scenario(self, row: ScenarioRecord) -> RepeatedRun:
+        """Create the state of a scenario without runs."""
+        return RepeatedRun(row, self._config.repeats)
+
+    def record_outcomes(self, repeated_run: RepeatedRun, outcomes: Sequence[Recording | SimulationError]) -> None:
+        """Measure finished runs, and set how many more are needed."""
+        config = self._config
+        for outcome in outcomes:
+            try:
+                if isinstance(outcome, SimulationError):
+                    raise outcome
+                repeated_run.runs.append(
+                    (outcome, evaluate_metrics(self._objective.metrics, outcome, config.ego, config.others))
+                )
+            except SimulationError as error:
+                repeated_run.error = repeated_run.error or error
+        repeated_run.n_done += len(outcomes)
+        repeated_run.n_requested = self._count_further_runs(repeated_run)
+
+    def minimized_scores(self, repeated_run: RepeatedRun) -> FloatArray:
+        """Minimized scores of the successful runs, shape (n,) or (n, metrics) for a front."""
+        return self._objective.minimized(
+            np.array([[result.score for result in run.values()] for _, run in repeated_run.runs])
+        )
+
+    def _count_further_runs(self, repeated_run: RepeatedRun) -> int:
+        limit = self._config.max_repeats
+        if limit is None or self._threshold is None or not repeated_run.runs:
+            return 0
+        n_more = min(self._config.repeats, limit - repeated_run.n_done)
+        return (
+            n_more
+            if n_more and is_criticality_undecided(self.minimized_scores(repeated_run).tolist(), self._threshold)
+            else 0
+        )

@@ -1,0 +1,51 @@
+"""Check if runs are deterministic: run the first scenario of a study twice."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from cornercase._common.errors import InputError, PluginError, SimulationError
+from cornercase._common.io.support_table import issue_notice_warning
+from cornercase.recordings import Recording
+from cornercase.recordings._compare import are_bitwise_equal, max_position_difference
+from cornercase.simulators import SIMULATORS
+from cornercase.study import ScenarioRecord, Study
+
+
+def check_repeatability(
+    study: Study, run_scenario: Callable[[ScenarioRecord], Recording | SimulationError], advice: str
+) -> bool:
+    """Run the first finished scenario again by `again`, and store whether the recording is identical.
+
+    Done once per study, and only for simulators that claim to be deterministic. One check proves nothing, but finds
+    random numbers and state that is kept between runs. `advice` is appended to the warning if runs differ; empty for no
+    warning. Returns False as long as no scenario has finished.
+    """
+    row = next((row for row in study.rows() if row.state == "done"), None)
+    if row is None:
+        return False
+    if not study.meta.repeatability and _is_declared_deterministic(study.meta.simulator):
+        outcome = run_scenario(row)
+        if isinstance(outcome, PluginError):
+            study.writer.save_repeatability(row.id, False, None)
+        elif isinstance(outcome, SimulationError):
+            # The cause may be external, such as a time-out on a busy machine.
+            issue_notice_warning(
+                f"scenario {row.id} could not be run a second time ({outcome}), so it is unknown whether runs are"
+                " deterministic; run the same command again to retry"
+            )
+        else:
+            first = study.recording(row.id)
+            same = are_bitwise_equal(first, outcome)
+            study.writer.save_repeatability(row.id, same, None if same else max_position_difference(first, outcome))
+    if advice and study.meta.nondeterminism_text:
+        issue_notice_warning(f"runs differ: {study.meta.nondeterminism_text}; {advice}")
+    return True
+
+
+def _is_declared_deterministic(simulator: str) -> bool:
+    """Return whether the simulator declares that it is deterministic; False if it is not registered."""
+    try:
+        return SIMULATORS.get_class(simulator).deterministic
+    except InputError:
+        return False

@@ -1,0 +1,237 @@
+"""Run, measure and store scenarios of a study."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+
+from cornercase._common.errors import InputError, PluginError, SimulationError
+from cornercase._common.typing import FloatArray
+from cornercase.exploration._condition_references import PendingCondition, ReferenceRuns
+from cornercase.exploration._config import ExplorationConfig
+from cornercase.exploration._objective import Objective
+from cornercase.exploration._repeat_policy import RepeatedRun, RepeatPolicy
+from cornercase.exploration._repeatability import check_repeatability
+from cornercase.recordings import Recording
+from cornercase.scenario import ConcreteScenario
+from cornercase.simulators import Simulator
+from cornercase.simulators._results import run_scenarios
+from cornercase.simulators._run_notices import RunNotices
+from cornercase.study import ScenarioRecord, Study
+
+
+class StageTimer:
+    """Adds up how long the stages of an exploration take, and stores the sums in the study."""
+
+    def __init__(self, study: Study) -> None:
+        self._study = study
+        self._seconds_by_stage: dict[str, float] = {}
+
+    @contextmanager
+    def __call__(self, stage: str) -> Iterator[None]:
+        """Measure the time of a stage."""
+        start = time.monotonic()
+        try:
+            yield
+        finally:
+            self._seconds_by_stage[stage] = self._seconds_by_stage.get(stage, 0.0) + time.monotonic() - start
+
+    def save_times(self) -> None:
+        """Store and reset the measured times."""
+        if self._seconds_by_stage:
+            self._study.writer.add_elapsed_times(self._seconds_by_stage)
+        self._seconds_by_stage.clear()
+
+
+class ScenarioRunner:
+    """Runs and measures scenarios, and stores each as soon as it has ended.
+
+    Of repeated runs, the run with the median score is stored (for an even number, the more critical of the middle two),
+    and the scores of all runs. Failed runs are ignored unless all failed. Extra repeats are run after all scenarios of
+    the round have had their first repeats. If the condition depends on references (simulators with a reference driver
+    in the ego, by name), a scenario is stored after all have ended and the reference runs are done.
+    """
+
+    def __init__(
+        self,
+        config: ExplorationConfig,
+        simulator: Simulator,
+        objective: Objective,
+        study: Study,
+        clock: StageTimer,
+        references: Mapping[str, Simulator] | None = None,
+    ) -> None:
+        self._config, self._simulator, self._objective = config, simulator, objective
+        self._study, self._clock = study, clock
+        self._repeat_policy = RepeatPolicy(config, objective)
+        self.notices = RunNotices(simulator)
+        # Number of scenarios that failed by an exception of a driver, the simulator or a metric, and the last error.
+        self._n_exceptions, self._last_error = 0, SimulationError()
+        condition = config.make_condition()
+        self._reference_runs, self._repeatability_checked = None, False
+        if condition is not None:
+            self._reference_runs = ReferenceRuns(config, condition, references or {}, self.simulate)
+            if missing := [name for name in condition.reference_drivers if name not in (references or {})]:
+                raise InputError(f"`references`: there is no simulator in which {missing[0]} drives the ego.")
+
+    def run_rows(self, rows: Sequence[ScenarioRecord]) -> Iterator[tuple[int, Any]]:
+        """Run scenarios; yield id and minimized score (float, or shape (metrics,) for a front) of each successful one.
+
+        Raises `InputError` if none of them can be run, or the simulator itself failed.
+        """
+        if not rows:
+            return
+        waiting, remaining = list[PendingCondition](), deque(self.start_scenario(row) for row in rows)
+        while remaining:
+            unfinished = deque[RepeatedRun]()
+            for scenario, outcomes in self._run_batch(remaining):
+                result = self.record_outcomes(scenario, outcomes)
+                if isinstance(result, RepeatedRun):
+                    unfinished.append(result)
+                elif isinstance(result, PendingCondition):
+                    waiting.append(result)
+                elif result is not None:
+                    yield scenario.row.id, result
+            remaining = unfinished
+        if self._reference_runs is not None and waiting:
+            with self._clock("simulate"):
+                decided = list(self._reference_runs.decide_conditions(waiting))
+            for pending in sorted(decided, key=lambda item: item.row.id):
+                score = self.store_decided(pending)
+                if score is not None:
+                    yield pending.row.id, score
+        self.require_any_result()
+
+    def check_repeatability(self) -> None:
+        """Run the first finished scenario of the study a second time, to check if runs are deterministic."""
+        if self._repeatability_checked:
+            return
+        advice = (
+            "a driver or the simulator draws random numbers or keeps state between runs: fix it, or run each scenario"
+            " several times with `repeats`"
+        )
+        with self._clock("simulate"):
+            self._repeatability_checked = check_repeatability(
+                self._study, self._run_row, advice if self._config.repeats == 1 else ""
+            )
+
+    def _run_row(self, row: ScenarioRecord) -> Recording | SimulationError:
+        (outcome,) = self.simulate(self._simulator, [self._config.logical.concrete_scenario(row.values)])
+        return outcome
+
+    def _run_batch(
+        self, scenarios: deque[RepeatedRun]
+    ) -> Iterator[tuple[RepeatedRun, list[Recording | SimulationError]]]:
+        """Run all requested runs in one batch; scenarios are removed from the deque as their results come."""
+        results = self.simulate(
+            self._simulator,
+            [concrete for scenario in scenarios for concrete in self.requested_concrete_scenarios(scenario)],
+        )
+        while scenarios:
+            scenario = scenarios.popleft()
+            with self._clock("simulate"):
+                outcomes = [next(results) for _ in range(scenario.n_requested)]
+            yield scenario, outcomes
+        # Exhaust the iterator, so that the simulator cleans up before the next batch.
+        for _ in results:
+            pass
+
+    def start_scenario(self, row: ScenarioRecord) -> RepeatedRun:
+        """Create the state of a scenario without runs."""
+        return self._repeat_policy.start_scenario(row)
+
+    def requested_concrete_scenarios(self, repeated_run: RepeatedRun) -> list[ConcreteScenario]:
+        """Create the concrete scenario once per requested run."""
+        return [
+            self._config.logical.concrete_scenario(repeated_run.row.values) for _ in range(repeated_run.n_requested)
+        ]
+
+    def record_outcomes(self, repeated_run: RepeatedRun, outcomes: Sequence[Recording | SimulationError]) -> Any:
+        """Measure finished runs, and store the scenario if it needs no further run.
+
+        Returns its minimized score or scores, `RepeatedRun` or `PendingCondition` if more runs are needed, None if it
+        failed.
+        """
+        row = repeated_run.row
+        with self._clock("measure"):
+            self._repeat_policy.record_outcomes(repeated_run, outcomes)
+        if repeated_run.n_requested:
+            return repeated_run
+        if not repeated_run.runs:
+            assert repeated_run.error is not None
+            self._record_failure(row, repeated_run.error)
+            return None
+        scores = self._repeat_policy.minimized_scores(repeated_run)
+        middle = _median_index(scores)
+        recording, courses = repeated_run.runs[middle]
+        self.notices.add_run(recording, lambda: self._config.logical.scenario_file)
+        repeats = None
+        if self._config.repeats > 1:
+            repeats = {name: [run[name].score for _, run in repeated_run.runs] for name in courses}
+        if self._reference_runs is None:
+            with self._clock("store"):
+                self._study.writer.record_result(row.id, recording, courses, repeats)
+            return scores[middle]
+        with self._clock("measure"):
+            pending = self._reference_runs.evaluate_condition(row, recording, courses)
+        return self.store_decided(pending) if pending.next_reference is None else pending
+
+    def record_reference_run(self, pending_condition: PendingCondition, outcome: Recording | SimulationError) -> None:
+        """Record the run with the reference driver that a scenario was waiting for."""
+        if self._reference_runs is not None and pending_condition.next_reference is not None:
+            self._reference_runs.record_reference_run(pending_condition, pending_condition.next_reference, outcome)
+
+    def store_decided(self, pending_condition: PendingCondition) -> Any:
+        """Store a scenario whose condition is decided; return its minimized score, None if a run failed."""
+        if pending_condition.error is not None:
+            self._record_failure(pending_condition.row, pending_condition.error)
+            return None
+        courses = pending_condition.decided_results()
+        with self._clock("store"):
+            self._study.writer.record_result(
+                pending_condition.row.id,
+                pending_condition.recording,
+                courses,
+                references=pending_condition.reference_outcomes,
+            )
+        return self._objective.minimized(np.array([[result.score for result in courses.values()]]))[0]
+
+    def _record_failure(self, row: ScenarioRecord, error: SimulationError) -> None:
+        self._study.writer.record_failure(row.id, error)
+        if isinstance(error, PluginError):
+            self._n_exceptions, self._last_error = self._n_exceptions + 1, error
+
+    def require_any_result(self) -> None:
+        """Raise `InputError` if `max_failures` scenarios failed by exceptions before any gave a result."""
+        if 0 < self._config.max_failures <= self._n_exceptions and not self._study.finished_rows():
+            raise InputError(
+                f"None of {self._n_exceptions} scenarios gave a result (`max_failures`); in the last one {self._last_error}. Fix"
+                " it, and run the same command again."
+            )
+
+    def simulate(
+        self, simulator: Simulator, concretes: Sequence[ConcreteScenario]
+    ) -> Iterator[Recording | SimulationError]:
+        """Run scenarios; yield one recording or error each. A crash of the simulator itself raises `InputError`."""
+        try:
+            yield from run_scenarios(simulator, concretes)
+        except InputError:
+            raise
+        except Exception as error:
+            text = " ".join(f"{type(error).__name__}: {error}".split())
+            raise InputError(
+                f"The simulator '{self._config.simulator}' failed ({text}); fix it, and run the same command"
+                " again to resume."
+            ) from error
+
+
+def _median_index(scores: FloatArray) -> int:
+    """Index of the median of scores, shape (n,) or (n, k); of several scores the first counts."""
+    first = scores.reshape(len(scores), -1)[:, 0].tolist()
+    order = sorted(range(len(first)), key=first.__getitem__)
+    return order[(len(order) - 1) // 2]

@@ -1,0 +1,103 @@
+"""Estimate the critical set of a study, from scenarios that were chosen independently of scores."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cornercase._common.errors import InputError
+from cornercase._common.row_keys import row_keys
+from cornercase._common.typing import BoolArray, FloatArray
+from cornercase.evidence._critical_set_estimate import CriticalSet
+from cornercase.evidence._multi_fidelity import SourceStudyModel
+from cornercase.evidence.gp._process import encode_points
+from cornercase.metrics import compute_features, registered_features
+from cornercase.optimizers import GridOptimizer, RandomOptimizer, SobolOptimizer
+from cornercase.optimizers._registry import optimizer_requirements
+from cornercase.scenario import ParameterSpace
+from cornercase.study import Study
+
+# Separates the random numbers of audits from those of the search.
+_AUDIT_SEED_SALT = 0xA0D17
+
+
+def audit_sampler(space: ParameterSpace, seed: int) -> RandomOptimizer:
+    """Create the sampler of a study's audits: independent random points, each once.
+
+    It is never told anything, so its draws depend on nothing else.
+    """
+    return RandomOptimizer(space, int(np.random.SeedSequence([seed, _AUDIT_SEED_SALT]).generate_state(1)[0]))
+
+
+def is_score_independent(optimizer: str, space: ParameterSpace, seed: int, points: FloatArray) -> BoolArray:
+    """Return which points were chosen independently of scores, shape (n,): the initial design, or all of a grid.
+
+    `points`, shape (n, d), are all points that the search was told. The initial design is the longest completely run
+    prefix of the search's space-filling sequence; a point counts even if the search also proposed it because of scores.
+    """
+    name = optimizer.partition(":")[0]
+    if name == GridOptimizer.name:
+        return np.ones(len(points), dtype=np.bool_)
+    sampler_class = RandomOptimizer if name == RandomOptimizer.name else SobolOptimizer
+    keys = row_keys(space.snap(points))
+    ran, initial_design = set(keys), set[bytes]()
+    for key in row_keys(sampler_class(space, seed).ask(len(points))):
+        if key not in ran:
+            break
+        initial_design.add(key)
+    return np.array([key in initial_design for key in keys], dtype=np.bool_)
+
+
+def uses_features(optimizer: str) -> bool:
+    """Return whether a search uses recording features; False if it is unknown here."""
+    try:
+        return "features" in optimizer_requirements(optimizer)
+    except InputError:
+        return False
+
+
+def source_study_model(study: Study, threshold: float) -> SourceStudyModel | None:
+    """Model of the study that warm-started a study's search; None without one, or if all its scores are equal.
+
+    `threshold` is a minimized score.
+    """
+    warm_start = study.warm_start_data()
+    if warm_start is None or np.ptp(warm_start[1]) == 0.0:
+        return None
+    return SourceStudyModel(encode_points(study.space, warm_start[0]), warm_start[1], threshold)
+
+
+def estimate_critical_set(
+    study: Study, scores: FloatArray, threshold: float, *, last_id: int | None = None, seed: int | None = None
+) -> CriticalSet:
+    """Estimate the critical set of a study; audits only assess it.
+
+    `scores`, shape (n,), are minimized and of all successful scenarios including audits. `last` is the id of the last
+    scenario that counts. `seed` replaces the study's (two sets are compared with the same one). Raises ValueError for
+    fewer than 10 scores without audits, or equal scores.
+    """
+    meta = study.meta
+    candidates = [row for row in study.rows() if last_id is None or row.id <= last_id]
+    ended = [row for row in candidates if row.state == "done"]
+    audits = np.array([meta.is_audit(row.id) for row in ended], dtype=np.bool_)
+    points = np.array([row.point for row in ended]).reshape(-1, study.space.dimension)
+    scores = scores[: len(ended)]
+    # Failed scenarios belong to the initial design as well.
+    rows = [row for row in candidates if not meta.is_audit(row.id)]
+    score_independent = is_score_independent(
+        meta.optimizer, study.space, meta.seed, np.array([row.point for row in rows])
+    )
+    features = None
+    if uses_features(meta.optimizer):
+        recordings = (study.recording(row.id) for row in rows if row.state == "done")
+        features = registered_features(), compute_features(recordings, meta.ego, meta.others)
+    return CriticalSet(
+        study.space,
+        points[~audits],
+        scores[~audits],
+        threshold,
+        meta.seed if seed is None else seed,
+        initial_design=score_independent[[row.state == "done" for row in rows]],
+        audits=(points[audits], scores[audits]),
+        features=features,
+        source_model=source_study_model(study, threshold),
+    )

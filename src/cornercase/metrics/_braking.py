@@ -1,0 +1,212 @@
+"""Metrics of the braking that the ego needs for the other ahead of it, and of its stopping distance."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cornercase._common.typing import FloatArray
+from cornercase.metrics._base import Metric
+from cornercase.metrics._geometry.leader import LeaderGap
+from cornercase.metrics._geometry.numeric import check_nonnegative_options, divide_or_inf
+from cornercase.recordings import Recording
+
+
+class Drac(Metric):
+    """Deceleration rate to avoid a crash: the braking that just removes the speed difference before contact.
+
+    ``Δv² / (2 gap)`` in m/s², with the closing speed Δv and the gap along the ego's heading; the other keeps its speed.
+    0 if the gap does not shrink, inf at contact while it does. A standing other is an obstacle; for an oncoming one Δv
+    is the sum of both speeds. Not defined if the other is not ahead of the ego or one of the two does not exist. Cap:
+    0, most critical value: 20 m/s².
+
+    Source: D. F. Cooper, N. Ferguson, "Traffic studies at T-junctions", Traffic Engineering and Control 17 (1976); also
+    A. Guido et al. (2010).
+    """
+
+    name = "drac"
+    unit = "m/s²"
+    lower_is_critical = False
+    cap = 0.0
+    bound = 20.0
+    source = "Cooper and Ferguson 1976"
+
+    def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
+        pair = LeaderGap.from_recording(recording, ego, other)
+        return divide_or_inf(np.maximum(pair.closing_speed, 0.0) ** 2, 2.0 * pair.gap)
+
+
+class Mdrac(Metric):
+    """Modified deceleration rate to avoid a crash: the braking begins after a reaction time.
+
+    ``Δv / (2 (gap / Δv - t_r))`` in m/s², with the closing speed Δv. 0 if the gap does not shrink, inf if the ego
+    reaches the other within the reaction time. Standing and oncoming others as in `Drac`. Not defined if the other is
+    not ahead of the ego or one of the two does not exist. Cap: 0, most critical value: 20 m/s².
+
+    Source: W. K. M. Alhajyaseen, "The integration of conflict probability and severity for the safety assessment of
+    intersections", Arabian Journal for Science and Engineering 40 (2015), after Cunto (2008).
+
+    Parameters
+    ----------
+    reaction_time : float, default 1.0
+        t_r in s.
+    """
+
+    name = "mdrac"
+    unit = "m/s²"
+    lower_is_critical = False
+    cap = 0.0
+    bound = 20.0
+    source = "Alhajyaseen 2015"
+
+    def __init__(self, reaction_time: float = 1.0) -> None:
+        check_nonnegative_options(self.name, reaction_time=reaction_time)
+        self.reaction_time = reaction_time
+
+    def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
+        pair = LeaderGap.from_recording(recording, ego, other)
+        closing = np.maximum(pair.closing_speed, 0.0)
+        return divide_or_inf(closing**2, 2.0 * (pair.gap - closing * self.reaction_time))
+
+
+class Dst(Metric):
+    """Deceleration to safety time: the braking that removes the speed difference and keeps a time gap.
+
+    ``Δv² / (2 (gap - v_other t_s))`` in m/s², with the closing speed Δv; a safety time of 0 gives `Drac`. 0 if the gap
+    does not shrink, inf if it is already smaller than the safety time requires. Standing and oncoming others as in
+    `Drac`. Not defined if the other is not ahead of the ego or one of the two does not exist. Cap: 0, most critical
+    value: 20 m/s².
+
+    Source: C. Hupfer, "Deceleration to safety time (DST) – a useful figure to evaluate traffic safety?", ICTCT
+    Conference (1997).
+
+    Parameters
+    ----------
+    safety_time : float, default 1.0
+        t_s in s.
+    """
+
+    name = "dst"
+    unit = "m/s²"
+    lower_is_critical = False
+    cap = 0.0
+    bound = 20.0
+    default_threshold = 4.0
+    source = "Hupfer 1997"
+
+    def __init__(self, safety_time: float = 1.0) -> None:
+        check_nonnegative_options(self.name, safety_time=safety_time)
+        self.safety_time = safety_time
+
+    def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
+        pair = LeaderGap.from_recording(recording, ego, other)
+        closing = np.maximum(pair.closing_speed, 0.0)
+        return divide_or_inf(closing**2, 2.0 * (pair.gap - pair.leader_speed * self.safety_time))
+
+
+class LongitudinalAcceleration(Metric):
+    """Required longitudinal acceleration: the weakest constant braking with which the ego does not hit the other.
+
+    The other keeps its acceleration a₂ until it stands. If the ego reaches the other's speed before that, at ``2 gap /
+    Δv <= v₂ / |a₂|``, the value is ``a₂ - Δv² / (2 gap)``; else the ego stops behind it, with ``-v² / (2 (gap + v₂² /
+    (2 |a₂|)))``. In m/s², negative: lower is more critical. 0 if no braking is needed, -inf at contact while the gap
+    shrinks. A standing other is an obstacle. For an oncoming one the value is the acceleration that ends the closing,
+    which the ego alone cannot always reach. Not defined if the other is not ahead of the ego or one of the two does not
+    exist. Cap: 0, most critical value: -20 m/s².
+
+    Source: required longitudinal acceleration, as in Westhofen et al. 2023 and Jansson 2005, with the stop of the
+    leader.
+    """
+
+    name = "a-long-req"
+    unit = "m/s²"
+    lower_is_critical = True
+    cap = 0.0
+    bound = -20.0
+    default_threshold = -5.0
+    source = "Jansson 2005, leader does not reverse"
+
+    def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
+        return required_longitudinal_acceleration(LeaderGap.from_recording(recording, ego, other))
+
+
+class Btn(Metric):
+    """Brake threat number: required over available braking.
+
+    The required longitudinal acceleration (`LongitudinalAcceleration`) over the greatest deceleration, without unit: 1
+    if full braking just avoids the contact. 0 if no braking is needed. Standing others, and where it is not defined, as
+    there. Cap: 0, most critical value: 5.
+
+    Source: M. Brännström, J. Sjöberg, E. Coelingh, "A situation and threat assessment algorithm for a rear-end
+    collision avoidance system", IEEE Intelligent Vehicles Symposium (2008).
+
+    Parameters
+    ----------
+    deceleration : float, default 8.0
+        Greatest deceleration of the ego in m/s².
+    """
+
+    name = "btn"
+    unit = "1"
+    lower_is_critical = False
+    cap = 0.0
+    bound = 5.0
+    default_threshold = 1.0
+    source = "Brännström et al. 2008"
+
+    def __init__(self, deceleration: float = 8.0) -> None:
+        check_nonnegative_options(self.name, deceleration=deceleration)
+        self.deceleration = deceleration
+
+    def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
+        return divide_or_inf(
+            -required_longitudinal_acceleration(LeaderGap.from_recording(recording, ego, other)), self.deceleration
+        )
+
+
+class StoppingDistance(Metric):
+    """Shortest distance in which the ego can stop, ``v² / (2 a)`` in m.
+
+    It does not depend on the other; a standing ego gives 0. Not defined if the ego does not exist. Cap: 0 m, most
+    critical value: 500 m, which is the score of a recording in which both touch.
+
+    Source: minimal stopping distance, as in Westhofen et al. 2023.
+
+    Parameters
+    ----------
+    deceleration : float, default 8.0
+        Greatest deceleration of the ego in m/s².
+    """
+
+    name = "msd"
+    unit = "m"
+    lower_is_critical = False
+    cap = 0.0
+    bound = contact_score = 500.0
+    source = "Minimal stopping distance, as in Westhofen et al. 2023"
+
+    def __init__(self, deceleration: float = 8.0) -> None:
+        check_nonnegative_options(self.name, deceleration=deceleration)
+        self.deceleration = deceleration
+
+    def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
+        return divide_or_inf(recording.speed[recording.entity_index(ego)] ** 2, 2.0 * self.deceleration)
+
+
+def required_longitudinal_acceleration(leader: LeaderGap) -> FloatArray:
+    """Weakest acceleration that avoids contact (see `LongitudinalAcceleration`), shape (T,), in m/s², not above 0.
+
+    NaN where `leader` has no gap.
+    """
+    closing, acceleration = leader.closing_speed, leader.leader_acceleration
+    brakes = (leader.leader_speed > 0.0) & (acceleration < 0.0)
+    stopping_distance = np.where(brakes, 0.5 * leader.leader_speed**2 / np.where(brakes, -acceleration, 1.0), 0.0)
+    stop_behind = -divide_or_inf(leader.speed**2, 2.0 * (leader.gap + stopping_distance))
+    # A standing leader with negative acceleration holds its brake; it does not start to reverse.
+    leader_acceleration = np.where((leader.leader_speed == 0.0) & (acceleration < 0.0), 0.0, acceleration)
+    match_speed = leader_acceleration - divide_or_inf(np.maximum(closing, 0.0) ** 2, 2.0 * leader.gap)
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        matches_before_stop = (closing > 0.0) & (
+            2.0 * leader.gap / closing <= leader.leader_speed / np.where(brakes, -acceleration, 1.0)
+        )
+    required = np.where(brakes & ~matches_before_stop, stop_behind, np.where(closing > 0.0, match_speed, 0.0))
+    return np.where(np.isnan(leader.gap + closing + acceleration), np.nan, np.minimum(required, 0.0))

@@ -1,0 +1,108 @@
+"""Closest encounter: the smallest gap if both entities go straight on, and when it occurs."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cornercase._common.geometry.boxes import box_distance, time_to_contact
+from cornercase._common.typing import FloatArray
+from cornercase.metrics._base import Metric
+from cornercase.metrics._geometry.boxes import box_corners_over_time, relative_velocity
+from cornercase.recordings import Recording
+
+_GAP_TOLERANCE = 1e-9
+"""Gaps in m that differ by less are equal."""
+
+
+class Dce(Metric):
+    """Distance of closest encounter: the smallest gap between the boxes if both go straight on.
+
+    Each box keeps its heading and its speed along it; the value is the smallest gap in m at this instant or later. 0 if
+    the boxes will touch or do so now, the present gap if they move apart or both stand. Not defined if one of the two
+    does not exist. Cap: 100 m.
+
+    Source: J. Eggert, "Predictive risk estimation for intelligent ADAS functions", IEEE ITSC (2014).
+
+    Parameters
+    ----------
+    centers : bool, default False
+        Measure between the centres of the boxes instead.
+    severity : bool, default False
+        Score collisions below 0, by how hard they are (`Metric.score_with_contact`).
+    """
+
+    name = "dce"
+    unit = "m"
+    lower_is_critical = True
+    cap = 100.0
+    default_threshold = 1.0
+    contact_score = 0.0
+    source = "Eggert 2014, boxes in the plane"
+
+    def __init__(self, centers: bool = False, severity: bool = False) -> None:
+        self.centers, self.severity = centers, severity
+
+    def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
+        return closest_encounter(recording, ego, other, self.centers)[0]
+
+
+class Ttce(Metric):
+    """Time to closest encounter: when the gap between the boxes is smallest if both go straight on.
+
+    The first t >= 0 in s at which the gap of `Dce` is reached: the time to collision if the boxes will touch, 0 if the
+    two move apart or both stand. Not defined if one of the two does not exist. It says when the closest encounter is,
+    not how close; use it together with `Dce`. Cap: 10 s.
+
+    Source: J. Eggert, "Predictive risk estimation for intelligent ADAS functions", IEEE ITSC (2014).
+
+    Parameters
+    ----------
+    centers : bool, default False
+        Measure between the centres of the boxes instead.
+    """
+
+    name = "ttce"
+    unit = "s"
+    lower_is_critical = True
+    cap = 10.0
+    source = "Eggert 2014, boxes in the plane"
+
+    def __init__(self, centers: bool = False) -> None:
+        self.centers = centers
+
+    def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
+        return closest_encounter(recording, ego, other, self.centers)[1]
+
+
+def closest_encounter(recording: Recording, ego: str, other: str, centers: bool) -> tuple[FloatArray, FloatArray]:
+    """Smallest gap from now on in m, and when it is first reached in s, shape (T,) each.
+
+    NaN if an entity does not exist. `centers` measures between the centres instead of the boxes.
+    """
+    velocity = relative_velocity(recording, ego, other)
+    if centers:
+        return _closest_approach_to_origin((recording.box_center(other) - recording.box_center(ego))[:, None], velocity)
+    a, b = box_corners_over_time(recording, ego), box_corners_over_time(recording, other)
+    # If one of two convex shapes moves straight on, they are nearest now, or their nearest points then are corners.
+    corner_offsets = (b[:, None] - a[:, :, None]).reshape(len(a), 16, 2)
+    gap, time = _closest_approach_to_origin(corner_offsets, velocity)
+    present_gap = box_distance(a, b)
+    time = np.where(present_gap <= gap + _GAP_TOLERANCE, 0.0, time)
+    gap = np.minimum(present_gap, gap)
+    contact = time_to_contact(a, b, velocity)
+    collides = np.isfinite(contact)
+    return np.where(collides, 0.0, gap), np.where(collides, contact, time)
+
+
+def _closest_approach_to_origin(points: FloatArray, velocity: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Smallest distance to the origin of points (T, n, 2) with velocity (T, 2), and the first time it is reached."""
+    squared_speed = (velocity**2).sum(-1)
+    moves = squared_speed > 0.0
+    times = -(points * velocity[:, None]).sum(-1) / np.where(moves, squared_speed, 1.0)[:, None]
+    times = np.maximum(np.where(moves[:, None], times, 0.0), 0.0)
+    closest_points = points + times[..., None] * velocity[:, None]
+    distances = np.hypot(closest_points[..., 0], closest_points[..., 1])
+    gap = distances.min(-1)
+    # For parallel sides several corners are equally near; the first time counts.
+    first = np.where(distances <= gap[:, None] + _GAP_TOLERANCE, times, np.inf).min(-1)
+    return gap, np.where(np.isnan(gap), np.nan, first)

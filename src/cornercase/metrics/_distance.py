@@ -1,0 +1,72 @@
+"""Distance between centres, and between bounding boxes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cornercase._common.geometry.boxes import box_distance
+from cornercase._common.typing import FloatArray
+from cornercase.metrics._base import Metric
+from cornercase.metrics._geometry.boxes import box_corners_over_time
+from cornercase.recordings import Recording
+
+
+class Distance(Metric):
+    """Distance between the centres of two bounding boxes.
+
+    ``|p_other - p_ego|`` in the plane, in m; 0 if the centres coincide. It depends on positions only, also for standing
+    entities. Boxes that touch still have a positive distance (their gap is `Clearance`), so a recording in which they
+    touch scores 0: none counts as less critical than one in which narrow boxes pass each other. Not defined if one of
+    the two does not exist. Cap: 100 m.
+
+    Source: Euclidean distance, as an objective in Schütt, Otten and Sax, "Clustering-based criticality analysis for
+    testing of automated driving systems" (2023), scenario 2.
+
+    Parameters
+    ----------
+    severity : bool, default False
+        Score collisions below 0, by how hard they are (`Metric.score_with_contact`).
+    """
+
+    name = "distance"
+    unit = "m"
+    lower_is_critical = True
+    cap = 100.0
+    contact_score = 0.0
+    source = "Euclidean distance between the centres of the bounding boxes"
+
+    def __init__(self, severity: bool = False) -> None:
+        self.severity = severity
+
+    def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
+        offset = recording.box_center(other) - recording.box_center(ego)
+        return np.hypot(offset[:, 0], offset[:, 1])
+
+
+class Clearance(Metric):
+    """Gap between the two bounding boxes.
+
+    The smallest distance between two of their points in the plane, in m; 0 if they touch or overlap. It depends on
+    positions and headings only, also for standing entities. Not defined if one of the two does not exist. Cap: 100 m.
+
+    Source: Euclidean distance of the boxes as convex polygons.
+
+    Parameters
+    ----------
+    severity : bool, default False
+        Score collisions below 0, by how hard they are (`Metric.score_with_contact`).
+    """
+
+    name = "clearance"
+    unit = "m"
+    lower_is_critical = True
+    cap = 100.0
+    default_threshold = 1.0
+    contact_score = 0.0
+    source = "Euclidean distance of the bounding boxes"
+
+    def __init__(self, severity: bool = False) -> None:
+        self.severity = severity
+
+    def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
+        return box_distance(box_corners_over_time(recording, ego), box_corners_over_time(recording, other))

@@ -1,0 +1,85 @@
+"""Gap time: difference of the times at which both entities reach the crossing of their tracks."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cornercase._common.typing import FloatArray
+from cornercase.metrics._base import Metric
+from cornercase.metrics._geometry.crossing import distances_to_crossing
+from cornercase.metrics._geometry.numeric import check_nonnegative_options, divide_or_inf
+from cornercase.recordings import Recording
+
+
+class GapTime(Metric):
+    """Difference of the times at which both reach the crossing of their tracks at their present speeds.
+
+    ``|d / v - d_other / v_other|`` in s, with the distances of the centres to the crossing that `TrajectoryDistance`
+    takes. 0 if both arrive together, inf if at least one stands. Not defined if no crossing lies ahead of both (one has
+    passed it), for tracks that do not cross, and if one of the two does not exist. Cap: 10 s.
+
+    Source: gap time, B. L. Allen, B. T. Shin, P. J. Cooper, "Analysis of traffic conflicts and collisions",
+    Transportation Research Record 667 (1978), predicted with constant speeds.
+
+    Parameters
+    ----------
+    ahead : float, default 100.0
+        How far each track goes straight on after the recording, in m.
+    """
+
+    name = "gap-time"
+    unit = "s"
+    lower_is_critical = True
+    cap = 10.0
+    source = "Allen, Shin and Cooper 1978, predicted"
+
+    def __init__(self, ahead: float = 100.0) -> None:
+        check_nonnegative_options(self.name, ahead=ahead)
+        self.ahead = ahead
+
+    def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
+        ego_times, other_times = _arrival_times(recording, ego, other, self.ahead)
+        return _time_difference(ego_times, other_times)
+
+
+class SquaredGapTime(GapTime):
+    """Difference of the squared times at which both reach the crossing of their tracks.
+
+    ``|t² - t_other²|`` in s², the gap time times the sum of both arrival times, so that the same gap counts more the
+    sooner it occurs. Arrivals, 0, inf and where it is not defined as in `GapTime`. Cap: 100 s².
+
+    Source: squared predicted relative encroachment time, as in Westhofen et al. 2023.
+
+    Parameters
+    ----------
+    ahead : float, default 100.0
+        As in `GapTime`.
+    """
+
+    name = "spret"
+    unit = "s²"
+    cap = 100.0
+    source = "Squared predicted relative encroachment time, as in Westhofen et al. 2023"
+
+    def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
+        ego_times, other_times = _arrival_times(recording, ego, other, self.ahead)
+        return _time_difference(ego_times**2, other_times**2)
+
+
+def _arrival_times(recording: Recording, ego: str, other: str, ahead: float) -> tuple[FloatArray, FloatArray]:
+    distances = distances_to_crossing(recording, ego, other, ahead)
+    speeds = (np.abs(recording.speed[recording.entity_index(name)]) for name in (ego, other))
+    ego_times, other_times = (_arrival_time(distance, speed) for distance, speed in zip(distances, speeds, strict=True))
+    return ego_times, other_times
+
+
+def _arrival_time(distance: FloatArray, speed: FloatArray) -> FloatArray:
+    time = np.where(speed > 0.0, divide_or_inf(distance, speed), np.where(distance > 0.0, np.inf, 0.0))
+    return np.where(np.isnan(distance + speed), np.nan, time)
+
+
+def _time_difference(ego_times: FloatArray, other_times: FloatArray) -> FloatArray:
+    with np.errstate(invalid="ignore"):
+        gap = np.abs(ego_times - other_times)
+    # Two standing entities never arrive, so they do not arrive together.
+    return np.where(np.isinf(ego_times) & np.isinf(other_times), np.inf, gap)

@@ -1,0 +1,82 @@
+"""Crossing of two entities' tracks, and the distances of both to it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cornercase._common.typing import FloatArray
+from cornercase.metrics._geometry.crossing_kernel import find_track_crossings
+from cornercase.recordings import Recording
+
+_REACH = 1e-6
+"""Distance in m by which a track may miss the other and still cross it, so that rounding opens no gap at a vertex."""
+
+_MIN_STEP = 1e-9
+"""Steps in m up to this length are rounding errors without a direction."""
+
+_PARALLEL = 1e-6
+"""Sine of the angle up to which two pieces of track are parallel and do not cross."""
+
+_INITIAL_CAPACITY = 256
+
+
+def distances_to_crossing(recording: Recording, ego: str, other: str, ahead: float) -> tuple[FloatArray, FloatArray]:
+    """Distances of ego and other to the crossing of their tracks that lies ahead of both, in m, shape (T,) each.
+
+    Of several crossings the one with the smallest sum; NaN if there is none. Each track goes straight on for `ahead` m
+    after the recording.
+    """
+    tracks = _CenterTrack(recording, ego, ahead), _CenterTrack(recording, other, ahead)
+    crossings = _crossing_distances(*tracks)
+    to_ego, to_other = (along[:, None] - track.distance_at for along, track in zip(crossings, tracks, strict=True))
+    is_ahead = (to_ego >= -_REACH) & (to_other >= -_REACH)
+    total = np.where(is_ahead, np.maximum(to_ego, 0.0) + np.maximum(to_other, 0.0), np.inf)
+    if not len(total):
+        undefined = np.full(len(recording.time), np.nan)
+        return undefined, undefined
+    nearest = total.argmin(0), np.arange(total.shape[1])
+    exists = np.isfinite(total[nearest])
+    return (
+        np.where(exists, np.maximum(to_ego[nearest], 0.0), np.nan),
+        np.where(exists, np.maximum(to_other[nearest], 0.0), np.nan),
+    )
+
+
+class _CenterTrack:
+    """Polyline of an entity's centre, and the distance along it at each instant."""
+
+    def __init__(self, recording: Recording, name: str, ahead: float) -> None:
+        center, heading = recording.box_center(name), recording.heading[recording.entity_index(name)]
+        exists = np.flatnonzero(np.isfinite(center).all(-1))
+        points = center[exists]
+        along = np.concatenate([np.zeros(min(len(exists), 1)), _segment_lengths(points).cumsum()])
+        self.distance_at = np.full(len(center), np.nan)
+        self.distance_at[exists] = along
+        if len(exists):
+            last = heading[exists[-1]]
+            tip = points[-1] + ahead * np.array([np.cos(last), np.sin(last)])
+            points, along = np.vstack([points, tip]), np.append(along, along[-1] + ahead)
+        moves = np.flatnonzero(_segment_lengths(points) > _MIN_STEP)
+        self.start, self.step, self.piece_distance = points[moves], points[moves + 1] - points[moves], along[moves]
+
+    def pieces_as_array(self) -> FloatArray:
+        """Start, direction, length and distance along the track of each piece, (n, 6)."""
+        length = np.hypot(*self.step.T)
+        return np.column_stack([self.start, self.step / length[:, None], length, self.piece_distance])
+
+
+def _segment_lengths(points: FloatArray) -> FloatArray:
+    steps = np.diff(points, axis=0)
+    return np.hypot(steps[:, 0], steps[:, 1])
+
+
+def _crossing_distances(a: _CenterTrack, b: _CenterTrack) -> tuple[FloatArray, FloatArray]:
+    """Distances along each track to their crossings, shape (K,)."""
+    pieces = a.pieces_as_array(), b.pieces_as_array()
+    capacity = _INITIAL_CAPACITY
+    while True:
+        distances = np.empty((2, capacity))
+        count = find_track_crossings(*pieces, _PARALLEL, _REACH, distances)
+        if count <= capacity:
+            return distances[0, :count], distances[1, :count]
+        capacity = count

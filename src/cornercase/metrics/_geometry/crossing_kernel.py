@@ -1,0 +1,39 @@
+"""Compiled search for the crossings of two tracks."""
+
+# Compiled functions have no static types.
+# mypy: disable-error-code="no-untyped-def, untyped-decorator"
+
+from __future__ import annotations
+
+from cornercase._common.numba.kernel import kernel
+
+_ROUNDING = 1.0 + 1e-9  # relative tolerance, more than the rounding error of a product or quotient
+
+
+@kernel(error_model="numpy")
+def find_track_crossings(pieces_a, pieces_b, min_sine, tolerance, out):
+    """Write the distances along two tracks to their crossings to `out` (2, capacity); return how many there are.
+
+    Each piece, (n, 6), has its start, direction, length and distance along the track. Pieces with a sine of at most
+    `min_sine` between their directions do not cross; one that ends up to `tolerance` short of the other meets it.
+    """
+    count = 0
+    for i in range(len(pieces_a)):
+        x_a, y_a, cos_a, sin_a, length_a, along_a = pieces_a[i]
+        for j in range(len(pieces_b)):
+            x_b, y_b, cos_b, sin_b, length_b, along_b = pieces_b[j]
+            sine = cos_a * sin_b - sin_a * cos_b
+            if not abs(sine) > min_sine:
+                continue
+            over_a = (x_b - x_a) * sin_b - (y_b - y_a) * cos_b
+            over_b = (x_b - x_a) * sin_a - (y_b - y_a) * cos_a
+            # Nearly all pieces are far from each other, and a product is faster than a quotient.
+            scale = abs(sine) * _ROUNDING
+            if abs(over_a) > (length_a + tolerance) * scale or abs(over_b) > (length_b + tolerance) * scale:
+                continue
+            on_a, on_b = over_a / sine, over_b / sine
+            if -tolerance <= on_a <= length_a + tolerance and -tolerance <= on_b <= length_b + tolerance:
+                if count < out.shape[1]:
+                    out[0, count], out[1, count] = along_a + on_a, along_b + on_b
+                count += 1
+    return count

@@ -1,0 +1,237 @@
+"""Measure metrics on one recording."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from cornercase._common.errors import InputError, PluginError
+from cornercase._common.plugin_errors import make_scenario_failure
+from cornercase._common.process.signals import count_requests
+from cornercase._common.typing import FloatArray
+from cornercase._common.validation import check_path, check_str_sequence, repr_short
+from cornercase.metrics._base import Metric
+from cornercase.metrics._other_entities import present_others, resolve_others
+from cornercase.metrics._registry import METRICS
+from cornercase.metrics._severity import find_first_contact
+from cornercase.recordings import Recording, read_recording
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Measurement:
+    """Metrics of a recording. Each mapping has the names of the metrics as keys.
+
+    Attributes
+    ----------
+    time : ndarray of float64, shape (T,)
+        s.
+    courses : mapping of str to ndarray of float64, shape (T,)
+        NaN where a metric is not defined.
+    scores : mapping of str to float
+    units : mapping of str to str
+        Of courses and scores; ``"1"`` for none.
+    lower_is_critical : mapping of str to bool
+    against : mapping of str to (str or None)
+        Entity that each score comes from, as in `MetricResult`; empty if there is only one other entity.
+    """
+
+    time: FloatArray
+    courses: Mapping[str, FloatArray]
+    scores: Mapping[str, float]
+    units: Mapping[str, str]
+    lower_is_critical: Mapping[str, bool]
+    against: Mapping[str, str | None] = field(default_factory=dict)
+
+    def column_names(self) -> tuple[str, ...]:
+        """Column names of `rows`.
+
+        Returns
+        -------
+        tuple of str
+        """
+        return ("metric", "score", "unit", "critical is", *(["against"] if self.against else []))
+
+    def rows(self) -> list[tuple[str, ...]]:
+        """One row per metric: name, score, unit, whether low or high is critical and, with several others, the entity.
+
+        Returns
+        -------
+        list of tuple of str
+            Columns as in `column_names`.
+        """
+        plain = [
+            (name, f"{score:.4g}", self.units[name], "low" if self.lower_is_critical[name] else "high")
+            for name, score in self.scores.items()
+        ]
+        return [(*row, self.against[row[0]] or "–") for row in plain] if self.against else list(plain)
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """Courses as a table.
+
+        Returns
+        -------
+        pandas.DataFrame
+            A column for each metric, in its unit; the index is the time in s.
+        """
+        import pandas as pd
+
+        return pd.DataFrame(dict(self.courses), index=pd.Index(self.time, name="time"))
+
+    def __repr__(self) -> str:
+        rows = [self.column_names(), *self.rows()]
+        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        return "\n".join("  ".join(map(str.ljust, row, widths)).rstrip() for row in rows)
+
+
+def measure(
+    recording: Recording | Path | str, ego: str, other: str | Sequence[str], metrics: Sequence[str] | None = None
+) -> Measurement:
+    """Measure how critical a recording is.
+
+    Parameters
+    ----------
+    recording : Recording or path
+        A path of anything that `read_recording` reads.
+    ego : str
+        Name of the entity under test.
+    other : str or sequence of str
+        Entities to measure against. Of several, each metric takes the most critical value. ``"*"`` means all others.
+    metrics : sequence of str, optional
+        Options follow a colon, as in ``"ttc:accelerating=true"``. By default all metrics that need no option.
+
+    Returns
+    -------
+    Measurement
+
+    Raises
+    ------
+    InputError
+        The recording cannot be read, there is no such entity or metric, or ego and other are the same entity.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from cornercase.metrics import measure
+    >>> from cornercase.recordings import Recording
+    >>> still = np.zeros((2, 3))
+    >>> recording = Recording(
+    ...     time=np.array([0.0, 0.1, 0.2]), names=("Ego", "Other"), kinds=("car", "car"),
+    ...     x=np.array([[0.0, 1.0, 2.0], [20.0, 20.0, 20.0]]), y=still, heading=still,
+    ...     speed=np.array([[10.0] * 3, [0.0] * 3]), acceleration=still,
+    ...     length=np.full(2, 4.0), width=np.full(2, 2.0), center_x=np.zeros(2),
+    ... )
+    >>> measure(recording, "Ego", "Other", ["ttc", "drac"])
+    metric  score  unit  critical is
+    ttc     1.4    s     low
+    drac    3.571  m/s²  high
+    """
+    loaded = recording if isinstance(recording, Recording) else read_recording(check_path("recording", recording))
+    loaded.entity_index(ego)
+    others = resolve_others(other, ego, loaded.names)
+    for entity in others:
+        loaded.entity_index(entity)
+    optionless = [name for name in METRICS.names() if not METRICS.get_class(name).required_option]
+    names = optionless if metrics is None else check_str_sequence("metrics", metrics)
+    created = [METRICS.create(name) for name in dict.fromkeys(names)]
+    for metric in created:
+        metric.check_installed()
+    try:
+        results = evaluate_metrics(created, loaded, ego, others)
+    except PluginError as error:
+        raise InputError(f"{str(error)[0].upper()}{str(error)[1:]}.") from error
+    return Measurement(
+        time=loaded.time,
+        courses={name: result.course for name, result in results.items()},
+        scores={name: result.score for name, result in results.items()},
+        units={metric.name: metric.unit for metric in created},
+        lower_is_critical={metric.name: metric.lower_is_critical for metric in created},
+        against={name: result.against for name, result in results.items()} if len(others) > 1 else {},
+    )
+
+
+class MetricResult(NamedTuple):
+    """Course and score of a metric; with several others, the most critical value at each instant, and score.
+
+    `against`: name of the entity the score comes from (the first one if tied). None if there is only one other entity,
+    if the score is the cap, or if all entities give the same result.
+    """
+
+    course: FloatArray
+    score: float
+    against: str | None = None
+
+
+def evaluate_metrics(
+    metrics: Iterable[Metric], recording: Recording, ego: str, other: str | Sequence[str]
+) -> dict[str, MetricResult]:
+    """Evaluate metrics on a recording. Return the results by name of the metric.
+
+    Of several others, those that never exist in the recording are skipped. Contacts count as in
+    `Metric.score_with_contact`. PartError if a metric raises an exception, or returns no numbers.
+    """
+    named = (other,) if isinstance(other, str) else tuple(other)
+    others = present_others(recording, named)
+    contacts: dict[str, tuple[int, float] | None] = {}  # cache by entity, shared by all metrics
+    results = {}
+    for metric in metrics:
+        per_entity = [_evaluate_against(metric, recording, ego, entity, contacts) for entity in others]
+        results[metric.name] = per_entity[0] if len(named) == 1 else _combine_most_critical(metric, others, per_entity)
+    return results
+
+
+def _evaluate_against(
+    metric: Metric, recording: Recording, ego: str, other: str, contacts: dict[str, tuple[int, float] | None]
+) -> MetricResult:
+    course, score = _compute_course_and_score(metric, recording, ego, other)
+    if metric.contact_score is not None:
+        if other not in contacts:
+            contacts[other] = find_first_contact(recording, ego, other)
+        contact = contacts[other]
+        score = score if contact is None else metric.score_with_contact(score, contact[1])
+    return MetricResult(course, score)
+
+
+def _compute_course_and_score(metric: Metric, recording: Recording, ego: str, other: str) -> tuple[FloatArray, float]:
+    """Course and score of a metric, which may be third-party code; check both."""
+    part, interrupts = f"the metric {metric.name}", count_requests()
+    try:
+        course = metric.course(recording, ego, other)
+        score = metric.score(course)
+    except (InputError, PluginError):
+        raise
+    except BaseException as error:
+        raise make_scenario_failure(part, error, interrupts) from error
+    if not (np.shape(course) == recording.time.shape and _is_numeric(course)):
+        raise PluginError(
+            f"{part} gave {repr_short(course)} as its course, which is not a number for each of"
+            f" {recording.time.size} instants"
+        )
+    if not (np.ndim(score) == 0 and _is_numeric(score)) or np.isnan(score):
+        raise PluginError(f"{part} gave {repr_short(score)} as its score, which is not a number")
+    return course, score
+
+
+def _is_numeric(value: object) -> bool:
+    return np.asarray(value).dtype.kind in "fiub"
+
+
+def _combine_most_critical(metric: Metric, others: Sequence[str], results: Sequence[MetricResult]) -> MetricResult:
+    """Combine the results against several others, at least one of which exists."""
+    courses = metric.to_minimize(np.stack([np.asarray(result.course, dtype=np.float64) for result in results]))
+    scores = [metric.to_minimize(result.score) for result in results]
+    k = scores.index(min(scores))
+    all_equal = len(results) > 1 and all(
+        score == scores[0] and np.array_equal(course, courses[0], equal_nan=True)
+        for score, course in zip(scores, courses, strict=True)
+    )
+    has_source = scores[k] < metric.to_minimize(metric.cap) and not all_equal
+    return MetricResult(
+        metric.to_minimize(np.fmin.reduce(courses)), results[k].score, others[k] if has_source else None
+    )

@@ -1,0 +1,160 @@
+"""Severity of a collision that happened or is predicted."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+import numpy as np
+
+from cornercase._common.errors import InputError
+from cornercase._common.typing import FloatArray
+from cornercase.metrics._base import Metric
+from cornercase.metrics._geometry.boxes import boxes_touch_over_time, relative_velocity
+from cornercase.metrics._geometry.numeric import check_nonnegative_options
+from cornercase.metrics._ttc import Ttc
+from cornercase.recordings import Recording
+
+MASSES: Mapping[str, float] = MappingProxyType(
+    {
+        "car": 1500.0,
+        "van": 2500.0,
+        "truck": 12000.0,
+        "semitrailer": 12000.0,
+        "trailer": 1000.0,
+        "bus": 12000.0,
+        "tram": 40000.0,
+        "train": 200000.0,
+        "motorbike": 250.0,
+        "bicycle": 90.0,
+        "pedestrian": 75.0,
+        "wheelchair": 150.0,
+        "animal": 75.0,
+    }
+)
+"""Default mass in kg by type of entity."""
+
+_DEFAULT_MASS = 1500.0
+_TIME_TOLERANCE = 1e-9  # s
+
+
+class DeltaV(Metric):
+    """Change of the ego's velocity in a collision in which both stick together (plastic impact).
+
+    ``m_other / (m + m_other) |v_other - v|`` in m/s, with the velocities as vectors at the first instant at which the
+    boxes touch; the course keeps the value while they touch. Not defined while they do not, so a recording without a
+    collision scores the cap. A contact without motion gives 0. Cap: 0 m/s.
+
+    Source: S. G. Shelby, "Delta-V as a measure of traffic conflict severity", 3rd International Conference on Road
+    Safety and Simulation (2011), with the velocities as vectors.
+
+    Parameters
+    ----------
+    masses : mapping of str to float, optional
+        Masses in kg by the entity's name or type; else those of `MASSES`, and 1,500 kg for other types.
+    predicted : bool, default False
+        Give the value of a collision with the present velocities, at each instant.
+    """
+
+    name = "delta-v"
+    unit = "m/s"
+    lower_is_critical = False
+    cap = 0.0
+    source = "Shelby 2011, velocities as vectors"
+
+    def __init__(self, masses: Mapping[str, float] | None = None, predicted: bool = False) -> None:
+        self.masses = _validate_masses(self.name, masses)
+        self.predicted = predicted
+
+    def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
+        change = _ego_velocity_change(recording, ego, other, self.masses)
+        if self.predicted:
+            return change
+        touch = boxes_touch_over_time(recording, ego, other)
+        begins = np.where(touch & ~np.append(False, touch[:-1]), np.arange(len(touch)), 0)
+        return np.where(touch, change[np.maximum.accumulate(begins)], np.nan)
+
+
+class ConflictSeverity(Metric):
+    """Change of the ego's velocity in a predicted collision, after evasive braking.
+
+    ``[m_other / (m + m_other) (|v_other - v| - a TTC)]₊`` in m/s: the predicted `DeltaV`, less what braking by a until
+    the contact removes; the time to collision is that of `Ttc`. 0 if no collision is predicted, or both stand. Not
+    defined if one of the two does not exist. Cap: 0 m/s.
+
+    Source: O. Bagdadi, "Estimation of the severity of safety critical events", Accident Analysis and Prevention 50
+    (2013).
+
+    Parameters
+    ----------
+    deceleration : float, default 8.0
+        a in m/s².
+    masses : mapping of str to float, optional
+        As in `DeltaV`.
+    """
+
+    name = "conflict-severity"
+    unit = "m/s"
+    lower_is_critical = False
+    cap = 0.0
+    source = "Bagdadi 2013"
+
+    def __init__(self, deceleration: float = 8.0, masses: Mapping[str, float] | None = None) -> None:
+        check_nonnegative_options(self.name, deceleration=deceleration)
+        self.deceleration = deceleration
+        self.masses = _validate_masses(self.name, masses)
+
+    def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
+        change = _ego_velocity_change(recording, ego, other, self.masses)
+        time = Ttc().course(recording, ego, other)
+        is_predicted = np.isfinite(time)
+        reduction = (
+            self.deceleration
+            * np.where(is_predicted, time, 0.0)
+            * _ego_fraction_of_change(recording, ego, other, self.masses)
+        )
+        remaining = np.where(is_predicted, np.maximum(change - reduction, 0.0), 0.0)
+        return np.where(np.isnan(time), np.nan, remaining)
+
+
+def find_first_contact(recording: Recording, ego: str, other: str) -> tuple[int, float] | None:
+    """First instant of a contact, and the velocity change of the lighter entity in m/s if both stick together.
+
+    None without a contact; a change of 0 if the velocities then are unknown.
+    """
+    touch = boxes_touch_over_time(recording, ego, other)
+    recorded = recording.first_collision(ego, other)
+    if recorded is not None:
+        # A recorded contact counts from its own instant, even if boxes overlap only from the next one.
+        touch[min(np.searchsorted(recording.time, recorded.time - _TIME_TOLERANCE), len(touch) - 1)] = True
+    if not touch.any():
+        return None
+    first = int(np.argmax(touch))
+    speed = float(np.hypot(*relative_velocity(recording, ego, other)[first]))
+    share = _ego_fraction_of_change(recording, ego, other, {})
+    return first, (max(share, 1.0 - share) * speed if np.isfinite(speed) else 0.0)
+
+
+def _ego_velocity_change(recording: Recording, ego: str, other: str, masses: Mapping[str, float]) -> FloatArray:
+    velocity = relative_velocity(recording, ego, other)
+    change: FloatArray = _ego_fraction_of_change(recording, ego, other, masses) * np.hypot(
+        velocity[:, 0], velocity[:, 1]
+    )
+    return change
+
+
+def _ego_fraction_of_change(recording: Recording, ego: str, other: str, masses: Mapping[str, float]) -> float:
+    ego_mass, other_mass = (_mass_of_entity(recording, name, masses) for name in (ego, other))
+    return other_mass / (ego_mass + other_mass)
+
+
+def _mass_of_entity(recording: Recording, name: str, masses: Mapping[str, float]) -> float:
+    object_type = recording.object_types[recording.entity_index(name)].lower()
+    return masses.get(name, masses.get(object_type, MASSES.get(object_type, _DEFAULT_MASS)))
+
+
+def _validate_masses(metric: str, masses: Mapping[str, float] | None) -> dict[str, float]:
+    for name, mass in (masses or {}).items():
+        if not 0.0 < mass < np.inf:
+            raise InputError(f"{metric} cannot take a mass of {mass} kg for '{name}'; give one above 0.")
+    return dict(masses or {})

@@ -1,0 +1,89 @@
+"""Metrics of the steering that the ego needs to pass the other ahead of it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cornercase._common.typing import FloatArray
+from cornercase.metrics._base import Metric
+from cornercase.metrics._geometry.boxes import box_corners_over_time, velocity_vectors
+from cornercase.metrics._geometry.leader import LeaderGap
+from cornercase.metrics._geometry.numeric import check_nonnegative_options, divide_or_inf
+from cornercase.recordings import Recording
+
+
+class LateralAcceleration(Metric):
+    """Required lateral acceleration: the weaker of those with which the ego passes the other left or right.
+
+    ``min over ± of 2 |±(w + w_other) / 2 + Δy| / TTC²`` in m/s². Δy is how far left of the ego's centre the other's
+    lies, across the ego's heading, when the gap is closed (with both lateral speeds kept); the widths are those of the
+    boxes across the ego's heading; TTC is gap / Δv along it. 0 if the gap does not shrink, inf at contact while it
+    does. A standing other is an obstacle. Not defined if the other is not ahead of the ego or one of the two does not
+    exist. Cap: 0, most critical value: 20 m/s².
+
+    Source: required lateral acceleration, as in Westhofen et al. 2023 and Jansson 2005.
+    """
+
+    name = "a-lat-req"
+    unit = "m/s²"
+    lower_is_critical = False
+    cap = 0.0
+    bound = 20.0
+    source = "Jansson 2005"
+
+    def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
+        return required_lateral_acceleration(recording, ego, other)
+
+
+class Stn(Metric):
+    """Steer threat number: required over available lateral acceleration.
+
+    The required lateral acceleration (`LateralAcceleration`) over the greatest one, without unit: 1 if full steering
+    just avoids the contact. 0 if the gap does not shrink. Standing others, and where it is not defined, as there. Cap:
+    0, most critical value: 5.
+
+    Source: M. Brännström, J. Sjöberg, E. Coelingh, "A situation and threat assessment algorithm for a rear-end
+    collision avoidance system", IEEE Intelligent Vehicles Symposium (2008).
+
+    Parameters
+    ----------
+    acceleration : float, default 8.0
+        Greatest lateral acceleration of the ego in m/s².
+    """
+
+    name = "stn"
+    unit = "1"
+    lower_is_critical = False
+    cap = 0.0
+    bound = 5.0
+    default_threshold = 1.0
+    source = "Brännström et al. 2008"
+
+    def __init__(self, acceleration: float = 8.0) -> None:
+        check_nonnegative_options(self.name, acceleration=acceleration)
+        self.acceleration = acceleration
+
+    def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
+        required = required_lateral_acceleration(recording, ego, other)
+        return divide_or_inf(required, self.acceleration)
+
+
+def required_lateral_acceleration(recording: Recording, ego: str, other: str) -> FloatArray:
+    """Weakest lateral acceleration that avoids contact (see `LateralAcceleration`), shape (T,), in m/s², not negative.
+
+    NaN if the other is not ahead of the ego.
+    """
+    pair = LeaderGap.from_recording(recording, ego, other)
+    heading = recording.heading[recording.entity_index(ego)]
+    left = np.stack([-np.sin(heading), np.cos(heading)], -1)
+    width = sum(np.ptp((box_corners_over_time(recording, name) * left[:, None]).sum(-1), -1) for name in (ego, other))
+    offset = ((recording.box_center(other) - recording.box_center(ego)) * left).sum(-1)
+    drift = ((velocity_vectors(recording, other) - velocity_vectors(recording, ego)) * left).sum(-1)
+    closes = pair.closing_speed > 0.0
+    time = np.where(closes, pair.gap / np.where(closes, pair.closing_speed, 1.0), np.inf)
+    final_offset = offset + np.where(closes, drift * np.where(closes, time, 0.0), 0.0)
+    distance = np.minimum(np.abs(0.5 * width + final_offset), np.abs(0.5 * width - final_offset))
+    with np.errstate(divide="ignore"):
+        required = np.where(closes, 2.0 * distance / np.where(closes, time, 1.0) ** 2, 0.0)
+    required = np.where(closes & (time == 0.0), np.inf, required)
+    return np.where(np.isnan(pair.gap + pair.closing_speed), np.nan, required)

@@ -1,0 +1,117 @@
+"""Time exposed (TET) and time integrated (TIT) time to collision."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import Literal, get_args
+
+import numpy as np
+
+from cornercase._common.errors import InputError, suggest_name
+from cornercase._common.typing import BoolArray, FloatArray
+from cornercase.metrics._base import Metric
+from cornercase.metrics._geometry.numeric import check_nonnegative_options
+from cornercase.metrics._ttc import Ttc
+from cornercase.recordings import Recording
+
+Rule = Literal["linear", "samples"]
+
+
+class _TimeBelowThresholdMetric(Metric):
+    """Integral over time of how far the time to collision is below a threshold."""
+
+    lower_is_critical = False
+    cap = 0.0
+    bound = contact_score = 60.0
+
+    def __init__(self, threshold: float = 1.5, rule: Rule = "linear") -> None:
+        check_nonnegative_options(self.name, threshold=threshold)
+        if rule not in get_args(Rule):
+            raise InputError(f"{self.name} has no rule '{rule}'; {suggest_name(rule, get_args(Rule))}")
+        self.threshold, self.rule = threshold, rule
+
+    def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
+        below = self.threshold - Ttc().course(recording, ego, other)
+        below = np.where(np.isnan(below), -np.inf, below)
+        steps = np.diff(recording.time)
+        if self.rule == "samples":
+            return np.cumsum(self._integrand(below) * np.append(steps, steps[-1:] if len(steps) else 0.0))
+        low, high = np.minimum(below[:-1], below[1:]), np.maximum(below[:-1], below[1:])
+        mean = self._mean_integrand(low, high, (low < 0.0) & (high > 0.0))
+        return np.append(0.0, np.cumsum(mean * steps))
+
+    @abstractmethod
+    def _integrand(self, margin: FloatArray) -> FloatArray:
+        """Integrand at each instant, by how far it is below the threshold, (T,); -inf if the metric is not defined."""
+
+    @abstractmethod
+    def _mean_integrand(self, low: FloatArray, high: FloatArray, crosses: BoolArray) -> FloatArray:
+        """Mean of the integrand on the straight line between two instants, (T - 1,)."""
+
+
+class Tet(_TimeBelowThresholdMetric):
+    """Time exposed time to collision: for how long the time to collision has been at most τ.
+
+    ``∫ 1[TTC <= τ] dt`` in s, from the start up to each instant, so the course never falls and its last value is that
+    of the recording; the time to collision is that of `Ttc`. Defined at all instants: nothing is added while one of the
+    two does not exist or the two move apart. Cap: 0 s, most critical value: 60 s, which is the score of a recording in
+    which both touch, whenever it ends.
+
+    Source: M. M. Minderhoud, P. H. L. Bovy, "Extended time-to-collision measures for road traffic safety assessment",
+    Accident Analysis and Prevention 33 (2001).
+
+    Parameters
+    ----------
+    threshold : float, default 1.5
+        τ in s.
+    rule : {"linear", "samples"}, default "linear"
+        Integration between the instants: the time to collision is interpolated linearly, or each instant counts for the
+        step that follows it (the last one for as long as the one before).
+    """
+
+    name = "tet"
+    unit = "s"
+    source = "Minderhoud and Bovy 2001"
+
+    def _integrand(self, margin: FloatArray) -> FloatArray:
+        return (margin >= 0.0).astype(np.float64)
+
+    def _mean_integrand(self, low: FloatArray, high: FloatArray, crosses: BoolArray) -> FloatArray:
+        # Interpolating towards a time to collision of inf leaves the threshold at once.
+        return np.where(crosses, high / _difference_if_crossing(low, high, crosses), (low >= 0.0).astype(np.float64))
+
+
+class Tit(_TimeBelowThresholdMetric):
+    """Time integrated time to collision: for how long, and by how much, it has been below τ.
+
+    ``∫ (τ - TTC)₊ dt`` in s², from the start up to each instant, so the course never falls and its last value is that
+    of the recording; the time to collision is that of `Ttc`. Defined at all instants: nothing is added while one of the
+    two does not exist or the two move apart. Cap: 0 s², most critical value: 60 s², which is the score of a recording
+    in which both touch, whenever it ends.
+
+    Source: M. M. Minderhoud, P. H. L. Bovy, "Extended time-to-collision measures for road traffic safety assessment",
+    Accident Analysis and Prevention 33 (2001).
+
+    Parameters
+    ----------
+    threshold : float, default 1.5
+        τ in s.
+    rule : {"linear", "samples"}, default "linear"
+        Integration between the instants, as in `Tet`.
+    """
+
+    name = "tit"
+    unit = "s²"
+    source = "Minderhoud and Bovy 2001"
+
+    def _integrand(self, margin: FloatArray) -> FloatArray:
+        return np.maximum(margin, 0.0)
+
+    def _mean_integrand(self, low: FloatArray, high: FloatArray, crosses: BoolArray) -> FloatArray:
+        triangle = 0.5 * np.where(crosses, high, 0.0) ** 2 / _difference_if_crossing(low, high, crosses)
+        return np.where(crosses, triangle, np.maximum(0.5 * (np.maximum(low, 0.0) + high), 0.0))
+
+
+def _difference_if_crossing(low: FloatArray, high: FloatArray, crosses: BoolArray) -> FloatArray:
+    """`high - low` where the line between them crosses the threshold, else 1 (a divisor that is never 0)."""
+    return np.where(crosses, np.where(crosses, high, 1.0) - np.where(crosses, low, 0.0), 1.0)

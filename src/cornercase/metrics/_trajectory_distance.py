@@ -1,0 +1,53 @@
+"""Distance along both trajectories to their crossing."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cornercase._common.errors import InputError
+from cornercase._common.typing import FloatArray
+from cornercase.metrics._base import Metric
+from cornercase.metrics._geometry.crossing import distances_to_crossing
+from cornercase.recordings import Recording
+
+
+class TrajectoryDistance(Metric):
+    """Sum of the distances that both entities still have along their tracks to where these cross.
+
+    ``d_ego + d_other`` in m. A track joins the recorded centres of the bounding box and goes straight on from the last
+    of them, along the last heading, for `ahead`; so an entity that stands, or stops before the crossing, has a path
+    too. At each instant the crossing that lies ahead of both counts, of several the one with the smallest sum. It
+    depends on the shape of the tracks, not on the speeds.
+
+    Not defined if one of the two does not exist, if no crossing lies ahead of both (one has passed it), and for tracks
+    that do not cross: parallel ones, one behind the other, and those that merge without touching. A track that joins
+    the other and then follows it exactly meets it where it joins. Cap: 200 m.
+
+    Source: trajectory distance, first objective of scenario 1 in Schütt, Otten and Sax, "Clustering-based criticality
+    analysis for testing of automated driving systems" (2023).
+
+    Parameters
+    ----------
+    ahead : float, default 100.0
+        How far each track goes straight on after the recording, in m; 0 for recorded tracks only.
+
+    Raises
+    ------
+    InputError
+        `ahead` is negative or not finite.
+    """
+
+    name = "trajectory-distance"
+    unit = "m"
+    lower_is_critical = True
+    cap = 200.0
+    source = "Schütt, Otten and Sax 2023"
+
+    def __init__(self, ahead: float = 100.0) -> None:
+        if not 0.0 <= ahead < np.inf:
+            raise InputError(f"trajectory-distance cannot look {ahead} m ahead; give a finite length of 0 or more.")
+        self.ahead = ahead
+
+    def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
+        ego_distance, other_distance = distances_to_crossing(recording, ego, other, self.ahead)
+        return ego_distance + other_distance

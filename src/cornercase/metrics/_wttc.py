@@ -1,0 +1,114 @@
+"""Worst time to collision."""
+
+# Compiled functions have no static types.
+# mypy: disable-error-code="call-arg"
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from cornercase._common.errors import InputError
+from cornercase._common.typing import FloatArray
+from cornercase.metrics._base import Metric
+from cornercase.metrics._geometry import wttc_kernel
+from cornercase.recordings import Recording
+
+_VULNERABLE_TYPES = frozenset({"bicycle", "pedestrian", "wheelchair", "animal"})
+
+
+class Wttc(Metric):
+    """Time to collision if both entities do the worst that physics allows.
+
+    Each entity may accelerate in any direction by at most ``a``: after a time t it is somewhere in a circle that moves
+    on with its present velocity and grows by ``a t²/2``. The value is the smallest t >= 0 in s with ::
+
+        |Δp + Δv t| = R + (a_ego + a_other) t² / 2,
+
+    where Δp and Δv are the differences of the box centres and of the velocities along the headings, and R is the sum of
+    the half diagonals, so that the circles enclose the boxes. It never exceeds the time to collision.
+
+    0 if the circles touch now. Two standing entities give sqrt(2 (d - R) / (a_ego + a_other)). Not defined if one of
+    the two does not exist. Never inf as long as one can accelerate. Cap: 10 s.
+
+    Source: W. Wachenfeld, P. Junietz, R. Wenzel, H. Winner, "The worst-time-to-collision metric for situation
+    identification", IEEE Intelligent Vehicles Symposium (2016).
+
+    Parameters
+    ----------
+    vehicle_acceleration : float, default 6.9
+        Greatest acceleration in m/s² of everything not named below.
+    vulnerable_acceleration : float, default 2.5
+        Greatest acceleration in m/s² of bicycles, pedestrians, wheelchairs and animals.
+    severity : bool, default False
+        Score collisions below 0, by how hard they are (`Metric.score_with_contact`).
+
+    Raises
+    ------
+    InputError
+        An acceleration is negative.
+    """
+
+    name = "wttc"
+    unit = "s"
+    lower_is_critical = True
+    cap = 10.0
+    default_threshold = 1.0
+    contact_score = 0.0
+    source = "Wachenfeld et al. 2016"
+
+    def __init__(
+        self, vehicle_acceleration: float = 6.9, vulnerable_acceleration: float = 2.5, severity: bool = False
+    ) -> None:
+        if not (vehicle_acceleration >= 0.0 and vulnerable_acceleration >= 0.0):
+            raise InputError(
+                f"wttc cannot take the greatest accelerations {vehicle_acceleration} and "
+                f"{vulnerable_acceleration} m/s²; give numbers that are not negative."
+            )
+        self.vehicle_acceleration = vehicle_acceleration
+        self.vulnerable_acceleration = vulnerable_acceleration
+        self.severity = severity
+
+    def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
+        rows = [recording.entity_index(ego), recording.entity_index(other)]
+        course = np.empty(len(recording.time))
+        wttc_kernel.wttc_of_recording(
+            *map(np.ascontiguousarray, (recording.x, recording.y, recording.heading, recording.speed)),
+            np.ascontiguousarray(recording.center_x),
+            *rows,
+            0.5 * sum(math.hypot(recording.length[i], recording.width[i]) for i in rows),
+            sum(self._greatest_acceleration(recording.object_types[i]) for i in rows),
+            course,
+        )
+        return course
+
+    def _greatest_acceleration(self, object_type: str) -> float:
+        return self.vulnerable_acceleration if object_type.lower() in _VULNERABLE_TYPES else self.vehicle_acceleration
+
+
+def earliest_circle_contact(
+    position: FloatArray, velocity: FloatArray, radius: npt.ArrayLike, acceleration: npt.ArrayLike
+) -> FloatArray:
+    """Smallest t >= 0 in s with |position + velocity t| = radius + acceleration t²/2, for all elements at once.
+
+    Squared, the equation is a quartic h(t) = 0 without a cubic term. For t >= 0 it is concave up to one inflection and
+    convex from there on. A root in the concave part lies before the only maximum, which Newton's method finds from the
+    left; from there it runs into the root without overshooting, even if two roots coincide. If the maximum stays below
+    0, the only root lies in the convex part, and Newton's method reaches it from a bound on the right.
+
+    `position` and `velocity`, shape (..., 2), are those of one circle relative to the other; `radius` is the sum of
+    both radii in m, `acceleration` the sum of both greatest accelerations in m/s² (0 gives the time to collision of the
+    circles). 0 if the circles touch now, inf for never, NaN if an input is.
+    """
+    radius, growth = np.asarray(radius, dtype=np.float64), np.asarray(acceleration, dtype=np.float64)
+    position, velocity = np.asarray(position, dtype=np.float64), np.asarray(velocity, dtype=np.float64)
+    shape = np.broadcast_shapes(position.shape[:-1], velocity.shape[:-1], radius.shape, growth.shape)
+    roots = np.empty(math.prod(shape))
+    wttc_kernel.wttc_of_circles(
+        *(np.ascontiguousarray(np.broadcast_to(vector, (*shape, 2)).reshape(-1, 2)) for vector in (position, velocity)),
+        *(np.ascontiguousarray(np.broadcast_to(number, shape).ravel()) for number in (radius, growth)),
+        roots,
+    )
+    return roots.reshape(shape)

@@ -1,0 +1,140 @@
+"""Bayesian optimization as in the paper: PHYSBO's Gaussian process with Thompson sampling."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+from collections.abc import Iterator
+from typing import Any, Final
+
+import numpy as np
+from scipy.spatial.distance import pdist
+
+from cornercase._common.numba.blas import single_threaded_blas
+from cornercase._common.typing import FloatArray
+from cornercase.evidence.gp._kernel import evenly_spaced_indices
+from cornercase.evidence.gp._process import encode_points
+from cornercase.optimizers._candidates import CandidateOptimizer
+from cornercase.optimizers._random_features import RandomFeatureProcess
+from cornercase.scenario import ParameterSpace
+
+_INITIAL: Final = 20
+_STEPS, _STEP_SIZE = 50, 0.01  # of Adam: a tenth of PHYSBO's number of steps, ten times as long
+_N_COMPARED: Final = 200  # points on which initial length scales are compared
+_N_DISTANCE_POINTS: Final = 2000  # points whose distances give the initial length scales
+
+
+class BayesOptimizer(CandidateOptimizer):
+    """Bayesian optimization with Thompson sampling.
+
+    The setting is that of Schütt, Otten and Sax (2023), section "Optimization Workflow": automatic hyperparameters,
+    Thompson sampling, random feature maps; PHYSBO is the maintained successor of their COMBO. The first 20 points are a
+    Sobol' sequence. Hyperparameters are learned and feature maps drawn anew for every ten new scores, or every tenth
+    more if that is more; the process is conditioned on the scores in between.
+
+    The points of a round come from as many samples of one process. Each sample chooses among its own candidates, so
+    that a round contains no scenario twice and does not crowd at one end of a critical region.
+
+    Samples of the process crowd where it is lowest. To find other critical regions, and to have less critical scenarios
+    to compare with, a fraction of all points continues the Sobol' sequence.
+
+    Parameters
+    ----------
+    space : ParameterSpace
+    seed : int
+    candidates : int, default 2000
+        Number of points from which a round is chosen; drawn anew for each round.
+    features : int, default 500
+        Number of random features that approximate the kernel.
+    filling : float, default 0.3
+        Fraction of the points that fills the space; 0 is the paper's setting.
+    """
+
+    name = "bayes"
+
+    def __init__(
+        self, space: ParameterSpace, seed: int, candidates: int = 2000, features: int = 500, filling: float = 0.3
+    ) -> None:
+        super().__init__(space, seed, initial=_INITIAL, filling=filling)
+        self._count, self._features = candidates, features
+        self._process: RandomFeatureProcess
+        self._score_mean_and_deviation: tuple[float, float]
+
+    def _fit_model(self, points: FloatArray, scores: FloatArray, seed: int) -> None:
+        self._score_mean_and_deviation = float(scores.mean()), float(scores.std())
+        with _isolate_physbo(seed):
+            self._process = _fit_feature_process(
+                self._process_coordinates(points), self._standardized_negative_scores(scores), self._features
+            )
+
+    def _choose_points(self, points: FloatArray, scores: FloatArray, filling: FloatArray, n: int) -> FloatArray:
+        # Thompson sampling: each point is the best of its part of the candidates, by its own sample of the process.
+        candidates = self._new_candidates(max(self._count * n // (n + self._n_pending), n), filling)
+        if len(candidates) <= n:
+            return candidates
+        # Consecutive points of a Sobol' sequence fill the space; every n-th point need not.
+        parts = np.array_split(candidates, n)
+        with single_threaded_blas():
+            process = self._process.with_more_values(
+                self._process_coordinates(points), self._standardized_negative_scores(scores)
+            )
+            if self._n_pending:
+                process = process.with_own_mean_at(self._process_coordinates(filling[: self._n_pending]))
+            samples = process.draw_weights(n, np.random.default_rng(self._round_seed))
+            return np.array(
+                [
+                    part[np.argmax(process.random_features(self._process_coordinates(part)) @ sample)]
+                    for part, sample in zip(parts, samples, strict=True)
+                ]
+            )
+
+    def _process_coordinates(self, points: FloatArray) -> FloatArray:
+        """Coordinates of points for the process, (n, e); choices are equidistant."""
+        return 2.0 * encode_points(self._space, points) - 1.0
+
+    def _standardized_negative_scores(self, scores: FloatArray) -> FloatArray:
+        """Standardized negative scores, which PHYSBO maximizes, (n,)."""
+        mean, deviation = self._score_mean_and_deviation
+        return -(scores - mean) / deviation
+
+
+def _fit_feature_process(points: FloatArray, values: FloatArray, features: int) -> RandomFeatureProcess:
+    """Process with the hyperparameters that PHYSBO learns by Adam, started at the best of five length scales."""
+    import physbo
+
+    gp = physbo.gp
+    model = gp.core.Model(
+        lik=gp.lik.Gauss(), mean=gp.mean.Const(), cov=gp.cov.Gauss(num_dim=points.shape[1], ard=False)
+    )
+    # Noise, mean, length scale and signal of the process; all but the mean as logarithms.
+    signal = np.log(np.std(values))
+    scales = np.log(
+        np.quantile(pdist(points[evenly_spaced_indices(len(points), _N_DISTANCE_POINTS)]), (0.1, 0.3, 0.5, 0.7, 0.9))
+        + 1e-6
+    )
+    starts = [np.array([signal - np.log(10.0), np.median(values), scale, signal]) for scale in scales]
+    start = min(starts, key=lambda x: model.eval_marlik(x.copy(), points[:_N_COMPARED], values[:_N_COMPARED]))
+    config = physbo.misc.SetConfig()
+    config.learning.alpha, config.learning.num_disp = _STEP_SIZE, 1
+    # An epoch has a step per batch of points, so fewer epochs with more points keep the number of steps.
+    epochs = max(1, _STEPS // max(1, len(points) // config.learning.batch_size))
+    model.set_params(gp.core.learning.Adam(model, config).one_run(start, points, values, epochs))
+    linear = model.export_blm(features).lik.linear
+    frequencies, phases, amplitude = linear.basis.params
+    scalars = [np.asarray(scalar).item() for scalar in (amplitude, linear.bias, model.lik.std)]
+    return RandomFeatureProcess(frequencies, phases, *scalars).with_more_values(points, values)
+
+
+@contextlib.contextmanager
+def _isolate_physbo(seed: int) -> Iterator[None]:
+    """Silence PHYSBO, run it on one thread, and restore NumPy's global generator, which it draws from.
+
+    Its matrices are small, so more threads would not be faster, and sums in another order would give other points.
+    """
+    state: Any = np.random.get_state()  # noqa: NPY002
+    try:
+        with contextlib.redirect_stdout(io.StringIO()), single_threaded_blas():
+            np.random.seed(seed)  # noqa: NPY002
+            yield
+    finally:
+        np.random.set_state(state)  # noqa: NPY002

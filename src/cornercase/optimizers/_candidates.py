@@ -1,0 +1,133 @@
+"""Optimizers that choose among candidates by a model of the scores."""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from typing import Any, ClassVar, Final
+
+import numpy as np
+
+from cornercase._common.numba.blas import single_threaded_blas
+from cornercase._common.typing import BoolArray, FloatArray
+from cornercase.optimizers._base import Optimizer
+from cornercase.optimizers._qmc import SobolOptimizer
+from cornercase.scenario import ParameterSpace
+
+_MIN_NEW_SCENARIOS: Final = 10  # number of new scenarios after which the model is learned anew, at least
+_MIN_SCORES: Final = 3  # number of scores from which the model is learned
+
+
+class CandidateOptimizer(Optimizer):
+    """Starts with a Sobol' sequence, then chooses among points of another one by a model of the scores.
+
+    A fraction of all points continues the first sequence, to find critical regions that the model does not predict.
+
+    Costly parts of the model, such as the kernel of a Gaussian process, are learned anew for every ten new scenarios,
+    also failed ones, or every tenth more if that is more: from the first 20, the first 30, and so on to 100, 110, 121.
+    The model is conditioned on the scores in between. So proposals depend on the observed results only, not on the size
+    of rounds.
+
+    Pending points, in a search without rounds, count towards the space-filling fraction. To choose others, the model is
+    conditioned on them without a score, as on the space-filling points of the same round.
+
+    `initial` is the number of points before anything is learned, `filling` the fraction of all points that fills the
+    space.
+    """
+
+    relearn_growth: ClassVar[float] = 0.1
+    """Relative growth of the data after which the model is learned anew."""
+
+    def __init__(self, space: ParameterSpace, seed: int, *, initial: int, filling: float) -> None:
+        self._space, self._seed = space, seed
+        self._initial, self._filling = initial, filling
+        self._sequence = SobolOptimizer(space, seed)
+        self._points, self._scores = np.zeros((0, space.dimension)), np.zeros(0)
+        self._n_learned, self._n_pending = 0, 0
+
+    def ask(self, n: int) -> FloatArray:
+        """Propose at most `n` points, (m, d), as in `Optimizer.ask`."""
+        return self.ask_async(n, self._points[:0])
+
+    def ask_async(self, n: int, pending: FloatArray, *lies: Any) -> FloatArray:
+        """Propose points, as in `Optimizer.ask_async`; `pending` conditions the model, without pseudo-results."""
+        with single_threaded_blas():
+            return self._propose(n, pending)
+
+    def _propose(self, n: int, pending: FloatArray) -> FloatArray:
+        scores = self._scores[self._is_finished]
+        if not self._has_enough_scores() or len(scores) < _MIN_SCORES or np.ptp(scores) == 0.0:
+            return self._sequence.ask(n, exclude=pending)
+        self._n_pending = len(pending)
+        points, number = self._points[self._is_finished], self._count_to_learn_from()
+        first = int(self._is_finished[:number].sum())
+        if number != self._n_learned:
+            self._n_learned = number
+            self._fit_model(points[:first], scores[:first], self._seed_of(number))
+        count = self._count_space_filling(self._n_proposed + n) - self._count_space_filling(self._n_proposed)
+        filling = self._sequence.ask(min(count, n), exclude=pending)
+        if (remaining := n - len(filling)) == 0:
+            return filling
+        exclude = np.concatenate([pending, filling])
+        return np.concatenate([self._choose_points(points[first:], scores[first:], exclude, remaining), filling])
+
+    def tell(self, points: FloatArray, scores: FloatArray) -> None:
+        """Observe scores (m,) of points (m, d), as in `Optimizer.tell`."""
+        self._points = np.concatenate([self._points, points])
+        self._scores = np.concatenate([self._scores, scores])
+        self._sequence.tell(points, scores)
+
+    def _has_enough_scores(self) -> bool:
+        """Whether there are enough scores to learn from."""
+        return len(self._points) >= self._initial
+
+    @property
+    def _is_finished(self) -> BoolArray:
+        return np.isfinite(self._scores)
+
+    @property
+    def _n_proposed(self) -> int:
+        """Number of points that were observed or are pending."""
+        return len(self._points) + self._n_pending
+
+    @property
+    def _round_seed(self) -> int:
+        return self._seed_of(self._n_proposed)
+
+    def _seed_of(self, number: int) -> int:
+        return int(np.random.SeedSequence([self._seed, number]).generate_state(1)[0])
+
+    def _count_to_learn_from(self) -> int:
+        """Number of leading scenarios that the model is learned from."""
+        count = len(self._scores)
+        number = min(_MIN_NEW_SCENARIOS, count)
+        while (more := number + max(_MIN_NEW_SCENARIOS, int(self.relearn_growth * number))) <= count:
+            number = more
+        scores = self._scores[:number][self._is_finished[:number]]
+        return number if len(scores) >= _MIN_SCORES and np.ptp(scores) > 0.0 else count
+
+    def _count_space_filling(self, n_points: int) -> int:
+        return math.floor(self._filling * n_points + 1e-9)
+
+    def _new_candidates(self, count: int, filling: FloatArray) -> FloatArray:
+        """Points of a new sequence for this round, (m, d), neither observed nor in `filling` (f, d)."""
+        return self._draw_candidates(self._round_seed, count, np.concatenate([self._points, filling]))
+
+    def _draw_candidates(self, seed: int, count: int, exclude: FloatArray) -> FloatArray:
+        """Points of a sequence with its own seed, (m, d), without those of `exclude` (k, d)."""
+        sequence = SobolOptimizer(self._space, seed)
+        # Telling it the excluded points is faster than to filter all drawn points afterwards.
+        sequence.tell(exclude, np.zeros(len(exclude)))
+        return sequence.ask(count)
+
+    @abstractmethod
+    def _fit_model(self, points: FloatArray, scores: FloatArray, seed: int) -> None:
+        """Learn the model from points (m, d) and their scores (m,), which are not all the same."""
+
+    @abstractmethod
+    def _choose_points(self, points: FloatArray, scores: FloatArray, filling: FloatArray, n: int) -> FloatArray:
+        """Choose at most `n` points of this round, (k, d), neither observed nor in `filling`.
+
+        `points` (m, d) and `scores` (m,) were observed since the model was learned; `filling` (f, d) are pending points
+        and the space-filling points of this round. Fewer than `n` only if the space is exhausted.
+        """

@@ -1,0 +1,177 @@
+"""Search for the whole critical set where a committee is uncertain."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from cornercase._common.typing import FloatArray, IntArray
+from cornercase.evidence._committee import Committee
+from cornercase.evidence._multi_fidelity import augment_points
+from cornercase.evidence.gp._process import encode_points
+from cornercase.metrics import Feature
+from cornercase.optimizers._dedupe import Deduplicator
+from cornercase.optimizers._warm_start import WarmStartOptimizer
+from cornercase.scenario import ParameterSpace
+
+_INITIAL: Final = 24
+_TREES: Final = 64
+_BRANCH_WEIGHT: Final = 0.5  # weight of an uncertain branch against an uncertain outcome
+_MIN_SIDE: Final = 0.1  # least scale of a coordinate that the score depends on little
+_NEAR_FRACTION, _MAX_DEVIATION = (
+    0.85,
+    0.06,
+)  # fraction of the candidates near critical scenarios, and their greatest deviation
+
+
+class CommitteeOptimizer(WarmStartOptimizer):
+    """Proposes the scenarios about which a `Committee` is most uncertain.
+
+    It learns from features of the recordings, so that it follows scores that jump between branches of a scenario. It
+    proposes scenarios whose probability of being critical is near one half, or whose branch is uncertain: who is first,
+    or whether both touch. The points of a round are spread out, more along a coordinate with a short length scale. The
+    first 24 points, and a fraction of all others, are a Sobol' sequence, to find critical regions that the model does
+    not predict.
+
+    As long as no scenario is critical, it searches for lower scores: the threshold is then the lowest score so far; and
+    accordingly as long as all are critical. If scenarios fail, it learns where, and avoids likely failures.
+
+    With a warm start, the prediction of the other study is one more coordinate for all members (`SourceStudyModel`).
+    Half of the first 10 points are where it predicts the boundary, and the members learn from fewer points if it
+    predicts these.
+
+    The kernels of the committee are learned anew for every ten new scores, or every quarter more if that is more.
+
+    Parameters
+    ----------
+    space : ParameterSpace
+    seed : int
+    threshold : float
+        Score up to which a scenario is critical.
+    features : sequence of Feature, optional
+        Features that `tell` gets for each scenario. Without them, it learns from the scores alone.
+    candidates : int, default 4096
+        Number of points from which a round is chosen; 85 % of them near critical scenarios.
+    filling : float, default 0.15
+        Fraction of the points that fills the space.
+    """
+
+    name = "committee"
+    requires = frozenset({"threshold", "features"})
+    relearn_growth = 0.25
+
+    def __init__(
+        self,
+        space: ParameterSpace,
+        seed: int,
+        threshold: float,
+        features: Sequence[Feature] = (),
+        candidates: int = 4096,
+        filling: float = 0.15,
+    ) -> None:
+        super().__init__(space, seed, initial=_INITIAL, filling=filling)
+        self.threshold, self._features, self._count = threshold, tuple(features), candidates
+        self._deduplicator = Deduplicator(space)
+        self._observed_features: FloatArray | None = np.zeros((0, len(self._features))) if self._features else None
+        self._committee: Committee
+
+    def tell(self, points: FloatArray, scores: FloatArray, features: FloatArray | None = None) -> None:
+        """Observe the scores of one round, as in `Optimizer.tell`, and features of the recordings.
+
+        Parameters
+        ----------
+        points : ndarray of float64, shape (m, d)
+        scores : ndarray of float64, shape (m,)
+            NaN for a scenario that failed.
+        features : ndarray of float64, shape (m, f), optional
+            NaN for a scenario that failed.
+        """
+        super().tell(points, scores)
+        self._deduplicator.remember(points)
+        self._observed_features = (
+            None
+            if self._observed_features is None or features is None
+            else np.concatenate([self._observed_features, features])
+        )
+
+    def _fit_model(self, points: FloatArray, scores: FloatArray, seed: int) -> None:
+        self._committee = Committee(
+            _threshold_between_scores(scores, self.threshold),
+            self._features if self._observed_features is not None else (),
+            has_prediction=self._source_model is not None,
+        )
+        self._committee.fit(self._model_coordinates(points), scores, self._features_of_finished(len(points)))
+
+    def _choose_points(self, points: FloatArray, scores: FloatArray, filling: FloatArray, n: int) -> FloatArray:
+        run, run_scores = self._points[self._is_finished], self._scores[self._is_finished]
+        candidates = self._draw_near_and_far(run[run_scores <= max(self.threshold, run_scores.min())], filling, n)
+        if len(candidates) <= n:
+            return candidates
+        if len(points):
+            self._committee.condition_on(self._model_coordinates(run), run_scores, self._features_of_finished(len(run)))
+        x = encode_points(self._space, candidates)
+        probabilities = self._committee.predict(augment_points(self._source_model, x))
+        gain = committee_acquisition(*probabilities) * (1.0 - self._failure_probability(x))
+        known = np.concatenate([self._points, filling])
+        # The prediction of another study is not a coordinate of the space.
+        length_scales = self._committee.process.kernel.length_scales[: x.shape[1]]
+        sides = np.maximum(length_scales.min() / length_scales, _MIN_SIDE)
+        return candidates[_choose_spread_out(x * sides, gain, encode_points(self._space, known) * sides, sides, n)]
+
+    def _features_of_finished(self, count: int) -> FloatArray | None:
+        return None if self._observed_features is None else self._observed_features[self._is_finished][:count]
+
+    def _draw_near_and_far(self, critical: FloatArray, filling: FloatArray, n: int) -> FloatArray:
+        """Points all over the space, and around critical ones."""
+        near = int(_NEAR_FRACTION * self._count)
+        rng = np.random.default_rng(self._round_seed)
+        centers = critical[rng.integers(len(critical), size=near)]
+        # Varying deviations, since the size of the critical region is unknown.
+        deviations = _MAX_DEVIATION * rng.random((near, 1)) ** 2
+        moved = np.clip(centers + deviations * rng.normal(size=centers.shape), 0.0, 1.0)
+        everywhere = self._new_candidates(max(self._count - near, n), filling)
+        return np.concatenate([everywhere, self._deduplicator.filter(moved, np.concatenate([everywhere, filling]))])
+
+    def _failure_probability(self, encoded_points: FloatArray) -> FloatArray:
+        """Probability that scenarios fail, (m,)."""
+        failed = ~self._is_finished
+        if not failed.any():
+            return np.zeros(len(encoded_points))
+        from sklearn.ensemble import ExtraTreesClassifier
+
+        trees = ExtraTreesClassifier(_TREES, random_state=0).fit(encode_points(self._space, self._points), failed)
+        probability: FloatArray = trees.predict_proba(encoded_points)[:, trees.classes_].sum(axis=1)
+        return probability
+
+
+def committee_acquisition(p_critical: FloatArray, p_likeliest_branch: FloatArray) -> FloatArray:
+    """Expected information of scenarios (m,), from the probabilities of being critical and of the likeliest branch."""
+    return np.maximum(0.5 - np.abs(p_critical - 0.5), _BRANCH_WEIGHT * (1.0 - p_likeliest_branch))
+
+
+def _threshold_between_scores(scores: FloatArray, threshold: float) -> float:
+    """Threshold with scenarios on both sides: the given one, if it has."""
+    lowest, below_highest = np.sort(scores)[[0, -2]]
+    return float(min(max(threshold, lowest), below_highest))
+
+
+def _choose_spread_out(points: FloatArray, gain: FloatArray, known: FloatArray, sides: FloatArray, n: int) -> IntArray:
+    """Choose `n` of the points (m, e), each by its gain (m,) times its distance from all others.
+
+    The others are the `known` points (k, e) and those chosen before it. Distances are limited to the spacing of points
+    that are spread evenly in a box with these `sides` (e,).
+    """
+    # Points this far apart do not differ along short sides: use the longest sides, as many as maximize the spacing.
+    longest = np.sort(sides)[::-1]
+    spacing = ((np.cumprod(longest) / len(known)) ** (1.0 / np.arange(1, len(sides) + 1))).max()
+    distance = np.minimum(cKDTree(known).query(points)[0], spacing)
+    selected: list[int] = []
+    for _ in range(n):
+        value = gain * distance
+        value[selected] = -1.0
+        selected.append(int(np.argmax(value)))
+        distance = np.minimum(distance, np.linalg.norm(points - points[selected[-1]], axis=1))
+    return np.array(selected, dtype=np.int64)

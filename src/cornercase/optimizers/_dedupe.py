@@ -1,0 +1,50 @@
+"""Deduplication of proposed scenarios."""
+
+from __future__ import annotations
+
+from cornercase._common.row_keys import no_duplicates, row_keys
+from cornercase._common.typing import FloatArray
+from cornercase.scenario import ParameterSpace
+
+
+class Deduplicator:
+    """Remembers the observed points of a space, and excludes them from proposals.
+
+    Two points are equal if they represent the same concrete scenario: points are snapped to steps and choices before
+    they are compared.
+    """
+
+    def __init__(self, space: ParameterSpace) -> None:
+        self._space = space
+        self._remembered: set[bytes] = set()
+
+    def __len__(self) -> int:
+        return len(self._remembered)
+
+    def remember(self, points: FloatArray) -> None:
+        """Remember points (n, d)."""
+        self._remembered |= _point_keys(self._space.snap(points))
+
+    def filter(self, points: FloatArray, exclude: FloatArray | None = None) -> FloatArray:
+        """Snap points (n, d) of the unit cube, and return the distinct ones that can be proposed, (m, d).
+
+        They keep their order, are within the constraints of the space, and neither remembered nor in `exclude` (k, d).
+        """
+        snapped = self._space.snap(points)
+        return self.filter_snapped(snapped[self._space.is_admissible(snapped)], exclude)
+
+    def filter_snapped(self, points: FloatArray, exclude: FloatArray | None = None) -> FloatArray:
+        """Like `filter`, for points that are already snapped and admissible."""
+        excluded = self._remembered if exclude is None else self._remembered | _point_keys(self._space.snap(exclude))
+        if no_duplicates(points, excluded):
+            return points
+        keys = row_keys(points)
+        # Inserted in reverse, so that the first of equal points remains; fast for 100,000 points.
+        first = dict(zip(reversed(keys), range(len(keys) - 1, -1, -1), strict=True))
+        for key in excluded & first.keys():
+            del first[key]
+        return points[sorted(first.values())].reshape(-1, self._space.dimension)
+
+
+def _point_keys(points: FloatArray) -> set[bytes]:
+    return set(row_keys(points))

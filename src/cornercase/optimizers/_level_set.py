@@ -1,0 +1,180 @@
+"""Search for the boundary of the whole critical set."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+from scipy.spatial.distance import cdist
+from scipy.special import ndtr
+
+from cornercase._common.typing import BoolArray, FloatArray, IntArray
+from cornercase.evidence.gp._process import (
+    GaussianProcess,
+    encode_points,
+    fit_boundary_process,
+    squash_around_threshold,
+)
+from cornercase.optimizers._dedupe import Deduplicator
+from cornercase.optimizers._local_minima import suggest_below_local_minima
+from cornercase.optimizers._straddle import StraddleSelection, straddle_gains
+from cornercase.optimizers._warm_start import WarmStartOptimizer
+from cornercase.scenario import ParameterSpace
+
+_INITIAL: Final = 24  # points before anything is learned
+_N_BEST: Final = 4096  # best candidates that are kept until the process is learned anew
+_N_FIRST_TRIED: Final = 512  # of these, how many are tried first
+_LOCAL_MINIMA_FRACTION: Final = 0.15  # fraction of the points that follow local minima of the scores
+# Greatest probability of failure of candidates, also as a multiple of the fraction that has failed; the larger counts.
+_MAX_FAILURE_PROBABILITY, _FAILURE_FACTOR = 0.25, 1.25
+_MIN_PROBABILITY: Final = 0.05  # probability of being critical from which a candidate belongs to the known boundary
+# Fractions of the known critical set that are still uncertain, and the factors of the space-filling fraction there.
+_UNCERTAIN_FRACTIONS, _FILLING_FACTORS = (0.03, 0.08), (2.5, 1.0)
+
+
+class LevelSetOptimizer(WarmStartOptimizer):
+    """Proposes the scenarios about which a Gaussian process is most uncertain whether they are critical.
+
+    A scenario is critical if its score is at most the threshold. Each point of a round has the largest ``1.96 s - |m -
+    threshold|`` of all candidates (the straddle heuristic), with the mean m of a boundary process and its standard
+    deviation s; then s is updated as if that point were known, so that a round spreads over the boundary. The first 24
+    points, and a fraction of all others, are a Sobol' sequence, to find critical regions that the process does not
+    predict. This fraction grows to 2.5 times its value when the known boundary is found: when the process expects to be
+    wrong about a volume of 3 % of the critical one instead of 8 %.
+
+    Up to 15 % of the points follow local minima of the scores that do not reach the threshold
+    (`suggest_below_local_minima`), to find further critical regions.
+
+    If scenarios have failed, a process of failures excludes candidates that fail with a probability of more than 25 %,
+    or of 1.25 times the fraction that has failed if that is more. Only the Sobol' sequence continues there.
+
+    The kernel is learned anew, and candidates are drawn, for every ten new scenarios, or every tenth more if that is
+    more. The best 4096 candidates are kept for the rounds until then.
+
+    With a warm start, the prediction of the other study is one more coordinate of the process (`SourceStudyModel`).
+    Half of the first 10 points are where it predicts the boundary, and the process is learned from fewer points if it
+    predicts these.
+
+    Source: B. Bryan, J. Schneider et al., "Active learning for identifying function threshold boundaries", NIPS (2005).
+
+    Parameters
+    ----------
+    space : ParameterSpace
+    seed : int
+    threshold : float
+        Score up to which a scenario is critical.
+    candidates : int, default 20000
+        Number of points from which is chosen.
+    filling : float, default 0.2
+        Least fraction of the points that fills the space; below 1.
+    """
+
+    name = "level-set"
+    requires = frozenset({"threshold"})
+
+    def __init__(
+        self, space: ParameterSpace, seed: int, threshold: float, candidates: int = 20_000, filling: float = 0.2
+    ) -> None:
+        super().__init__(space, seed, initial=_INITIAL, filling=filling)
+        self.threshold = threshold
+        self._count, self._min_filling = candidates, filling
+        self._deduplicator = Deduplicator(space)
+        self._process: GaussianProcess
+        self._candidates: FloatArray
+        self._all_candidates: FloatArray
+
+    def tell(self, points: FloatArray, scores: FloatArray) -> None:
+        """Observe scores (m,) of points (m, d), as in `Optimizer.tell`."""
+        super().tell(points, scores)
+        self._deduplicator.remember(points)
+
+    def _fit_model(self, points: FloatArray, scores: FloatArray, seed: int) -> None:
+        self._process = fit_boundary_process(
+            self._model_coordinates(points), scores, self.threshold, has_prediction=self._source_model is not None
+        )
+        candidates = self._draw_candidates(seed, self._count, points)
+        mean, deviation = self._process.predict(self._model_coordinates(candidates))
+        probability = ndtr(-mean / np.hypot(deviation, self._process.kernel.noise))
+        self._filling = min(
+            self._min_filling
+            * float(np.interp(_uncertain_fraction(probability), _UNCERTAIN_FRACTIONS, _FILLING_FACTORS)),
+            1.0,
+        )
+        best = np.argsort(-straddle_gains(mean, deviation), kind="stable")
+        if len(points) < self._n_learned:
+            best = best[: 2 * _N_BEST]
+            best = best[self._mask_unlikely_to_fail(candidates[best])]
+        self._candidates = candidates[np.sort(best[:_N_BEST])]
+        self._all_candidates = candidates
+
+    def _mask_unlikely_to_fail(self, candidates: FloatArray) -> BoolArray:
+        """Which candidates are not likely to fail, by a process of failures."""
+        finished = self._is_finished[: self._n_learned]
+        observed = encode_points(self._space, self._points[: self._n_learned])
+        process = GaussianProcess(1.0).fit(observed, np.where(finished, -1.0, 1.0))
+        mean, deviation = process.predict(encode_points(self._space, candidates))
+        fails = ndtr(mean / np.hypot(deviation, process.kernel.noise))
+        return np.asarray(fails <= max(_MAX_FAILURE_PROBABILITY, _FAILURE_FACTOR * float(np.mean(~finished))))
+
+    def _choose_points(self, points: FloatArray, scores: FloatArray, filling: FloatArray, n: int) -> FloatArray:
+        below = self._points_below_local_minima(filling, n)
+        filling, n = np.concatenate([filling, below]), n - len(below)
+        return np.concatenate([below, self._points_at_boundary(points, scores, filling, n)]) if n else below
+
+    def _points_below_local_minima(self, filling: FloatArray, n: int) -> FloatArray:
+        """Points of this round downhill from local minima; their number depends on the number of proposals only."""
+        asked = self._n_proposed
+        count = min(math.floor(_LOCAL_MINIMA_FRACTION * (asked + n)) - math.floor(_LOCAL_MINIMA_FRACTION * asked), n)
+        if count == 0:
+            return filling[:0]
+        suggestions = suggest_below_local_minima(
+            encode_points(self._space, self._points), self._scores, self.threshold, count
+        )
+        if not len(suggestions) or not len(self._all_candidates):
+            return filling[:0]
+        # For so few points, a tree of all candidates would be slower.
+        nearest = cdist(suggestions, encode_points(self._space, self._all_candidates), "sqeuclidean").argmin(axis=1)
+        return self._deduplicator.filter_snapped(self._all_candidates[nearest], exclude=filling)
+
+    def _points_at_boundary(self, points: FloatArray, scores: FloatArray, filling: FloatArray, n: int) -> FloatArray:
+        """Points of this round that are most uncertain; parameters as of `_choose`."""
+        candidates = self._deduplicator.filter_snapped(self._candidates, exclude=filling)
+        if len(candidates) < n:
+            candidates = self._new_candidates(max(n, min(self._count, _N_BEST)), filling)
+        if len(candidates) <= n:
+            return candidates
+        process = self._process
+        if len(points):
+            values = squash_around_threshold(scores, self.threshold, process.squash_scale)
+            process = process.with_more_values(self._model_coordinates(points), values)
+        return candidates[
+            _choose_by_straddle(process, self._model_coordinates(candidates), self._model_coordinates(filling), n)
+        ]
+
+
+def _uncertain_fraction(probabilities: FloatArray) -> float:
+    """Volume that the process expects to misclassify, as a fraction of the critical volume, from probabilities."""
+    near = probabilities[probabilities >= _MIN_PROBABILITY]
+    return float(np.minimum(near, 1.0 - near).sum() / near.sum()) if len(near) else 0.0
+
+
+def _choose_by_straddle(process: GaussianProcess, candidates: FloatArray, known: FloatArray, n: int) -> IntArray:
+    """Choose `n` candidates by the straddle heuristic, each given those before it and the `known` ones."""
+    mean, deviation, rows = process.predict_with_projections(np.concatenate([candidates, known]))
+    variance, others = deviation**2, np.arange(len(candidates), len(mean))
+    gain = straddle_gains(mean, np.sqrt(variance))[: len(candidates)]
+    order, count = np.argsort(-gain, kind="stable"), max(_N_FIRST_TRIED, n)
+    while True:
+        best = np.sort(order[:count])
+        index = np.concatenate([best, others])
+        selection = StraddleSelection(
+            process, np.concatenate([candidates[best], known]), mean[index], variance[index], rows[index]
+        )
+        for i in range(len(best), len(index)):
+            selection.condition_on_point(i)
+        chosen, least = selection.choose_points(n, len(best))
+        # Gains only decrease as other points become known, so none of the remaining candidates can be better.
+        if count >= len(candidates) or least > gain[order[count]]:
+            return best[chosen]
+        count *= 4

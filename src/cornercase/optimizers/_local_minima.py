@@ -1,0 +1,46 @@
+"""Suggest points downhill from local minima of the scores."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from cornercase._common.typing import FloatArray
+
+# Greatest distance of a minimum from the threshold, relative to its depth below the neighbouring scores.
+_MAX_RELATIVE_HEIGHT: Final = 3.0
+
+
+def suggest_below_local_minima(
+    points: FloatArray, scores: FloatArray, threshold: float, max_count: int | None = None
+) -> FloatArray:
+    """Suggest points downhill from local minima that do not reach the threshold, (m, e), the most promising first.
+
+    A process of all scores, most of which may be flat, does not distinguish such a minimum from noise, and a boundary
+    search stays at the known boundary. But the next critical region may be there. A local minimum is a scenario that is
+    not critical and has the lowest score among its 2 e nearest ones, if its score is at most three times as far from
+    the threshold as from their median. From there it goes downhill by the slope through these neighbours, half as far
+    as to the nearest of them.
+
+    `points` (n, e) are encoded scenarios that were run, `scores` (n,) are minimized; NaN for a failed scenario counts
+    as the highest. At most `max_count` points, by default all.
+    """
+    count = 2 * points.shape[1]
+    if len(points) <= count:
+        return points[:0]
+    scores = np.where(np.isnan(scores), np.nanmax(scores), scores)
+    distance, near = map(np.asarray, cKDTree(points).query(points, k=count + 1))
+    neighbour_scores = scores[near[:, 1:]]
+    height, depth = scores - threshold, np.median(neighbour_scores, axis=1) - scores
+    minima = np.flatnonzero(
+        (height > 0.0) & (scores < neighbour_scores.min(axis=1)) & (height <= _MAX_RELATIVE_HEIGHT * depth)
+    )
+    minima = minima[np.argsort(height[minima] / depth[minima], kind="stable")][:max_count]
+    suggestions = np.empty((len(minima), points.shape[1]))
+    for k, i in enumerate(minima):
+        others = near[i, 1:]
+        slope = np.linalg.lstsq(points[others] - points[i], scores[others] - scores[i], rcond=None)[0]
+        suggestions[k] = points[i] - 0.5 * distance[i, 1] * slope / max(float(np.linalg.norm(slope)), 1e-12)
+    return suggestions

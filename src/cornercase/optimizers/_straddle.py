@@ -1,0 +1,63 @@
+"""Choose points by the straddle heuristic."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from cornercase._common.typing import FloatArray, IntArray
+from cornercase.evidence.gp._process import GaussianProcess
+
+Floats = npt.NDArray[np.floating[Any]]
+
+
+def straddle_gains(mean: FloatArray, deviation: FloatArray) -> FloatArray:
+    """Straddle heuristic: how uncertain it is on which side of the threshold points are, (m,).
+
+    `mean` and `deviation` are those of a process with the threshold at 0.
+    """
+    return np.asarray(1.96 * deviation - np.abs(mean))
+
+
+class StraddleSelection:
+    """Choose points of a process one after the other, each given those before it.
+
+    `points` (m, e) are encoded, `mean` and `variance` (m,) the predictions there; the variance is changed in place.
+    `projections` (m, k) are those of `GaussianProcess.predict_with_projections`; no columns for a process without
+    values.
+    """
+
+    def __init__(
+        self, process: GaussianProcess, points: FloatArray, mean: FloatArray, variance: FloatArray, projections: Floats
+    ) -> None:
+        self._process, self._places, self._rows = process, points, projections
+        self._mean, self._variance = mean, variance
+        # The process is computed in single precision, where a lower variance is indistinguishable from 0.
+        self._lowest, self._noise = 1e-5 * process.kernel.signal**2, process.kernel.noise**2
+        self._learned_steps: list[FloatArray] = []
+
+    def condition_on_point(self, index: int) -> None:
+        """Condition the variances on point `index`."""
+        shared = self._process.covariance_with_point(self._places, self._rows, index)
+        for earlier in self._learned_steps:
+            shared = shared - earlier * earlier[index]
+        step = shared / math.sqrt(max(self._variance[index], self._lowest) + self._noise)
+        # A point cannot explain more than the remaining variance; larger steps are rounding errors.
+        limit = np.sqrt(self._variance)
+        self._learned_steps.append(np.clip(step, -limit, limit))
+        np.maximum(self._variance - self._learned_steps[-1] ** 2, 0.0, out=self._variance)
+
+    def choose_points(self, n: int, n_candidates: int) -> tuple[IntArray, float]:
+        """Choose `n` of the first `n_candidates` points, each of the largest gain: indices (n,), and least gain."""
+        chosen: list[int] = []
+        least = math.inf
+        while len(chosen) < n:
+            gain = straddle_gains(self._mean, np.sqrt(self._variance))[:n_candidates]
+            gain[chosen] = -np.inf
+            chosen.append(int(np.argmax(gain)))
+            least = min(least, float(gain[chosen[-1]]))
+            self.condition_on_point(chosen[-1])
+        return np.array(chosen, dtype=np.int64), least

@@ -1,0 +1,93 @@
+"""Warm start of optimizers from another study."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+
+from cornercase._common.typing import FloatArray
+from cornercase.evidence._multi_fidelity import SourceStudyModel, augment_points
+from cornercase.evidence.gp._process import encode_points
+from cornercase.optimizers._candidates import CandidateOptimizer
+from cornercase.optimizers._straddle import StraddleSelection
+
+_N_CHECKED: Final = 10  # number of scores from which the other study's prediction is checked
+_SOURCE_FRACTION: Final = 0.5  # fraction of these points that the other study chooses
+_N_CANDIDATES: Final = 4096  # number of candidates for them
+_CATCH_UP_RANGE: Final = (15, 24)  # points between which as many space-filling points are added
+
+
+class WarmStartOptimizer(CandidateOptimizer):
+    """Uses the prediction of another study as one more coordinate of its model (`SourceStudyModel`).
+
+    Half of the first ten points are where that study predicts the boundary, to learn whether it is there, or how far
+    away. Each has the largest ``1.96 s - |m|`` of 4096 candidates, with the mean m of the other study's process and the
+    standard deviation s of a process with the same kernel that is conditioned on the points of the new search only.
+    This spreads the points along the predicted boundary instead of concentrating them where the prediction is most
+    certain.
+
+    If that study predicts the scores of the first ten points or more, the model is learned from them; else from as many
+    as without a warm start. Then additional space-filling points replace, between the 15th and the 24th point, those
+    that the other study chose.
+    """
+
+    supports_warm_start = True
+    threshold: float
+    _source_model: SourceStudyModel | None = None
+
+    def warm_start(self, points: FloatArray, scores: FloatArray) -> None:
+        """Use the scores (n,) of another study at points (n, d), as in `Optimizer.warm_start`."""
+        self._source_model = SourceStudyModel(encode_points(self._space, points), scores, self.threshold)
+
+    def _propose(self, n: int, pending: FloatArray) -> FloatArray:
+        asked = len(self._points) + len(pending)
+        if (
+            self._source_model is None
+            or (count := _count_chosen_by_source(asked + n) - _count_chosen_by_source(asked)) == 0
+        ):
+            return super()._propose(n, pending)
+        filling = self._sequence.ask(n - count, exclude=pending)
+        known = np.concatenate([self._points, pending, filling])
+        return np.concatenate([self._points_on_source_boundary(self._source_model, known, count, asked), filling])
+
+    def _points_on_source_boundary(
+        self, source_model: SourceStudyModel, known: FloatArray, n: int, asked: int
+    ) -> FloatArray:
+        """Points (k, d) on the boundary that another study predicts, away from `known` points (m, d)."""
+        candidates = self._draw_candidates(self._seed_of(asked), _N_CANDIDATES, known)
+        count, process = len(candidates), source_model.process
+        points = encode_points(self._space, np.concatenate([candidates, known]))
+        variance = np.full(len(points), process.kernel.signal**2)
+        selection = StraddleSelection(process, points, process.predict(points)[0], variance, np.empty((len(points), 0)))
+        for i in range(count, len(points)):
+            selection.condition_on_point(i)
+        return candidates[selection.choose_points(min(n, count), count)[0]]
+
+    def _has_enough_scores(self) -> bool:
+        if super()._has_enough_scores():
+            return True
+        scores = self._scores[self._is_finished]
+        if self._source_model is None or len(scores) < _N_CHECKED or np.ptp(scores) == 0.0:
+            return False
+        return self._source_model.improves_prediction(
+            encode_points(self._space, self._points[self._is_finished]), scores
+        )
+
+    def _count_space_filling(self, n_points: int) -> int:
+        added = (
+            0
+            if self._source_model is None
+            else int(np.interp(n_points, _CATCH_UP_RANGE, (0, _count_chosen_by_source(n_points))))
+        )
+        return super()._count_space_filling(n_points) + added
+
+    def _model_coordinates(self, points: FloatArray) -> FloatArray:
+        """Coordinates of points for the model of the scores, (n, e), or (n, e + 1) with another study."""
+        return augment_points(self._source_model, encode_points(self._space, points))
+
+
+def _count_chosen_by_source(n_points: int) -> int:
+    """Number of points that another study chooses among the first `n_points`."""
+    return math.floor(_SOURCE_FRACTION * min(n_points, _N_CHECKED))

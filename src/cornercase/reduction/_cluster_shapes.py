@@ -1,0 +1,116 @@
+"""Shapes of clusters, and the method for finding archetypes that suits each."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+
+from cornercase._common.errors import InputError, suggest_name
+from cornercase._common.typing import FloatArray, IntArray
+from cornercase.clustering._embedding import Distances, EmbeddedDistances
+from cornercase.reduction._archetypal_analysis import find_archetypes, find_kernel_archetypes, pick_evenly_spaced
+from cornercase.reduction._convexity import MIN_CONVEXITY, measure_convexity, split_into_convex_parts
+from cornercase.reduction._hulls import MAX_HULL_DIMENSIONS, find_hull_archetypes
+
+ArchetypeMethod = Literal["auto", "hull", "pcha", "parts", "kernel"]
+"""How archetypes are found; ``"auto"`` depends on the convexity of each cluster."""
+
+
+@dataclass(frozen=True)
+class ClusterShape:
+    """Shape of a cluster, and how its archetypes are found.
+
+    Attributes
+    ----------
+    cluster : int
+    convexity : float
+        In the parameter space, 0 to 1, as in `cornercase.reduction._convexity.measure_convexity`.
+    kernel_convexity : float
+        The same in the kernel space of the distances; NaN if unknown.
+    method : {"hull", "pcha", "parts", "kernel"}
+        ``"hull"``: corners of the convex hull in the parameter space. ``"pcha"``: archetypal analysis there.
+        ``"parts"``: corners of the hulls of near-convex parts. ``"kernel"``: archetypal analysis in kernel space.
+    parts : int
+        Number of near-convex parts; 1 except for ``"parts"``.
+    """
+
+    cluster: int
+    convexity: float
+    kernel_convexity: float
+    method: str
+    parts: int
+
+
+@dataclass(frozen=True, eq=False)
+class ShapedCluster:
+    """A cluster with its shape; `parts` are indices of scenarios, one part except for the method ``"parts"``."""
+
+    shape: ClusterShape
+    parts: tuple[IntArray, ...]
+
+    def find_archetypes(self, points: FloatArray, distances: Distances, max_count: int) -> IntArray:
+        """Return at most `max_count` extreme scenarios of the cluster, by index; parts get shares by their size."""
+        (whole, *more) = self.parts
+        if self.shape.method in ("kernel", "pcha") and isinstance(distances, EmbeddedDistances):
+            whole = pick_evenly_spaced(whole)
+        if self.shape.method == "kernel":
+            return whole[find_kernel_archetypes(distances[np.ix_(whole, whole)], max_count).indices]
+        if self.shape.method == "pcha":
+            return whole[find_archetypes(points[whole], max_k=max_count).indices]
+        if not more:
+            return whole[find_hull_archetypes(points[whole], max_count)]
+        numbers = divide_in_proportion(max_count, [len(part) for part in self.parts])
+        indices = [
+            part[find_hull_archetypes(points[part], number)]
+            for part, number in zip(self.parts, numbers, strict=True)
+            if number
+        ]
+        return np.sort(np.concatenate(indices))
+
+
+def classify_cluster_shapes(
+    points: FloatArray, labels: IntArray, embedding: FloatArray | None = None, method: ArchetypeMethod = "auto"
+) -> tuple[ShapedCluster, ...]:
+    """Decide for each cluster how its archetypes are found, cluster 0 first.
+
+    ``"auto"``: a cluster that is not convex (convexity below 0.8) in kernel space takes ``"kernel"``; else one that is
+    convex in the parameter space takes ``"hull"``, or ``"pcha"`` with more than six parameters; else ``"parts"``, or
+    ``"kernel"`` if six parts are not enough. `embedding`, shape (n, e), is the kernel space of the clustering.
+    """
+    require_archetype_method(method)
+    shaped = []
+    for label in np.unique(labels[labels >= 0]).tolist():
+        members = labels == label
+        whole = (np.flatnonzero(members),)
+        convexity = measure_convexity(points, members)
+        kernel_convexity = float("nan") if embedding is None else measure_convexity(embedding, members)
+        chosen_method: str = method
+        if method == "auto":
+            convex = "hull" if points.shape[1] <= MAX_HULL_DIMENSIONS else "pcha"
+            chosen_method = (
+                "kernel" if kernel_convexity < MIN_CONVEXITY else convex if convexity >= MIN_CONVEXITY else "parts"
+            )
+        parts = tuple(split_into_convex_parts(points, members)) if chosen_method == "parts" else whole
+        if not parts:
+            chosen_method, parts = "kernel", whole
+        shaped.append(ShapedCluster(ClusterShape(label, convexity, kernel_convexity, chosen_method, len(parts)), parts))
+    return tuple(shaped)
+
+
+def require_archetype_method(method: str) -> None:
+    """Raise `InputError` unless there is such a method."""
+    if method not in get_args(ArchetypeMethod):
+        raise InputError(f"`archetypes_by` {method}: {suggest_name(method, get_args(ArchetypeMethod))}")
+
+
+def divide_in_proportion(total: int, weights: Sequence[float]) -> list[int]:
+    """Divide `total` into whole numbers in proportion to weights, by largest remainders."""
+    if not len(weights):
+        return []
+    share = total * np.asarray(weights, dtype=np.float64) / np.sum(weights)
+    whole_numbers = np.floor(share).astype(np.int64)
+    whole_numbers[np.argsort(whole_numbers - share, kind="stable")[: total - int(whole_numbers.sum())]] += 1
+    return [int(number) for number in whole_numbers]

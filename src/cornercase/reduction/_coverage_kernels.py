@@ -1,0 +1,151 @@
+"""Compiled coverage sums for embedded scenarios, by cells of nearby scenarios.
+
+An added scenario becomes the nearest one for few others, and most cells are too far away to contain one of these. So if
+many are selected, most distances are never computed.
+"""
+
+# Compiled functions have no static types.
+# mypy: disable-error-code="no-untyped-def, untyped-decorator"
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from cornercase._common.numba.kernel import kernel
+from cornercase._common.typing import FloatArray
+
+CELL_SIZE = 16
+"""Number of scenarios in a cell."""
+
+AXES_PER_STAGE = 8
+"""Number of axes by which cells are formed, and after which the distance computation may stop early."""
+
+_MARGIN = 1.0 + 1e-9
+"""Factor by which bounds are wider, far more than rounding."""
+
+
+class CoverageCells(NamedTuple):
+    """Cells of all clusterings, and the uncovered costs in them.
+
+    `coordinates`, (clusterings, n, stages, AXES), are in the order of the scenarios and `members`, (clusterings, c,
+    stages, AXES, CELL), in the order of the cells, the axis of largest variance first. `centres`, (clusterings, AXES,
+    c), and `radii` are bounding balls of the cells in the first axes. `nearest_squares` are squared distances to the
+    nearest selected scenario and `costs` follow from them; a scenario farther from a centre than the root of `reach` is
+    nearest to none of the cell.
+    """
+
+    coordinates: FloatArray
+    members: FloatArray
+    centres: FloatArray
+    radii: FloatArray
+    weights: FloatArray
+    usual_distances: FloatArray
+    power: int
+    nearest_squares: FloatArray
+    reach: FloatArray
+    costs: FloatArray
+
+
+@kernel(error_model="numpy")
+def fill_gains(gains, cells):
+    """Fill `gains` with the amount by which each scenario would lower the sum."""
+    to_centres, to_members = np.empty(cells.members.shape[1]), np.empty(CELL_SIZE)
+    for index in range(len(gains)):
+        gains[index] = _gain_of(index, cells, to_centres, to_members)
+
+
+@kernel(error_model="numpy")
+def find_best_candidate(gains, nearest_distance, similar_distance, cells):
+    """Return the scenario with a gap that would lower the sum most, the first of equals; -1 if there is none.
+
+    `gains` are upper bounds from when fewer were selected, and are updated as needed.
+    """
+    to_centres, to_members = np.empty(cells.members.shape[1]), np.empty(CELL_SIZE)
+    last = -1
+    while True:
+        best = int(np.argmax(gains))
+        if best == last:
+            return best
+        if gains[best] == -np.inf:
+            return -1
+        if nearest_distance[best] <= similar_distance:
+            gains[best] = -np.inf
+        else:
+            gains[best] = _gain_of(best, cells, to_centres, to_members)
+            last = best
+
+
+@kernel(error_model="numpy")
+def add_to_selection(index, cells):
+    """Update distances, costs and reaches for a newly selected scenario."""
+    to_centres, to_members = np.empty(cells.members.shape[1]), np.empty(CELL_SIZE)
+    for k in range(len(cells.members)):
+        point = cells.coordinates[k, index]
+        _fill_squares_to_centres(point, cells.centres[k], to_centres)
+        for cell in range(len(to_centres)):
+            if to_centres[cell] <= cells.reach[k, cell] and _fill_squares_if_nearer(
+                point, cells.members[k, cell], cells.nearest_squares[k, cell], to_members
+            ):
+                squares, costs = cells.nearest_squares[k, cell], cells.costs[k, cell]
+                for i in range(CELL_SIZE):
+                    if to_members[i] < squares[i]:
+                        squares[i] = to_members[i]
+                        costs[i] = _weighted_cost(
+                            to_members[i], cells.usual_distances[k], cells.power, cells.weights[k, cell, i]
+                        )
+                cells.reach[k, cell] = (cells.radii[k, cell] + math.sqrt(squares.max())) ** 2 * _MARGIN
+
+
+@kernel(error_model="numpy", _nrt=False)
+def _gain_of(index, cells, to_centres, to_members):
+    gain = 0.0
+    for k in range(len(cells.members)):
+        point = cells.coordinates[k, index]
+        _fill_squares_to_centres(point, cells.centres[k], to_centres)
+        for cell in range(len(to_centres)):
+            if to_centres[cell] <= cells.reach[k, cell] and _fill_squares_if_nearer(
+                point, cells.members[k, cell], cells.nearest_squares[k, cell], to_members
+            ):
+                squares, costs, weights = cells.nearest_squares[k, cell], cells.costs[k, cell], cells.weights[k, cell]
+                for i in range(CELL_SIZE):
+                    if to_members[i] < squares[i]:
+                        gain += costs[i] - _weighted_cost(
+                            to_members[i], cells.usual_distances[k], cells.power, weights[i]
+                        )
+    return gain
+
+
+@kernel(error_model="numpy", _nrt=False)
+def _fill_squares_to_centres(point, centres, result):
+    result[:] = 0.0
+    for axis in range(AXES_PER_STAGE):
+        for cell in range(len(result)):
+            difference = point[0, axis] - centres[axis, cell]
+            result[cell] += difference * difference
+
+
+@kernel(error_model="numpy", _nrt=False)
+def _fill_squares_if_nearer(point, cell, nearest_squares, result):
+    """Fill `result` with squared distances to a cell; False as soon as none can be nearer than `nearest_squares`."""
+    result[:] = 0.0
+    for stage in range(len(point)):
+        n_nearer = 0
+        for i in range(CELL_SIZE):
+            total = result[i]
+            for axis in range(AXES_PER_STAGE):
+                difference = point[stage, axis] - cell[stage, axis, i]
+                total += difference * difference
+            result[i] = total
+            n_nearer += total < nearest_squares[i]
+        if not n_nearer:
+            return False
+    return True
+
+
+@kernel(error_model="numpy", _nrt=False)
+def _weighted_cost(distance, usual_distance, power, weight):
+    ratio = distance / usual_distance
+    return ratio * ratio * ratio * weight if power == 3 else ratio * ratio * weight

@@ -1,0 +1,178 @@
+"""Coverage sums: what the selected scenarios leave uncovered, and the scenarios that reduce it most."""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from cornercase._common.typing import BoolArray, FloatArray, IntArray
+from cornercase.clustering._embedding import Distances, EmbeddedDistances
+from cornercase.reduction._coverage_cells import CellCoverageSums
+from cornercase.reduction.selection._state import SIMILAR_SHARE, Selection
+
+# Largest number of scenarios for which all costs are kept in memory.
+_MAX_IN_MEMORY: Final = 2000
+# Number of costs that fit in the CPU cache.
+_CACHED_COSTS: Final = 2**15
+EXCHANGE_ROUNDS: Final = 3
+BLOCK_SIZE: Final = 256
+# Largest number of scenarios at which the usual distance of neighbours is sampled, for embedded distances.
+_NEIGHBOUR_SAMPLE: Final = 2000
+
+
+class SetComposition(NamedTuple):
+    """Shares and weights with which a set of a given size is composed."""
+
+    archetype_share: float
+    """Largest share of archetypes."""
+    critical_weight: float
+    """Weight of the scenarios of critical clusters, and of these clusters' archetypes."""
+    first_weight: float
+    """Weight of the first clustering."""
+    power: int
+    """Exponent of the distances: large gaps weigh more than many small ones."""
+
+
+class CoverageSums:
+    """Weighted sums of powers of the distances to the nearest selected scenario, over all clusterings.
+
+    `is_critical`, shape (n,), marks scenarios of critical clusters; `size` is the number of scenarios to select.
+    """
+
+    def __init__(
+        self, distances: Sequence[Distances], is_critical: BoolArray, composition: SetComposition, size: int
+    ) -> None:
+        n_neighbours = min(-(-len(is_critical) // size), len(is_critical) - 1)
+        self._weights = np.where(is_critical, composition.critical_weight, 1.0)
+        self._power = composition.power
+        self._distances = distances
+        self._usual_distances = [_usual_neighbour_distance(matrix, n_neighbours) for matrix in distances]
+        self._clustering_weights = [composition.first_weight if k == 0 else 1.0 for k in range(len(distances))]
+        self._is_embedded = isinstance(distances[0], EmbeddedDistances)
+        # All costs take as much memory as all distances.
+        self._all_costs = (
+            [self._compute_costs(k, np.arange(len(is_critical))) for k in range(len(distances))]
+            if len(is_critical) <= _MAX_IN_MEMORY
+            else None
+        )
+
+    def _compute_costs(self, clustering: int, candidates: IntArray) -> FloatArray:
+        """Weighted costs of some candidates in a clustering: one row per candidate, one column per scenario."""
+        costs: FloatArray = self._distances[clustering][candidates] / self._usual_distances[clustering]
+        # Products are many times as fast as a general power, and may differ in the last digit.
+        use_products = self._is_embedded and self._power == 3
+        costs = costs * costs * costs if use_products else costs**self._power
+        costs *= self._weights * self._clustering_weights[clustering]
+        return costs
+
+    def _cost_rows(self, candidates: IntArray) -> list[FloatArray]:
+        if self._all_costs is not None:
+            return [costs[candidates] for costs in self._all_costs]
+        return [self._compute_costs(k, candidates) for k in range(len(self._distances))]
+
+    def uncovered_costs(self, selected: Sequence[int]) -> list[FloatArray]:
+        """Return what each scenario adds to the sum for the selected ones, shape (n,) by clustering."""
+        left_costs = [np.full(len(self._weights), np.inf) for _ in self._distances]
+        for first in range(0, len(selected), BLOCK_SIZE):
+            batch = np.asarray(selected[first : first + BLOCK_SIZE], dtype=np.int64)
+            for lowest, costs in zip(left_costs, self._cost_rows(batch), strict=True):
+                np.minimum(lowest, costs.min(axis=0), out=lowest)
+        return left_costs
+
+    def compute_gains(self, uncovered: Sequence[FloatArray], candidates: IntArray) -> FloatArray:
+        """Return by how much each candidate would lower the sum, given the uncovered costs."""
+        gains = np.zeros(len(candidates))
+        block = max(1, _CACHED_COSTS // len(self._weights))
+        for first in range(0, len(candidates), block):
+            for now, costs in zip(uncovered, self._cost_rows(candidates[first : first + block]), strict=True):
+                # The rows are copies, so they may be overwritten.
+                np.maximum(np.subtract(now, costs, out=costs), 0.0, out=costs)
+                gains[first : first + block] += costs.sum(axis=1)
+        return gains
+
+    def add_greedily(self, selected: list[int], size: int, selection: Selection) -> list[int]:
+        """Add scenarios greedily until there are `size`; return the indices of those added.
+
+        Scenarios similar to a selected one, by `selection`, are skipped.
+        """
+        new: list[int] = []
+        sums = (
+            self._make_cell_sums(selected)
+            if self._is_embedded and self._all_costs is None
+            else _RowCoverageSums(self, selected)
+        )
+        gap = selection.nearest_distance.copy()
+        while len(selected) + len(new) < size and (best := sums.best_candidate(gap, SIMILAR_SHARE)) is not None:
+            new.append(best)
+            sums.add(best)
+            gap = np.minimum(gap, selection.distances_to([best])[0])
+        return new
+
+    def _make_cell_sums(self, selected: Sequence[int]) -> CellCoverageSums:
+        heavy = [self._weights * weight for weight in self._clustering_weights]
+        embeddings = [
+            embedding.coordinates for embedding in self._distances if isinstance(embedding, EmbeddedDistances)
+        ]
+        return CellCoverageSums(embeddings, self._usual_distances, heavy, self._power, selected)
+
+    def exchange(self, selected: list[int], n_fixed: int, selection: Selection) -> list[int]:
+        """Exchange each scenario after the first `n_fixed` ones for another one if that lowers the sum; return all."""
+        selected = selected[:]
+        everyone = np.arange(len(selection.nearest_distance))
+        pair_distances = selection.distances_to(everyone)
+        for _ in range(EXCHANGE_ROUNDS):
+            previous = selected[:]
+            for j in range(n_fixed, len(selected)):
+                others = selected[:j] + selected[j + 1 :]
+                if not others:
+                    continue
+                gains = self.compute_gains(self.uncovered_costs(others), everyone)
+                gains[pair_distances[others].min(axis=0) <= SIMILAR_SHARE] = -1.0
+                best = int(gains.argmax())
+                if gains[best] > gains[selected[j]] * (1.0 + 1e-9):
+                    selected[j] = best
+            if selected == previous:
+                break
+        return selected
+
+
+class _RowCoverageSums:
+    """Lazy greedy search by rows of costs, with the methods of `CellCoverageSums`."""
+
+    def __init__(self, sums: CoverageSums, selected: Sequence[int]) -> None:
+        self._sums = sums
+        self._uncovered = sums.uncovered_costs(selected)
+        gains = sums.compute_gains(self._uncovered, np.arange(len(self._uncovered[0])))
+        self._queue = [(-gain, k) for k, gain in enumerate(gains.tolist())]
+        heapq.heapify(self._queue)
+
+    def best_candidate(self, nearest_distance: FloatArray, similar_distance: float) -> int | None:
+        while self._queue:
+            _, best = heapq.heappop(self._queue)
+            if nearest_distance[best] <= similar_distance:
+                continue
+            entry = (-float(self._sums.compute_gains(self._uncovered, np.array([best]))[0]), best)
+            if not self._queue or entry <= self._queue[0]:
+                return best
+            heapq.heappush(self._queue, entry)
+        return None
+
+    def add(self, index: int) -> None:
+        self._uncovered = [
+            np.minimum(now, new) for now, new in zip(self._uncovered, self._sums.uncovered_costs([index]), strict=True)
+        ]
+
+
+def _usual_neighbour_distance(distances: Distances, n_neighbours: int) -> float:
+    """Mean distance of each scenario to its `n_neighbours`-th neighbour, 1 if that is 0."""
+    n = len(distances)
+    # A slice of a matrix is not a copy.
+    blocks: list[slice | IntArray] = [slice(first, first + BLOCK_SIZE) for first in range(0, n, BLOCK_SIZE)]
+    if isinstance(distances, EmbeddedDistances) and n > _NEIGHBOUR_SAMPLE:
+        sample = np.linspace(0, n - 1, _NEIGHBOUR_SAMPLE).astype(np.int64)
+        blocks = [sample[first : first + BLOCK_SIZE] for first in range(0, _NEIGHBOUR_SAMPLE, BLOCK_SIZE)]
+    neighbour_distances = [np.partition(distances[block], n_neighbours, axis=1)[:, n_neighbours] for block in blocks]
+    return float(np.concatenate(neighbour_distances).mean()) or 1.0

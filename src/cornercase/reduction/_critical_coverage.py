@@ -1,0 +1,143 @@
+"""Coverage of the critical scenarios, those that were run and those that were not."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from cornercase._common.errors import InputError
+from cornercase._common.typing import BoolArray, FloatArray, IntArray
+from cornercase.clustering._embedding import Distances, EmbeddedDistances
+from cornercase.evidence import Estimate
+from cornercase.evidence._critical_set_estimate import CriticalSet
+from cornercase.evidence.gp._process import encode_points
+from cornercase.reduction._coverage import NearestDistances
+from cornercase.reduction._held_out_coverage import HeldOutCritical, HeldOutDistances, summarize_held_out_critical
+from cornercase.scenario import ParameterSpace
+
+DEFAULT_SIMILARITY: Final = 0.5
+"""Default share of the median distance within clusters up to which two scenarios are similar."""
+# Number of scenarios at which embedded distances are sampled.
+_SAMPLE_SIZE: Final = 1000
+
+
+@dataclass(frozen=True)
+class CriticalCoverage:
+    """How well selected scenarios represent the critical ones, by one aspect.
+
+    The shares and distances are in-sample, and selected critical scenarios are similar to themselves. `held_out` and
+    `unlike` are about other scenarios.
+
+    Attributes
+    ----------
+    within : float
+        Largest distance of two similar scenarios, in the unit of the distances.
+    critical, boundary : float or None
+        Share of the critical scenarios that were run, and of those on the boundary of the critical set, that are
+        similar to a selected one; None if there are none.
+    random, medoids : float or None
+        `critical` for random selections of as many, the median of 100, and for k-medoids.
+    largest, mean : float or None
+        Distance of these critical scenarios to the nearest selected one.
+    medoids_largest, medoids_mean : float or None
+        The same for k-medoids.
+    unlike : Estimate or None
+        Probability that a critical scenario drawn at random from the space is similar to no selected one; None if there
+        are too few critical scenarios.
+    held_out : HeldOutCritical or None, default None
+        Cross-validated shares; None if not measured.
+    """
+
+    within: float
+    critical: float | None
+    boundary: float | None
+    random: float | None
+    medoids: float | None
+    largest: float | None
+    mean: float | None
+    medoids_largest: float | None
+    medoids_mean: float | None
+    unlike: Estimate | None
+    held_out: HeldOutCritical | None = None
+
+
+def measure_critical_coverage(
+    space: ParameterSpace,
+    points: FloatArray,
+    scores: FloatArray,
+    threshold: float,
+    nearest_distances: NearestDistances,
+    similar_distance: float,
+    *,
+    seed: int = 0,
+    critical_set: CriticalSet | None = None,
+    held_out: HeldOutDistances | None = None,
+) -> CriticalCoverage:
+    """Summarize how well selected scenarios represent the critical ones, from the distances to them.
+
+    `points`, shape (n, d), are in the unit cube; `scores` and `threshold` are oriented: lower is more critical. A
+    critical scenario is on the boundary if one of the 2 d scenarios nearest to it is not critical. Scenarios that were
+    not run are predicted by two Gaussian processes over the parameter space, of the scores and of the distance of
+    critical scenarios to the nearest selected one, both calibrated by leave-one-out as in `CriticalSet`.
+    """
+    critical = scores <= threshold
+    distance, medoid_distance = nearest_distances.to_selected, nearest_distances.to_medoids
+    random = nearest_distances.to_random[:, critical] <= similar_distance
+    any_critical = bool(critical.any())
+    is_boundary = critical & _has_neighbour_among(encode_points(space, points), ~critical)
+    unlike = None
+    # Fewer than ten critical scenarios, or all with the same score or the same distance.
+    with suppress(ValueError):
+        all_critical = critical_set or CriticalSet(space, points, scores, threshold, seed)
+        unlike = all_critical.fraction_inside(
+            CriticalSet(space, points[critical], -distance[critical], -similar_distance, seed)
+        )
+    return CriticalCoverage(
+        within=similar_distance,
+        critical=float((distance[critical] <= similar_distance).mean()) if any_critical else None,
+        boundary=float((distance[is_boundary] <= similar_distance).mean()) if is_boundary.any() else None,
+        random=float(np.median(random.mean(axis=1))) if any_critical else None,
+        medoids=float((medoid_distance[critical] <= similar_distance).mean()) if any_critical else None,
+        largest=float(distance[critical].max()) if any_critical else None,
+        mean=float(distance[critical].mean()) if any_critical else None,
+        medoids_largest=float(medoid_distance[critical].max()) if any_critical else None,
+        medoids_mean=float(medoid_distance[critical].mean()) if any_critical else None,
+        unlike=unlike,
+        held_out=summarize_held_out_critical(held_out, critical, is_boundary, similar_distance),
+    )
+
+
+def find_similar_distance(distances: Distances, labels: IntArray, share: float = DEFAULT_SIMILARITY) -> float:
+    """Return the distance up to which two scenarios are similar: `share` of the median distance within clusters.
+
+    Without clusters, of the median distance of any two. Embedded distances are sampled at 1,000 scenarios.
+    """
+    check_similarity(share)
+    if isinstance(distances, EmbeddedDistances):
+        sample = np.linspace(0, len(distances) - 1, min(_SAMPLE_SIZE, len(distances))).astype(np.int64)
+        distances, labels = distances[np.ix_(sample, sample)], labels[sample]
+    # Row by row, since indices of all pairs would take several times the memory of the distances.
+    rows = [row[i + 1 :][labels[i + 1 :] == labels[i]] for i, row in enumerate(distances) if labels[i] >= 0]
+    if not any(map(len, rows)):
+        rows = [row[i + 1 :] for i, row in enumerate(distances)]
+    between = np.concatenate(rows) if rows else np.zeros(0)
+    return share * float(np.median(between, overwrite_input=True)) if len(between) else 0.0
+
+
+def check_similarity(share: float) -> None:
+    """Raise `InputError` unless the share is positive and finite."""
+    if not 0.0 < share < float("inf"):
+        raise InputError(f"`within` {share:g}: give a number above 0.")
+
+
+def _has_neighbour_among(points: FloatArray, is_other: BoolArray) -> BoolArray:
+    """Mask of the points with one of the others among their 2 d nearest neighbours, shape (n,)."""
+    count = min(2 * points.shape[1], len(points) - 1)
+    if count < 1:
+        return np.zeros(len(points), dtype=np.bool_)
+    neighbours = np.asarray(cKDTree(points).query(points, k=count + 1)[1], dtype=np.int64)
+    return np.asarray(is_other[neighbours].any(axis=1))

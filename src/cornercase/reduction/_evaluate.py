@@ -1,0 +1,168 @@
+"""Evaluation of the selected scenarios of a study, by each aspect of its analyses."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cornercase._common.typing import FloatArray
+from cornercase.clustering import Analysis, read_analyses, read_distances
+from cornercase.clustering._embedding import Distances
+from cornercase.evidence._critical_set_estimate import CriticalSet
+from cornercase.exploration._objective import Objective
+from cornercase.reduction._coverage import (
+    Coverage,
+    NearestDistances,
+    measure_coverage,
+    measure_nearest_distances,
+    redraw_random_selections,
+)
+from cornercase.reduction._critical_coverage import (
+    DEFAULT_SIMILARITY,
+    CriticalCoverage,
+    find_similar_distance,
+    measure_critical_coverage,
+)
+from cornercase.reduction._held_out_coverage import (
+    Fold,
+    HeldOutDistances,
+    measure_held_out_distances,
+    summarize_held_out,
+)
+from cornercase.reduction._reduced_set import ReducedSet
+from cornercase.study import ScenarioRecord, Study
+
+
+@dataclass(frozen=True, eq=False)
+class StudyData:
+    """All finished scenarios and analyses of a study; rows by id, scores by metric and id, the rest by aspect."""
+
+    study: Study
+    rows: dict[int, ScenarioRecord]
+    scores: dict[str, dict[int, float]]
+    analyses: dict[str, Analysis]
+    distances: dict[str, Distances]
+
+    def parameter_points(self, analysis: Analysis) -> FloatArray:
+        """Return the parameters of the scenarios of an analysis in the unit cube, shape (n, d)."""
+        return np.array([self.rows[i].point for i in analysis.ids.tolist()])
+
+
+def load_study_data(study: Study) -> StudyData:
+    """Load all finished scenarios and analyses of a study."""
+    rows = {row.id: row for row in study.finished_rows()}
+    scores = {name: dict(zip(rows, study.scores(name).tolist(), strict=True)) for name in study.meta.metrics}
+    analyses = read_analyses(study)
+    return StudyData(study, rows, scores, analyses, {name: read_distances(study, name) for name in analyses})
+
+
+def measure_folds(data: StudyData, folds: Sequence[Fold]) -> dict[str, HeldOutDistances | None]:
+    """Measure the distances of held-out scenarios to the sets of their folds, by aspect; folds are given by id."""
+    return {
+        name: measure_held_out_distances(
+            data.distances[name],
+            [Fold(*(analysis.rows_of(ids) for ids in (fold.training, fold.selected, fold.held_out))) for fold in folds],
+        )
+        for name, analysis in data.analyses.items()
+    }
+
+
+def measure_nearest_distances_by_aspect(data: StudyData, selected: Sequence[int]) -> dict[str, NearestDistances]:
+    """Measure the distances to the selected ids and to baselines, by aspect.
+
+    Aspects by which no selected scenario was analysed are left out.
+    """
+    rows = {name: analysis.rows_of(list(selected)) for name, analysis in data.analyses.items()}
+    return {name: measure_nearest_distances(data.distances[name], index) for name, index in rows.items() if len(index)}
+
+
+def evaluate_coverage(
+    data: StudyData,
+    selected: Sequence[int],
+    held_out: Mapping[str, HeldOutDistances | None],
+    nearest_distances: Mapping[str, NearestDistances] | None = None,
+) -> dict[str, Coverage]:
+    """Measure how well the selected ids represent all scenarios, by aspect.
+
+    `nearest_distances` saves computing them again. Aspects by which no selected scenario was analysed are left out.
+    """
+    coverage = {}
+    for name, analysis in data.analyses.items():
+        index = analysis.rows_of(list(selected))
+        if len(index):
+            known_gaps = None if nearest_distances is None else nearest_distances[name]
+            in_sample = measure_coverage(data.distances[name], index, ids=analysis.ids, nearest_distances=known_gaps)
+            coverage[name] = replace(in_sample, held_out=summarize_held_out(held_out[name]))
+    return coverage
+
+
+def evaluate_critical_coverage(
+    data: StudyData,
+    selected: Sequence[int],
+    held_out: Mapping[str, HeldOutDistances | None],
+    similarity: float,
+    nearest_distances: Mapping[str, NearestDistances] | None = None,
+    similar_distances: Mapping[str, float] | None = None,
+) -> dict[str, CriticalCoverage]:
+    """Measure how well the selected ids represent the critical scenarios, by aspect; empty without a threshold.
+
+    `similarity` is the share of the median distance within clusters up to which two scenarios are similar, unless
+    `similar_distances` has the distance itself. Random selections are redrawn with the seed of the study.
+    """
+    meta, space = data.study.meta, data.study.space
+    objective = Objective.from_study_meta(meta)
+    if data.study.critical is None or objective.pareto or not selected:
+        return {}
+    oriented = dict(zip(data.rows, objective.minimized_scores(data.study).tolist(), strict=True))
+    threshold = objective.convert_orientation(data.study.critical)
+    coverage: dict[str, CriticalCoverage] = {}
+    critical_sets: dict[tuple[int, ...], CriticalSet] = {}
+    for name, analysis in data.analyses.items():
+        ids, distances = tuple(analysis.ids.tolist()), data.distances[name]
+        index = analysis.rows_of(list(selected))
+        if not len(index):
+            continue
+        points, scores = data.parameter_points(analysis), np.array([oriented[i] for i in ids])
+        # Aspects of the same scenarios share a critical set.
+        if ids not in critical_sets:
+            with suppress(ValueError):
+                critical_sets[ids] = CriticalSet(space, points, scores, threshold, meta.seed)
+        similar_distance = (
+            similar_distances[name]
+            if similar_distances and name in similar_distances
+            else find_similar_distance(distances, analysis.labels, similarity)
+        )
+        gaps_of_aspect = (
+            measure_nearest_distances(distances, index) if nearest_distances is None else nearest_distances[name]
+        )
+        coverage[name] = measure_critical_coverage(
+            space,
+            points,
+            scores,
+            threshold,
+            redraw_random_selections(gaps_of_aspect, distances, index, meta.seed),
+            similar_distance,
+            seed=meta.seed,
+            critical_set=critical_sets.get(ids),
+            held_out=held_out.get(name),
+        )
+    return coverage
+
+
+def reevaluate(study: Study, reduced: ReducedSet) -> ReducedSet:
+    """Reevaluate a reduced set with the threshold of the opened study, if it was selected with another one.
+
+    Nothing is said about held-out scenarios: they evaluated selections with the other threshold.
+    """
+    if reduced.threshold == study.critical or not reduced.scenarios:
+        return reduced
+    similar_distances = {name: coverage.within for name, coverage in reduced.critical.items()}
+    return replace(
+        reduced,
+        critical=evaluate_critical_coverage(
+            load_study_data(study), reduced.ids, {}, DEFAULT_SIMILARITY, similar_distances=similar_distances
+        ),
+    )

@@ -1,0 +1,192 @@
+"""Cross-validation of the selection: how well it represents scenarios that were not available to it.
+
+A set represents the scenarios from which it was selected better than others. So the scenarios are divided in five
+folds, and each fold evaluates a set that was selected in the same way from the other four.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from cornercase._common.typing import BoolArray, FloatArray, IntArray
+from cornercase.clustering._embedding import Distances
+from cornercase.reduction._medoids import find_k_medoids
+from cornercase.reduction._random_selections import (
+    distances_to_nearest_per_selection,
+    draw_fold_order,
+    draw_random_selections,
+    submatrix,
+)
+
+N_FOLDS: Final = 5
+"""Number of folds of the cross-validation."""
+
+# With fewer scenarios a fold is too small; with more than 600 one fold is enough, since selecting takes long.
+_MIN_SCENARIOS: Final = 10
+_MAX_ALL_FOLDS: Final = 600
+
+
+@dataclass(frozen=True, eq=False)
+class Fold:
+    """One fold: a set selected from some scenarios, and the scenarios that evaluate it; by index or by id."""
+
+    training: IntArray
+    selected: IntArray
+    held_out: IntArray
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """Cross-validated distances from scenarios to the nearest selected one, in the unit of the distances.
+
+    Attributes
+    ----------
+    scenarios : int
+        Number of scenarios that were held out.
+    largest, mean : float
+        Of these distances.
+    random_largest, random_mean : float
+        Medians of the same figures over random selections of as many of the same scenarios.
+    better_largest, better_mean : float
+        Shares of the random selections with a larger maximum, and with a larger mean.
+    medoids_largest, medoids_mean : float
+        The same figures of k-medoids of the same scenarios.
+    """
+
+    scenarios: int
+    largest: float
+    mean: float
+    random_largest: float
+    random_mean: float
+    better_largest: float
+    better_mean: float
+    medoids_largest: float
+    medoids_mean: float
+
+
+@dataclass(frozen=True)
+class HeldOutCritical:
+    """Cross-validated shares of critical scenarios that are similar to a selected one.
+
+    Attributes
+    ----------
+    scenarios : int
+        Number of critical scenarios that were held out, at least one.
+    critical : float
+        Share of them that are similar to a selected one.
+    boundary : float or None
+        The same for those on the boundary of the critical set; None if there are none.
+    random, medoids : float
+        `critical` for random selections of as many, the median of 100, and for k-medoids.
+    """
+
+    scenarios: int
+    critical: float
+    boundary: float | None
+    random: float
+    medoids: float
+
+
+@dataclass(frozen=True, eq=False)
+class HeldOutDistances:
+    """Distances from held-out scenarios to the nearest selected one, to k-medoids, and to random selections.
+
+    `held_out`, shape (m,), are the held-out scenarios by index; `to_selected` and `to_medoids` have shape (m,),
+    `to_random` (draws, m).
+    """
+
+    held_out: IntArray
+    to_selected: FloatArray
+    to_medoids: FloatArray
+    to_random: FloatArray
+
+
+def draw_folds(n_scenarios: int) -> list[IntArray]:
+    """Return the held-out scenarios of each of five random folds, by index.
+
+    With more than 600 scenarios only one fold is returned, with fewer than 10 none.
+    """
+    if n_scenarios < _MIN_SCENARIOS:
+        return []
+    order = draw_fold_order(n_scenarios)
+    parts = [np.sort(order[k::N_FOLDS]) for k in range(N_FOLDS)]
+    return parts if n_scenarios <= _MAX_ALL_FOLDS else parts[:1]
+
+
+def measure_held_out_distances(all_distances: Distances, all_folds: Sequence[Fold]) -> HeldOutDistances | None:
+    """Measure the distances of held-out scenarios to their fold's set and baselines; None if there are no folds."""
+    to_selected, medoids, random = [], [], []
+    folds = [fold for fold in all_folds if len(fold.selected) and len(fold.held_out)]
+    if not folds:
+        return None
+    for k, fold in enumerate(folds):
+        to_judging = submatrix(all_distances, fold.training, fold.held_out)
+        within_training = submatrix(all_distances, fold.training, fold.training)
+        choices = draw_random_selections(len(fold.training), len(fold.selected), stream="grading", seed=k)
+        selected = np.flatnonzero(np.isin(fold.training, fold.selected))
+        medoid_indices = find_k_medoids(within_training, len(fold.selected))
+        to_selected.append(distances_to_nearest_per_selection(to_judging, selected[None])[0])
+        medoids.append(distances_to_nearest_per_selection(to_judging, medoid_indices[None])[0])
+        random.append(distances_to_nearest_per_selection(to_judging, choices))
+    return HeldOutDistances(
+        np.concatenate([fold.held_out for fold in folds]),
+        np.concatenate(to_selected),
+        np.concatenate(medoids),
+        np.concatenate(random, axis=1),
+    )
+
+
+def summarize_distances(to_selected: FloatArray, to_medoids: FloatArray, to_random: FloatArray) -> dict[str, float]:
+    """Return the figures that `HeldOut` and `Coverage` share, from distances of shape (m,), (m,) and (draws, m)."""
+    random_largest, random_mean = to_random.max(axis=1), to_random.mean(axis=1)
+    return {
+        "largest": float(to_selected.max()),
+        "mean": float(to_selected.mean()),
+        "random_largest": float(np.median(random_largest)),
+        "random_mean": float(np.median(random_mean)),
+        "better_largest": float(np.mean(random_largest > to_selected.max())),
+        "better_mean": float(np.mean(random_mean > to_selected.mean())),
+        "medoids_largest": float(to_medoids.max()),
+        "medoids_mean": float(to_medoids.mean()),
+    }
+
+
+def summarize_held_out(held_out_distances: HeldOutDistances | None) -> HeldOut | None:
+    """Summarize the distances of held-out scenarios; None if there are none."""
+    if held_out_distances is None:
+        return None
+    return HeldOut(
+        scenarios=len(held_out_distances.held_out),
+        **summarize_distances(
+            held_out_distances.to_selected, held_out_distances.to_medoids, held_out_distances.to_random
+        ),
+    )
+
+
+def summarize_held_out_critical(
+    held_out_distances: HeldOutDistances | None,
+    critical_mask: BoolArray,
+    boundary_mask: BoolArray,
+    similar_distance: float,
+) -> HeldOutCritical | None:
+    """Return the shares of critical held-out scenarios within a distance of a selected one; None if there are none.
+
+    `critical_mask` and `boundary_mask`, shape (n,), mark the critical scenarios and those on the boundary of the
+    critical set.
+    """
+    if held_out_distances is None or not critical_mask[held_out_distances.held_out].any():
+        return None
+    is_critical, is_boundary = critical_mask[held_out_distances.held_out], boundary_mask[held_out_distances.held_out]
+    return HeldOutCritical(
+        scenarios=int(is_critical.sum()),
+        critical=float((held_out_distances.to_selected[is_critical] <= similar_distance).mean()),
+        boundary=float((held_out_distances.to_selected[is_boundary] <= similar_distance).mean())
+        if is_boundary.any()
+        else None,
+        random=float(np.median((held_out_distances.to_random[:, is_critical] <= similar_distance).mean(axis=1))),
+        medoids=float((held_out_distances.to_medoids[is_critical] <= similar_distance).mean()),
+    )

@@ -1,0 +1,311 @@
+"""`reduce`: select the few concrete scenarios that matter, and write them as files."""
+
+from __future__ import annotations
+
+import time
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Final, Literal
+
+from cornercase._common.errors import InputError, NoticeWarning
+from cornercase._common.io.files import check_folder, portable_name
+from cornercase._common.memory import DEFAULT_MEMORY, MemoryLimit
+from cornercase._common.progress import show_bars
+from cornercase._common.typing import FloatArray, IntArray
+from cornercase._common.validation import check_float, check_int, check_str
+from cornercase.clustering import Analysis, read_analyses, read_analysis
+from cornercase.clustering._embedding import Distances
+from cornercase.reduction._cluster_shapes import ArchetypeMethod, require_archetype_method
+from cornercase.reduction._critical_clusters import find_critical_clusters
+from cornercase.reduction._critical_coverage import DEFAULT_SIMILARITY, check_similarity
+from cornercase.reduction._evaluate import (
+    StudyData,
+    evaluate_coverage,
+    evaluate_critical_coverage,
+    load_study_data,
+    measure_folds,
+    measure_nearest_distances_by_aspect,
+)
+from cornercase.reduction._held_out_coverage import Fold
+from cornercase.reduction._hulls import find_convex_hull
+from cornercase.reduction._kill_matrix import KillMatrix
+from cornercase.reduction._mutant_selection import add_mutant_selection
+from cornercase.reduction._reduced_set import ReducedSet, SelectedScenario
+from cornercase.reduction._set_folder import replace_set
+from cornercase.reduction._set_manifest import make_manifest, save_reduction
+from cornercase.reduction.selection._per_cluster import SCENARIOS_PER_SELECTED
+from cornercase.reduction.selection._select import SelectionInput, SelectionRequest, cross_validate, select
+from cornercase.reduction.selection._state import Selected
+from cornercase.scenario._concrete_file import build_concrete_file, read_companion_file
+from cornercase.scenario._file import ScenarioFile
+from cornercase.study import Study
+from cornercase.study._damage import reraise_as_damage
+from cornercase.study._import_recordings import IMPORTED_SIMULATOR
+from cornercase.study._scenario_file import find_explored_scenario
+from cornercase.study._study import open_study
+
+# Bytes per pair in a matrix and in what the selection derives from it, per scenario and aspect in embeddings and gaps
+# of random selections, and for blocks of distances.
+_BYTES_PER_PAIR: Final = 20
+_BYTES_PER_SCENARIO: Final = 5_000
+_BYTES_OF_BLOCKS: Final = 600_000_000
+
+_REASONS: Final = {
+    "hull": "on the hull of cluster {cluster} in the parameter space",
+    "pcha": "at an extreme of cluster {cluster} in the parameter space, by archetypal analysis",
+    "parts": "on the hull of a near-convex part of cluster {cluster} in the parameter space",
+    "kernel": "at an extreme of cluster {cluster} in kernel space, by archetypal analysis",
+    "prototype": "the scenario most like all others of cluster {cluster}",
+    "gap": "for what is unlike all others that are kept",
+    # Completed by `add_mutant_selection` once all are selected.
+    "exposing": "exposes mutants of the driver",
+}
+
+
+def reduce(
+    study: Study | Path | str,
+    folder: Path | str,
+    *,
+    by: str | None = None,
+    size: int | None = None,
+    share: float | None = None,
+    cover: float | None = None,
+    archetypes: int | Literal["auto"] | None = None,
+    archetypes_by: ArchetypeMethod = "auto",
+    within: float = DEFAULT_SIMILARITY,
+    critical: float | None = None,
+    kill_matrix: KillMatrix | None = None,
+    scenario: Path | str | ScenarioFile | None = None,
+    memory: str | float = DEFAULT_MEMORY,
+    progress: bool = False,
+) -> ReducedSet:
+    """Select the few concrete scenarios that matter, and write them as OpenSCENARIO files.
+
+    By default a tenth of all is selected. At most one of `size`, `share`, `cover` and `archetypes` can be given
+    instead.
+
+    Parameters
+    ----------
+    study : Study or path
+        Open for writing, or the file; analysed.
+    folder : path
+        Folder to write. Each file in it runs by itself and gives the same recording; ``manifest.json`` says why each
+        was selected. For a study of imported recordings only the manifest is written. An earlier set in the folder is
+        replaced as a whole; other files are left alone.
+    by : str, optional
+        Aspect whose clusters count; by default the metric that was searched.
+    size : int, optional
+        Number of scenarios to select.
+    share : float, optional
+        Share of all scenarios to select, above 0 and up to 1.
+    cover : float, optional
+        Select as few as leave no scenario farther from a selected one than this share of the largest distance.
+    archetypes : int or "auto", optional
+        Select only the prototype of each cluster and at most this many archetypes, as the paper does; ``"auto"``
+        selects about a tenth of all scenarios.
+    archetypes_by : {"auto", "hull", "pcha", "parts", "kernel"}, default "auto"
+        How archetypes are found: corners of the hull, archetypal analysis, corners of the hulls of near-convex parts,
+        or archetypal analysis in kernel space; ``"auto"`` decides by the convexity of each cluster.
+    within : float, default 0.5
+        Share of the median distance within clusters up to which two scenarios are similar; for the coverage of the
+        critical scenarios.
+    critical : float, optional
+        Score from which a scenario is critical, to select and to evaluate by; by default that of the study, which is
+        not changed.
+    kill_matrix : KillMatrix, optional
+        Which scenarios kill which mutants of the driver, from `cornercase.suite.analyze_mutants`: scenarios that kill as
+        many as possible come first, then those that are selected without.
+    scenario : path or Scenario, optional
+        File that was explored, from which the files are made. By default it is searched at the path in the study, next
+        to the study and in the current folder, and recognised by its fingerprint.
+    memory : str or float, default "4 GB"
+        Memory limit of the process, in bytes or as text.
+    progress : bool, default False
+        Show a bar for what takes more than two seconds.
+
+    Returns
+    -------
+    ReducedSet
+        The selected scenarios, why each is selected, and what they leave uncovered.
+
+    Raises
+    ------
+    InputError
+        The study was not analysed, an argument is out of range, the scenario file is not found or not the one that was
+        explored, the folder cannot be written, or the distances do not fit in the memory.
+
+    Warns
+    -----
+    NoticeWarning
+        Fewer are selected than `size` or `share` asks for, since all others are similar to a selected one.
+
+    See Also
+    --------
+    cornercase.analyze : Finds the clusters.
+    """
+    if sum(option is not None for option in (size, share, cover, archetypes)) > 1:
+        raise InputError("`size`, `share`, `cover`, `archetypes`: give one of them.")
+    if kill_matrix is not None and (cover is not None or archetypes is not None):
+        raise InputError(f"`exposure`, `{'cover' if archetypes is None else 'archetypes'}`: give one of them.")
+    size_requested = size is not None or share is not None
+    size = None if size is None else check_int("size", size, minimum=1)
+    share = None if share is None else check_float("share", share, above=0.0)
+    cover = None if cover is None else check_float("cover", cover, above=0.0)
+    if share is not None and share > 1.0:
+        raise InputError(f"`share` {share:g}: give a number above 0 and up to 1.")
+    require_archetype_method(check_str("archetypes_by", archetypes_by))
+    check_similarity(check_float("within", within))
+    by = None if by is None else check_str("by", by)
+    folder = check_folder("folder", folder)
+    limit = MemoryLimit.from_value(memory)
+    with show_bars(progress), open_study(study, critical=critical) as opened:
+        analysis = read_analysis(opened, by or opened.meta.metrics[0])
+        start = time.monotonic()
+        # Checked before anything is written or takes time.
+        explored = find_explored_scenario(opened, scenario, search_stored_path=True)
+        opened.elapsed_by_stage()
+        _require_memory(opened, limit)
+        data = load_study_data(opened)
+        if share is not None:
+            size = max(1, round(share * len(data.rows)))
+        elif size is None and cover is None and archetypes is None:
+            size = max(1, round(len(analysis.ids) / SCENARIOS_PER_SELECTED))
+        selection_input = SelectionInput(
+            data.parameter_points(analysis),
+            _distances_by_aspect(data, analysis),
+            analysis.labels,
+            analysis.clustering.embedding,
+            find_critical_clusters(opened, analysis),
+            None if kill_matrix is None else kill_matrix.kills_of(analysis.ids.tolist()),
+        )
+        request = SelectionRequest(size, cover, archetypes, archetypes_by)
+        reduced = _select_and_evaluate(data, analysis, selection_input, request, within)
+        if kill_matrix is not None:
+            without_mutants, _ = select(replace(selection_input, kills=None), request)
+            reduced = add_mutant_selection(
+                reduced, kill_matrix, [int(analysis.ids[entry.index]) for entry in without_mutants]
+            )
+        cluster_names = {profile.cluster: profile.label for profile in analysis.profiles}
+        _write_files_and_store(opened, explored, reduced, cluster_names, folder)
+        opened.writer.add_elapsed_time("reduce", time.monotonic() - start)
+    if size is not None and size_requested and len(reduced) < size:
+        _warn_fewer_selected(size, len(reduced), len(analysis.ids))
+    return reduced
+
+
+def _warn_fewer_selected(n_requested: int, n_selected: int, n_scenarios: int) -> None:
+    reason = (
+        f"each of the other {n_scenarios - n_selected} is within a thousandth of the largest distance of one of these"
+    )
+    if n_selected == n_scenarios:
+        reason = "the study has no more"
+    warnings.warn(
+        f"{n_requested} scenarios were asked for, but {n_selected} are selected: {reason}", NoticeWarning, stacklevel=3
+    )
+
+
+def _require_memory(study: Study, memory_limit: MemoryLimit) -> None:
+    """Raise an error if the distances will not fit, before they are read."""
+    analyses = read_analyses(study).values()
+    count = max(len(analysis.ids) for analysis in analyses)
+    pairs = [len(analysis.ids) ** 2 for analysis in analyses if analysis.embedding_error is None]
+    need = _BYTES_PER_PAIR * sum(pairs) + _BYTES_PER_SCENARIO * count * len(analyses) + _BYTES_OF_BLOCKS
+    advice = ", or `analyze` it again by fewer aspects" if len(analyses) > 1 else ""
+    memory_limit.check_fits(need, f"{study.path}: the distances of {count} scenarios", f"give more{advice}")
+
+
+def _distances_by_aspect(data: StudyData, analysis: Analysis) -> list[Distances]:
+    """Distances by the main aspect, then by the others with the same scenarios."""
+    others = [
+        data.distances[name]
+        for name, other in data.analyses.items()
+        if name != analysis.by and len(other.ids) == len(analysis.ids)
+    ]
+    return [data.distances[analysis.by], *others]
+
+
+def _select_and_evaluate(
+    data: StudyData, analysis: Analysis, selection_input: SelectionInput, request: SelectionRequest, similarity: float
+) -> ReducedSet:
+    """Select scenarios, describe why, and evaluate what they leave uncovered."""
+    selected, shaped = select(selection_input, request)
+    ids = analysis.ids.tolist()
+    selected_ids = [ids[entry.index] for entry in selected]
+    methods = {entry.shape.cluster: entry.shape.method for entry in shaped}
+    folds = [
+        Fold(*(analysis.ids[rows] for rows in (entry.training, entry.selected, entry.held_out)))
+        for entry in cross_validate(selection_input, request)
+    ]
+    held_out = measure_folds(data, folds)
+    gaps = measure_nearest_distances_by_aspect(data, selected_ids)
+    return ReducedSet(
+        by=analysis.by,
+        n_run=len(data.rows),
+        scenarios=tuple(
+            _make_selected_scenario(
+                data, entry, ids[entry.index], methods[entry.cluster] if entry.role == "archetype" else entry.role
+            )
+            for entry in selected
+        ),
+        shapes=tuple(entry.shape for entry in shaped),
+        coverage=evaluate_coverage(data, selected_ids, held_out, gaps),
+        critical=evaluate_critical_coverage(data, selected_ids, held_out, similarity, gaps),
+        hulls={entry.shape.cluster: _hull_facets(selection_input.points, entry.parts, ids) for entry in shaped},
+        threshold=data.study.critical,
+    )
+
+
+def _make_selected_scenario(data: StudyData, selected: Selected, scenario_id: int, reason: str) -> SelectedScenario:
+    meta = data.study.meta
+    # An imported recording is run again by its own simulator; the manifest names it.
+    imported = meta.simulator == IMPORTED_SIMULATOR
+    with reraise_as_damage(data.study.path):
+        file = meta.files[scenario_id - 1] if imported else f"{portable_name(meta.title)}-{scenario_id:05}.xosc"
+    return SelectedScenario(
+        id=scenario_id,
+        file=file,
+        cluster=selected.cluster,
+        role=selected.role,
+        why=_REASONS[reason].format(cluster=selected.cluster),
+        values=dict(data.rows[scenario_id].values),
+        scores={name: scores[scenario_id] for name, scores in data.scores.items()},
+    )
+
+
+def _hull_facets(points: FloatArray, parts: Sequence[IntArray], ids: Sequence[int]) -> tuple[tuple[int, ...], ...]:
+    """Facets of the hulls of a cluster's parts, by the ids of the scenarios at their corners."""
+    return tuple(
+        tuple(ids[part[i]] for i in facet)
+        for part in parts
+        for facet in find_convex_hull(points[part]).simplices.tolist()
+    )
+
+
+def _write_files_and_store(
+    study: Study, scenario: ScenarioFile | None, reduced_set: ReducedSet, cluster_names: Mapping[int, str], folder: Path
+) -> None:
+    """Write the selected scenarios and the manifest, and store them in the study: all of it or nothing."""
+    drivers = {
+        entity: driver for entity, driver in study.meta.settings.get("drivers", {}).items() if isinstance(driver, str)
+    }
+    dependencies: dict[Path, bytes] = {}
+    with replace_set(folder) as set_folder:
+        for selected in reduced_set.scenarios if scenario is not None else ():
+            assert scenario is not None
+            comment = f"Scenario {selected.id} of the logical scenario {study.meta.title}: {selected.why}"
+            concrete = build_concrete_file(scenario, selected.values, folder / selected.file, drivers, comment)
+            for source, path, root in concrete.companions:
+                if source not in dependencies:
+                    dependencies[source] = read_companion_file(source, root)
+                set_folder.add(path, dependencies[source])
+            set_folder.add(selected.file, concrete.content)
+        set_folder.write_manifest(make_manifest(study, reduced_set, cluster_names, set_folder.digests))
+        previous = study.read_reduction()
+        save_reduction(study, reduced_set)
+        try:
+            set_folder.replace()
+        except InputError:
+            study.writer.save_analyses({"reduction": None if previous is None else ({}, previous)})
+            raise

@@ -1,0 +1,123 @@
+"""Reduced set: the few concrete scenarios that matter, and what they leave uncovered."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+from html import escape
+
+from cornercase.reduction._cluster_shapes import ClusterShape
+from cornercase.reduction._coverage import Coverage
+from cornercase.reduction._critical_coverage import CriticalCoverage
+from cornercase.reduction._kill_matrix import MutantSelection
+from cornercase.reduction.selection._state import Role
+from cornercase.scenario import Value
+
+
+@dataclass(frozen=True)
+class SelectedScenario:
+    """A scenario of the reduced set.
+
+    Attributes
+    ----------
+    id : int
+        In the study.
+    file : str
+        OpenSCENARIO file in the folder of the reduced set; for imported recordings the recording.
+    cluster : int
+        Cluster that it represents; -1 for noise.
+    role : {"archetype", "prototype", "gap", "exposing"}
+        ``"gap"``: chosen because it was far from all scenarios selected before; ``"exposing"``: kills mutants of the
+        driver.
+    why : str
+        Reason for selecting it, in words.
+    values : mapping of str to float or str
+        Parameters.
+    scores : mapping of str to float
+        By metric, in the metric's unit.
+    """
+
+    id: int
+    file: str
+    cluster: int
+    role: Role
+    why: str
+    values: Mapping[str, Value]
+    scores: Mapping[str, float]
+
+
+@dataclass(frozen=True, repr=False)
+class ReducedSet:
+    """The few concrete scenarios that matter, and what they leave uncovered.
+
+    Attributes
+    ----------
+    by : str
+        Aspect whose clusters count.
+    n_run : int
+        Number of scenarios that had been run.
+    scenarios : tuple of SelectedScenario
+        Selected scenarios, in the order of selection.
+    shapes : tuple of ClusterShape
+        By cluster; empty in a study of an early version.
+    coverage : mapping of str to Coverage
+        By aspect; without aspects by which no selected scenario was analysed.
+    critical : mapping of str to CriticalCoverage
+        By aspect; empty without a threshold.
+    hulls : mapping of int to tuple of tuple of int
+        By cluster the facets of its hull in the parameter space, or of the hulls of its near-convex parts; each facet
+        by the ids of the scenarios at its corners.
+    exposing : MutantSelection or None
+        Result of selecting by mutants; None without.
+    threshold : float or None
+        Score from which a scenario was critical when they were selected; None without a threshold.
+    """
+
+    by: str
+    n_run: int
+    scenarios: tuple[SelectedScenario, ...]
+    shapes: tuple[ClusterShape, ...]
+    coverage: Mapping[str, Coverage]
+    critical: Mapping[str, CriticalCoverage]
+    hulls: Mapping[int, tuple[tuple[int, ...], ...]]
+    exposing: MutantSelection | None = None
+    threshold: float | None = None
+
+    def __len__(self) -> int:
+        return len(self.scenarios)
+
+    @property
+    def ids(self) -> list[int]:
+        """Ids of the selected scenarios, in the order of selection."""
+        return [scenario.id for scenario in self.scenarios]
+
+    def __repr__(self) -> str:
+        roles = Counter(scenario.role for scenario in self.scenarios)
+        counts = ", ".join(f"{count} {role}{'' if count == 1 else 's'}" for role, count in roles.items())
+        return f"ReducedSet({len(self.scenarios)} of {self.n_run} scenarios kept by {self.by}: {counts or 'none'})"
+
+    def _repr_html_(self) -> str:
+        """Table of the selected scenarios, for notebooks."""
+        if not self.scenarios:
+            return f"<p>{escape(repr(self))}</p>"
+        first = self.scenarios[0]
+        head = ["id", "cluster", "role", *first.values, *first.scores, "why"]
+        rows = [
+            [
+                scenario.id,
+                scenario.cluster,
+                scenario.role,
+                *scenario.values.values(),
+                *scenario.scores.values(),
+                scenario.why,
+            ]
+            for scenario in self.scenarios
+        ]
+        cells = "".join(f"<tr>{''.join(f'<td>{escape(_format_cell(cell))}</td>' for cell in row)}</tr>" for row in rows)
+        names = "".join(f"<th>{escape(name)}</th>" for name in head)
+        return f"<p>{escape(repr(self))}</p><table><tr>{names}</tr>{cells}</table>"
+
+
+def _format_cell(value: object) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)

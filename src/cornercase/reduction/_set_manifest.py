@@ -1,0 +1,207 @@
+"""The reduced set as plain values, for ``manifest.json`` and for the study."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any, Final, get_args
+
+from cornercase._common.text.json_keys import keys_to_identifiers
+from cornercase._common.text.sanitize import escape_control_characters
+from cornercase._common.version import __version__
+from cornercase.evidence import Estimate
+from cornercase.reduction._cluster_shapes import ClusterShape
+from cornercase.reduction._coverage import Coverage
+from cornercase.reduction._critical_coverage import CriticalCoverage
+from cornercase.reduction._held_out_coverage import HeldOut, HeldOutCritical
+from cornercase.reduction._kill_matrix import MutantSelection, MutationScore
+from cornercase.reduction._reduced_set import ReducedSet, SelectedScenario
+from cornercase.reduction.selection._state import Role
+from cornercase.study import Study
+from cornercase.study._damage import dataclass_from_json, require_value, reraise_as_damage
+
+MANIFEST_FORMAT: Final = 2
+"""Version of the manifest's format."""
+
+_EVALUATION_NOTE: Final = (
+    "held_out: each fifth of the scenarios, or one fifth of many, judges a set that was chosen in the same way from the"
+    " other four, beside random choices and k-medoids of these; all other figures describe the kept scenarios among"
+    " those that they were chosen from"
+)
+
+
+def make_manifest(
+    study: Study, reduced_set: ReducedSet, cluster_names: Mapping[int, str], files: Mapping[str, str]
+) -> dict[str, Any]:
+    """Return the content of ``manifest.json``: the reduced set, its origin, and how to run it again.
+
+    `cluster_names` are names of clusters; `files` has the SHA-256 of each file that was written, by its path in the
+    folder.
+    """
+    meta = study.meta
+    return (
+        {
+            "format": MANIFEST_FORMAT,
+            "version": __version__,
+            "scenario": meta.file_name,
+            "fingerprint": meta.fingerprint,
+            "study": escape_control_characters(study.path.name),
+            "simulator": meta.simulator,
+            "settings": dict(meta.settings),
+            "ego": meta.ego,
+            "other": meta.other if isinstance(meta.other, str) else list(meta.other),
+            "metrics": list(meta.metrics),
+            "critical_threshold": study.critical,
+            "space": meta.space.to_json(),
+            "by": reduced_set.by,
+            "run": reduced_set.n_run,
+            "kept": len(reduced_set.scenarios),
+            "graded": _EVALUATION_NOTE,
+            "scenarios": [
+                asdict(item) | {"kind": cluster_names.get(item.cluster, "")} for item in reduced_set.scenarios
+            ],
+            "shapes": [_shape_to_json(item) for item in reduced_set.shapes],
+            "coverage": {name: asdict(item) for name, item in reduced_set.coverage.items()},
+            "critical": {name: asdict(item) for name, item in reduced_set.critical.items()},
+            "files": dict(files),
+        }
+        | _other_threshold(study)
+        | ({} if reduced_set.exposing is None else {"exposing": reduced_set.exposing.to_json()})
+    )
+
+
+def _other_threshold(study: Study) -> dict[str, float | None]:
+    """The threshold stored in the study, if another one was used."""
+    return {} if study.critical == study.meta.critical else {"critical_threshold_of_the_study": study.meta.critical}
+
+
+def save_reduction(study: Study, reduced_set: ReducedSet) -> None:
+    """Store a reduced set in a study, in place of the earlier one."""
+    info = {
+        "by": reduced_set.by,
+        "run": reduced_set.n_run,
+        "kept": [asdict(item) for item in reduced_set.scenarios],
+        "shapes": [_shape_to_json(item) for item in reduced_set.shapes],
+        "coverage": {name: asdict(item) for name, item in reduced_set.coverage.items()},
+        "critical": {name: asdict(item) for name, item in reduced_set.critical.items()},
+        "hulls": {str(cluster): [list(facet) for facet in facets] for cluster, facets in reduced_set.hulls.items()},
+    } | ({} if reduced_set.exposing is None else {"exposing": reduced_set.exposing.to_json()})
+    if study.critical != study.meta.critical:
+        info["critical_threshold"] = study.critical
+    study.writer.save_analysis("reduction", {}, info)
+
+
+def read_reduction(study: Study) -> ReducedSet | None:
+    """Read back the reduced set of a study.
+
+    Parameters
+    ----------
+    study : Study
+        Holds the scenarios.
+
+    Returns
+    -------
+    ReducedSet or None
+        None before the study was reduced.
+
+    Raises
+    ------
+    InputError
+        What it holds is damaged.
+    """
+    info = study.read_reduction()
+    if info is None:
+        return None
+    with reraise_as_damage(study.path):
+        ids = {row.id for row in study.finished_rows()}
+        threshold = info.get("critical_threshold", study.meta.critical)
+        reduced = ReducedSet(
+            by=str(info["by"]),
+            n_run=int(info["run"]),
+            scenarios=tuple(_scenario_from_json(item) for item in info["kept"]),
+            shapes=tuple(_shape_from_json(item) for item in info["shapes"]),
+            coverage={name: _coverage_from_json(item) for name, item in info["coverage"].items() if item},
+            critical={name: _critical_coverage_from_json(item) for name, item in info["critical"].items()},
+            hulls={int(cluster): tuple(map(tuple, facets)) for cluster, facets in info["hulls"].items()},
+            exposing=_mutant_selection_from_json(info["exposing"]) if info.get("exposing") else None,
+            threshold=None if threshold is None else float(threshold),
+        )
+        corners = {corner for facets in reduced.hulls.values() for facet in facets for corner in facet}
+        for scenario in reduced.scenarios:
+            for parameter in study.space.parameters:
+                value = parameter.extract_value(scenario.values)
+                require_value(
+                    bool(parameter.choices) == isinstance(value, str), f"a {parameter.name} of the wrong type"
+                )
+        require_value(corners | set(reduced.ids) <= ids, "a reduced set with scenarios that were not run")
+        return reduced
+
+
+def _scenario_from_json(json_values: Mapping[str, Any]) -> SelectedScenario:
+    scenario = dataclass_from_json(SelectedScenario, json_values)
+    require_value(scenario.role in get_args(Role), f"a selected scenario with the role {str(scenario.role)[:60]!r}")
+    require_value(
+        all(isinstance(value, float | int | str) for value in scenario.values.values()), "a scenario without values"
+    )
+    require_value(
+        all(isinstance(value, float | int) for value in scenario.scores.values()), "a scenario without scores"
+    )
+    return scenario
+
+
+def _shape_to_json(shape: ClusterShape) -> dict[str, Any]:
+    return {
+        "cluster": shape.cluster,
+        "convexity": shape.convexity,
+        "convexity_in_kernel_space": shape.kernel_convexity,
+        "archetypes_by": shape.method,
+        "parts": shape.parts,
+    }
+
+
+def _shape_from_json(json_values: Mapping[str, Any]) -> ClusterShape:
+    json_values = keys_to_identifiers(json_values, {})
+    fields = {"kernel_convexity": json_values["convexity_in_kernel_space"], "method": json_values["archetypes_by"]}
+    fields |= {name: json_values[name] for name in ("cluster", "convexity", "parts")}
+    require_value(fields["method"] in ("hull", "pcha", "parts", "kernel"), "an unknown method for archetypes")
+    return dataclass_from_json(ClusterShape, fields)
+
+
+def _coverage_from_json(json_values: Mapping[str, Any]) -> Coverage:
+    fields: dict[str, Any] = {key: math.nan if value is None else value for key, value in json_values.items()}
+    held_out = json_values["held_out"]
+    return dataclass_from_json(
+        Coverage, fields | {"held_out": None if held_out is None else dataclass_from_json(HeldOut, held_out)}
+    )
+
+
+def _critical_coverage_from_json(json_values: Mapping[str, Any]) -> CriticalCoverage:
+    unlike, held_out = json_values["unlike"], json_values["held_out"]
+    nested = {
+        "unlike": None if unlike is None else dataclass_from_json(Estimate, unlike),
+        "held_out": None if held_out is None else dataclass_from_json(HeldOutCritical, held_out),
+    }
+    return dataclass_from_json(CriticalCoverage, {**json_values, **nested})
+
+
+def _mutant_selection_from_json(json_values: Mapping[str, Any]) -> MutantSelection:
+    json_values = keys_to_identifiers(json_values, {})
+    grades = {
+        name: None
+        if json_values[name] is None
+        else MutationScore(*(int(json_values[name][grade]) for grade in ("mutants", "possible", "exposed")))
+        for name in ("chosen_by", "held_out", "without")
+    }
+    require_value(grades["chosen_by"] is not None, "a selection by mutants without a result")
+    for grade in filter(None, grades.values()):
+        require_value(0 <= grade.killed <= grade.killable <= grade.mutants, "more killed mutants than there are")
+    return dataclass_from_json(
+        MutantSelection,
+        {
+            "driver": str(json_values["driver"]),
+            "requirements": tuple(map(str, json_values["requirements"])),
+            "candidates": int(json_values["candidates"]),
+            **grades,
+        },
+    )

@@ -1,0 +1,116 @@
+"""Selection of a reduced set, from all scenarios or from the training part of a fold."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from cornercase._common.progress import progress_step
+from cornercase._common.typing import BoolArray, FloatArray, IntArray
+from cornercase.clustering._embedding import Distances
+from cornercase.reduction._cluster_shapes import ArchetypeMethod, ShapedCluster, classify_cluster_shapes
+from cornercase.reduction._held_out_coverage import Fold, draw_folds
+from cornercase.reduction._mutant_selection import select_killing
+from cornercase.reduction._random_selections import submatrix
+from cornercase.reduction.selection._greedy import select_scenarios
+from cornercase.reduction.selection._per_cluster import select_per_cluster
+from cornercase.reduction.selection._state import Selected, Selection
+
+
+@dataclass(frozen=True)
+class SelectionRequest:
+    """How many scenarios to select, and of what role; one of `size`, `cover` and `archetypes` is given.
+
+    `cover` is the largest distance left, as a share of the largest one; `archetypes` is the number per cluster, besides
+    its prototype, and `archetypes_by` how they are found.
+    """
+
+    size: int | None
+    cover: float | None
+    archetypes: int | Literal["auto"] | None
+    archetypes_by: ArchetypeMethod
+
+
+@dataclass(frozen=True, eq=False)
+class SelectionInput:
+    """Scenarios to select from.
+
+    `points`, shape (n, d), are in the unit cube; `distances` are those of all clusterings; `labels`, `embedding` and
+    `critical_clusters` belong to the first; `kills`, shape (n, m), says which scenario kills which mutant, if mutants
+    select first.
+    """
+
+    points: FloatArray
+    distances: Sequence[Distances]
+    labels: IntArray
+    embedding: FloatArray
+    critical_clusters: Sequence[int]
+    kills: BoolArray | None = None
+
+    def subset(self, rows: IntArray) -> SelectionInput:
+        """Return some of the scenarios; the clusters remain those of all."""
+        return SelectionInput(
+            self.points[rows],
+            [submatrix(matrix, rows, rows) for matrix in self.distances],
+            self.labels[rows],
+            self.embedding[rows],
+            self.critical_clusters,
+            None if self.kills is None else self.kills[rows],
+        )
+
+
+def select(
+    selection_input: SelectionInput, request: SelectionRequest
+) -> tuple[tuple[Selected, ...], tuple[ShapedCluster, ...]]:
+    """Select scenarios; return them in order, and how archetypes were found for each cluster."""
+    points, labels = selection_input.points, selection_input.labels
+    shaped = classify_cluster_shapes(points, labels, selection_input.embedding, request.archetypes_by)
+    if request.archetypes is not None:
+        selected = select_per_cluster(
+            points, selection_input.distances[0], labels, archetypes=request.archetypes, shaped_clusters=shaped
+        )
+    else:
+        selected = select_scenarios(
+            points,
+            selection_input.distances,
+            labels,
+            selection_input.critical_clusters,
+            size=request.size,
+            cover=request.cover,
+            shaped_clusters=shaped,
+        )
+    if selection_input.kills is not None:
+        selected = _put_killing_first(selection_input, selected)
+    return selected, shaped
+
+
+def _put_killing_first(selection_input: SelectionInput, selected: Sequence[Selected]) -> tuple[Selected, ...]:
+    """Replace the last scenarios by ones that kill mutants, which come first."""
+    assert selection_input.kills is not None
+    distances, labels = selection_input.distances, selection_input.labels
+    selection = Selection(distances, len(selected))
+    for index in select_killing(selection_input.kills, selection.distances_to, len(selected)):
+        selection.add(Selected(index, int(labels[index]), "exposing"))
+    for candidate in selected:
+        selection.add(candidate)
+    return tuple(selection.selected)
+
+
+def cross_validate(selection_input: SelectionInput, request: SelectionRequest) -> list[Fold]:
+    """Cross-validate the selection.
+
+    Clusters are not recomputed per fold, so held-out scenarios have influenced them.
+    """
+    indices = np.arange(len(selection_input.labels))
+    folds = []
+    parts = list(draw_folds(len(indices)))
+    with progress_step(len(parts), "choosing", "sets, to judge the choice") as update_progress:
+        for judging in parts:
+            rows = np.setdiff1d(indices, judging)
+            selected, _ = select(selection_input.subset(rows), request)
+            folds.append(Fold(rows, rows[[scenario.index for scenario in selected]], judging))
+            update_progress(len(folds))
+    return folds

@@ -1,0 +1,74 @@
+"""State of a selection: the scenarios selected so far."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from copy import copy
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+
+from cornercase._common.typing import FloatArray, IntArray
+from cornercase.clustering._embedding import Distances
+
+# Scenarios are similar within this share of the largest distance.
+SIMILAR_SHARE: Final = 1e-3
+
+Role = Literal["archetype", "prototype", "gap", "exposing"]
+
+
+@dataclass(frozen=True)
+class Selected:
+    """A selected scenario by index, the cluster that it represents (-1 for noise), and the reason.
+
+    `gap`: chosen because it was far from all scenarios selected before; `exposing`: kills mutants of the driver.
+    """
+
+    index: int
+    cluster: int
+    role: Role
+
+
+class Selection:
+    """Scenarios selected so far; one that is similar to a selected one, or beyond `size`, is not added.
+
+    `nearest_distance`, shape (n,), is the distance from each scenario to the nearest selected one, as in
+    `distances_to`; infinite while none is selected. `selected` are the selected scenarios in order.
+    """
+
+    def __init__(self, distances: Sequence[Distances], size: int | None) -> None:
+        self._distances = distances
+        self._extents = [max(float(matrix.max()), 1e-300) for matrix in distances]
+        self.nearest_distance = np.full(len(distances[0]), np.inf)
+        self.selected: list[Selected] = []
+        self._size = size
+
+    @property
+    def indices(self) -> list[int]:
+        """Indices of the selected scenarios."""
+        return [selected.index for selected in self.selected]
+
+    def distances_to(self, indices: Sequence[int] | IntArray) -> FloatArray:
+        """Return the distances of some scenarios to all, shape (m, n): the largest in any clustering.
+
+        Each clustering counts as a share of its largest distance. Rows are computed on demand, since a full matrix
+        would be as large as that of a clustering.
+        """
+        rows = list(indices)
+        scaled = [matrix[rows] / extent for matrix, extent in zip(self._distances, self._extents, strict=True)]
+        return np.asarray(np.max(scaled, axis=0))
+
+    def copy(self) -> Selection:
+        """Copy the selection, to continue both in different ways."""
+        other = copy(self)
+        other.nearest_distance, other.selected = self.nearest_distance.copy(), self.selected[:]
+        return other
+
+    def add(self, scenario: Selected) -> None:
+        """Add a scenario, unless it is similar to a selected one or there are enough."""
+        if self.nearest_distance[scenario.index] > SIMILAR_SHARE and (
+            self._size is None or len(self.selected) < self._size
+        ):
+            self.selected.append(scenario)
+            np.minimum(self.nearest_distance, self.distances_to([scenario.index])[0], out=self.nearest_distance)

@@ -1,0 +1,111 @@
+"""Data of the page's charts."""
+
+from __future__ import annotations
+
+import math
+from itertools import combinations
+from typing import Any, Final
+
+import numpy as np
+
+from cornercase._common.typing import FloatArray
+from cornercase.exploration._objective import Objective
+from cornercase.report._report_data import ReportData
+
+_N_DISTANCES: Final = 120
+
+
+def search_chart(data: ReportData) -> dict[str, Any]:
+    """Return the progress of the search per round: scenarios run, best score, critical scenarios, missed share."""
+    meta = data.summary.meta
+    objective = Objective.from_study_meta(meta)
+    oriented = objective.minimized(np.stack([data.scores[metric.name] for metric in objective.metrics], axis=1))
+    searched = oriented[:, 0] if objective.pareto else oriented
+    rounds = np.array([row.round for row in data.rows])
+    # Scenarios are numbered in the order of their rounds.
+    ends = np.flatnonzero(np.append(np.diff(rounds) != 0, True))
+    best_scores = [objective.convert_orientation(value) for value in np.fmin.accumulate(searched)[ends].tolist()]
+    return {
+        "metric": data.metrics[0].name if objective.pareto else data.summary.objective,
+        "unit": data.metrics[0].unit if objective.pareto else objective.unit,
+        "run": (ends + 1).tolist(),
+        "best": [_rounded(value) for value in best_scores],
+        "critical": np.cumsum(data.is_critical)[ends].tolist(),
+        "missed": [
+            {
+                "run": missed.n_run,
+                "value": _rounded(missed.missed_fraction.value),
+                "low": None if missed.interval_unavailable else _rounded(missed.missed_fraction.low),
+                "high": None if missed.interval_unavailable else _rounded(missed.missed_fraction.high),
+                "doubt": missed.interval_unavailable,
+            }
+            for missed in data.missed_fractions
+        ],
+    }
+
+
+def sensitivity_chart(data: ReportData) -> dict[str, Any] | None:
+    """Return the sensitivity of each parameter with 90 % intervals; None if unknown."""
+    sensitivity = data.summary.estimates.sensitivity
+    if sensitivity is None or not sensitivity.is_meaningful:
+        return None
+    return {
+        "names": list(sensitivity.names),
+        "first": [_rounded(share) for share in sensitivity.first],
+        "first_interval": [[_rounded(low), _rounded(high)] for low, high in sensitivity.first_interval],
+        "total": [_rounded(share) for share in sensitivity.total],
+        "total_interval": [[_rounded(low), _rounded(high)] for low, high in sensitivity.total_interval],
+        "metric": data.summary.objective,
+    }
+
+
+def coverage_charts(data: ReportData) -> dict[str, Any]:
+    """Return by aspect the percentage of scenarios within a distance of the reduced set, over the distance.
+
+    For comparison: k-medoids, the range of 90 of 100 random choices, and the critical scenarios alone.
+    """
+    charts = {}
+    for name, gaps in data.gaps.items():
+        analysis = data.summary.analyses[name]
+        farthest = max(
+            float(gaps.to_selected.max()), float(gaps.to_medoids.max()), float(np.quantile(gaps.to_random, 0.99)), 1e-9
+        )
+        distances_axis = np.linspace(0.0, 1.05 * farthest, _N_DISTANCES)
+        low, high = np.quantile(
+            [_percent_within(distances, distances_axis) for distances in gaps.to_random], (0.05, 0.95), axis=0
+        )
+        critical = gaps.to_selected[data.is_critical[data.row_indices(analysis.ids.tolist())]]
+        charts[name] = {
+            "unit": analysis.unit,
+            "reach": _rounded_list(distances_axis),
+            "kept": _rounded_list(_percent_within(gaps.to_selected, distances_axis)),
+            "medoids": _rounded_list(_percent_within(gaps.to_medoids, distances_axis)),
+            "random_low": _rounded_list(low),
+            "random_high": _rounded_list(high),
+            "critical": _rounded_list(_percent_within(critical, distances_axis)) if len(critical) else None,
+        }
+    return charts
+
+
+def hull_edges(data: ReportData) -> dict[str, list[list[int]]]:
+    """Return the edges of each cluster's hull in the parameter space, as pairs of scenario ids by cluster."""
+    reduced = data.summary.reduced_set
+    hulls = {} if reduced is None else reduced.hulls
+    edges_by_cluster = {}
+    for cluster, facets in hulls.items():
+        edges = {(min(pair), max(pair)) for facet in facets for pair in combinations(facet, 2)}
+        edges_by_cluster[str(cluster)] = [list(pair) for pair in sorted(edges)]
+    return edges_by_cluster
+
+
+def _percent_within(gaps: FloatArray, distances: FloatArray) -> FloatArray:
+    """Percentage of gaps up to each distance in `reach`."""
+    return np.asarray(100.0 * np.searchsorted(np.sort(gaps), distances, side="right") / max(len(gaps), 1))
+
+
+def _rounded_list(values: FloatArray) -> list[float | None]:
+    return [_rounded(value) for value in values.tolist()]
+
+
+def _rounded(value: float) -> float | None:
+    return float(f"{value:.5g}") if math.isfinite(value) else None

@@ -1,0 +1,209 @@
+"""Report of a study: one HTML file without external references."""
+
+from __future__ import annotations
+
+import base64
+import importlib.resources
+import time
+import zlib
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any, Final
+
+from markupsafe import Markup
+
+from cornercase._common import validation
+from cornercase._common.errors import InputError
+from cornercase._common.io.atomic import atomic_write_group
+from cornercase._common.io.files import atomic_write, check_output_differs_from_source
+from cornercase._common.io.support_table import issue_notice_warning
+from cornercase._common.memory import DEFAULT_MEMORY, MemoryLimit
+from cornercase._common.progress import progress_step, show_bars
+from cornercase._common.text.sanitize import escape_control_characters
+from cornercase.report._failure_page import render_failure_page
+from cornercase.report._payload import page_payload
+from cornercase.report._report_data import ReportData, read_report_data
+from cornercase.report._rerun import rerun_payload
+from cornercase.report._road_drawing import encode_road_outline, find_road_outline, is_missing_map
+from cornercase.report.encode._page_recordings import (
+    PackedRecordings,
+    describe_left_out_recordings,
+    encode_important_recordings,
+)
+from cornercase.report.html._cluster_sections import render_agreement, render_clusterings
+from cornercase.report.html._estimate_sections import render_estimates
+from cornercase.report.html._overview_sections import render_failures, render_provenance, render_scores
+from cornercase.report.html._reduced_set_sections import render_reduced_set
+from cornercase.report.html._tables import Section
+from cornercase.report.html._templates import render_template
+from cornercase.report.html._verdict_section import render_verdicts
+from cornercase.scenario._file import ScenarioFile
+from cornercase.study import Study
+from cornercase.study._study import open_study
+
+_REPLAY_NAMES: Final = "motion sight clock camera road scene course neighbour pane controls panel"
+REPLAY_SCRIPTS: Final = tuple(f"replay/{name}.js" for name in _REPLAY_NAMES.split())
+"""Scripts of the replay, in load order."""
+
+_STYLES: Final = ("style.css", "replay.css")
+_SCRIPTS: Final = (
+    "store.js", "recordings.js", "knowledge.js", "live.js", "running.js", "notes.js", "actions.js", "colours.js",
+    "describe.js", "plot.js", "raster.js", "points.js", "legend.js", "ranges.js", "filters.js", "link.js", "theme.js",
+    "answers.js", "views.js", "views/space.js", "views/courses.js", "views/kernel.js", "views/histogram.js",
+    "views/parallel.js", "views/front.js", "views/charts.js", "views/table.js", *REPLAY_SCRIPTS, "main.js",
+)  # fmt: skip
+_FILE_ENDINGS: Final = (".html", ".htm")
+CONTENT_SECURITY_POLICY: Final = (
+    "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:;"
+    " font-src data:; worker-src blob:; connect-src 'self'"
+)
+"""Content security policy: nothing is loaded from outside, and only the page's own scripts run."""
+
+
+def write_report(
+    study: Study | Path | str,
+    path: Path | str,
+    *,
+    figures: Path | str | bool = False,
+    scenario: Path | str | ScenarioFile | None = None,
+    critical: float | None = None,
+    memory: str | float = DEFAULT_MEMORY,
+    progress: bool = False,
+) -> Path:
+    """Write the report of a study as one HTML page without external references.
+
+    Parameters
+    ----------
+    study : Study or path
+        Sections that the study was not analyzed for are left out. The drawing time is stored in a study that is open
+        for writing. If all scenarios failed, the page shows why, without figures.
+    path : path
+        Of the page; ends with ``.html`` or ``.htm``.
+    figures : bool or path, default False
+        Also write the figures as PNG and SVG with ``captions.txt`` into this folder; True for a folder beside the page
+        with its name and ``-figures``.
+    scenario : path or Scenario, optional
+        Scenario file that was explored, to draw the road. By default it is searched beside the study and in the current
+        folder, and recognized by its fingerprint; without it no road is drawn, and the page says so.
+    critical : float, optional
+        Score from which a scenario is critical, in the unit of the objective; default: that of the study. The study
+        keeps its own.
+    memory : str or float, default "4 GB"
+        Memory limit of the process, as ``"500 MB"`` or in bytes.
+    progress : bool, default False
+        Show a progress bar for steps that take more than two seconds.
+
+    Returns
+    -------
+    Path
+        The page.
+
+    Raises
+    ------
+    InputError
+        No scenario has ended, `path` is the study itself, a file cannot be written, `scenario` is not the explored one,
+        or the report exceeds the memory limit.
+
+    See Also
+    --------
+    cornercase.summarize : The same as values, for programs.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> cc.write_report("study.db", "report.html")  # doctest: +SKIP
+    PosixPath('report.html')
+    """
+    path = validation.check_path("path", path)
+    folder = path.with_name(f"{path.stem}-figures") if figures is True else figures
+    limit = MemoryLimit.from_value(memory)
+    with open_study(study, readonly=True, critical=critical) as opened:
+        check_output_differs_from_source(path, opened.path)
+        if path.suffix.lower() not in _FILE_ENDINGS:
+            raise InputError(f"`path` {path}: the report is a page; name a file that ends with .html.")
+        if not opened.finished_rows():
+            if not opened.failed_rows():
+                raise InputError(f"{opened.path}: no scenario was run yet, so there is nothing to report.")
+            _write_page(path, render_failure_page(opened))
+            return path
+        start = time.monotonic()
+        with show_bars(progress), progress_step(len(opened.finished_rows()), "reading", "recordings") as tell:
+            data = read_report_data(opened, figures=folder is not False, memory=limit, on_read=tell)
+        packed = encode_important_recordings(opened, data)
+        sketch, missing = find_road_outline(opened, data.region, scenario, data.rows[0].values)
+        if is_missing_map(missing):
+            issue_notice_warning(missing.removesuffix("."))
+        rerun = rerun_payload(opened, scenario)
+        if not opened.readonly:
+            # Stored, so that later reports of the study, opened read-only, are identical.
+            opened.writer.add_elapsed_time("draw", time.monotonic() - start)
+            data = replace(data, summary=replace(data.summary, seconds_by_stage=opened.elapsed_by_stage()))
+    roads = {"roads": None if sketch is None else encode_road_outline(sketch), "roads_missing": missing, "rerun": rerun}
+    # Written together, so that page and figures always match.
+    with atomic_write_group():
+        if folder is not False:
+            from cornercase.report.figures._export import write_figures
+
+            write_figures(data, validation.check_path("figures", folder))
+        _write_page(path, render_report(data, packed, roads))
+    return path
+
+
+def render_report(data: ReportData, recordings: PackedRecordings, road_payload: Mapping[str, Any]) -> str:
+    """Render the report; `road_payload` holds ``roads``, ``roads_missing`` (why there are none) and ``rerun``."""
+    recording_payload = {
+        "recordings": recordings.index,
+        "recordings_left_out": describe_left_out_recordings(data, recordings),
+    }
+    contents = page_payload(data) | recording_payload | dict(road_payload)
+    return _render(
+        live=False,
+        left_out=contents["recordings_left_out"],
+        title=escape_control_characters(contents["title"]),
+        about=contents["about"],
+        contents=contents,
+        answers=contents["answers"],
+        details=list(render_details(data)),
+        provenance=render_provenance(data.file_name, data.summary),
+        blocks=recordings.blocks,
+    )
+
+
+def render_details(data: ReportData) -> Iterator[Section]:
+    """Render all detail sections in the order of the page."""
+    sections = (
+        render_verdicts,
+        render_scores,
+        render_estimates,
+        render_clusterings,
+        render_agreement,
+        render_reduced_set,
+        render_failures,
+    )
+    for section in sections:
+        yield from section(data)
+
+
+def render_live_page(title: str) -> str:
+    """Render a page without a study: it loads its contents from the live server and grows with the study."""
+    empty: dict[str, Any] = {"left_out": "", "about": "", "contents": None, "answers": [], "details": [], "blocks": ()}
+    return _render(live=True, title=title, provenance=Markup(), **empty)
+
+
+def _render(**parts: Any) -> str:
+    return render_template(
+        "page.html.j2", _STYLES, _SCRIPTS, policy=CONTENT_SECURITY_POLICY, plotly=_compressed_plotly(), **parts
+    )
+
+
+@cache
+def _compressed_plotly() -> str:
+    code = importlib.resources.files("plotly.package_data").joinpath("plotly.min.js").read_bytes()
+    return base64.b64encode(zlib.compress(code, 9)).decode()
+
+
+def _write_page(path: Path, page: str) -> None:
+    with atomic_write(path) as temporary:
+        temporary.write_text(page, encoding="utf-8", errors="backslashreplace", newline="\n")

@@ -1,0 +1,196 @@
+"""Content of the page as plain values for its JavaScript."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+from cornercase.clustering import Analysis
+from cornercase.exploration._objective import Objective
+from cornercase.metrics import METRICS
+from cornercase.report._chart_data import coverage_charts, hull_edges, search_chart, sensitivity_chart
+from cornercase.report._report_data import ReportData
+from cornercase.report.encode._courses import encode_courses
+from cornercase.report.text._answers import describe_study, find_default_aspect, page_answers
+from cornercase.report.text._captions import describe_views
+from cornercase.report.text._phrases import describe_aspect, describe_informativeness, format_cluster_title
+from cornercase.scenario import Parameter
+from cornercase.study import ScenarioRecord, StudyMeta
+
+FORMAT_VERSION: Final = 1
+"""Version of what `page_payload` returns."""
+
+
+def page_payload(data: ReportData) -> dict[str, Any]:
+    """Return all contents of the page except recordings, as JSON values; None for what is unknown."""
+    return whole_study_payload(data) | scenario_payload(data)
+
+
+def scenario_payload(data: ReportData) -> dict[str, Any]:
+    """Return the part of `page_payload` that lists single scenarios and grows with each run."""
+    meta, rows = data.summary.meta, _sorted_rows(data)
+    indices = _row_indices(rows)
+    done = [indices[row.id] for row in data.rows]
+
+    def spread_over_rows(values: Sequence[Any], default: Any = None) -> list[Any]:
+        column = [default] * len(rows)
+        for k, value in zip(done, values, strict=True):
+            column[k] = value
+        return column
+
+    selected = set() if data.summary.reduced_set is None else set(data.summary.reduced_set.ids)
+    outcomes = data.outcomes
+    outcome_names = sorted(set(outcomes.values()))
+    against = [
+        [data.score_sources[metric.name].get(row.id) for metric in data.metrics]
+        for row in data.rows
+        if data.score_sources
+    ]
+    return {
+        "outcomes": outcome_names,
+        "scenarios": {
+            "id": [row.id for row in rows],
+            "round": [row.round for row in rows],
+            "failed": [int(row.state == "failed") for row in rows],
+            "values": parameter_columns(data.parameters, rows),
+            "scores": {
+                name: spread_over_rows([round_score(score) for score in scores]) for name, scores in data.scores.items()
+            },
+            "critical": spread_over_rows(data.is_critical.astype(int).tolist(), 0),
+            "collides": spread_over_rows(
+                [int(not data.entities_hit[row.id].isdisjoint(meta.others)) for row in data.rows], 0
+            ),
+            "outcome": [outcome_names.index(outcomes[row.id]) if row.id in outcomes else None for row in rows],
+            "kept": [int(row.id in selected) for row in rows],
+            "audit": [int(meta.is_audit(row.id)) for row in rows],
+        }
+        | score_source_column(meta, spread_over_rows(against) if against else []),
+        "errors": {str(row.id): row.error or "" for row in data.failed},
+        "courses": {name: _courses_payload(data, name, rows) for name in data.scores},
+    }
+
+
+def score_source_column(meta: StudyMeta, others: Sequence[Sequence[str | None] | None]) -> dict[str, Any]:
+    """Return the column ``against``: the index in ``other`` whose score counts, per scenario and metric.
+
+    Empty if there is only one other; `others` has None for failed scenarios.
+    """
+    if len(meta.others) == 1:
+        return {}
+    indices = {name: k for k, name in enumerate(meta.others)}
+    return {"against": [None if row is None else [indices.get(name or "") for name in row] for row in others]}
+
+
+def whole_study_payload(data: ReportData) -> dict[str, Any]:
+    """Return the part of `page_payload` that depends on all scenarios together."""
+    meta, rows = data.summary.meta, _sorted_rows(data)
+    indices = _row_indices(rows)
+    selected = () if data.summary.reduced_set is None else data.summary.reduced_set.scenarios
+    return study_info_payload(meta, data.file_name) | {
+        "about": describe_study(data),
+        "critical": _criterion_payload(data),
+        "default_aspect": find_default_aspect(data),
+        "influential": list(data.influential_parameters),
+        "answers": [answer.to_json() for answer in page_answers(data)],
+        "captions": describe_views(data),
+        "notes": {str(scenario): text for scenario, text in data.notes.items()},
+        "kept": {
+            str(scenario.id): {
+                "role": scenario.role,
+                "cluster": scenario.cluster,
+                "file": scenario.file,
+                "why": scenario.why,
+            }
+            for scenario in selected
+        },
+        "search": search_chart(data),
+        "sensitivity": sensitivity_chart(data),
+        "coverage": coverage_charts(data),
+        "front": None if data.summary.estimates.pareto_front is None else list(data.summary.estimates.pareto_front),
+        "hulls": hull_edges(data),
+        "reduced_by": None if data.summary.reduced_set is None else data.summary.reduced_set.by,
+        "kinds": {
+            name: _clusters_payload(analysis, indices, len(rows)) for name, analysis in data.summary.analyses.items()
+        },
+    }
+
+
+def study_info_payload(meta: StudyMeta, file_name: str) -> dict[str, Any]:
+    """Return the part of `page_payload` that is known before a scenario was run; `file_name` is the study's."""
+    return {
+        "format": FORMAT_VERSION,
+        "title": meta.title,
+        "study": file_name,
+        "ego": meta.ego,
+        "other": meta.other if isinstance(meta.other, str) else list(meta.other),
+        "searched": Objective.from_study_meta(meta).label,
+        "parameters": [
+            {
+                "name": parameter.name,
+                "unit": parameter.unit,
+                "low": parameter.low,
+                "high": parameter.high,
+                "choices": list(parameter.choices),
+            }
+            for parameter in meta.space.parameters
+        ],
+        "metrics": [
+            {"name": metric.name, "unit": metric.unit, "lower_is_critical": metric.lower_is_critical, "cap": metric.cap}
+            for metric in map(METRICS.create, meta.metrics)
+        ],
+    }
+
+
+def _sorted_rows(data: ReportData) -> list[ScenarioRecord]:
+    return sorted([*data.rows, *data.failed], key=lambda row: row.id)
+
+
+def _row_indices(rows: Sequence[ScenarioRecord]) -> dict[int, int]:
+    return {row.id: k for k, row in enumerate(rows)}
+
+
+def _criterion_payload(data: ReportData) -> dict[str, Any] | None:
+    critical = data.summary.estimates.critical
+    if critical is None:
+        return None
+    return {"threshold": critical.threshold, "lower_is_critical": critical.lower_is_critical, "unit": critical.unit}
+
+
+def _clusters_payload(analysis: Analysis, row_indices: Mapping[int, int], n_rows: int) -> dict[str, Any]:
+    labels: list[int | None] = [None] * n_rows
+    embedding = analysis.clustering.embedding
+    columns: list[list[float | None]] = [[None] * n_rows for _ in range(min(3, embedding.shape[1]))]
+    for scenario, label, point in zip(analysis.ids.tolist(), analysis.labels.tolist(), embedding, strict=True):
+        labels[row_indices[scenario]] = label
+        for column, value in zip(columns, point.tolist(), strict=False):
+            column[row_indices[scenario]] = round(value, 5)
+    return {
+        "labels": labels,
+        "embedding": columns,
+        "names": {str(profile.cluster): format_cluster_title(profile) for profile in analysis.profiles},
+        "examples": {
+            str(profile.cluster): profile.example for profile in analysis.profiles if profile.example is not None
+        },
+        "judged": describe_informativeness(analysis),
+        "compares": describe_aspect(analysis.by),
+    }
+
+
+def _courses_payload(data: ReportData, name: str, rows: Sequence[ScenarioRecord]) -> dict[str, Any]:
+    lines = data.course_lines[name]
+    spans = []
+    for row in rows:
+        time = data.times.get(row.id)
+        spans.append((0.0, 0.0) if time is None else (float(time[0]), float(time[-1])))
+    return encode_courses([lines.get(row.id) for row in rows], spans)
+
+
+def round_score(value: float) -> float | None:
+    """Round a score to six digits; None if it is not finite."""
+    return float(f"{value:.6g}") if math.isfinite(value) else None
+
+
+def parameter_columns(parameters: Sequence[Parameter], rows: Sequence[ScenarioRecord]) -> list[list[float]]:
+    """Return the parameter values of scenarios as numbers, shape (d, n); for a choice its index."""
+    return [[parameter.extract_number(row.values) for row in rows] for parameter in parameters]

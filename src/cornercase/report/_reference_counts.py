@@ -1,0 +1,53 @@
+"""What reference drivers showed in the scenarios of a study."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from cornercase.metrics import CriticalIf
+from cornercase.metrics.formulas._critical_if import find_critical_if_condition
+from cornercase.study import Study
+from cornercase.study._damage import reraise_as_damage
+from cornercase.suite import Requirement
+
+
+@dataclass(frozen=True)
+class ReferenceCount:
+    """How many scenarios, re-run with a reference driving the ego, had which result."""
+
+    n_prevented: int
+    n_colliding: int
+    n_not_applicable: int  # scenarios outside the model of the reference
+
+    @property
+    def n_scenarios(self) -> int:
+        """Number of scenarios that were re-run with it."""
+        return self.n_prevented + self.n_colliding + self.n_not_applicable
+
+
+def count_reference_results(study: Study) -> dict[str, ReferenceCount]:
+    """Count the results of each reference named in the condition or requirements of an open study, by name."""
+    meta = study.meta
+    with reraise_as_damage(study.path):
+        condition = find_critical_if_condition(meta.metrics)
+        names = list(CriticalIf.from_text(condition).reference_drivers) if condition else []
+        names += [Requirement.parse(text).reference for text in meta.requirements]
+        counts = {}
+        for reference in filter(None, dict.fromkeys(names)):
+            collisions = [count.collides for count in study.reference_outcomes(reference).values()]
+            counts[reference] = ReferenceCount(collisions.count(False), collisions.count(True), collisions.count(None))
+        return counts
+
+
+def describe_references(references: Mapping[str, ReferenceCount]) -> str:
+    """Describe what the references showed: one sentence each, preceded by a space; empty without any."""
+    sentences = []
+    for name, count in references.items():
+        results = [f"prevents {count.n_prevented}", f"does not prevent {count.n_colliding}"]
+        results += [f"says nothing of {count.n_not_applicable}"] if count.n_not_applicable else []
+        scenarios = "One scenario was" if count.n_scenarios == 1 else f"{count.n_scenarios} scenarios were"
+        sentences.append(
+            f" {scenarios} run again with {name} at the wheel, which {', '.join(results[:-1])} and {results[-1]}."
+        )
+    return "".join(sentences)

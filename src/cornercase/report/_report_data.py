@@ -1,0 +1,186 @@
+"""All data that a report shows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from cornercase._common.memory import MemoryLimit, report_memory_need
+from cornercase._common.typing import BoolArray, Float32Array, FloatArray, IntArray
+from cornercase.clustering import Analysis, read_distances
+from cornercase.exploration._objective import Objective
+from cornercase.metrics import METRICS, Metric
+from cornercase.recordings import Recording
+from cornercase.reduction._coverage import NearestDistances, measure_nearest_distances
+from cornercase.report._estimates import MissedFractionAfter, estimate_missed_fractions
+from cornercase.report._road_drawing import recorded_bounds
+from cornercase.report._summary import Summary, entities_hit_by_ego, summarize_with_collisions
+from cornercase.report.encode._courses import COURSE_POINTS, resample_course
+from cornercase.roads._outline import Region
+from cornercase.scenario import Parameter
+from cornercase.study import ScenarioRecord, Study
+from cornercase.suite import Verdict
+from cornercase.suite._judge import judge_study
+
+# Measured memory of one scenario until the page is written.
+_BYTES_PER_SCENARIO: Final = 10_000
+
+
+@dataclass(frozen=True, eq=False)
+class ReportData:
+    """All data that a report of a study shows; `n` scenarios were run."""
+
+    file_name: str  # name of the study's file
+    summary: Summary
+    rows: tuple[ScenarioRecord, ...]  # run scenarios
+    failed: tuple[ScenarioRecord, ...]  # failed scenarios
+    metrics: tuple[Metric, ...]
+    scores: Mapping[str, FloatArray]  # by metric, shape (n,)
+    reference_other: str  # the other whose clusters are described
+    score_sources: Mapping[
+        str, Mapping[int, str | None]
+    ]  # other a score belongs to, by metric and id; empty with one other
+    times: Mapping[int, FloatArray]  # instants of each recording by id, in s, shape (T,)
+    course_lines: Mapping[str, Mapping[int, FloatArray]]  # resampled courses by metric and id, shape (COURSE_POINTS,)
+    courses: Mapping[str, Mapping[int, Float32Array]]  # capped courses by metric and id, shape (T,); only for figures
+    entities_hit: Mapping[int, frozenset[str]]  # entities the ego collides with, by id
+    examples: Mapping[int, Recording]  # recordings of the clusters' examples, by id
+    values: FloatArray  # parameters, shape (n, d); indices for choices
+    influential_parameters: tuple[
+        int, ...
+    ]  # parameters by influence on the first metric; the first two in their own order
+    is_critical: BoolArray  # shape (n,); all False without a threshold
+    gaps: Mapping[str, NearestDistances]  # by aspect; empty before the study was reduced
+    verdicts: Mapping[int, Sequence[Verdict]]  # by id, one per requirement; empty without requirements
+    outcomes: Mapping[int, str]  # endings by id; empty before the study was analyzed
+    notes: Mapping[int, str]  # user notes by id
+    missed_fractions: tuple[MissedFractionAfter, ...]  # empty if unknown
+    region: Region | None  # x_min, y_min, x_max, y_max around all motion, in m
+
+    @property
+    def parameters(self) -> Sequence[Parameter]:
+        """Parameters of the space."""
+        return self.summary.meta.space.parameters
+
+    def metric_for_aspect(self, aspect: str) -> Metric:
+        """Return the metric of an aspect, or the first metric if the aspect is none."""
+        names = [metric.name for metric in self.metrics]
+        return self.metrics[names.index(aspect) if aspect in names else 0]
+
+    def row_indices(self, ids: Sequence[int]) -> IntArray:
+        """Return the row indices of scenarios by id, shape (m,)."""
+        index_by_id = {row.id: k for k, row in enumerate(self.rows)}
+        return np.array([index_by_id[scenario] for scenario in ids], dtype=np.int64)
+
+
+def read_report_data(
+    study: Study,
+    *,
+    figures: bool = False,
+    memory: MemoryLimit | None = None,
+    on_read: Callable[[int], None] | None = None,
+) -> ReportData:
+    """Read all data of a report in one pass over the recordings; InputError if it exceeds the memory limit.
+
+    `figures` also keeps whole courses; `on_read` is called with the number of recordings read so far.
+    """
+    rows = study.finished_rows()
+    metrics = tuple(METRICS.create(name) for name in study.meta.metrics)
+    scores = {metric.name: study.scores(metric.name) for metric in metrics}
+    values = np.array([[parameter.extract_number(row.values) for parameter in study.space.parameters] for row in rows])
+    times: dict[int, FloatArray] = {}
+    shared_times: dict[bytes, FloatArray] = {}
+    lines: dict[str, dict[int, FloatArray]] = {metric.name: {} for metric in metrics}
+    courses: dict[str, dict[int, Float32Array]] = {metric.name: {} for metric in metrics}
+    touched: dict[int, frozenset[str]] = {}
+    region: Region | None = None
+    # One recording at a time: those of a large study would not fit into memory.
+    for count, (scenario, recording, score_courses) in enumerate(study.iter_recordings()):
+        if not count and memory is not None:
+            _check_memory(memory, len(rows), len(metrics), len(recording.time) if figures else 0, on_read is not None)
+        # Most scenarios share the same instants.
+        times[scenario] = shared_times.setdefault(recording.time.tobytes(), recording.time)
+        for metric in metrics:
+            course = metric.clip_course(score_courses[metric.name]).astype(np.float32)
+            lines[metric.name][scenario] = resample_course(recording.time, course, metric.lower_is_critical)
+            if figures:
+                courses[metric.name][scenario] = course
+        touched[scenario] = entities_hit_by_ego(study.meta, recording.collisions)
+        region = _union_region(region, recorded_bounds([recording]))
+        if on_read is not None:
+            on_read(count + 1)
+    summary = summarize_with_collisions(study, list(touched.values()))
+    return ReportData(
+        file_name=study.path.name,
+        summary=summary,
+        rows=tuple(rows),
+        failed=tuple(study.failed_rows()),
+        metrics=metrics,
+        scores=scores,
+        reference_other=study.primary_other(),
+        score_sources={name: study.score_sources(name) for name in scores if len(study.meta.others) > 1},
+        times=times,
+        course_lines=lines,
+        courses=courses,
+        entities_hit=touched,
+        examples=_read_examples(study, summary.analyses),
+        values=values,
+        influential_parameters=_order_by_influence(values, scores[metrics[0].name]),
+        is_critical=Objective.from_study_meta(study.meta).is_critical_in_study(study),
+        gaps={} if summary.reduced_set is None else _measure_gaps(study, summary.analyses, summary.reduced_set.ids),
+        verdicts=judge_study(study),
+        outcomes=study.outcomes(),
+        notes=study.notes(),
+        missed_fractions=tuple(estimate_missed_fractions(study, summary.estimates)),
+        region=region,
+    )
+
+
+def _check_memory(memory: MemoryLimit, scenarios: int, metrics: int, course_length: int, is_announced: bool) -> None:
+    """Raise if the contents do not fit into the memory limit."""
+    need = scenarios * (_BYTES_PER_SCENARIO + metrics * (8 * COURSE_POINTS + 4 * course_length))
+    instead = "give more, or leave out `figures`" if course_length else "give more"
+    memory.check_fits(need, f"the contents of a report of {scenarios:,} scenarios", instead)
+    if is_announced:
+        report_memory_need(f"The contents of a report of {scenarios:,} scenarios", need)
+
+
+def _union_region(first: Region | None, second: Region | None) -> Region | None:
+    if first is None or second is None:
+        return first or second
+    return (min(first[0], second[0]), min(first[1], second[1]), max(first[2], second[2]), max(first[3], second[3]))
+
+
+def _read_examples(study: Study, analyses: Mapping[str, Analysis]) -> dict[int, Recording]:
+    ids = {profile.example for analysis in analyses.values() for profile in analysis.profiles}
+    other = study.primary_other()
+    return {
+        scenario: study.recording(scenario).with_absent_entities([other])
+        for scenario in sorted(scenario for scenario in ids if scenario is not None)
+    }
+
+
+def _order_by_influence(values: FloatArray, scores: FloatArray) -> tuple[int, ...]:
+    """Order parameters by the share of the score's variance that ten quantile bins of each explain."""
+    shares = []
+    for column in values.T:
+        bins = np.searchsorted(np.quantile(column, np.linspace(0, 1, 11)[1:-1]), column)
+        means = np.array([scores[bins == b].mean() for b in np.unique(bins)])
+        counts = np.array([(bins == b).sum() for b in np.unique(bins)])
+        shares.append(float((counts * (means - scores.mean()) ** 2).sum()))
+    order = sorted(range(len(shares)), key=lambda j: (-shares[j], j))
+    return (*sorted(order[:2]), *order[2:])
+
+
+def _measure_gaps(
+    study: Study, analyses: Mapping[str, Analysis], selected_ids: list[int]
+) -> dict[str, NearestDistances]:
+    gaps = {}
+    for name, analysis in analyses.items():
+        index = analysis.rows_of(selected_ids)
+        if len(index):
+            gaps[name] = measure_nearest_distances(read_distances(study, name), index)
+    return gaps

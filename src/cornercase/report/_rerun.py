@@ -1,0 +1,172 @@
+"""Run one scenario of a study again: its command and its concrete scenario file."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+from lxml import etree
+
+from cornercase._common.errors import InputError
+from cornercase._common.io.files import portable_name
+from cornercase._common.text.sanitize import escape_control_characters
+from cornercase.drivers._description import driver_command_option
+from cornercase.reduction import read_reduction
+from cornercase.report._commands import OPTION_BY_SETTING, describe_unnamed_drivers
+from cornercase.scenario import Value
+from cornercase.scenario._concrete_file import build_concrete_file
+from cornercase.scenario._file import ScenarioFile
+from cornercase.scenario._types import INTEGER_TYPES, convert_to_type, format_value
+from cornercase.study import ScenarioRecord, Study, StudyMeta
+from cornercase.study._import_recordings import IMPORTED_SIMULATOR
+from cornercase.study._scenario_file import find_explored_scenario
+
+_BUILTIN: Final = "builtin"
+
+
+def rerun_payload(
+    study: Study, scenario: Path | str | ScenarioFile | None = None, *, include_file: bool = True
+) -> dict[str, Any]:
+    """Return what the page needs to run a scenario again: name, key per search, command, and scenario file.
+
+    ``command`` holds the words before and after the parameters, or None (``why``). ``file`` holds the pieces of
+    the scenario file around its ``slots``, or None (``file_why``); left out without
+    `include_file`, if a server has it.
+    """
+    meta = study.meta
+    why = _reason_without_command(meta)
+    name = meta.file_name
+    explored, file_why = _find_scenario(study, scenario)
+    pieces = (
+        _split_at_values(meta, explored, read_selection_reasons(study))
+        if include_file and explored is not None
+        else None
+    )
+    facts = {key: value for key, value in meta.to_json().items() if key not in ("budget", "repeatability")}
+    return {
+        "name": portable_name(meta.title),
+        "key": hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()[:16],
+        "command": None
+        if why
+        else {
+            # A file name must not be read as an option.
+            "before": ["cornercase", "simulate", f"./{name}" if name.startswith("-") else name],
+            "after": _simulate_options(meta),
+        },
+        "why": why,
+        "file": pieces,
+        "file_why": file_why or ("" if pieces or not include_file else "The scenario needs a file that was not found."),
+    }
+
+
+def _find_scenario(study: Study, given: Path | str | ScenarioFile | None) -> tuple[ScenarioFile | None, str]:
+    """Find the scenario that was explored, or explain why there is none."""
+    try:
+        scenario = find_explored_scenario(study, given)
+    except InputError:
+        name = study.meta.file_name
+        return None, f"The scenario file {name} was not found as it was explored, so that no concrete one can be made."
+    return scenario, "" if scenario is not None else "There is no scenario file: the recordings were imported."
+
+
+def read_selection_reasons(study: Study) -> dict[int, str]:
+    """Return why each scenario of the reduced set was selected, by id; empty before the study was reduced."""
+    reduced = read_reduction(study)
+    return {} if reduced is None else {scenario.id: scenario.why for scenario in reduced.scenarios}
+
+
+def render_concrete_scenario(
+    meta: StudyMeta, scenario: ScenarioFile, row: ScenarioRecord, selection_reason: str | None
+) -> bytes:
+    """Return the file of a concrete scenario (UTF-8 XML) as `reduce` writes it, with its `selection_reason`."""
+    return _fill_scenario(meta, scenario, row.values, _describe_scenario(meta, str(row.id), selection_reason))
+
+
+def _reason_without_command(meta: StudyMeta) -> str:
+    if meta.simulator == IMPORTED_SIMULATOR:
+        return "Its recording was imported: what made it is not known."
+    if any(describe_unnamed_drivers(meta)):
+        return "A driver that Python code made drove, and the study does not hold how."
+    return ""
+
+
+def _simulate_options(meta: StudyMeta) -> list[str]:
+    options = [f"{option}={meta.settings[name]}" for name, option in OPTION_BY_SETTING.items() if name in meta.settings]
+    if meta.simulator != _BUILTIN:
+        options += [f"--simulator={meta.simulator}", f"--ego={meta.ego}"]
+    return [
+        *options,
+        *(f"--driver={entity}={driver_command_option(driver)}" for entity, driver in meta.drivers.items()),
+    ]
+
+
+def _describe_scenario(meta: StudyMeta, scenario: str, why: str | None) -> str:
+    text = f"Scenario {scenario} of the logical scenario {meta.title}"
+    return f"{text}: {why}" if why is not None else text
+
+
+def _fill_scenario(meta: StudyMeta, scenario: ScenarioFile, values: Mapping[str, Value], description: str) -> bytes:
+    presets = {entity: driver for entity, driver in meta.drivers.items() if isinstance(driver, str)}
+    return build_concrete_file(scenario, values, Path(meta.file_name), presets, description).content
+
+
+def _split_at_values(
+    meta: StudyMeta, scenario: ScenarioFile, selection_reasons: Mapping[int, str]
+) -> dict[str, Any] | None:
+    """Split the scenario file at its parameter values and its description."""
+    parameters = meta.space.parameters
+    mark = "$cornercase"
+    source = etree.tostring(scenario.root).decode()
+    while mark in source:
+        mark += "-"
+    marks = {parameter.name: f"{mark}:{k}:" for k, parameter in enumerate(parameters)}
+    try:
+        text = _fill_scenario(meta, scenario, marks, f"{mark}:n:").decode()
+    except (InputError, UnicodeDecodeError):
+        # A file that it needs is missing.
+        return None
+    first, *rest = text.split(f"{mark}:")
+    slots = [piece.partition(":")[0] for piece in rest]
+    pieces = [first, *(piece.partition(":")[2] for piece in rest)]
+    types = {
+        element.get("name"): element.get("parameterType")
+        for element in scenario.root.iterfind("ParameterDeclarations/*")
+    }
+    choices = {
+        parameter.name: [
+            _escape_attribute(_format_choice(choice, types.get(parameter.name))) for choice in parameter.choices
+        ]
+        for parameter in parameters
+    }
+    return {
+        "pieces": pieces,
+        # Index of a parameter; None for the description.
+        "slots": [None if slot == "n" else int(slot) for slot in slots],
+        "kinds": [types.get(parameter.name, "string") for parameter in parameters],
+        "whole": sorted(INTEGER_TYPES),
+        "choices": [choices[parameter.name] for parameter in parameters],
+        # Text before and after the id of a scenario without a selection reason.
+        "description": [
+            _escape_attribute(escape_control_characters(text))
+            for text in _describe_scenario(meta, "\0", None).split("\0")
+        ],
+        "kept": {
+            str(scenario): _escape_attribute(escape_control_characters(_describe_scenario(meta, str(scenario), why)))
+            for scenario, why in sorted(selection_reasons.items())
+        },
+    }
+
+
+def _format_choice(choice: str, parameter_type: str | None) -> str:
+    return (
+        choice if choice.lstrip().startswith("$") else format_value(convert_to_type(choice, parameter_type or "string"))
+    )
+
+
+def _escape_attribute(text: str) -> str:
+    """Escape text as an XML attribute value."""
+    element = etree.Element("a", b=text)
+    return etree.tostring(element, encoding="unicode").removeprefix('<a b="').removesuffix('"/>')

@@ -1,0 +1,115 @@
+"""Find the road of a scenario and encode its drawing for the page."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from cornercase._common.errors import InputError
+from cornercase._common.text.sanitize import quote_name
+from cornercase._common.typing import FloatArray, IntArray
+from cornercase.recordings import Recording
+from cornercase.roads._network import RoadNetwork
+from cornercase.roads._outline import Region, RoadOutline, outline_roads
+from cornercase.scenario import Value
+from cornercase.scenario._file import ScenarioFile
+from cornercase.scenario._locate import find_scenario_file
+from cornercase.scenario._maps import MAPS_VARIABLE, describe_how_to_get_map
+from cornercase.scenario._road_choices import add_varied_roads
+from cornercase.study import Study
+from cornercase.study._scenario_file import find_explored_scenario
+
+ROAD_MARGIN: Final = 40.0
+"""Distance around the recordings up to which the road is drawn, in m."""
+
+
+def find_road_outline(
+    study: Study,
+    region: Region | None,
+    scenario: Path | str | ScenarioFile | None = None,
+    values: Mapping[str, Value] | None = None,
+) -> tuple[RoadOutline | None, str]:
+    """Find the road that was explored, via the scenario file beside the study or `scenario`.
+
+    Return its outline in `region`, or None and a sentence (without paths) that explains why. `values` are the
+    parameters of a scenario, one of which may name the road file. InputError if `scenario` is not the one that was
+    explored.
+    """
+    if region is None:
+        return None, ""
+    name = quote_name(study.meta.file_name)
+    try:
+        explored = find_explored_scenario(study, scenario)
+    except InputError:
+        if scenario is not None:
+            raise
+        return None, _describe_missing_scenario(study, name)
+    if explored is None:
+        return None, "The road is not drawn, as no scenario file belongs to recordings that were imported."
+    try:
+        path = explored.road_path_for(values)
+        if path is None:
+            return None, f"The road is not drawn, as the scenario file {name} names none."
+        # Studies may be untrusted: a parameter value must not lead to any other file.
+        if path not in explored.road_paths():
+            return None, f"The road is not drawn, as it is none of those that belong to {name}."
+        network = RoadNetwork.from_xml(explored.get_root(path), path)
+    except InputError:
+        return None, f"The road is not drawn, as the road file of {name} cannot be read."
+    return outline_roads(network, region), ""
+
+
+def is_missing_map(reason: str) -> bool:
+    """Return whether a message of `find_road_outline` says that a map is missing in the map folders."""
+    return MAPS_VARIABLE in reason
+
+
+def _describe_missing_scenario(study: Study, name: str) -> str:
+    meta = study.meta
+    default = f"The road is not drawn, as the scenario file {name} does not lie beside the study as it was."
+    try:
+        source = find_scenario_file(meta.file_name, meta.fingerprint, (study.path.parent, Path()), meta.space)
+        if source is None:
+            return default
+        scenario = add_varied_roads(
+            source if isinstance(source, ScenarioFile) else ScenarioFile.read(source), meta.space
+        )
+        reference = scenario.missing_road_reference()
+    except InputError:
+        return default
+    if not reference:
+        return default
+    road = quote_name(reference.replace("\\", "/").rpartition("/")[2])
+    return f"The road is not drawn, as there is no road file {road} of {name}; {describe_how_to_get_map(reference)}."
+
+
+def recorded_bounds(recordings: Iterable[Recording], margin: float = ROAD_MARGIN) -> Region | None:
+    """Return the bounding box of all motion, enlarged by `margin` in m; None if nothing exists."""
+    low, high = np.full(2, np.inf), np.full(2, -np.inf)
+    for recording in recordings:
+        for k, values in enumerate((recording.x, recording.y)):
+            low[k] = min(low[k], np.min(values, initial=np.inf, where=np.isfinite(values)))
+            high[k] = max(high[k], np.max(values, initial=-np.inf, where=np.isfinite(values)))
+    if not np.isfinite(low).all():
+        return None
+    return (*(low - margin).tolist(), *(high + margin).tolist())
+
+
+def encode_road_outline(sketch: RoadOutline) -> dict[str, Any]:
+    """Encode a road outline for the page: ``origin`` in m, and for each shape its kind and point steps in cm."""
+    shapes = [*sketch.areas, *sketch.lines]
+    origin = np.rint(shapes[0][1][0]) if shapes else np.zeros(2)
+
+    def encode_points(points: FloatArray) -> list[int]:
+        whole: IntArray = np.rint((points - origin) * 100.0).astype(np.int64)
+        steps = np.diff(whole, axis=0, prepend=np.zeros((1, 2), dtype=np.int64))
+        return [int(number) for number in steps[(steps != 0).any(axis=1) | (np.arange(len(steps)) == 0)].ravel()]
+
+    return {
+        "origin": origin.tolist(),
+        "areas": [[kind, encode_points(points)] for kind, points in sketch.areas],
+        "lines": [[kind, encode_points(points)] for kind, points in sketch.lines],
+    }

@@ -1,0 +1,274 @@
+"""Summary of a study as typed values."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from cornercase._common.plugin_errors import group_failure_messages
+from cornercase.clustering import Agreement, Analysis, read_analyses
+from cornercase.clustering._agreement import compare_clusterings
+from cornercase.exploration._constant_metrics import describe_constant_metrics
+from cornercase.exploration._objective import Objective
+from cornercase.metrics import METRICS
+from cornercase.recordings import Collision
+from cornercase.reduction import ReducedSet, read_reduction
+from cornercase.reduction._evaluate import reevaluate
+from cornercase.report._estimates import SpaceEstimates, estimate_space
+from cornercase.report._reference_counts import ReferenceCount, count_reference_results
+from cornercase.scenario import Value
+from cornercase.study import ScenarioRecord, Study, StudyMeta
+from cornercase.study._damage import require_value, reraise_as_damage
+from cornercase.study._study import open_study
+
+# Reasons that somebody may still read.
+_MAX_REASONS: Final = 20
+
+
+@dataclass(frozen=True)
+class MetricSummary:
+    """Scores of the scenarios that were run, by one metric.
+
+    Attributes
+    ----------
+    name, unit : str
+        The unit is ``"1"`` for none.
+    lower_is_critical : bool
+    most_critical, median : float
+        In the unit of the metric.
+    scenario : int
+        Id of the most critical scenario.
+    at : mapping of str to float or str
+        Its parameters.
+    spread : tuple of float, or None
+        Score range of repeated runs: of the median scenario, and the largest. None if each scenario was run once.
+    alike : str
+        Message if all scenarios have the same score, else empty.
+    against : str or None
+        With several others, the one that the most critical score belongs to; None with one other, or if the score does
+        not depend on the other.
+    counts : mapping of str to int
+        With several others, the number of scores that belong to each; else empty.
+    """
+
+    name: str
+    unit: str
+    lower_is_critical: bool
+    most_critical: float
+    median: float
+    most_critical_id: int
+    parameters: Mapping[str, Value]
+    repeat_spread: tuple[float, float] | None
+    constant_note: str = ""
+    most_critical_other: str | None = None
+    scores_per_other: Mapping[str, int] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class FailureSummary:
+    """Scenarios that failed for one reason.
+
+    Attributes
+    ----------
+    scenarios : int
+        Number of scenarios.
+    first : int
+        Id of the first.
+    at : mapping of str to float or str
+        Parameters of the first.
+    """
+
+    n_scenarios: int
+    first_id: int
+    parameters: Mapping[str, Value]
+
+
+@dataclass(frozen=True, repr=False)
+class Summary:
+    """What was run in a study, and what was found.
+
+    Attributes
+    ----------
+    meta : StudyMeta
+        Configuration of the study.
+    searched : str
+        Objective of the search: a metric, a weighted sum, or the front of several metrics.
+    run, failed, pending : int
+        Number of scenarios.
+    collisions : int
+        Number of scenarios in which the ego collides with an entity it is measured against.
+    beside : mapping of str to int
+        Number of scenarios in which the ego collides with an entity it is not measured against, by entity.
+    metrics : mapping of str to MetricSummary
+        Empty before a scenario was run.
+    analyses : mapping of str to Analysis
+        By aspect.
+    agreements : mapping of (str, str) to Agreement
+        For each pair of aspects that the same scenarios were analyzed by.
+    seconds : mapping of str to float
+        Time spent by stage, in s.
+    knowledge : SpaceEstimates
+        Estimates about the whole space.
+    reduced : ReducedSet or None
+        None before the study was reduced.
+    probability : mapping of str to object, or None
+        Result of `estimate`, as `cornercase.exploration.Estimation.to_json` returns it; None for other studies.
+    references : mapping of str to ReferenceCount
+        Results of the reference drivers that the condition or a requirement names, by name.
+    failures : mapping of str to FailureSummary
+        By reason, the most frequent first.
+    """
+
+    meta: StudyMeta
+    objective: str
+    n_run: int
+    n_failed: int
+    n_pending: int
+    n_collisions: int
+    unmeasured_collisions: Mapping[str, int]
+    metrics: Mapping[str, MetricSummary]
+    analyses: Mapping[str, Analysis]
+    agreements: Mapping[tuple[str, str], Agreement]
+    seconds_by_stage: Mapping[str, float]
+    estimates: SpaceEstimates
+    reduced_set: ReducedSet | None
+    probability: Mapping[str, Any] | None = None
+    references: Mapping[str, ReferenceCount] = field(default_factory=dict)
+    failures: Mapping[str, FailureSummary] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        parts = [f"{self.meta.title}: {self.n_run} scenarios run, {self.n_collisions} collisions"]
+        if self.n_failed:
+            parts.append(f"{self.n_failed} failed")
+        if self.n_pending:
+            parts.append(f"{self.n_pending} pending")
+        parts += [f"{name} from {metric.most_critical:.4g} {metric.unit}" for name, metric in self.metrics.items()]
+        parts += [f"{len(analysis.sizes)} clusters by {by}" for by, analysis in self.analyses.items()]
+        if self.reduced_set is not None:
+            parts.append(f"{len(self.reduced_set)} kept")
+        return f"Summary({', '.join(parts)})"
+
+
+def summarize(study: Study | Path | str, *, critical: float | None = None) -> Summary:
+    """Summarize what was run in a study, and what was found.
+
+    Parameters
+    ----------
+    study : Study or path
+        Open, or the file; it is only read.
+    critical : float, optional
+        Score from which a scenario is critical, in the unit of the objective; default: that of the study.
+
+    Returns
+    -------
+    Summary
+        Typed values; ``print`` shows them in a line.
+
+    Raises
+    ------
+    InputError
+        There is no such study, or `critical` is given but the study does not define criticality by one score.
+
+    See Also
+    --------
+    cornercase.write_report : The same with figures, for people.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> cc.summarize("study.db").n_collisions  # doctest: +SKIP
+    12
+    """
+    with open_study(study, readonly=True, critical=critical) as opened:
+        entities_hit = [entities_hit_by_ego(opened.meta, hits) for hits in opened.collisions().values()]
+        return summarize_with_collisions(opened, entities_hit)
+
+
+def entities_hit_by_ego(meta: StudyMeta, collisions: Iterable[Collision]) -> frozenset[str]:
+    """Return the names of all entities that the ego collides with."""
+    hits = (collision.entities for collision in collisions if meta.ego in collision.entities)
+    return frozenset(name for pair in hits for name in pair if name != meta.ego)
+
+
+def summarize_with_collisions(study: Study, entities_hit: Sequence[frozenset[str]]) -> Summary:
+    """Like `summarize`, given for each run scenario the entities that the ego collides with."""
+    states = [row.state for row in study.rows()]
+    others = frozenset(study.meta.others)
+    names, constant_notes = study.meta.metrics, describe_constant_metrics(study)
+    reduced = read_reduction(study)
+    return Summary(
+        meta=study.meta,
+        objective=Objective.from_study_meta(study.meta).label,
+        n_run=states.count("done"),
+        n_failed=states.count("failed"),
+        n_pending=states.count("pending"),
+        n_collisions=sum(not names.isdisjoint(others) for names in entities_hit),
+        unmeasured_collisions={
+            name: sum(name in names for names in entities_hit)
+            for name in sorted(frozenset().union(*entities_hit) - others)
+        },
+        metrics={name: _summarize_metric(study, name, constant_notes.get(name, "")) for name in names}
+        if "done" in states
+        else {},
+        analyses=read_analyses(study),
+        agreements=compare_clusterings(study),
+        seconds_by_stage=study.elapsed_by_stage(),
+        estimates=estimate_space(study),
+        reduced_set=None if reduced is None else reevaluate(study, reduced),
+        probability=_read_probability(study),
+        references=count_reference_results(study),
+        failures=_summarize_failures(study.failed_rows()),
+    )
+
+
+def _summarize_failures(failed: Sequence[ScenarioRecord]) -> dict[str, FailureSummary]:
+    groups = group_failure_messages(row.error or "" for row in failed)
+    counts = {why: (len(members), failed[members[0]]) for why, members in list(groups.items())[:_MAX_REASONS]}
+    return {why: FailureSummary(count, first.id, first.values) for why, (count, first) in counts.items()}
+
+
+def _read_probability(study: Study) -> dict[str, Any] | None:
+    estimate = study.read_estimate()
+    if estimate is not None:
+        with reraise_as_damage(study.path):
+            for event in ("critical", "collision"):
+                low, high = estimate[event]["95 % interval"]
+                require_value(
+                    all(isinstance(number, float | int) for number in (estimate[event]["probability"], low, high)),
+                    event,
+                )
+            require_value(
+                isinstance(estimate["critical is"], str) and isinstance(estimate["scenarios"], int), "its estimate"
+            )
+            require_value(
+                all(isinstance(warning, str) for warning in estimate["warnings"]), "the warnings of its estimate"
+            )
+    return estimate
+
+
+def _summarize_metric(study: Study, name: str, constant_note: str) -> MetricSummary:
+    metric, scores = METRICS.create(name), study.scores(name)
+    worst = int(metric.to_minimize(scores).argmin())
+    row = study.finished_rows()[worst]
+    ranges = study.score_range(name)
+    against = study.score_sources(name)
+    counts = Counter(other for other in against.values() if other is not None)
+    width = None if ranges is None else ranges[:, 1] - ranges[:, 0]
+    return MetricSummary(
+        name=name,
+        unit=metric.unit,
+        lower_is_critical=metric.lower_is_critical,
+        most_critical=float(scores[worst]),
+        median=float(np.median(scores)),
+        most_critical_id=row.id,
+        parameters=row.values,
+        repeat_spread=None if width is None else (float(np.median(width)), float(width.max())),
+        constant_note=constant_note,
+        most_critical_other=against.get(row.id),
+        scores_per_other={name: counts[name] for name in study.meta.others} if against else {},
+    )

@@ -1,0 +1,134 @@
+"""Figures of courses, coverage, sensitivities and Pareto fronts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import combinations
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from cornercase._common.typing import BoolArray, Float32Array, FloatArray, IntArray
+from cornercase.evidence import Sensitivity
+from cornercase.metrics import Metric
+from cornercase.reduction._coverage import NearestDistances
+from cornercase.report.figures._style import COLOURS, GREY, cluster_style, format_score_label, shorten_tick_label
+
+
+def draw_courses_by_cluster(
+    time: Sequence[FloatArray],
+    courses: Sequence[Float32Array],
+    labels: IntArray,
+    metric: Metric,
+    name_by_cluster: Mapping[int, str] | None = None,
+) -> Figure:
+    """Draw a metric's course over time per cluster: median, and the band from the 10th to the 90th percentile."""
+    figure = Figure(figsize=(11.0, 3.8), layout="constrained")
+    axis = figure.add_subplot()
+    longest = max(time, key=len)
+    table = np.full((len(courses), len(longest)), np.nan)
+    for row, course in zip(table, courses, strict=True):
+        row[: len(course)] = course
+    for label in [cluster for cluster in np.unique(labels).tolist() if cluster >= 0]:
+        colour, _, name = cluster_style(label, name_by_cluster)
+        rows = table[labels == label]
+        is_covered = np.isfinite(rows).sum(axis=0) >= max(1, len(rows) // 2)
+        low, median, high = np.nanpercentile(rows[:, is_covered], (10, 50, 90), axis=0)
+        axis.fill_between(longest[is_covered], low, high, color=colour, alpha=0.18, linewidth=0)
+        style = ("-", "--", "-.", ":")[label % 4]
+        axis.plot(longest[is_covered], median, style, color=colour, label=name, linewidth=1.8)
+    axis.set_xlabel("time [s]")
+    axis.set_ylabel(f"{metric.name} [{metric.unit}]")
+    # No legend if all scenarios are noise.
+    if axis.get_legend_handles_labels()[0]:
+        axis.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False)
+    axis.grid(alpha=0.3)
+    return figure
+
+
+def draw_coverage_curves(
+    gaps_and_critical: Mapping[str, tuple[NearestDistances, BoolArray]], units: Sequence[str]
+) -> Figure:
+    """Draw the share of scenarios within a distance of the reduced set, one panel per aspect.
+
+    `gaps_and_critical` holds the gaps and the mask of critical scenarios by aspect, `units` the units of distances.
+    """
+    columns = min(3, len(gaps_and_critical))
+    rows = -(-len(gaps_and_critical) // columns)
+    figure = Figure(figsize=(4.4 * columns + 1.8, 3.4 * rows), layout="constrained")
+    axes = figure.subplots(rows, columns, squeeze=False).ravel()
+    for axis, (name, (coverage, critical)), unit in zip(axes, gaps_and_critical.items(), units, strict=False):
+        farthest = max(
+            float(coverage.to_selected.max()),
+            float(coverage.to_medoids.max()),
+            float(np.quantile(coverage.to_random, 0.99)),
+            1e-9,
+        )
+        reach = np.linspace(0.0, 1.05 * farthest, 300)
+
+        def fraction_within(gaps: FloatArray, distances: FloatArray = reach) -> FloatArray:
+            return np.asarray(np.searchsorted(np.sort(gaps), distances, side="right") / max(len(gaps), 1))
+
+        band = np.quantile([fraction_within(distances) for distances in coverage.to_random], (0.05, 0.95), axis=0)
+        axis.fill_between(reach, *(100.0 * band), color=GREY, alpha=0.35, linewidth=0, label="random choices")
+        axis.plot(
+            reach, 100.0 * fraction_within(coverage.to_medoids), ":", color=COLOURS[6], linewidth=1.6, label="k-medoids"
+        )
+        axis.plot(reach, 100.0 * fraction_within(coverage.to_selected), color=COLOURS[0], linewidth=2.0, label="kept")
+        if critical.any():
+            axis.plot(
+                reach, 100.0 * fraction_within(coverage.to_selected[critical]), "--", color=COLOURS[1], linewidth=2.0,
+                label="kept, of the critical ones",
+            )  # fmt: skip
+        axis.set_title(name)
+        axis.set_xlabel(f"distance to the nearest kept one [{unit}]")
+        axis.set_ylabel("scenarios [%]")
+        axis.set_ylim(0.0, 103.0)
+        axis.grid(alpha=0.3)
+    for axis in axes[len(gaps_and_critical) :]:
+        axis.set_visible(False)
+    if gaps_and_critical:
+        axes[0].legend(loc="lower right", frameon=True)
+    return figure
+
+
+def draw_sensitivities(sensitivity: Sensitivity) -> Figure:
+    """Draw the share of the score's variance per parameter, alone and in total, with intervals."""
+    figure = Figure(figsize=(8.0, 1.2 + 0.5 * len(sensitivity.names)), layout="constrained")
+    axis = figure.add_subplot()
+    positions = np.arange(len(sensitivity.names))
+    axis.barh(positions - 0.2, sensitivity.total, 0.38, color=COLOURS[0], label="with all others (total)")
+    axis.barh(
+        positions + 0.2,
+        sensitivity.first,
+        0.38,
+        color=COLOURS[4],
+        hatch="//",
+        edgecolor="white",
+        label="alone (first order)",
+    )
+    for height, intervals in (
+        (positions - 0.2, sensitivity.total_interval),
+        (positions + 0.2, sensitivity.first_interval),
+    ):
+        axis.hlines(height, *np.transpose(intervals), color="black", linewidth=1.2)
+    axis.set_yticks(positions, [shorten_tick_label(name) for name in sensitivity.names])
+    axis.invert_yaxis()
+    axis.set_xlim(0.0, 1.0)
+    axis.set_xlabel("share of the variance of the score [1]")
+    axis.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False)
+    return figure
+
+
+def draw_pareto_front(scores: Sequence[FloatArray], metrics: Sequence[Metric], front_rows: IntArray) -> Figure:
+    """Draw the scores of up to six pairs of metrics with the Pareto front, whose rows are `front_rows`."""
+    pairs = list(combinations(range(len(metrics)), 2))[:6]
+    figure = Figure(figsize=(5.0 * min(3, len(pairs)) + 1.6, 4.2 * -(-len(pairs) // 3)), layout="constrained")
+    for axis, (i, j) in zip(figure.subplots(-(-len(pairs) // 3), min(3, len(pairs)), squeeze=False).ravel(), pairs,
+                            strict=False):  # fmt: skip
+        axis.scatter(scores[i], scores[j], c=GREY, s=16, linewidths=0, label="run")
+        axis.scatter(scores[i][front_rows], scores[j][front_rows], c=COLOURS[1], marker="D", s=30, label="Pareto front")
+        axis.set_xlabel(format_score_label(metrics[i]))
+        axis.set_ylabel(format_score_label(metrics[j]))
+    axis.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False)
+    return figure

@@ -1,0 +1,103 @@
+"""Digest of one scenario for the live page, read as soon as it has ended."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from cornercase._common.typing import FloatArray
+from cornercase.exploration._objective import Objective
+from cornercase.report._payload import parameter_columns, round_score, score_source_column
+from cornercase.report._summary import entities_hit_by_ego
+from cornercase.report.encode._courses import encode_courses, resample_course
+from cornercase.study import ScenarioRecord, Study, StudyMeta
+
+
+@dataclass(frozen=True, eq=False)
+class ScenarioDigest:
+    """What the live page shows of one scenario."""
+
+    row: ScenarioRecord
+    scores: dict[str, float]  # by metric; empty if the scenario failed
+    critical: bool
+    collides: bool  # with an entity the ego is measured against
+    time_span: tuple[float, float]  # begin and end of the recording in s
+    courses: dict[str, FloatArray]  # resampled courses by metric, shape (COURSE_POINTS,)
+    score_sources: dict[str, str | None] = field(default_factory=dict)
+
+
+class ScenarioDigester:
+    """Reads digests from an open study."""
+
+    def __init__(self, study: Study) -> None:
+        self._study = study
+        self._objective = Objective.from_study_meta(study.meta)
+
+    def read(self, row: ScenarioRecord) -> ScenarioDigest:
+        """Read the digest of a scenario that has ended."""
+        if row.state == "failed":
+            return ScenarioDigest(row, {}, False, False, (0.0, 0.0), {})
+        study, meta = self._study, self._study.meta
+        recording, scores = study.recording(row.id), study.scenario_scores(row.id)
+        time = recording.time
+        courses = {
+            metric.name: resample_course(
+                time, metric.clip_course(study.course(row.id, metric.name)).astype(np.float32), metric.lower_is_critical
+            )
+            for metric in self._objective.metrics
+        }
+        return ScenarioDigest(
+            row,
+            scores,
+            self._is_critical(scores),
+            not entities_hit_by_ego(meta, recording.collisions).isdisjoint(meta.others),
+            (float(time[0]), float(time[-1])),
+            courses,
+            study.scenario_score_sources(row.id),
+        )
+
+    def _is_critical(self, scores: dict[str, float]) -> bool:
+        scores_row = np.array([[scores[metric.name] for metric in self._objective.metrics]])
+        return bool(self._objective.is_critical(scores_row, self._study.meta.critical)[0])
+
+
+def scenario_columns(meta: StudyMeta, digests: Sequence[ScenarioDigest]) -> dict[str, Any]:
+    """Return digests as the columns ``scenarios`` and ``errors`` of the page, without results of an analysis."""
+    rows = [digest.row for digest in digests]
+
+    def score_column(name: str) -> list[float | None]:
+        return [round_score(digest.scores[name]) if name in digest.scores else None for digest in digests]
+
+    return {
+        "scenarios": {
+            "id": [row.id for row in rows],
+            "round": [row.round for row in rows],
+            "failed": [int(row.state == "failed") for row in rows],
+            "values": parameter_columns(meta.space.parameters, rows),
+            "scores": {name: score_column(name) for name in meta.metrics},
+            "critical": [int(digest.critical) for digest in digests],
+            "collides": [int(digest.collides) if digest.scores else None for digest in digests],
+            "outcome": [None] * len(rows),
+            "kept": [0] * len(rows),
+            "audit": [int(meta.is_audit(row.id)) for row in rows],
+        }
+        | score_source_column(
+            meta,
+            [
+                [digest.score_sources.get(name) for name in meta.metrics] if digest.scores else None
+                for digest in digests
+            ],
+        ),
+        "errors": {str(row.id): row.error or "" for row in rows if row.state == "failed"},
+    }
+
+
+def course_columns(meta: StudyMeta, digests: Sequence[ScenarioDigest]) -> dict[str, Any]:
+    """Return the courses of digests, by metric, in the form of the page."""
+    return {
+        name: encode_courses([digest.courses.get(name) for digest in digests], [digest.time_span for digest in digests])
+        for name in meta.metrics
+    }

@@ -1,0 +1,162 @@
+"""Write the replay of a scenario to a file."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from cornercase._common import validation
+from cornercase._common.errors import InputError, NoticeWarning
+from cornercase._common.io.files import atomic_write, check_output_differs_from_source
+from cornercase._common.progress import ProgressBar
+from cornercase._common.typing import FloatArray
+from cornercase.report._road_drawing import is_missing_map
+from cornercase.report.replays._replay_data import ReplayData, read_replay_data
+from cornercase.scenario._file import ScenarioFile
+from cornercase.study import Study
+from cornercase.study._study import open_study
+
+if TYPE_CHECKING:
+    from cornercase.report.replays._frames import Frame
+
+_FILE_ENDINGS: Final = (".html", ".gif", ".mp4")
+_MAX_FPS: Final = 60.0
+# A GIF frame lasts at least two hundredths of a second.
+_MAX_GIF_FPS: Final = 50.0
+# A GIF with more or larger frames would be too large to send.
+_DEFAULT_FPS: Final = {".gif": 10.0, ".mp4": 25.0}
+_DPI: Final = {".gif": 75, ".mp4": 100}
+_MAX_FRAMES: Final = 20_000
+
+
+def replay(
+    study: Study | Path | str,
+    id: int,  # noqa: A002
+    path: Path | str,
+    *,
+    beside: int | None = None,
+    fps: float | None = None,
+    speed: float = 1.0,
+    scenario: Path | str | ScenarioFile | None = None,
+    critical: float | None = None,
+    progress: bool = False,
+) -> Path:
+    """Write the replay of a scenario: the motion of all entities on the road, and how critical it is.
+
+    Parameters
+    ----------
+    study : Study or path
+        In which the scenario was run.
+    id : int
+        Id of the scenario.
+    path : path
+        ``.html`` for a page to play, scrub and zoom in any browser; ``.gif`` or ``.mp4`` for a film. The same study
+        gives the same bytes (``.mp4``: with the same ffmpeg).
+    beside : int, optional
+        Id of another scenario, shown beside it on the same clock.
+    fps : float, optional
+        Frames per second of a film, at most 60; default: 25 for MP4, 10 for GIF, whose frames last whole hundredths of
+        a second.
+    speed : float, default 1
+        Speed of a film: 0.5 shows 1 s of the recording in 2 s.
+    scenario : path or Scenario, optional
+        Scenario file that was explored, to draw the road; by default it is searched beside the study and in the current
+        folder. Without it no road is drawn.
+    critical : float, optional
+        Threshold instead of the study's own, which the study keeps.
+    progress : bool, default False
+        Show a progress bar on standard error.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    InputError
+        A scenario does not exist, failed or was not run yet; the file ending is unknown; `fps` or `speed` is given for
+        a page; ffmpeg is missing for an ``.mp4``; `scenario` is not the explored one; or the file cannot be written.
+
+    See Also
+    --------
+    cornercase.write_report : The page of the whole study, in which each scenario can be replayed.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> cc.replay("study.db", 45, "run.html", beside=3)  # doctest: +SKIP
+    PosixPath('run.html')
+    """
+    path = validation.check_path("path", path)
+    ids = [validation.check_int("id", id, minimum=1)]
+    if beside is not None:
+        ids.append(validation.check_int("beside", beside, minimum=1))
+    speed, ending = validation.check_float("speed", speed, above=0.0), path.suffix.lower()
+    rate = _DEFAULT_FPS.get(ending, 0.0) if fps is None else validation.check_float("fps", fps, above=0.0)
+    if rate > _MAX_FPS:
+        raise InputError(f"`fps` {rate:g}: give at most {_MAX_FPS:g}.")
+    if ending == ".gif" and rate > _MAX_GIF_FPS:
+        raise InputError(f"`fps` {rate:g}: a GIF shows at most {_MAX_GIF_FPS:g}; write an .mp4.")
+    if ending not in _FILE_ENDINGS:
+        raise InputError(f"`path` {path}: the file name must end with one of {', '.join(_FILE_ENDINGS)}.")
+    if ending == ".html" and (fps is not None or speed != 1.0):
+        raise InputError("`fps` and `speed` only apply to films; leave them out for a page.")
+    if ending == ".mp4":
+        from cornercase.report.replays._film_files import find_ffmpeg
+
+        find_ffmpeg()
+    with open_study(study, readonly=True, critical=critical) as opened:
+        check_output_differs_from_source(path, opened.path)
+        data = read_replay_data(opened, ids, scenario)
+    if data.road_missing_reason and (ending != ".html" or is_missing_map(data.road_missing_reason)):
+        # The page itself explains a missing road; a missing map can be fixed with an option, so warn at once.
+        warnings.warn(data.road_missing_reason.removesuffix("."), NoticeWarning, stacklevel=2)
+    with atomic_write(path) as temporary:
+        if ending == ".html":
+            from cornercase.report.replays._replay_page import render_replay_page
+
+            temporary.write_text(render_replay_page(data), encoding="utf-8", errors="backslashreplace", newline="\n")
+        else:
+            _write_film(data, temporary, ending, rate, speed, progress)
+    return path
+
+
+def _write_film(data: ReplayData, path: Path, ending: str, fps: float, speed: float, progress: bool) -> None:
+    from cornercase.report.figures._style import matplotlib_defaults
+    from cornercase.report.replays._film_files import nearest_gif_rate, write_gif, write_mp4
+    from cornercase.report.replays._frames import FrameRenderer
+
+    rate = nearest_gif_rate(fps) if ending == ".gif" else fps
+    times = _frame_times(data, speed / rate)
+    bar = ProgressBar(len(times), "drawing", "frames") if progress else None
+    try:
+        with matplotlib_defaults():
+            frames = _report_progress(FrameRenderer(data, dpi=_DPI[ending]).render_frames(times), bar)
+            (write_gif if ending == ".gif" else write_mp4)(frames, path, rate)
+    finally:
+        if bar is not None:
+            bar.stop()
+
+
+def _frame_times(data: ReplayData, step: float) -> FloatArray:
+    """Return the frame times from begin to end, including the end, in s."""
+    span = data.end_time - data.start_time
+    if span / step > _MAX_FRAMES:
+        raise InputError(
+            f"The film would have {span / step:.0f} frames, more than {_MAX_FRAMES}; give a higher `speed`, or a lower"
+            " `fps`."
+        )
+    times = data.start_time + step * np.arange(np.floor(span / step + 1e-9) + 1)
+    return np.append(times, data.end_time) if data.end_time - times[-1] > 1e-6 else times
+
+
+def _report_progress(frames: Iterator[Frame], bar: ProgressBar | None) -> Iterator[Frame]:
+    for k, frame in enumerate(frames, 1):
+        yield frame
+        if bar is not None:
+            bar.update(k, "")

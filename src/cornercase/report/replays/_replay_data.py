@@ -1,0 +1,115 @@
+"""Data of a replay: scenarios of a study and their road."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from cornercase._common.errors import InputError
+from cornercase._common.typing import FloatArray
+from cornercase.exploration._objective import Objective
+from cornercase.metrics import METRICS, Metric
+from cornercase.recordings import Recording
+from cornercase.report._road_drawing import find_road_outline, recorded_bounds
+from cornercase.roads._outline import RoadOutline
+from cornercase.scenario import Parameter
+from cornercase.scenario._file import ScenarioFile
+from cornercase.study import ScenarioRecord, Study, StudyMeta
+
+
+@dataclass(frozen=True, eq=False)
+class ReplayItem:
+    """One scenario of a replay, with T instants."""
+
+    row: ScenarioRecord
+    recording: Recording
+    courses: Mapping[str, FloatArray]  # capped courses by metric, shape (T,)
+    scores: Mapping[str, float]  # by metric
+    outcome: str  # how it ended; empty if unknown
+    is_critical: bool
+    score_sources: Mapping[str, str | None] = field(default_factory=dict)
+
+    def most_critical_time(self, metric: Metric) -> float:
+        """Return the first most critical time of a metric in s.
+
+        If its course is constant: the first collision, or the start.
+        """
+        course = metric.to_minimize(self.courses[metric.name])
+        finite = course[np.isfinite(course)]
+        if len(finite) and finite.min() < finite.max():
+            return float(self.recording.time[int(np.nanargmin(course))])
+        return self.recording.collisions[0].time if self.recording.collisions else float(self.recording.time[0])
+
+
+@dataclass(frozen=True, eq=False)
+class ReplayData:
+    """All data that a replay shows."""
+
+    file_name: str  # name of the study's file
+    meta: StudyMeta
+    metrics: tuple[Metric, ...]  # the course of the first one is shown
+    threshold: float | None  # of the first metric, if it alone defines what is critical
+    items: tuple[ReplayItem, ...]  # one, or two side by side
+    road: RoadOutline | None
+    road_missing_reason: str  # why there is no road
+
+    @property
+    def parameters(self) -> Sequence[Parameter]:
+        """Parameters of the space."""
+        return self.meta.space.parameters
+
+    def main_other(self, item: ReplayItem) -> str:
+        """Return the other that the score by the first metric belongs to, or the first other."""
+        return item.score_sources.get(self.metrics[0].name) or self.meta.others[0]
+
+    @property
+    def start_time(self) -> float:
+        """Start of the first recording in s."""
+        return float(self.items[0].recording.time[0])
+
+    @property
+    def end_time(self) -> float:
+        """End of the longest recording in s."""
+        return max(float(take.recording.time[-1]) for take in self.items)
+
+
+def read_replay_data(study: Study, ids: Sequence[int], scenario: Path | str | ScenarioFile | None = None) -> ReplayData:
+    """Read scenarios and their road for a replay; InputError if a scenario was not run or `scenario` does not match."""
+    meta = study.meta
+    metrics = tuple(METRICS.create(name) for name in meta.metrics)
+    objective = Objective.from_study_meta(meta)
+    # A front has no threshold, and the threshold of a weighted sum does not apply to a single course.
+    threshold = None if objective.pareto or objective.weights else study.critical
+    outcomes = study.outcomes()
+    rows = {row.id: row for row in study.rows()}
+    takes = []
+    for scenario_id in ids:
+        row = _require_run_scenario(study, rows, scenario_id)
+        scores = study.scenario_scores(scenario_id)
+        courses = {metric.name: metric.clip_course(study.course(scenario_id, metric.name)) for metric in metrics}
+        scores_row = np.array([[scores[metric.name] for metric in metrics]])
+        critical = bool(objective.is_critical(scores_row, study.critical)[0])
+        against = study.scenario_score_sources(scenario_id)
+        takes.append(
+            ReplayItem(
+                row, study.recording(scenario_id), courses, scores, outcomes.get(scenario_id, ""), critical, against
+            )
+        )
+    region = recorded_bounds(take.recording for take in takes)
+    road, missing = find_road_outline(study, region, scenario, takes[0].row.values)
+    return ReplayData(study.path.name, meta, metrics, threshold, tuple(takes), road, missing)
+
+
+def _require_run_scenario(study: Study, rows: Mapping[int, ScenarioRecord], scenario_id: int) -> ScenarioRecord:
+    row = rows.get(scenario_id)
+    if row is None:
+        count = f"its scenarios are 1 to {max(rows)}" if rows else "it has none yet"
+        raise InputError(f"{study.path}: has no scenario {scenario_id}; {count}.")
+    if row.state == "failed":
+        raise InputError(f"{study.path}: scenario {scenario_id} failed, so there is nothing to replay: {row.error}")
+    if row.state != "done":
+        raise InputError(f"{study.path}: scenario {scenario_id} was not run yet, so there is nothing to replay.")
+    return row

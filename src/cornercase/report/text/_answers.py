@@ -1,0 +1,375 @@
+"""Questions and answers at the top of the report."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, Final
+
+from cornercase._common.text.sanitize import escape_control_characters
+from cornercase.evidence import Estimate
+from cornercase.reduction import ReducedSet
+from cornercase.report._estimates import CriticalEstimates
+from cornercase.report._reference_counts import describe_references
+from cornercase.report._report_data import ReportData
+from cornercase.report.text._phrases import (
+    append_unit,
+    describe_aspect,
+    describe_front,
+    describe_missing_sensitivity,
+    describe_roles,
+    describe_selection_threshold,
+    describe_threshold_override,
+    describe_too_few_scores,
+    describe_unmeasured_collisions,
+    describe_warm_start,
+    format_criterion_with_signs,
+    format_percent,
+    group_failures_by_reason,
+    use_math_signs,
+)
+from cornercase.study._import_recordings import IMPORTED_SIMULATOR
+from cornercase.suite._verdict import worst_state
+
+# Points listed below an answer; the details have all.
+_MAX_POINTS = 6
+_NEGLIGIBLE_SHARE = 0.01
+_ROLE_NAMES: Final[dict[str, tuple[str, str]]] = {
+    "prototype": ("prototype", "prototypes"),
+    "archetype": ("archetype", "archetypes"),
+    "gap": ("that fills a gap between these", "that fill gaps between these"),
+    "exposing": ("that exposes mutants of the driver", "that expose mutants of the driver"),
+}
+
+
+@dataclass(frozen=True)
+class Answer:
+    """Answer to a question that is asked of every study."""
+
+    name: str  # for addresses and tests
+    question: str
+    text: str
+    points: tuple[str, ...] = ()  # listed below the text
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the fields as plain text."""
+        return {
+            "name": self.name,
+            "question": self.question,
+            "text": escape_control_characters(self.text),
+            "points": [escape_control_characters(point) for point in self.points],
+        }
+
+
+def page_answers(data: ReportData) -> Iterator[Answer]:
+    """Answer all questions in the order of the page; every number also appears in `summary_to_dict`."""
+    summary = data.summary
+    estimates = summary.estimates
+    if data.verdicts:
+        yield _answer_verdicts(data)
+    if summary.probability is not None:
+        yield _answer_probability(summary.probability)
+    if estimates.pareto_front is not None:
+        yield _answer_front(data)
+    else:
+        yield _answer_critical_share(data)
+    yield _answer_clusters(data)
+    yield _answer_parameters(data)
+    yield _answer_reduced_set(data)
+    if estimates.pareto_front is None and estimates.critical is not None:
+        yield _answer_missed(estimates.critical)
+    yield _answer_failures(data)
+
+
+def describe_study(data: ReportData, *, include_counts: bool = True) -> str:
+    """Describe the study: roles, search and, unless the page counts itself (`include_counts`), numbers of scenarios."""
+    summary, meta = data.summary, data.summary.meta
+    sentences = [describe_roles(meta)]
+    begin = f"{_scenarios_were(summary.n_run)} " if include_counts else "Scenarios "
+    if meta.simulator == IMPORTED_SIMULATOR:
+        sentences.append(f"{begin}imported, measured by {', '.join(meta.metrics)}.")
+    elif meta.suite:
+        sentences.append(f"{begin}run, of a suite, measured by {', '.join(meta.metrics)}.")
+    else:
+        if include_counts:
+            sentences.append(f"{begin}run.")
+        sentences.append(f"Search: {meta.optimizer}, on {'the ' if meta.pareto else ''}{summary.objective}.")
+        if meta.asynchronous:
+            sentences.append("Each scenario was proposed as soon as one had ended.")
+        if meta.elsewhere:
+            sentences.append(f"The search began from {describe_warm_start(meta)}.")
+    if unmeasured := describe_unmeasured_collisions(summary, counts=include_counts):
+        sentences.append(unmeasured)
+    if meta.nondeterminism_text:
+        sentences.append(f"Runs differ: {meta.nondeterminism_text}.")
+    if include_counts and summary.n_pending:
+        sentences.append(f"{_scenarios_were(summary.n_pending)} not run yet.")
+    return escape_control_characters(" ".join(sentences))
+
+
+def _scenarios_were(count: int) -> str:
+    return "One scenario was" if count == 1 else f"{count} scenarios were"
+
+
+def _describe_share(share: float) -> str:
+    text = format_percent(share)
+    return f"About {text}" if text[0].isdigit() else text.capitalize()
+
+
+def _format_interval(estimate: Estimate) -> str:
+    low, high = format_percent(estimate.low), format_percent(estimate.high)
+    if low == high and estimate.low < estimate.high:
+        low, high = (f"{100.0 * bound:.4g} %" for bound in (estimate.low, estimate.high))
+    return f"90 % interval {low} to {high}"
+
+
+def _answer_critical_share(data: ReportData) -> Answer:
+    name, question = "critical", "How much of the space is critical?"
+    summary, critical = data.summary, data.summary.estimates.critical
+    if critical is None:
+        none = "There is no threshold from which a scenario is critical; set one with --critical of cornercase explore."
+        return Answer(name, question, none)
+    criterion = format_criterion_with_signs(critical, summary.objective)
+    estimates = critical.critical_set
+    which_ran = "" if summary.meta.simulator == IMPORTED_SIMULATOR else " that were run"
+    if summary.n_run == 1:
+        counts = f"The one scenario that was run is {'' if critical.n_critical else 'not '}critical ({criterion})."
+    elif critical.n_critical:
+        verb = "is" if critical.n_critical == 1 else "are"
+        counts = f"{critical.n_critical} of the {summary.n_run} scenarios{which_ran} {verb} critical ({criterion})."
+    else:
+        counts = f"None of the {summary.n_run} scenarios{which_ran} is critical ({criterion})."
+    counts += describe_references(summary.references)
+    if override := describe_threshold_override(summary):
+        counts += f" {override}"
+    if estimates is None:
+        return Answer(name, question, f"{counts} {describe_too_few_scores()}")
+    space = "the space, as far as it can be run," if data.failed else "the space"
+    if estimates.interval_unavailable is not None:
+        estimate = (
+            f"{_describe_share(estimates.critical_fraction.value)} of {space} is critical. "
+            if critical.n_critical
+            else ""
+        )
+        return Answer(name, question, f"{estimate}{counts} There is no interval: {estimates.interval_unavailable}.")
+    if not critical.n_critical:
+        bound = f"At most {format_percent(estimates.critical_fraction.high)} of {space} is critical (upper end of a 90 % interval)."
+        if estimates.missed_interval_unavailable is None:
+            bound = "These are all scenarios of the space."
+        return Answer(name, question, f"{counts} {bound}")
+    share = f"{_describe_share(estimates.critical_fraction.value)} of {space} is critical ({_format_interval(estimates.critical_fraction)})."
+    return Answer(name, question, f"{share} {counts}")
+
+
+def _answer_missed(critical: CriticalEstimates) -> Answer:
+    sentences, estimates = [], critical.critical_set
+    if estimates is None:
+        sentences.append("That is unknown: there are too few different scores.")
+    elif not critical.n_critical and estimates.missed_interval_unavailable is None:
+        sentences.append("Nothing: all scenarios of the space were run, and none is critical.")
+    elif not critical.n_critical:
+        sentences.append("Nothing critical was found, so whatever is critical was missed.")
+    elif estimates.missed_interval_unavailable is not None:
+        sentences.append(f"{_describe_share(estimates.missed_fraction.value)} of the critical set.")
+        sentences.append(f"There is no interval: {estimates.missed_interval_unavailable}.")
+    else:
+        sentences.append(
+            f"{_describe_share(estimates.missed_fraction.value)} of the critical set ({_format_interval(estimates.missed_fraction)})."
+        )
+    if estimates is not None and critical.n_critical:
+        sentences.append(
+            "That relies on a model of the scores. Without a model: a region in which nothing was run could hide"
+            f" {format_percent(estimates.max_hidden_fraction)} of the critical set."
+        )
+    if critical.audits is not None:
+        audits = f"{critical.audits.n_critical} of {critical.audits.n_scenarios} audits, drawn at random, are critical"
+        if critical.audits.missed_fraction is not None and critical.audits.n_critical:
+            audits += (
+                f"; from these alone, without a model, {format_percent(critical.audits.missed_fraction.value)} is missed"
+                f" ({_format_interval(critical.audits.missed_fraction)})"
+            )
+        sentences.append(f"{audits}.")
+    return Answer("missed", "What may be missed?", " ".join(sentences))
+
+
+def find_default_aspect(data: ReportData) -> str | None:
+    """Return the aspect whose clusters say most about how scenarios end; None before the study was analyzed."""
+    highest, aspect = -1.0, None
+    for by, analysis in data.summary.analyses.items():
+        # If tied, the later aspect wins: aspects are ordered by how much they say about what happens.
+        information = (
+            round(analysis.fact_agreement.get("outcome", 0.0), 3) if analysis.clustering.n_clusters > 1 else -1.0
+        )
+        if information >= highest:
+            highest, aspect = information, by
+    return aspect
+
+
+def _answer_clusters(data: ReportData) -> Answer:
+    name, question, analyses = "kinds", "Which kinds are there?", data.summary.analyses
+    chosen = find_default_aspect(data)
+    if chosen is None:
+        return Answer(name, question, "The study has not been analysed yet; cornercase analyze finds the kinds.")
+    divided = [by for by, analysis in analyses.items() if analysis.clustering.n_clusters > 1 and by != chosen]
+    undivided = [by for by, analysis in analyses.items() if analysis.clustering.n_clusters <= 1]
+    if analyses[chosen].clustering.n_clusters <= 1:
+        return Answer(name, question, f"There are no separate kinds by {_join_with_and(undivided)}.")
+    analysis = analyses[chosen]
+    noise = int((analysis.labels < 0).sum())
+    outside = f", and {noise} scenarios of noise" if noise else ""
+    compared = f" ({description})" if (description := describe_aspect(chosen)) else ""
+    sentences = [f"By {chosen}{compared} there are {analysis.clustering.n_clusters} kinds{outside}."]
+    points = [
+        f"{profile.label or f'cluster {profile.cluster}'} ({profile.size} scenarios)."
+        for profile in analysis.profiles
+        if profile.cluster >= 0
+    ]
+    if len(points) > _MAX_POINTS:
+        points = [*points[:_MAX_POINTS], f"{len(points) - _MAX_POINTS} smaller ones are listed below."]
+    if divided:
+        sentences.append(f"There are also kinds by {_join_with_and(divided)}.")
+    if undivided:
+        sentences.append(f"There are no separate kinds by {_join_with_and(undivided)}.")
+    return Answer(name, question, " ".join(sentences), tuple(points))
+
+
+def _answer_parameters(data: ReportData) -> Answer:
+    name, question, sensitivity = "parameters", "Which parameters matter?", data.summary.estimates.sensitivity
+    if data.summary.estimates.pareto_front is not None:
+        return Answer(
+            name, question, "This is known for a single score only; this study searches the Pareto front of several."
+        )
+    if sensitivity is None:
+        return Answer(name, question, "There are too few different scores to say.")
+    if not sensitivity.is_meaningful:
+        return Answer(name, question, describe_missing_sensitivity())
+    order = sorted(range(len(sensitivity.names)), key=lambda k: (-sensitivity.total[k], k))
+    points = [
+        f"{sensitivity.names[k]}: {_format_share_with_interval(sensitivity.total[k], sensitivity.total_interval[k])} together with the"
+        f" others, {_format_share_with_interval(sensitivity.first[k], sensitivity.first_interval[k])} alone."
+        for k in order[:_MAX_POINTS]
+    ]
+    has = "has" if len(sensitivity.uninfluential_parameters) == 1 else "have"
+    little = (
+        f" {_join_with_and(list(sensitivity.uninfluential_parameters))} {has} little influence."
+        if sensitivity.uninfluential_parameters
+        else ""
+    )
+    text = (
+        f"{sensitivity.names[order[0]]} matters most: {format_percent(sensitivity.total[order[0]])} of the variance of"
+        f" {data.summary.objective} comes from it, alone or together with the others.{little} The shares come from a"
+        f" Gaussian process that explains {format_percent(sensitivity.predicted)} of the variance (cross-validated); intervals"
+        " are of 90 %."
+    )
+    return Answer(name, question, text, tuple(points))
+
+
+def _format_share_with_interval(value: float, interval: tuple[float, float]) -> str:
+    if interval[1] < _NEGLIGIBLE_SHARE:
+        return f"below {format_percent(_NEGLIGIBLE_SHARE)}"
+    return f"{format_percent(value)} ({format_percent(interval[0])} to {format_percent(interval[1])})"
+
+
+def _answer_reduced_set(data: ReportData) -> Answer:
+    name, question, reduced = "kept", "Which scenarios should be kept?", data.summary.reduced_set
+    if reduced is None:
+        return Answer(name, question, "The study has not been reduced yet; cornercase reduce finds the few to keep.")
+    roles = Counter(str(scenario.role) for scenario in reduced.scenarios)
+    counts = _join_with_and([f"{n} {forms[n != 1]}" for role, forms in _ROLE_NAMES.items() if (n := roles[role])])
+    sentences = [f"Keep {len(reduced.scenarios)} of the {reduced.n_run} scenarios: {counts or 'none'}."]
+    if later := data.summary.n_run - reduced.n_run:
+        sentences.append(f"{_scenarios_were(later)} run since.")
+    if chosen := describe_selection_threshold(data.summary):
+        sentences.append(chosen)
+    return Answer(name, question, " ".join([*sentences, *_describe_coverage(data, reduced)]))
+
+
+def _describe_coverage(data: ReportData, reduced: ReducedSet) -> Iterator[str]:
+    critical = {name: entry.held_out for name, entry in reduced.critical.items() if entry.held_out is not None}
+    by = reduced.by if reduced.by in critical else next(iter(critical), None)
+    if by is not None:
+        count = critical[by].scenarios
+        covered = round(count * critical[by].critical)
+        which = "every one is" if covered == count else f"{format_percent(critical[by].critical)} are"
+        yield f"Of the held-out critical scenarios, {which} like a kept one by {by} ({covered} of {count})."
+    elif reduced.by in reduced.critical and (share := reduced.critical[reduced.by].critical) is not None:
+        # Evaluated with another threshold than that of the selection.
+        yield f"{_describe_share(share)} of the critical scenarios that were run are like a kept one by {reduced.by}."
+    graded = {name: entry.held_out for name, entry in reduced.coverage.items() if entry.held_out is not None}
+    by = reduced.by if reduced.by in graded else next(iter(graded), None)
+    if by is not None and by in data.summary.analyses:
+        held_out, unit = graded[by], data.summary.analyses[by].unit
+        yield (
+            "The distance from a held-out scenario to the nearest kept one is"
+            f" {append_unit(f'{held_out.mean:.3g}', unit)} on average by {by} (DTW distance);"
+            f" {100.0 * held_out.better_mean:.0f} of 100 random choices of the same size leave more; k-medoids"
+            f" leaves {append_unit(f'{held_out.medoids_mean:.3g}', unit)}."
+        )
+
+
+def _answer_front(data: ReportData) -> Answer:
+    front = data.summary.estimates.pareto_front or {}
+    return Answer(
+        "front",
+        "Which scenarios are on the Pareto front?",
+        describe_front(len(front)),
+        tuple(describe_front_ends(data)),
+    )
+
+
+def describe_front_ends(data: ReportData) -> Iterator[str]:
+    """Describe for each metric which scenario of the Pareto front is the most critical."""
+    front = data.summary.estimates.pareto_front or {}
+    for metric in data.metrics:
+        ids = sorted(front, key=lambda scenario: (metric.to_minimize(front[scenario][metric.name]), scenario))
+        if ids:
+            value = append_unit(f"{front[ids[0]][metric.name]:.3g}", metric.unit)
+            yield f"The most critical {metric.name} on it is {value}, in scenario {ids[0]}."
+
+
+def _answer_failures(data: ReportData) -> Answer:
+    name, question, failed = "failed", "What failed, and why?", data.failed
+    total = data.summary.n_run + data.summary.n_failed
+    if not failed:
+        return Answer(
+            name,
+            question,
+            "Nothing: " + ("the one scenario" if total == 1 else f"all {total} scenarios") + " could be run.",
+        )
+    reasons = group_failures_by_reason(failed)
+    points = [f"{len(ids)}: {why}" for why, ids in list(reasons.items())[:_MAX_POINTS]]
+    note = f" The {_MAX_POINTS} most frequent reasons:" if len(reasons) > _MAX_POINTS else ""
+    return Answer(name, question, f"{len(failed)} of {total} scenarios could not be run.{note}", tuple(points))
+
+
+def _answer_verdicts(data: ReportData) -> Answer:
+    failed = {row.id for row in data.failed}
+    states = {scenario: worst_state(verdicts) for scenario, verdicts in data.verdicts.items()}
+    counts = Counter("not run" if scenario in failed else state for scenario, state in states.items())
+    parts = [f"{counts[state]} {state}" for state in ("passed", "failed", "inconclusive", "not run") if counts[state]]
+    violations = [
+        f"Scenario {scenario}: {verdict.requirement}: {verdict.reason}."
+        for scenario, verdicts in data.verdicts.items()
+        for verdict in verdicts
+        if verdict.state == "failed"
+    ]
+    note = f" The first {_MAX_POINTS} requirements that failed:" if len(violations) > _MAX_POINTS else ""
+    text = f"{', '.join(parts)} of {len(states)} scenarios.{note}"
+    return Answer("verdicts", "Did it pass?", text, tuple(violations[:_MAX_POINTS]))
+
+
+def _answer_probability(estimate: Any) -> Answer:
+    criterion = use_math_signs(estimate["critical is"])
+    points = []
+    for event, description in (("critical", f"a critical scenario ({criterion})"), ("collision", "a collision")):
+        low, high = estimate[event]["95 % interval"]
+        points.append(
+            f"Of {description}: {estimate[event]['probability']:.3g} (95 % interval {low:.3g} to {high:.3g})."
+        )
+    text = f"Under the distributions of the space, from {estimate['scenarios']} scenarios:"
+    return Answer("probability", "How probable is it?", text, (*points, *estimate["warnings"]))
+
+
+def _join_with_and(words: list[str]) -> str:
+    return " and ".join(filter(None, (", ".join(words[:-1]), words[-1]))) if words else ""

@@ -1,0 +1,238 @@
+"""Phrases shared by the report and its figures."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Final
+
+from cornercase._common.plugin_errors import group_failure_messages
+from cornercase._common.text.sanitize import docstring_summary
+from cornercase.clustering import ASPECTS, Analysis, Profile
+from cornercase.metrics import METRICS
+from cornercase.metrics.formulas._critical_if import find_critical_if_condition
+from cornercase.report._estimates import CriticalEstimates
+from cornercase.report._summary import Summary
+from cornercase.scenario import Parameter, Value
+from cornercase.study import ScenarioRecord, StudyMeta
+
+NOISE_NAME: Final = "noise"
+_MAX_LISTED: Final = 12
+# Smaller percentages are written as "below".
+_SMALLEST_PERCENT: Final = 0.01
+_METHOD_NAMES: Final = {"dbscan": "DBSCAN", "hdbscan": "HDBSCAN"}
+
+# Adjusted mutual information from which clusters say a little, something, and much about what happened.
+_LITTLE_INFORMATION, _SOME_INFORMATION, _MUCH_INFORMATION = 0.1, 0.4, 0.8
+
+
+def format_cluster_name(cluster: int) -> str:
+    """Return ``"cluster 0"``, or ``"noise"`` for -1."""
+    return NOISE_NAME if cluster < 0 else f"cluster {cluster}"
+
+
+def format_cluster_title(profile: Profile) -> str:
+    """Return the cluster with its name, as ``"cluster 0: Ego yields to Pedestrian; 3 of 120 collide"``."""
+    return ": ".join(filter(None, (format_cluster_name(profile.cluster), profile.label)))
+
+
+def describe_roles(meta: StudyMeta) -> str:
+    """Describe which entity is the ego and against which others it is measured."""
+    others = meta.others
+    if len(others) == 1:
+        return f"Under test: {meta.ego}, against {others[0]}."
+    return f"Under test: {meta.ego}, against {', '.join(others[:-1])} and {others[-1]}; the most critical counts."
+
+
+def describe_warm_start(meta: StudyMeta) -> str:
+    """Describe the study that a search was warm-started from, as part of a sentence."""
+    source = meta.elsewhere
+    return f"{source.get('scenarios', 'some')} scenarios of {source['study']} (simulator {source['simulator']})"
+
+
+def describe_unmeasured_collisions(summary: Summary, *, counts: bool = True) -> str:
+    """Describe collisions of the ego with entities it is not measured against; empty without any."""
+    touched = [f"{name} in {count}" if counts else name for name, count in summary.unmeasured_collisions.items()]
+    if not touched:
+        return ""
+    others = " and ".join(filter(None, (", ".join(touched[:-1]), touched[-1])))
+    of_how_many = f" of {summary.n_run} scenarios" if counts else ""
+    return (
+        f"{summary.meta.ego} touches {others}{of_how_many}, and is not measured against"
+        f" {'it' if len(touched) == 1 else 'them'}: repeat --other."
+    )
+
+
+def describe_aspect(aspect: str) -> str:
+    """Describe what an aspect compares, as ``"the direction in which the ego sees the other"``; empty if unknown."""
+    if aspect not in ASPECTS:
+        return f"the course of {aspect}" if aspect.partition(":")[0] in METRICS else ""
+    summary = docstring_summary(ASPECTS.create(aspect)).partition(":")[0].rstrip(".")
+    return summary[:1].lower() + summary[1:]
+
+
+def describe_informativeness(analysis: Analysis) -> str:
+    """Describe how much the clusters say about what happened; empty for studies of early versions."""
+    by, clustering = analysis.by, analysis.clustering
+    if clustering.n_clusters < 2:
+        noise = int((clustering.labels < 0).sum())
+        outside = f", except {noise} of noise" if noise and clustering.n_clusters else ""
+        uniform = "all scenarios are one group" if clustering.n_clusters else "all scenarios are noise"
+        return f"No separate kinds: by {by} {uniform}{outside}."
+    if not any(profile.name for profile in analysis.profiles):
+        return ""
+    if not analysis.fact_agreement:
+        return f"All scenarios end in the same way; the kinds by {by} distinguish how they get there."
+    levels = (("much", _MUCH_INFORMATION, math.inf), ("something", _SOME_INFORMATION, _MUCH_INFORMATION))
+    parts = []
+    for amount, low, high in levels:
+        facts = [f"{fact} ({mutual:.2f})" for fact, mutual in analysis.fact_agreement.items() if low <= mutual < high]
+        if facts:
+            parts.append(f"{amount} about {', '.join(facts)}")
+    if parts:
+        return f"The kinds by {by} say {', and '.join(parts)}."
+    highest = max(analysis.fact_agreement.values())
+    if highest < _LITTLE_INFORMATION:
+        amount, highest = "nothing", max(highest, 0.0)
+    else:
+        amount = "little"
+    return f"The kinds by {by} say {amount} about how scenarios end (mutual information of at most {highest:.2f})."
+
+
+def format_assign_command(analysis: Analysis) -> str:
+    """Return the command that assigns new scenarios to the clusters."""
+    return f"cornercase analyze STUDY.db --by {analysis.by} --keep-clusters"
+
+
+def format_criterion(critical: CriticalEstimates, objective: str) -> str:
+    """Return the condition for being critical as it is typed: ``"wttc <= 1 s"``."""
+    if condition := find_critical_if_condition([objective]):
+        return condition
+    return f"{objective} {'<=' if critical.lower_is_critical else '>='} {critical.threshold:g} {critical.unit}".rstrip()
+
+
+def format_criterion_with_signs(critical: CriticalEstimates, objective: str) -> str:
+    """Return the condition for being critical with mathematical signs: ``"wttc ≤ 1 s"``."""
+    return use_math_signs(format_criterion(critical, objective))
+
+
+def describe_threshold_override(summary: Summary) -> str:
+    """Describe a threshold that differs from the study's own; empty if it is the study's own."""
+    critical, own = summary.estimates.critical, summary.meta.critical
+    if critical is None or critical.threshold == own:
+        return ""
+    if own is None:
+        return "This threshold was chosen afterwards: the study has none of its own."
+    criterion = format_criterion_with_signs(replace(critical, threshold=own), summary.objective)
+    return f"This threshold was chosen afterwards: the study's own is {criterion}."
+
+
+def describe_selection_threshold(summary: Summary) -> str:
+    """Describe the threshold used for the reduced set if it differs from the current one; else empty."""
+    critical, reduced = summary.estimates.critical, summary.reduced_set
+    if critical is None or reduced is None or reduced.threshold == critical.threshold:
+        return ""
+    how = "without any threshold"
+    if reduced.threshold is not None:
+        how = f"by {format_criterion_with_signs(replace(critical, threshold=reduced.threshold), summary.objective)}"
+    return f"They were chosen {how}; 'cornercase reduce' with --critical {critical.threshold:g} chooses again."
+
+
+def use_math_signs(criterion: str) -> str:
+    """Replace ``<=`` and ``>=`` by ``≤`` and ``≥``."""
+    return criterion.replace("<=", "≤").replace(">=", "≥")
+
+
+def format_range(parameter: Parameter) -> str:
+    """Return the range of a parameter, as ``"20 to 80 m"``, or its choices."""
+    if parameter.choices:
+        return ", ".join(parameter.choices)
+    low = high = ""
+    # Large coordinates may differ only in their last digits.
+    for digits in (6, 9, 12, 17):
+        low, high = f"{parameter.low:.{digits}g}", f"{parameter.high:.{digits}g}"
+        if low != high or parameter.low == parameter.high:
+            break
+    return f"{low} to {high} {parameter.unit}".strip()
+
+
+def format_axis_label(parameter: Parameter) -> str:
+    """Return the name of a parameter with its unit, as ``"ego_start [m]"``."""
+    return f"{parameter.name} [{parameter.unit}]" if parameter.unit else parameter.name
+
+
+def describe_clustering_method(analysis: Analysis) -> str:
+    """Describe the method and settings that found the clusters."""
+    clustering = analysis.clustering
+    text = (
+        f"Dynamic Time Warping, RBF kernel PCA (gamma {clustering.gamma:.4g}, {100 * clustering.explained:.0f} % of the"
+        f" variance in {clustering.embedding.shape[1]} components), {_METHOD_NAMES[clustering.method]}"
+        f" (eps {clustering.eps:.4g}, min samples {clustering.min_samples})."
+    )
+    if len(clustering.landmarks):
+        text += (
+            f" The kernel space is that of {len(clustering.landmarks)} landmarks, which loses"
+            f" {clustering.error:.1%} of the kernel between the other scenarios."
+        )
+    if analysis.embedding_error is not None:
+        stride = f", at one of {analysis.stride} instants" if analysis.stride > 1 else ""
+        text += (
+            f" All scenarios were compared with the landmarks{stride}. Other distances follow from that, with an error"
+            f" of {analysis.embedding_error:.1%} on average."
+        )
+    fitted, assigned = len(analysis.fitted_ids), len(analysis.ids) - len(analysis.fitted_ids)
+    if assigned > 0:
+        text += f" Found among {fitted} scenarios; {assigned} have joined since."
+    return text
+
+
+def format_value(value: Value, digits: int = 6) -> str:
+    """Format the value of a parameter with at most `digits` significant digits; a choice stays as it is."""
+    return value if isinstance(value, str) else f"{value:.{digits}g}"
+
+
+def append_unit(number: str, unit: str) -> str:
+    """Append a unit to a number, as ``"0.2 s"``; no unit if it is empty or ``"1"``."""
+    return number if unit in ("", "1") else f"{number} {unit}"
+
+
+def format_percent(share: float) -> str:
+    """Format a share (0 to 1) in percent with two significant digits: ``"0.34 %"``, ``"12 %"``.
+
+    Nearly all is not rounded to 100 %, and tiny shares are ``"below 0.01 %"``.
+    """
+    value = 100.0 * share
+    if 0.0 < value < _SMALLEST_PERCENT:
+        return f"below {_SMALLEST_PERCENT} %"
+    if 99.5 <= value < 100.0:
+        return "over 99 %"
+    return f"{value:.0f} %" if value >= 9.95 or value == 0.0 else f"{value:.2g} %"
+
+
+def format_scenario_ids(ids: Sequence[int]) -> str:
+    """Format at most twelve scenario ids."""
+    return ", ".join(map(str, ids[:_MAX_LISTED])) + (" …" if len(ids) > _MAX_LISTED else "")
+
+
+def group_failures_by_reason(failed: Sequence[ScenarioRecord]) -> dict[str, list[int]]:
+    """Group failed scenarios by reason, the most frequent first; values are ids."""
+    groups = group_failure_messages(row.error or "" for row in failed)
+    return {reason: [failed[k].id for k in members] for reason, members in groups.items()}
+
+
+def describe_front(n_scenarios: int) -> str:
+    """Describe a Pareto front with `n_scenarios`."""
+    if n_scenarios == 1:
+        return "One scenario is as critical as any other in every metric."
+    return f"{n_scenarios} scenarios: no other is at least as critical in every metric and more critical in one."
+
+
+def describe_too_few_scores() -> str:
+    """Explain that too few scores are known to estimate anything."""
+    return "There are too few different scores to say anything about all other scenarios."
+
+
+def describe_missing_sensitivity() -> str:
+    """Explain that the model predicts too little to estimate sensitivities."""
+    return "The model predicts almost nothing of the scores, so it is unknown which parameter matters."

@@ -1,0 +1,258 @@
+"""Sampled path along the lanes of several roads."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import MISSING, dataclass, fields, replace
+from functools import cached_property
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from cornercase._common.numba.pointers import memory_address
+from cornercase._common.typing import BoolArray, FloatArray, IntArray
+
+SAMPLE_DISTANCE: Final = 0.1
+MIN_PATH_LENGTH: Final = 1e-5
+"""Length in m of the path of an almost empty lane; `join_paths` leaves it out if there is more."""
+# Longer paths get a larger sample distance.
+_MAX_SAMPLES: Final = 1_000_000
+MIN_JUMP: Final = 0.005
+"""Smallest gap in m that is a jump, at which the heading does not change."""
+# Distance in m from a jump within which points do not determine the heading.
+_JUMP_MARGIN: Final = 2.5 * SAMPLE_DISTANCE
+KINK_ANGLE: Final = 0.1
+"""Change of heading in rad between two samples from which on there is a corner."""
+
+
+@dataclass(frozen=True, eq=False)
+class LanePath:
+    """A path sampled at equal distances, shape (P,); in m, rad and 1/m.
+
+    `s`, `road`, `lane` and `forward` (whether along the road's s) locate samples on roads; `goals_passed` counts goals.
+    `reference_distance` is measured along the reference lines, `center_offset` to the left of them. Their curvature,
+    positive to the left, is given at K distances along them, piecewise linear with jumps at equal distances. `lane_s`,
+    `lane_span` and `lane_reference_distance` are start and end of the requested lane by s and by distance along the
+    path, and the distance along the reference lines of its start. Without `has_pending_stop` or `has_start` the path was cut
+    there. At `jumps`, distances along the reference lines, it jumps sideways.
+    """
+
+    distance: FloatArray
+    x: FloatArray
+    y: FloatArray
+    heading: FloatArray
+    curvature: FloatArray
+    s: FloatArray
+    road: IntArray
+    lane: IntArray
+    forward: BoolArray
+    goals_passed: IntArray
+    reference_distance: FloatArray
+    center_offset: FloatArray
+    curvature_distance: FloatArray
+    reference_curvature: FloatArray
+    lane_s: tuple[float, float] = (0.0, 0.0)
+    lane_span: tuple[float, float] = (0.0, 0.0)
+    lane_reference_distance: float = 0.0
+    has_end: bool = True
+    has_start: bool = True
+    jumps: tuple[float, ...] = ()
+
+    @cached_property
+    def arrays(self) -> tuple[npt.NDArray[Any], ...]:
+        """Its arrays, shape (P,) or (K,), in the order of the attributes, for kernels."""
+        names = [field.name for field in fields(self) if field.default is MISSING]
+        return tuple(np.ascontiguousarray(getattr(self, name)) for name in names)
+
+    @cached_property
+    def array_addresses(self) -> IntArray:
+        """Memory addresses of `arrays`, shape (14,)."""
+        return np.array([memory_address(array) for array in self.arrays])
+
+    @cached_property
+    def max_chord(self) -> float:
+        """Largest distance of consecutive samples in m, slightly above 0 at least."""
+        return max(float(np.hypot(np.diff(self.x), np.diff(self.y)).max()), 1e-9)
+
+    @classmethod
+    def from_points(
+        cls,
+        x: FloatArray,
+        y: FloatArray,
+        s: FloatArray,
+        road: IntArray,
+        lane: IntArray,
+        forward: BoolArray,
+        goals_passed: IntArray,
+        reference_distance: FloatArray,
+        center_offset: FloatArray,
+        curvature_distance: FloatArray,
+        reference_curvature: FloatArray,
+        is_after_jump: BoolArray | None = None,
+    ) -> LanePath:
+        """Create a path through points that are close together, shape (Q,); the attributes explain the arrays.
+
+        `is_after_jump` marks points right after a sideways jump; the jump itself has no length.
+        """
+        keep = np.concatenate([[True], np.hypot(np.diff(x), np.diff(y)) > 1e-6])
+        is_after_jump = np.zeros(len(x), dtype=np.bool_) if is_after_jump is None else is_after_jump
+        arrays = (x, y, s, road, lane, forward, goals_passed, reference_distance, center_offset, is_after_jump)
+        x, y, s, road, lane, forward, goals_passed, reference_distance, center_offset, is_after_jump = (
+            array[keep] for array in arrays
+        )
+        travelled = _distances_along_line(x, y, reference_distance, is_after_jump)
+        # Points at the same distance along the line would have no direction.
+        chords = _distances_along_line(x, y, reference_distance, np.zeros_like(is_after_jump))
+        samples = min(int(np.ceil(travelled[-1] / SAMPLE_DISTANCE)) + 1, _MAX_SAMPLES)
+        distance = np.linspace(0.0, travelled[-1], max(3, samples))
+        nearest = np.clip(np.searchsorted(travelled, distance, "right") - 1, 0, len(x) - 1)
+        # On a bend, interpolate on the arc instead of the chord.
+        gap, (across, bent) = np.append(np.diff(travelled), 1.0)[nearest], _heading_and_curvature(x, y, chords)
+        across, bent = np.interp(distance, travelled, across), np.interp(distance, travelled, bent)
+        bulge = _arc_offset_from_chord(bent, (distance - travelled[nearest]) / gap, gap)
+        x = np.interp(distance, travelled, x) + bulge * np.sin(across)
+        y = np.interp(distance, travelled, y) - bulge * np.cos(across)
+        heading, curvature = _heading_and_curvature(x, y, distance)
+        sign = np.where(forward[nearest], 1.0, -1.0)
+        along_reference = np.interp(distance, travelled, reference_distance)
+        return cls(
+            distance,
+            x,
+            y,
+            heading,
+            curvature,
+            s[nearest] + sign * (along_reference - reference_distance[nearest]),
+            road[nearest],
+            lane[nearest],
+            forward[nearest],
+            goals_passed[nearest],
+            along_reference,
+            np.interp(distance, travelled, center_offset),
+            curvature_distance,
+            reference_curvature,
+        )
+
+    def with_jump_headings(self, jumps: Sequence[float], heading: FloatArray) -> LanePath:
+        """Return the path with the `heading` of the lanes near jumps, where points would give that of the jump.
+
+        `jumps` are distances along the reference lines in m, `heading` has shape (P,).
+        """
+        if not jumps:
+            return self
+        is_near = np.any([np.abs(self.reference_distance - jump) <= _JUMP_MARGIN for jump in jumps], axis=0)
+        headings = np.unwrap(np.where(is_near, heading, self.heading))
+        curvature = np.where(is_near, np.gradient(headings, self.distance), self.curvature)
+        return replace(self, heading=headings, curvature=curvature, jumps=tuple(jumps))
+
+    def sample_index(self, distance: FloatArray) -> IntArray:
+        """Return the index of the last sample up to each distance in m, shape (N,); clipped."""
+        return np.clip(np.searchsorted(self.distance, distance, "right") - 1, 0, self.x.size - 1)
+
+    def s_at(self, distance: FloatArray) -> FloatArray:
+        """Return the road coordinate s at distances along the path, in m, shape (N,)."""
+        sample = self.sample_index(distance)
+        beyond = np.interp(distance, self.distance, self.reference_distance) - self.reference_distance[sample]
+        return np.asarray(self.s[sample] + np.where(self.forward[sample], beyond, -beyond))
+
+    def distance_of_s(self, s: FloatArray) -> FloatArray:
+        """Return the distances along the path of coordinates s on the requested lane, in m, shape (N,); clipped."""
+        low, high = sorted(self.lane_s)
+        target = self.lane_reference_distance + np.abs(np.clip(s, low, high) - self.lane_s[0])
+        # Between lanes that do not quite meet, the distance along the reference lines is constant.
+        return np.clip(np.interp(target, self.reference_distance, self.distance), *self.lane_span)
+
+    def advance_along_reference(self, distance: FloatArray, reference_step: FloatArray) -> FloatArray:
+        """Return positions further along the reference lines, as distances along the path; m, shape (N,)."""
+        along = np.interp(distance, self.distance, self.reference_distance)
+        return np.interp(along + reference_step, self.reference_distance, self.distance)
+
+    def pose_at(
+        self, distance: FloatArray, offset: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return x, y, heading and curvature at distances along the path and offsets to the left, shape (N,)."""
+        step = self.distance[1]
+        position = np.clip(distance, 0.0, self.distance[-1]) / step
+        k = np.minimum(position.astype(np.int64), len(self.distance) - 2)
+        part = position - k
+        heading = self.heading[k] + part * (self.heading[k + 1] - self.heading[k])
+        x = self.x[k] + part * (self.x[k + 1] - self.x[k])
+        y = self.y[k] + part * (self.y[k + 1] - self.y[k])
+        curvature = self.curvature[k] + part * (self.curvature[k + 1] - self.curvature[k])
+        offset = offset - _arc_offset_from_chord(curvature, part, step)
+        return x - offset * np.sin(heading), y + offset * np.cos(heading), heading, curvature
+
+
+def _distances_along_line(
+    x: FloatArray, y: FloatArray, reference_distance: FloatArray, is_after_jump: BoolArray
+) -> FloatArray:
+    """Return distances along the line through points, in which jumps have no length, shape (Q,) in m."""
+    lengths = np.hypot(np.diff(x), np.diff(y))
+    if is_after_jump.any():
+        reference_steps = np.diff(reference_distance)
+        regular = np.flatnonzero(~is_after_jump[1:] & (reference_steps > 0.0))
+        rate = (
+            np.interp(np.arange(len(reference_steps)), regular, lengths[regular] / reference_steps[regular])
+            if regular.size
+            else np.zeros(len(reference_steps))
+        )
+        lengths = np.where(is_after_jump[1:], np.minimum(lengths, rate * reference_steps), lengths)
+    return np.concatenate([[0.0], np.cumsum(lengths)])
+
+
+def find_first_after_jumps(reference_distance: FloatArray, jumps: Sequence[float]) -> BoolArray:
+    """Return which points are the first after a jump, from distances along the reference lines, shape (Q,)."""
+    jumped = np.zeros(len(reference_distance), dtype=np.bool_)
+    behind = np.searchsorted(reference_distance, np.asarray(jumps))
+    jumped[behind[behind < len(reference_distance)]] = True
+    return jumped
+
+
+def _heading_and_curvature(x: FloatArray, y: FloatArray, distance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return unwrapped heading and curvature of a line through points, shape (Q,) each."""
+    heading = np.unwrap(np.arctan2(np.gradient(y, distance), np.gradient(x, distance)))
+    return heading, np.gradient(heading, distance)
+
+
+def _arc_offset_from_chord(curvature: FloatArray, fraction: FloatArray, chord_length: FloatArray | float) -> FloatArray:
+    """Return how far to the right of its chord an arc is, in m; 0 at kinks."""
+    return np.where(
+        np.abs(curvature) * chord_length < KINK_ANGLE,
+        0.5 * curvature * fraction * (1.0 - fraction) * chord_length**2,
+        0.0,
+    )
+
+
+def join_paths(pieces: Sequence[LanePath], requested: int = 0) -> LanePath:
+    """Join pieces, each of which starts where the one before ends; `requested` is the piece of the requested lane."""
+    offsets = np.cumsum([0.0, *(piece.reference_distance[-1] for piece in pieces[:-1])])
+    requested = pieces[requested]
+    pieces = [
+        replace(
+            piece,
+            reference_distance=offset + piece.reference_distance,
+            curvature_distance=offset + piece.curvature_distance,
+        )
+        for offset, piece in zip(offsets, pieces, strict=True)
+    ]
+    # Pieces of minimal length have no direction of their own.
+    indices = [k for k, piece in enumerate(pieces) if piece.distance[-1] > 2.0 * MIN_PATH_LENGTH] or [requested]
+    names = ("x", "y", "s", "road", "lane", "along", "passed", "reference", "center", "bend_at", "bend")
+    arrays: list[Any] = [np.concatenate([getattr(pieces[k], name) for k in indices]) for name in names]
+    jumps = [float(offsets[k]) + jump for k in indices for jump in pieces[k].jumps]
+    jumped = find_first_after_jumps(arrays[7], jumps)
+    # Count small gaps between pieces, too.
+    travelled = _distances_along_line(arrays[0], arrays[1], arrays[7], jumped)
+    begin = sum(len(pieces[k].x) for k in indices if k < requested)
+    end = begin + len(requested.x) - 1 if requested in indices else begin
+    span = travelled[np.minimum([begin, end], len(travelled) - 1)].tolist()
+    path = LanePath.from_points(*[*arrays, jumped])
+    # Gaps between pieces must not change the heading.
+    seams = np.cumsum([len(pieces[k].x) for k in indices])[:-1]
+    separate = np.hypot(np.diff(arrays[0]), np.diff(arrays[1]))[seams - 1] > MIN_JUMP
+    jumps += arrays[7][seams[separate]].tolist()
+    headings = np.unwrap(np.concatenate([pieces[k].heading for k in indices]))
+    path = path.with_jump_headings(jumps, np.interp(path.distance, travelled, headings))
+    return replace(
+        path, lane_s=requested.lane_s, lane_span=(span[0], span[1]), lane_reference_distance=float(offsets[requested])
+    )

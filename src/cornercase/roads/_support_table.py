@@ -1,0 +1,10 @@
+"""Support table of OpenDRIVE: what happens with each element and attribute."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from cornercase._common.io.support_table import SupportTable
+
+SUPPORT_TABLE: Final = SupportTable.from_csv("cornercase.roads", "opendrive.csv")
+"""Elements and attributes of OpenDRIVE 1.4 to 1.9."""

@@ -1,0 +1,42 @@
+"""Axes of a scenario file: the right-handed ones of the standard, or the left-handed ones of CARLA."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from lxml import etree
+
+from cornercase._common.io.tracked_xml import find_untracked
+
+LEFT_HANDED_PREFIX: Final = "CARLA:"
+"""Start of the header's description that declares left-handed axes, as in ScenarioRunner."""
+
+MIRRORED_ATTRIBUTES: Final = {
+    "WorldPosition": ("y", "h"),
+    "RelativeWorldPosition": ("dy",),
+    "RelativeObjectPosition": ("dy",),
+    "RoadPosition": ("t",),
+    "Orientation": ("h",),
+    "Clothoid": ("curvature", "curvaturePrime", "curvatureDot"),
+    "ClothoidSplineSegment": ("curvatureStart", "curvatureEnd", "hOffset"),
+}
+"""Attributes that change their sign in left-handed axes, by element."""
+
+
+def find_left_handed_header(root: etree._Element) -> etree._Element | None:
+    """Return the file header if it declares left-handed axes, else None."""
+    for header in find_untracked(root, "FileHeader"):
+        if str(header.attrib.get("description", "")).startswith(LEFT_HANDED_PREFIX):
+            return header
+    return None
+
+
+def mirror_axes(root: etree._Element) -> None:
+    """Mirror all positions of a tree in place; its attributes have to be numbers."""
+    for element in root.iter(*MIRRORED_ATTRIBUTES):
+        for name in MIRRORED_ATTRIBUTES[str(element.tag)]:
+            try:
+                number = float(element.get(name, ""))
+            except ValueError:
+                continue  # refused when it is read
+            element.set(name, repr(0.0 - number))

@@ -1,0 +1,74 @@
+"""A scenario with all of its files, to be used on another machine."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+
+from cornercase._common.errors import InputError
+from cornercase.scenario._file import ScenarioFile
+
+
+@dataclass(frozen=True)
+class ScenarioBundle:
+    """Content of a scenario file and its companion files, as they were when they were read.
+
+    `files` maps paths in their `common_folder` (with ``/``) to content, `scenario_path` is that of the scenario file.
+    `varied_roads` are road files that a varied parameter names, as the scenario would name them.
+    """
+
+    common_folder: str
+    files: Mapping[str, bytes]
+    scenario_path: str
+    varied_roads: tuple[str, ...]
+    fingerprint: str
+
+    @classmethod
+    def from_file(cls, scenario: ScenarioFile) -> ScenarioBundle:
+        """Pack a scenario; raises `InputError` if it names a file by an absolute path."""
+        contents = {
+            scenario.road_path_next_to_scenario(file): content for file, content in scenario.read_all_files().items()
+        }
+        for file in contents:
+            if not _is_named_relative_to(file, scenario.path.parent):
+                raise InputError(
+                    f"{scenario.path}: names {file} by an absolute path, which other machines do not have; name it"
+                    " relative to the scenario file."
+                )
+        packed: dict[str, bytes] = {}
+        for file, content in contents.items():
+            # With symbolic links, equal normalized paths may be different files.
+            if packed.setdefault(os.path.abspath(file), content) != content:
+                raise InputError(f"{scenario.path}: {file} leads to different files; give each its own path.")
+        try:
+            folder = os.path.commonpath([os.path.dirname(path) for path in packed])
+        except ValueError as error:
+            raise InputError(f"{scenario.path}: names files of several drives; put them on one.") from error
+        return cls(
+            folder=folder,
+            files={_relative_posix_path(folder, path): content for path, content in packed.items()},
+            main=_relative_posix_path(folder, os.path.abspath(scenario.path)),
+            roads=scenario.varied_roads,
+            fingerprint=scenario.fingerprint(),
+        )
+
+    def unpack(self, folder: Path) -> ScenarioFile:
+        """Write the files to an empty folder; the scenario that is returned has the fingerprint of the packed one."""
+        for name, content in self.files.items():
+            target = folder / name
+            try:
+                target.parent.mkdir(parents=True, exist_ok=True)
+                target.write_bytes(content)
+            except OSError as error:
+                raise InputError(f"{target}: cannot be written ({error.strerror}); make room for it.") from error
+        return ScenarioFile(folder / self.scenario_path, self.fingerprint, self.varied_roads)
+
+
+def _is_named_relative_to(file: Path, folder: Path) -> bool:
+    return file.parts[: len(folder.parts)] == folder.parts and (folder.is_absolute() or not file.is_absolute())
+
+
+def _relative_posix_path(folder: str, path: str) -> str:
+    return PurePosixPath(*Path(path).relative_to(folder).parts).as_posix()

@@ -1,0 +1,193 @@
+"""Write concrete scenarios as files that run on their own."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from lxml import etree
+
+from cornercase._common.errors import InputError
+from cornercase._common.io.files import atomic_write, portable_name, read_file
+from cornercase._common.text.sanitize import escape_control_characters
+from cornercase.scenario._axes import LEFT_HANDED_PREFIX, find_left_handed_header
+from cornercase.scenario._file import DRIVER_PROPERTY, ScenarioFile
+from cornercase.scenario._parameter import Value
+from cornercase.scenario._types import convert_to_type, format_value
+from cornercase.scenario._xml import parse_xml
+
+# Initial actions that set the controller of an entity.
+_CONTROLLER_ACTIONS: Final = ("ControllerAction", "AssignControllerAction", "ActivateControllerAction")
+
+
+@dataclass(frozen=True)
+class ConcreteFile:
+    """Content of a concrete scenario file (XML in UTF-8), and the files that have to be next to it.
+
+    `start_callbacks` has for each: its path, its path relative to the concrete file's folder, the tag of its root element.
+    """
+
+    content: bytes
+    companions: tuple[tuple[Path, str, str], ...]
+
+
+def write_concrete_file(
+    scenario: ScenarioFile,
+    values: Mapping[str, Value],
+    target: Path,
+    drivers: Mapping[str, str] | None = None,
+    description: str | None = None,
+) -> tuple[Path, ...]:
+    """Write a concrete scenario, with copies of its road file and catalogs next to it; return the paths of all files.
+
+    `drivers` maps entities to driver presets. `description` replaces the one in the file header.
+    """
+    concrete = build_concrete_file(scenario, values, target, drivers, description)
+    for source, relative, root in concrete.companions:
+        copy_companion_file(source, target.parent / relative, root)
+    with atomic_write(target) as temporary:
+        temporary.write_bytes(concrete.content)
+    return target, *(target.parent / relative for _, relative, _ in concrete.companions)
+
+
+def build_concrete_file(
+    scenario: ScenarioFile,
+    values: Mapping[str, Value],
+    target: Path,
+    drivers: Mapping[str, str] | None = None,
+    description: str | None = None,
+) -> ConcreteFile:
+    """Return what `write_concrete_file` writes, without writing it; `target` is for messages."""
+    scenario.require_declared(list(values))
+    tree = etree.ElementTree(etree.fromstring(etree.tostring(scenario.root)))
+    root = tree.getroot()
+    header = root.find("FileHeader")
+    if description is not None and header is not None:
+        # The prefix declares the axes of the file.
+        axes = "" if find_left_handed_header(root) is None else LEFT_HANDED_PREFIX
+        _set_attribute(header, "description", escape_control_characters(axes + description), target)
+    for declaration in root.iterfind("ParameterDeclarations/ParameterDeclaration"):
+        name = declaration.get("name", "")
+        if name in values:
+            _set_attribute(declaration, "value", _format_typed_value(values[name], declaration, scenario.path), target)
+    for name, driver in (drivers or {}).items():
+        scenario.require_entity(name, "driven entity")
+        for element in root.iterfind("Entities/ScenarioObject"):
+            if element.get("name") == name:
+                _set_driver_property(element, driver, target)
+        _remove_initial_controllers(root, name)
+    buffer = io.BytesIO()
+    profiles = ((file, file.name, "Profiles") for file in scenario.profiles_files)
+    beside = (*_relocate_road_file(scenario, root), *_relocate_catalogs(scenario, root), *profiles)
+    tree.write(buffer, encoding="utf-8", xml_declaration=True, pretty_print=True)
+    return ConcreteFile(buffer.getvalue(), beside)
+
+
+def _relocate_road_file(scenario: ScenarioFile, root: etree._Element) -> Iterator[tuple[Path, str, str]]:
+    """Make the scenario refer to a road file next to it, and yield that file."""
+    logic_file = root.find("RoadNetwork/LogicFile")
+    if logic_file is not None and logic_file.get("filepath"):
+        holder, attribute = _find_path_attribute(root, logic_file, "filepath")
+        source = scenario.existing_road_path(holder.get(attribute, ""))
+        holder.set(attribute, source.name)
+        yield source, source.name, "OpenDRIVE"
+
+
+def _relocate_catalogs(scenario: ScenarioFile, root: etree._Element) -> Iterator[tuple[Path, str, str]]:
+    """Make the scenario refer to catalogs in a folder next to it, and yield their files."""
+    folders: dict[str, Path] = {}
+    for directory in root.iterfind("CatalogLocations//Directory"):
+        holder, attribute = _find_path_attribute(root, directory, "path")
+        folder = scenario.resolve_path(holder.get(attribute, ""), "catalog location")
+        # ".." is a folder name, too.
+        name = base = portable_name(folder.stem if folder.is_file() else folder.name)
+        # Folders may have the same name.
+        while folders.setdefault(name, folder) != folder:
+            name = f"{base}-{len(folders) + 1}"
+        # openPASS writes files as catalog locations.
+        catalog_files = scenario.catalog_files()
+        for file in (
+            [folder]
+            if folder.is_file()
+            else [candidate for candidate in sorted(folder.glob("*.xosc")) if candidate in catalog_files]
+        ):
+            yield file, f"catalogs/{name}/{file.name}", "OpenSCENARIO"
+        holder.set(attribute, f"catalogs/{name}")
+
+
+def _find_path_attribute(root: etree._Element, element: etree._Element, attribute: str) -> tuple[etree._Element, str]:
+    """Return the element and attribute that hold a path: its own, or the declaration of a parameter."""
+    text = element.get(attribute, "")
+    for declaration in root.iterfind("ParameterDeclarations/ParameterDeclaration"):
+        if text == f"${declaration.get('name')}":
+            return declaration, "value"
+    return element, attribute
+
+
+def _format_typed_value(value: Value, declaration: etree._Element, path: Path) -> str:
+    """Format a value as the declared type of its parameter."""
+    if isinstance(value, str) and value.lstrip().startswith("$"):
+        return value
+    try:
+        return format_value(convert_to_type(value, declaration.get("parameterType", "string")))
+    except ValueError as why:
+        raise InputError(f"{path}: the parameter {declaration.get('name')} is '{value}', {why}.") from None
+
+
+def _set_attribute(element: etree._Element, attribute: str, text: str, target: Path) -> None:
+    try:
+        element.set(attribute, text)
+    except ValueError:
+        raise InputError(
+            f"{target}: cannot be written, since XML cannot contain {escape_control_characters(text)!r}."
+        ) from None
+
+
+def _set_driver_property(scenario_object: etree._Element, driver: str, target: Path) -> None:
+    for controller in scenario_object.iterfind("ObjectController/Controller"):
+        for item in controller.iterfind("Properties/Property"):
+            if item.get("name") == DRIVER_PROPERTY:
+                _set_attribute(item, "value", driver, target)
+                return
+    holder = etree.SubElement(scenario_object, "ObjectController")
+    controller = etree.SubElement(holder, "Controller", name=f"driver of {scenario_object.get('name')}")
+    item = etree.SubElement(etree.SubElement(controller, "Properties"), "Property", name=DRIVER_PROPERTY)
+    _set_attribute(item, "value", driver, target)
+
+
+def _remove_initial_controllers(root: etree._Element, entity: str) -> None:
+    """Remove initial controller actions of an entity, so that they do not replace the driver that was chosen for it."""
+    for private in root.findall("Storyboard/Init/Actions/Private"):
+        if private.get("entityRef") == entity:
+            for action in private.findall("PrivateAction"):
+                if any(action.find(tag) is not None for tag in _CONTROLLER_ACTIONS):
+                    private.remove(action)
+            actions = private.getparent()
+            if actions is not None and not private.findall("PrivateAction"):
+                actions.remove(private)
+
+
+def copy_companion_file(source: Path, target: Path, root_tag: str) -> None:
+    """Copy an XML file that a scenario needs, unless an identical copy exists; `root_tag` is its root tag."""
+    content = read_companion_file(source, root_tag)
+    if target.exists() and target.read_bytes() == content:
+        return
+    with atomic_write(target) as temporary:
+        temporary.write_bytes(content)
+
+
+def read_companion_file(source: Path, root_tag: str) -> bytes:
+    """Return the content of an XML file that a scenario needs; refuse a file whose root element has another tag.
+
+    The check matters for untrusted scenarios: they could name any file of this machine.
+    """
+    if not source.is_file():
+        raise InputError(f"{source}: is needed by the scenario but does not exist.")
+    content = read_file(source)
+    tag = parse_xml(content, source).tag
+    if tag != root_tag:
+        raise InputError(f"{source}: the root element is <{tag}>; the scenario needs a file with <{root_tag}>.")
+    return content

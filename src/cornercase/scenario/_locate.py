@@ -1,0 +1,67 @@
+"""Locate a scenario file of which only name and fingerprint are known."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from itertools import islice
+from pathlib import Path
+from typing import Final
+
+from cornercase._common.errors import InputError
+from cornercase.scenario._file import ScenarioFile
+from cornercase.scenario._road_choices import add_varied_roads
+from cornercase.scenario._space import ParameterSpace
+
+# Search depth, and largest number of entries per folder and of folders per level.
+_MAX_DEPTH: Final = 2
+_MAX_ENTRIES: Final = 1000
+
+
+def find_scenario_file(
+    file_name: str, fingerprint: str, folders: Iterable[Path], space: ParameterSpace
+) -> ScenarioFile | Path | None:
+    """Search folders, and two levels below them, for a scenario file with a fingerprint.
+
+    Returns the first match; otherwise the path of a file of that name, which has been changed since; otherwise None.
+    In the folders themselves any file name matches. `file_name` is only compared and never opened as a path.
+    """
+    for folder in folders:
+        changed = None
+        for file in _candidate_files(file_name, folder):
+            if (scenario := read_if_fingerprint_matches(file, fingerprint, space)) is not None:
+                return scenario
+            if changed is None and file.name == file_name:
+                changed = file
+        if changed is not None:
+            return changed
+    return None
+
+
+def read_if_fingerprint_matches(path: Path, fingerprint: str, space: ParameterSpace) -> ScenarioFile | None:
+    """Return the scenario of a file if it has the fingerprint; None if not, or if it cannot be read."""
+    try:
+        scenario = add_varied_roads(ScenarioFile(path), space)
+        return scenario if scenario.fingerprint() == fingerprint else None
+    except InputError:
+        return None
+
+
+def _candidate_files(file_name: str, folder: Path) -> Iterator[Path]:
+    level = [folder]
+    for depth in range(_MAX_DEPTH + 1):
+        subfolders = []
+        for folder in level:
+            for entry in _list_folder(folder):
+                if entry.is_dir():
+                    # Do not follow links.
+                    subfolders += [] if entry.is_symlink() else [entry]
+                elif entry.name == file_name or (depth == 0 and entry.suffix == ".xosc"):
+                    yield entry
+        level = subfolders[:_MAX_ENTRIES]
+
+
+def _list_folder(folder: Path) -> list[Path]:
+    try:
+        return sorted(islice(folder.iterdir(), _MAX_ENTRIES))
+    except OSError:
+        return []

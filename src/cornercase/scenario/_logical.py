@@ -1,0 +1,220 @@
+"""Logical and concrete scenarios."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from cornercase._common.errors import InputError
+from cornercase._common.validation import check_bool, check_path, check_str_sequence
+from cornercase.scenario._constraints import read_declarations
+from cornercase.scenario._file import ScenarioFile
+from cornercase.scenario._parameter import Value
+from cornercase.scenario._road_choices import add_varied_roads
+from cornercase.scenario._scope import Scope
+from cornercase.scenario._space import ParameterSpace
+from cornercase.scenario._types import convert_to_type
+from cornercase.scenario._xml import XmlFileCache
+
+_OWN_SIMULATOR_HINT: Final = (
+    "; your own simulator only needs a file that declares parameters and entities (docs/howto/own-simulator.md)"
+)
+
+
+@dataclass(frozen=True)
+class ConcreteScenario:
+    """One traffic situation, ready to run.
+
+    Attributes
+    ----------
+    path : Path
+        OpenSCENARIO file.
+    values : mapping of str to float or str
+        Parameters that differ from the defaults of the file.
+    source : Scenario, optional
+        The parsed file; by default it is read when the scenario runs.
+    """
+
+    path: Path
+    values: Mapping[str, Value] = field(default_factory=dict)
+    file: ScenarioFile | None = field(default=None, repr=False, compare=False)
+
+    def load_file(self, reusable: ScenarioFile | None = None) -> ScenarioFile:
+        """Return the parsed scenario file, reading it if necessary.
+
+        Parameters
+        ----------
+        known : Scenario, optional
+            Returned instead if it is the same file with the same content, so that nothing is read again.
+
+        Returns
+        -------
+        Scenario
+
+        Raises
+        ------
+        InputError
+            The file cannot be used.
+        """
+        own = ScenarioFile.read(self.path) if self.file is None else self.file
+        return reusable if reusable is not None and reusable.has_same_content(own) else own
+
+    def with_all_values(self) -> ConcreteScenario:
+        """Return the scenario with the values of all parameters that its file declares, converted to their types.
+
+        Returns
+        -------
+        ConcreteScenario
+            Unchanged if it has no parsed file.
+
+        Raises
+        ------
+        InputError
+            A value does not have its declared type, or cannot be evaluated.
+
+        Examples
+        --------
+        >>> from cornercase import LogicalScenario
+        >>> logical = LogicalScenario.read("examples/r157/deceleration.xosc", ranges=["gap=20:40"])
+        >>> logical.concrete({"gap": 30.0}).by_name().values
+        {'ego_kmh': 90.0, 'gap': 30.0, 'deceleration': 0.5}
+        """
+        return self if self.file is None else replace(self, values=_evaluate_all_parameters(self.file, self.values))
+
+
+@dataclass(frozen=True)
+class LogicalScenario:
+    """A traffic situation with parameter ranges.
+
+    Attributes
+    ----------
+    path : Path
+        OpenSCENARIO file.
+    space : ParameterSpace
+        Varied parameters and their ranges.
+    fingerprint : str
+        SHA-256 of the scenario file, its catalogs and its road file; also of all road files that the space names.
+    source : Scenario, optional
+        The parsed file.
+    """
+
+    path: Path
+    space: ParameterSpace
+    fingerprint: str
+    file: ScenarioFile | None = field(default=None, repr=False, compare=False)
+
+    def __repr__(self) -> str:
+        return f"<LogicalScenario {str(self.path)!r}: {', '.join(map(str, self.space.parameters))}>"
+
+    @cached_property
+    def scenario_file(self) -> ScenarioFile:
+        """The parsed scenario file."""
+        return ScenarioFile.read(self.path) if self.file is None else self.file
+
+    @classmethod
+    def read(
+        cls,
+        scenario: Path | str | ScenarioFile | None,
+        space: Path | str | None = None,
+        ranges: Sequence[str] = (),
+        continuous: bool = False,
+    ) -> LogicalScenario:
+        """Read a logical scenario.
+
+        Parameters
+        ----------
+        scenario : path or Scenario, optional
+            OpenSCENARIO file; by default the file that `space` names.
+        space : path, optional
+            ParameterValueDistribution file.
+        ranges : sequence of str
+            ``NAME=LOW:HIGH[:STEP]``; they extend the space or replace its ranges.
+        continuous : bool, default False
+            Treat ranges with steps as continuous.
+
+        Returns
+        -------
+        LogicalScenario
+
+        Raises
+        ------
+        InputError
+            A file cannot be used, no parameter is varied, or a varied parameter is not declared in the scenario.
+
+        Examples
+        --------
+        >>> from cornercase import LogicalScenario
+        >>> folder = "examples/x_intersection/x_intersection"
+        >>> logical = LogicalScenario.read(f"{folder}.xosc", f"{folder}.space.xosc")
+        >>> [parameter.name for parameter in logical.space.parameters]
+        ['ego_start', 'pedestrian_wait', 'p1_speed']
+        """
+        ranges = check_str_sequence("ranges", ranges)
+        files = XmlFileCache()
+        varied = None if space is None else ParameterSpace.from_file(check_path("space", space), files)
+        if scenario is None:
+            if space is None:
+                hint = _OWN_SIMULATOR_HINT if ranges else ""
+                raise InputError(
+                    f"There is no scenario; name an OpenSCENARIO file, or a `space` file that names one{hint}."
+                )
+            scenario = ParameterSpace.read_scenario_path(space, files)
+        if ranges:
+            varied = varied.with_ranges(ranges) if varied is not None else ParameterSpace.from_ranges(ranges)
+        file = scenario if isinstance(scenario, ScenarioFile) else ScenarioFile.read(scenario)
+        file.add_files(files)
+        if varied is None:
+            raise InputError(f"{file.path}: nothing is varied; give a `space` file, or `ranges` such as NAME=LOW:HIGH.")
+        file.require_declared(list(varied.assigned_names))
+        varied = varied.as_continuous() if check_bool("continuous", continuous) else varied
+        declarations = read_declarations(file.root, str(file.path))
+        varied = varied.with_types(declarations, str(file.path)).with_constraints(declarations, str(file.path))
+        file = add_varied_roads(file, varied)
+        return cls(file.path, varied, file.fingerprint(), file)
+
+    def concrete_scenario(self, values: Mapping[str, Value]) -> ConcreteScenario:
+        """Return a concrete scenario.
+
+        Parameters
+        ----------
+        values : mapping of str to float or str
+            Parameter values; the others keep the defaults of the file.
+
+        Returns
+        -------
+        ConcreteScenario
+        """
+        return ConcreteScenario(self.path, dict(values), self.file)
+
+
+def _evaluate_all_parameters(scenario: ScenarioFile, assigned: Mapping[str, Value]) -> dict[str, Value]:
+    """Return the values of all parameters: the given ones, else the evaluated defaults, with their declared types.
+
+    Values of parameters that the file does not declare stay as they are.
+    """
+    declarations = {
+        declaration.name: declaration for declaration in read_declarations(scenario.root, str(scenario.path))
+    }
+    changed = {
+        name: value for name, value in assigned.items() if name in declarations and value != declarations[name].value
+    }
+    scope = Scope.from_declarations(str(scenario.path), list(declarations.values()), [changed])
+    values = {
+        name: _convert_scalar(scope.parameter_values[name], declaration.type_name)
+        for name, declaration in declarations.items()
+    }
+    return values | {name: value for name, value in assigned.items() if name not in declarations}
+
+
+def _convert_scalar(value: Any, type_name: str) -> Value:
+    scalar = value.flat[0].item() if isinstance(value, np.ndarray) else value
+    try:
+        return convert_to_type(scalar, type_name)
+    except ValueError:
+        # The declaration may be for other tools only.
+        return str(scalar)

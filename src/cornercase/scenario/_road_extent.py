@@ -1,0 +1,85 @@
+"""Length and lanes of the roads of a file, without their shape."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from lxml import etree
+
+from cornercase._common.errors import InputError
+from cornercase.scenario._xml import read_xml
+
+# In m; for rounded positions.
+_TOLERANCE = 1e-6
+
+
+@dataclass(frozen=True)
+class RoadExtent:
+    """Length of a road in m, and start and lane types (by lane number) of each lane section."""
+
+    length: float
+    sections: tuple[tuple[float, dict[int, str]], ...]
+
+    def lane_interval(self, lane: int, s: float) -> tuple[float, float]:
+        """Return the interval around `s` in which a lane of this number exists; else the whole road."""
+        section = self._section_index(s)
+        if section is None or lane not in self.sections[section][1]:
+            return 0.0, self.length
+        first = last = section
+        while first > 0 and lane in self.sections[first - 1][1]:
+            first -= 1
+        while last + 1 < len(self.sections) and lane in self.sections[last + 1][1]:
+            last += 1
+        end = self.sections[last + 1][0] if last + 1 < len(self.sections) else self.length
+        return self.sections[first][0], end
+
+    def lanes_at(self, s: float) -> frozenset[int]:
+        """Return the lane numbers at `s`, without the center lane."""
+        section = self._section_index(s)
+        return frozenset() if section is None else frozenset(self.sections[section][1])
+
+    def adjacent_lanes_of_same_type(self, lane: int, s: float) -> tuple[int, int] | None:
+        """Return the first and last of the adjacent lanes of the same type on the same side of the road."""
+        section = self._section_index(s)
+        lanes = {} if section is None else self.sections[section][1]
+        if lane not in lanes:
+            return None
+        low = high = lane
+        while lanes.get(low - 1) == lanes[lane]:
+            low -= 1
+        while lanes.get(high + 1) == lanes[lane]:
+            high += 1
+        return low, high
+
+    def _section_index(self, s: float) -> int | None:
+        if not -_TOLERANCE <= s <= self.length + _TOLERANCE:
+            return None
+        started = [k for k, (start, _) in enumerate(self.sections) if start <= s + _TOLERANCE]
+        return started[-1] if started else None
+
+
+def read_road_extents(path: Path | None) -> dict[str, RoadExtent]:
+    """Return lengths and lanes of the roads of a file by road id; roads that cannot be read are left out."""
+    if path is None or not path.is_file():
+        return {}
+    try:
+        root = read_xml(path)
+    except InputError:
+        return {}
+    extents = {}
+    for road in root.iterfind("road"):
+        try:
+            extents[road.get("id", "")] = _read_road_extent(road)
+        except ValueError:
+            continue
+    return extents
+
+
+def _read_road_extent(road: etree._Element) -> RoadExtent:
+    sections = []
+    for section in road.iterfind("lanes/laneSection"):
+        lanes = {int(lane.get("id", "")): lane.get("type", "") for lane in section.iterfind("*/lane")}
+        lanes.pop(0, None)
+        sections.append((float(section.get("s", "")), lanes))
+    return RoadExtent(float(road.get("length", "")), tuple(sorted(sections, key=lambda section: section[0])))

@@ -1,0 +1,70 @@
+"""Pass/fail criteria of ScenarioRunner, which scenario files request in the form of conditions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+from lxml import etree
+
+from cornercase._common.io.tracked_xml import iter_descendants_untracked, note_adaptation
+from cornercase.scenario._scope import Scope
+
+# Prefix of a condition's name that requests a criterion of ScenarioRunner.
+_CRITERION_PREFIX: Final = "criteria_"
+_PARAMETER_CONDITION_RULE: Final = "a ParameterCondition refers to a declared parameter"
+
+
+@dataclass(frozen=True)
+class RunnerCriterion:
+    """A criterion that a scenario file requests, such as ``"CollisionTest"``, and its bound if the file gives one."""
+
+    name: str
+    threshold: float | None
+
+
+def read_runner_criteria(root: etree._Element, scope: Scope) -> tuple[RunnerCriterion, ...]:
+    """Return the criteria of a scenario file in its order: as in ScenarioRunner, those in stop triggers."""
+    criteria: list[RunnerCriterion] = []
+    for trigger in iter_descendants_untracked(root, "StopTrigger"):
+        for condition in iter_descendants_untracked(trigger, "ParameterCondition"):
+            name = runner_criterion_name(condition)
+            if name:
+                # ScenarioRunner ignores the value if there is no parameterRef.
+                has_bound = str(condition.attrib.get("parameterRef", "")).strip() and "value" in condition.attrib
+                criteria.append(
+                    RunnerCriterion(name, float(scope.read_numbers(condition, "value")[0]) if has_bound else None)
+                )
+    return tuple(criteria)
+
+
+def runner_criterion_name(element: etree._Element) -> str:
+    """Return the criterion that a ``ParameterCondition`` requests; empty if none."""
+    name = _condition_name(element)
+    return name.removeprefix(_CRITERION_PREFIX) if name.startswith(_CRITERION_PREFIX) else ""
+
+
+def is_condition_never_true(element: etree._Element, parameter_name: str) -> bool:
+    """Whether a condition on an undeclared parameter is no mistake; record on the element what it means.
+
+    That is so for ScenarioRunner's criteria, and for conditions that refer to no parameter at all.
+    """
+    for attribute in ("value", "rule"):
+        element.get(attribute)
+    if runner_criterion_name(element):
+        reason = (
+            "requests a criterion of ScenarioRunner instead of comparing a parameter; the condition and its group are"
+            " never true"
+        )
+        note_adaptation(element, _condition_name(element), reason, _PARAMETER_CONDITION_RULE)
+        return True
+    if not parameter_name.strip():
+        reason = "refers to no parameter; the condition and its group are never true"
+        note_adaptation(element, f"condition '{_condition_name(element)}'", reason, _PARAMETER_CONDITION_RULE)
+        return True
+    return False
+
+
+def _condition_name(element: etree._Element) -> str:
+    holder = next(element.iterancestors("Condition"), None)
+    return "" if holder is None else str(holder.attrib.get("name", ""))

@@ -1,0 +1,363 @@
+"""Write scenarios in which numbers are replaced by varied parameters."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+from lxml import etree
+
+from cornercase._common import validation
+from cornercase._common.errors import InputError, suggest_name
+from cornercase._common.io.files import check_output_differs_from_source, write_files
+from cornercase.scenario._concrete_file import read_companion_file
+from cornercase.scenario._file import ScenarioFile
+from cornercase.scenario._logical import LogicalScenario
+from cornercase.scenario._parameter import Parameter
+from cornercase.scenario._range_syntax import parse_ranges
+from cornercase.scenario._space import ParameterSpace
+from cornercase.scenario._types import format_value
+from cornercase.scenario._variables import Variable, list_variables_in
+from cornercase.scenario._xml import parse_xml
+from cornercase.scenario._xml_editor import XmlEditor
+
+# Longer ranges of lane numbers are not checked against the road.
+_MAX_CHECKED_LANES: Final = 1000
+# The format requires a number of runs; it is not used.
+_NUMBER_OF_TEST_RUNS: Final = "100"
+# Tolerance for bounds, which are shown with fewer digits.
+_BOUND_TOLERANCE: Final = 1e-6
+_SCENARIO_SUFFIX: Final = ".xosc"
+_DEFAULT_DATE: Final = "1970-01-01T00:00:00"
+# Attributes with a path relative to the scenario.
+_PATH_ATTRIBUTES: Final = {
+    "LogicFile": "filepath",
+    "SceneGraphFile": "filepath",
+    "Directory": "path",
+    "File": "filepath",
+}
+_MODEL_ATTRIBUTE: Final = "model3d"
+# Paths without which nothing runs.
+_REQUIRED_PATH_ELEMENTS: Final = ("LogicFile", "Directory")
+
+
+@dataclass(frozen=True)
+class VariedScenario:
+    """A scenario file, the parameters that vary in it, and the numbers that they replace."""
+
+    file: ScenarioFile
+    parameters: tuple[Parameter, ...]
+    variables: tuple[Variable, ...]
+
+    @classmethod
+    def select(
+        cls, scenario: Path | str | ScenarioFile, ranges: Sequence[str], proposed: bool = False
+    ) -> VariedScenario:
+        """Select what varies in a scenario; `ranges` and `proposed` as for `vary`."""
+        source = ScenarioFile.read(scenario.path if isinstance(scenario, ScenarioFile) else scenario)
+        by_name = {
+            variable.name: variable
+            for variable in list_variables_in(source, parse_xml(_scenario_bytes(source), source.path))
+        }
+        chosen = {} if not proposed else {name: "" for name, variable in by_name.items() if variable.proposed_range}
+        named: set[str] = set()
+        for text in ranges:
+            name, _, range_ = (part.strip() for part in text.partition("="))
+            if name not in by_name:
+                raise InputError(
+                    f"`vary` {text}: {source.path} has no '{name}' that can be varied; {_suggest_variable(name, by_name)}"
+                )
+            if name in named:
+                raise InputError(f"`vary` {text}: {name} is varied twice; keep one of them.")
+            if "=" in text and not range_:
+                raise InputError(f"`vary` {text}: write it as NAME, NAME=LOW:HIGH or NAME=LOW:HIGH:STEP.")
+            named.add(name)
+            chosen[name] = range_
+        if not chosen and proposed:
+            raise InputError(
+                f"{source.path}: nothing is varied, since no ranges are proposed; give one with `vary`, as"
+                " NAME=LOW:HIGH."
+            )
+        if not chosen:
+            raise InputError(f"{source.path}: nothing is varied; name numbers to vary with `vary`.")
+        parameters = tuple(_create_parameter(by_name[name], range_) for name, range_ in chosen.items())
+        return cls(source, parameters, tuple(by_name[name] for name in chosen))
+
+    def scenario_content(self, folder: Path) -> bytes:
+        """Return the content of the new file for a folder.
+
+        Raises `InputError` if a path is given by an expression, so that it cannot be adapted to another folder.
+        """
+        content = _scenario_bytes(self.file)
+        root, text = parse_xml(content, self.file.path), XmlEditor(content, self.file.path)
+        elements = list(root.iter("*"))
+        numbers = {element: k for k, element in enumerate(elements)}
+        lines = []
+        for variable in self.variables:
+            if not variable.is_declared:
+                value = text.get_attribute(*variable.occurrences[0]).strip()
+                kind = "integer" if variable.is_integer else "double"
+                lines.append(
+                    f'<ParameterDeclaration name="{variable.parameter_name}" parameterType="{kind}" value="{value}"/>'
+                )
+                for number, attribute in variable.occurrences:
+                    text.set_attribute(number, attribute, f"${variable.parameter_name}")
+        if lines:
+            _insert_declarations(root, numbers, text, lines)
+        if not _is_same_folder(folder, self.file.path.parent):
+            for element, attribute, path in _adapted_paths(self.file, root, folder):
+                _require_encodable_path(path)
+                text.set_attribute(numbers[element], attribute, path)
+        return text.edited_content()
+
+    def companion_files(self, folder: Path) -> dict[Path, bytes]:
+        """Return the files that have to be next to the new file and are missing: those that it names without a path."""
+        missing: dict[Path, bytes] = {}
+        for file in self.file.profiles_files:
+            target = folder / file.name
+            if _is_same_folder(folder, file.parent) or not file.is_file():
+                continue
+            content = read_companion_file(file, "Profiles")
+            if not target.exists():
+                missing[target] = content
+            elif target.read_bytes() != content:
+                raise InputError(
+                    f"{target}: differs from {file}, which has to be next to the scenario; choose another folder."
+                )
+        return missing
+
+    def distribution_content(self, scenario_name: str) -> bytes:
+        """Return the content of the file of ranges, for a scenario of this file name next to it."""
+        parameters = _harmonize_steps(self.parameters)
+        header = self.file.root.find("FileHeader")
+        date = "" if header is None else header.get("date", "")
+        date = date if re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d", date) else _DEFAULT_DATE
+        root = etree.Element("OpenSCENARIO")
+        attributes = {"revMajor": "1", "revMinor": "2", "date": date, "author": "cornercase"}
+        head = etree.SubElement(root, "FileHeader", {**attributes, "description": f"What varies in {scenario_name}"})
+        units = [parameter for parameter in parameters if parameter.unit]
+        holder = etree.SubElement(head, "Properties") if units else head
+        for parameter in units:
+            etree.SubElement(holder, "Property", {"name": f"unit of {parameter.name}", "value": parameter.unit})
+        body = etree.SubElement(root, "ParameterValueDistribution")
+        etree.SubElement(body, "ScenarioFile", {"filepath": scenario_name})
+        stepped = parameters[0].step is not None
+        runs = {} if stepped else {"numberOfTestRuns": _NUMBER_OF_TEST_RUNS}
+        distributions = etree.SubElement(body, "Deterministic" if stepped else "Stochastic", runs)
+        for parameter in parameters:
+            tag = "DeterministicSingleParameterDistribution" if stepped else "StochasticDistribution"
+            single = etree.SubElement(distributions, tag, {"parameterName": parameter.name})
+            distribution = (
+                etree.SubElement(single, "UniformDistribution")
+                if parameter.step is None
+                else etree.SubElement(single, "DistributionRange", {"stepWidth": format_value(parameter.step)})
+            )
+            etree.SubElement(
+                distribution,
+                "Range",
+                {"lowerLimit": format_value(parameter.low), "upperLimit": format_value(parameter.high)},
+            )
+        return etree.tostring(root, encoding="UTF-8", xml_declaration=True, pretty_print=True)
+
+    def add_units(self, space: ParameterSpace) -> ParameterSpace:
+        """Return a space with the units of the varied numbers."""
+        units = {parameter.name: parameter.unit for parameter in self.parameters}
+        parameters = [
+            replace(parameter, unit=units.get(parameter.name) or parameter.unit) for parameter in space.parameters
+        ]
+        return ParameterSpace(parameters, space.declarations)
+
+
+def vary(
+    scenario: Path | str | ScenarioFile, ranges: Sequence[str], output: Path | str, *, proposed: bool = False
+) -> LogicalScenario:
+    """Write a scenario in which numbers vary, and a file of their ranges next to it.
+
+    Each number becomes a parameter with the number as its default: run with the defaults, the new scenario gives the
+    same recording. All else stays as written, except that paths of roads and catalogs are adapted to the new folder.
+
+    Parameters
+    ----------
+    scenario : path or Scenario
+        OpenSCENARIO file.
+    ranges : sequence of str
+        ``NAME=LOW:HIGH[:STEP]``, or ``NAME`` for the proposed range; names as in `list_variables`.
+    output : path
+        Scenario to write, ``NAME.xosc``; the ranges are written to ``NAME.space.xosc``.
+    proposed : bool, default False
+        Vary all numbers for which a range is proposed.
+
+    Returns
+    -------
+    LogicalScenario
+
+    Raises
+    ------
+    InputError
+        A name is unknown, a range is malformed or exceeds the bounds of the number, or a file cannot be used.
+
+    See Also
+    --------
+    variables : Lists the numbers that can be varied.
+
+    Examples
+    --------
+    >>> from cornercase.scenario import vary
+    >>> vary("examples/r157/cut_in.xosc", ["Ego.initial.x=90:110"], "varied/cut_in.xosc")
+    <LogicalScenario 'varied/cut_in.xosc': Ego_initial_x 90 to 110 m>
+    """
+    output = validation.check_path("output", output)
+    _require_encodable_path(output)
+    if output.suffix.lower() != _SCENARIO_SUFFIX:
+        raise InputError(f"`output` {output}: a scenario is written; name a file that ends with {_SCENARIO_SUFFIX}.")
+    varied = VariedScenario.select(
+        scenario, validation.check_str_sequence("vary", ranges), validation.check_bool("proposed", proposed)
+    )
+    space = output.with_suffix(".space.xosc")
+    for file in varied.file.all_paths():
+        check_output_differs_from_source(output, file)
+        check_output_differs_from_source(space, file)
+    contents = varied.companion_files(output.parent)
+    contents |= {output: varied.scenario_content(output.parent), space: varied.distribution_content(output.name)}
+    write_files(contents)
+    return LogicalScenario.read(output, space)
+
+
+def _require_encodable_path(path: Path | str) -> None:
+    """Refuse a path that cannot be written in XML."""
+    try:
+        str(path).encode()
+    except UnicodeEncodeError as error:
+        raise InputError(f"{path}: its name has characters that XML cannot contain; rename it.") from error
+
+
+def _scenario_bytes(scenario: ScenarioFile) -> bytes:
+    return scenario.read_all_files()[scenario.path]
+
+
+def _suggest_variable(name: str, variables: dict[str, Variable]) -> str:
+    hint = suggest_name(name, variables)
+    # A scenario has too many names for a sentence.
+    return hint if hint.startswith("did") else "'cornercase vary' with the scenario alone lists the names."
+
+
+def _create_parameter(variable: Variable, range_: str) -> Parameter:
+    """Create the varied parameter, with the range that was given or proposed."""
+    where = f"`vary` {variable.name}" + (f"={range_}" if range_ else "")
+    if variable.reason_fixed:
+        raise InputError(f"{where}: cannot be varied: {variable.reason_fixed}.")
+    if not range_ and not variable.proposed_range:
+        raise InputError(f"{where}: no range is proposed; give one, as {variable.name}=LOW:HIGH.")
+    (given,) = parse_ranges([f"{variable.name}={range_ or variable.proposed_range}"], "vary")
+    least, most = variable.minimum, variable.maximum
+    if least is not None and given.low < least - _BOUND_TOLERANCE:
+        raise InputError(f"{where}: the minimum is {least:.9g} {variable.unit}".rstrip() + ".")
+    if most is not None and given.high > most + _BOUND_TOLERANCE:
+        raise InputError(f"{where}: the maximum is {most:.9g} {variable.unit}".rstrip() + ".")
+    low = given.low if least is None else max(given.low, least)
+    given = replace(given, low=low, high=given.high if most is None else min(given.high, most))
+    if variable.is_integer and any(
+        number is not None and number != round(number) for number in (given.low, given.high, given.step)
+    ):
+        raise InputError(f"{where}: use whole numbers.")
+    step = 1.0 if variable.is_integer and given.step is None else given.step
+    parameter = replace(given, name=variable.parameter_name, step=step, unit=variable.unit)
+    if variable.allowed_lanes and (parameter.size or 0) <= _MAX_CHECKED_LANES:
+        values = [round(parameter.low + k * float(step or 1.0)) for k in range(parameter.size or 0)]
+        absent = [number for number in values if number not in variable.allowed_lanes]
+        if absent:
+            existing = ", ".join(map(str, sorted(variable.allowed_lanes)))
+            raise InputError(f"{where}: the road has no lane {absent[0]} there; its lanes are {existing}.")
+    return parameter
+
+
+def _harmonize_steps(parameters: Sequence[Parameter]) -> list[Parameter]:
+    """Make all ranges stepped or all continuous, as a distribution file requires; integers fit both."""
+    with_steps = [
+        parameter for parameter in parameters if parameter.step is not None and not _has_integer_steps(parameter)
+    ]
+    without = [parameter for parameter in parameters if parameter.step is None]
+    if with_steps and without:
+        raise InputError(
+            f"`vary`: {with_steps[0].name} has a step and {without[0].name} has none, but a file of ranges has steps"
+            " for all or for none; add a step, as LOW:HIGH:STEP."
+        )
+    if without:
+        return [replace(parameter, step=None) for parameter in parameters]
+    return list(parameters)
+
+
+def _has_integer_steps(parameter: Parameter) -> bool:
+    """Whether its steps are those that integers have anyway."""
+    return parameter.step == 1.0 and parameter.low == round(parameter.low)
+
+
+def _insert_declarations(
+    root: etree._Element, element_indices: dict[etree._Element, int], editor: XmlEditor, lines: list[str]
+) -> None:
+    """Add declarations after the existing ones."""
+    holder = root.find("ParameterDeclarations")
+    if holder is None:
+        header = root.find("FileHeader")
+        nest = ["<ParameterDeclarations>", *(f"  {line}" for line in lines), "</ParameterDeclarations>"]
+        first_child = next(root.iterchildren("*"))
+        editor.insert_sibling_lines(
+            nest, element_indices[first_child if header is None else header], after=header is not None
+        )
+        return
+    declared = list(holder.iterchildren("*"))
+    if declared:
+        editor.insert_sibling_lines(lines, element_indices[declared[-1]], after=True)
+    else:
+        editor.insert_children(element_indices[holder], lines)
+
+
+def _adapted_paths(
+    scenario: ScenarioFile, root: etree._Element, folder: Path
+) -> Iterator[tuple[etree._Element, str, str]]:
+    """Yield element, attribute and new value of the paths that change in another folder."""
+    declared = {str(e.get("name")): e for e in root.iterfind("ParameterDeclarations/ParameterDeclaration")}
+    changed: set[etree._Element] = set()
+    for element in root.iter("*"):
+        attribute = _PATH_ATTRIBUTES.get(str(element.tag), _MODEL_ATTRIBUTE)
+        path = str(element.get(attribute) or "").strip()
+        holder = element
+        if path.startswith("$") and path[1:] in declared:
+            holder, attribute = declared[path[1:]], "value"
+            path = str(holder.get("value") or "").strip()
+        if not path and element.tag == "Directory" and element.get("path") is not None:
+            # An empty path means the scenario's folder.
+            path = "."
+        if not path or (holder is not element and holder in changed):
+            continue
+        if path.startswith("$"):
+            if element.tag in _REQUIRED_PATH_ELEMENTS:
+                raise InputError(
+                    f"{scenario.path}, line {element.sourceline}: <{element.tag}> has an expression as path, which cannot"
+                    f" be adapted to {folder}; write the varied scenario into the folder of the scenario."
+                )
+            continue
+        changed.add(holder)
+        if (new_path := _adapt_relative_path(folder, scenario.path.parent, path)) is not None:
+            yield holder, attribute, new_path
+
+
+def _adapt_relative_path(folder: Path, old_folder: Path, path: str) -> str | None:
+    """Return a relative path adapted to another folder; None if it stays valid."""
+    posix = path.replace("\\", "/")
+    if re.match(r"[A-Za-z][A-Za-z0-9+.-]*:", posix) or posix.startswith("/") or not (old_folder / posix).exists():
+        return None
+    target = os.path.realpath(old_folder / posix)
+    try:
+        return Path(os.path.relpath(target, os.path.realpath(folder))).as_posix()
+    except ValueError:
+        # Windows: on another drive.
+        return Path(target).as_posix()
+
+
+def _is_same_folder(folder: Path, other: Path) -> bool:
+    return os.path.realpath(folder) == os.path.realpath(other)

@@ -1,0 +1,263 @@
+"""Base class of simulators, and checks of their common options."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import ClassVar, Literal, Self
+
+from cornercase._common.errors import InputError, SimulationError
+from cornercase._common.io.support_table import Notice, issue_notice_warning
+from cornercase._common.plugin_errors import convert_plugin_errors
+from cornercase._common.validation import check_float, check_str
+from cornercase.drivers import Driver
+from cornercase.drivers._description import serialize_driver
+from cornercase.recordings import Recording
+from cornercase.scenario import ConcreteScenario, Value
+from cornercase.scenario._file import ScenarioFile
+
+
+@dataclass(frozen=True)
+class Availability:
+    """Whether a simulator can run on this machine.
+
+    Attributes
+    ----------
+    version : str
+        Empty if unknown.
+    missing : str
+        What is missing and how to get it, as a sentence; empty if the simulator can run.
+    abilities : tuple of str
+        Short descriptions of optional features.
+    """
+
+    version: str = ""
+    problem: str = ""
+    features: tuple[str, ...] = ()
+
+
+class Simulator(ABC):
+    """Runs concrete scenarios; the base class of all simulators.
+
+    Your own simulator is a subclass with `settings` and `run`, registered in the entry-point group
+    ``cornercase.simulators``. The other declarations have defaults for a program that runs one scenario at a time.
+
+    Constructor options are keyword arguments. Those of ``time_step`` and ``duration`` in s, ``on_collision``
+    (``"continue"`` or ``"stop"``) and ``drivers`` (driver or its name, by entity) that the constructor declares are
+    passed; drivers for a simulator that does not declare them are refused. Further options come after the colon of its
+    name (``"esmini:seed=3"``); undeclared ones are refused, also if it takes ``**options``.
+
+    Attributes
+    ----------
+    name : str
+        As registered, with its options if it was created with any: ``"esmini:seed=3"``.
+    settings : dict
+        Everything besides the scenario that the recordings depend on, as plain JSON values. It is stored with a study,
+        and a study is resumed only with the same settings.
+    needs : tuple of str
+        Further options that it gets: ``"ego"``, the name of the entity under test, and ``"worker"``, the number of its
+        worker process from 0 on.
+    in_process : bool, default False
+        Whether it may run in cornercase's own process: it neither crashes nor hangs, and leaves nothing behind.
+    repeats_itself : bool, default False
+        Whether the same scenario with the same settings gives a bit-identical recording. Differences between recordings
+        then come from what is tested. This is checked with the first scenario of each study.
+    takes_batches : bool, default False
+        Whether one call with many scenarios is faster than single calls. It then gets as many scenarios as possible at
+        once, otherwise one at a time.
+    values_by : {"name", "file"}, default "name"
+        How it takes parameter values. ``"name"``: ``concrete.values`` has the values of all parameters that the
+        scenario file declares. ``"file"``: it reads the file, and ``concrete.values`` has only the values that differ
+        from it (none for the scenarios of a suite).
+    on_notice : callable
+        Called with sentences for the user. By default they become a `NoticeWarning`; worker processes forward them.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from cornercase.recordings import Recording
+    >>> from cornercase.simulators import Simulator
+    >>> class Standing(Simulator):
+    ...     name = "standing"
+    ...
+    ...     def __init__(self):
+    ...         self.settings = {}
+    ...
+    ...     def run(self, concretes):
+    ...         for _ in concretes:
+    ...             rest, one = np.zeros((1, 2)), np.ones(1)
+    ...             yield Recording(
+    ...                 time=np.array([0.0, 0.1]), names=("Ego",), kinds=("car",), x=rest, y=rest, heading=rest,
+    ...                 speed=rest, acceleration=rest, length=one, width=one, center_x=0.0 * one,
+    ...             )
+    """
+
+    name: str
+    settings: dict[str, object]
+    requires: ClassVar[tuple[str, ...]] = ()
+    in_process: ClassVar[bool] = False
+    deterministic: ClassVar[bool] = False
+    batched: ClassVar[bool] = False
+    parameter_passing: Literal["name", "file"] = "name"
+    on_notice: Callable[[str], None] = staticmethod(issue_notice_warning)
+
+    @abstractmethod
+    def run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Recording | SimulationError]:
+        """Run scenarios.
+
+        Parameters
+        ----------
+        concretes : sequence of ConcreteScenario
+
+        Yields
+        ------
+        Recording or SimulationError
+            One per scenario, in order; an error if the scenario cannot be run. If there are fewer results than
+            scenarios, the rest is run again one by one.
+
+        Raises
+        ------
+        InputError
+            No scenario can be run, whatever its values, for example because the scenario file cannot be used.
+        """
+
+    def check_supported(self, scenario: ScenarioFile) -> None:  # noqa: B027 - optional
+        """Refuse a scenario that this simulator does not support; called before anything is run.
+
+        Parameters
+        ----------
+        scenario : Scenario
+
+        Raises
+        ------
+        InputError
+            The simulator lacks what the scenario needs. By default nothing is refused.
+        """
+
+    def check_runnable(self, concretes: Sequence[ConcreteScenario]) -> None:  # noqa: B027 - optional
+        """Refuse scenarios none of which can be run, without running any; called before a study is created.
+
+        Parameters
+        ----------
+        concretes : sequence of ConcreteScenario
+            A sample of the scenarios to run.
+
+        Raises
+        ------
+        InputError
+            None of them can be run, as far as can be known beforehand. By default nothing is refused.
+        """
+
+    @classmethod
+    def notices(cls, scenario: ScenarioFile, values: Mapping[str, Value] | None = None) -> tuple[Notice, ...]:
+        """List scenario content that has no effect in this simulator.
+
+        Parameters
+        ----------
+        scenario : Scenario
+        values : mapping of str to float or str, optional
+            Parameter values, on which the content may depend.
+
+        Returns
+        -------
+        tuple of Notice
+            Empty by default.
+        """
+        return ()
+
+    @classmethod
+    def availability(cls) -> Availability:
+        """Return whether the simulator can run on this machine.
+
+        Returns
+        -------
+        Availability
+            By default nothing is missing.
+        """
+        return Availability()
+
+    def notify(self, sentences: Iterable[str]) -> None:
+        """Pass sentences about these runs to the user, each once.
+
+        Parameters
+        ----------
+        sentences : iterable of str
+            Without a full stop. Of sentences that differ only after a semicolon, only the first is passed.
+        """
+        for sentence in sentences:
+            subject = sentence.partition("; ")[0]
+            noticed: set[str] = vars(self).setdefault("_noticed", set())
+            if subject not in noticed:
+                noticed.add(subject)
+                self.on_notice(sentence)
+
+    def parallel_instances(self) -> Sequence[Simulator]:
+        """Return simulators that may run at the same time, each in its own thread.
+
+        Returns
+        -------
+        sequence of Simulator
+            As many as scenarios can currently run in parallel. Empty by default: it runs in the thread that created it.
+        """
+        return ()
+
+    def cancel(self) -> None:  # noqa: B027 - optional
+        """Cancel what runs in another thread soon; by default nothing happens."""
+
+    def close(self) -> None:  # noqa: B027 - optional
+        """Release resources; by default there are none."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        try:
+            with convert_plugin_errors(f"the simulator '{self.name}'", self, "in close"):
+                self.close()
+        except InputError as error:
+            # Its results are valid, so only warn.
+            self.on_notice(str(error).removesuffix("."))
+
+
+def check_seed(seed: int, owner: str) -> int:
+    """Return a valid seed; `InputError` naming `owner` seed it is unless it is an integer from 0 to 2147483647."""
+    if not (isinstance(seed, int) and 0 <= seed < 2**31):
+        raise InputError(f"The seed of {owner} is {seed}; give a whole number from 0 to 2147483647.")
+    return seed
+
+
+def check_settings(
+    time_step: float, duration: float, on_collision: str, drivers: Mapping[str, str | Driver] | None
+) -> dict[str, object]:
+    """Return the settings common to all simulators with a storyboard, as plain values.
+
+    Parameters
+    ----------
+    time_step, duration : float
+        In s.
+    on_collision : str
+    drivers : mapping of str to str or Driver, or None
+        By entity.
+
+    Returns
+    -------
+    dict
+
+    Raises
+    ------
+    InputError
+        A value is out of range.
+    """
+    time_step, duration = check_float("time_step", time_step), check_float("duration", duration)
+    if not 0.001 <= time_step <= 1.0:
+        raise InputError(f"`time_step` {time_step:g}: choose a time from 0.001 s to 1 s.")
+    if not time_step <= duration <= 3600.0:
+        raise InputError(f"`duration` {duration:g}: choose a time from one time step to 3600 s.")
+    check_str("on_collision", on_collision, ("continue", "stop"))
+    return {
+        "time_step": time_step,
+        "duration": duration,
+        "on_collision": on_collision,
+        "drivers": {entity: serialize_driver(driver) for entity, driver in sorted((drivers or {}).items())},
+    }

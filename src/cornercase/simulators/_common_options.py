@@ -1,0 +1,49 @@
+"""Options that are offered to every simulator, and the ones it declares."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from inspect import Parameter, signature
+from typing import Any, Final
+
+from cornercase._common.errors import InputError
+from cornercase._common.io.support_table import issue_notice_warning
+from cornercase._common.registry import declared_options
+from cornercase.simulators._base import Simulator
+
+# Default values, which a simulator need not declare.
+_DEFAULT_OPTIONS: Final[dict[str, Any]] = {
+    "drivers": {},
+    "on_collision": "continue",
+    "time_step": 0.05,
+    "duration": 60.0,
+}
+
+
+def select_declared_options(name: str, simulator: type[Simulator], options: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the options that a simulator's constructor declares, or all if it takes ``**options``.
+
+    Raises `InputError` if drivers or ``on_collision="stop"`` are given but not declared; warns if a time step or
+    duration has no effect.
+    """
+    declared = declared_options(simulator)
+    for key, default in _DEFAULT_OPTIONS.items():
+        value = options.get(key)
+        if key in declared or value in (None, default):
+            continue
+        if key == "drivers":
+            raise InputError(
+                f"`drivers` {', '.join(value)}: the simulator '{name}' supports no drivers; leave them out, or declare"
+                " 'drivers' in its constructor."
+            )
+        if key == "on_collision":
+            raise InputError(
+                f"`on_collision` {value}: the simulator '{name}' does not declare 'on_collision' in its constructor;"
+                " leave it out, or declare it."
+            )
+        issue_notice_warning(
+            f"without effect: {key} {value} s, since the simulator '{name}' does not declare it in its constructor"
+        )
+    if any(parameter.kind is Parameter.VAR_KEYWORD for parameter in signature(simulator).parameters.values()):
+        return dict(options)
+    return {key: value for key, value in options.items() if key in declared or key not in _DEFAULT_OPTIONS}

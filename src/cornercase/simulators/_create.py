@@ -1,0 +1,87 @@
+"""Create a simulator by name, in this process or in processes of its own."""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Mapping
+from multiprocessing import current_process
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from cornercase._common.validation import check_float, check_int, check_str
+from cornercase.drivers._description import user_driver_spec
+from cornercase.simulators._base import Simulator
+from cornercase.simulators._common_options import select_declared_options
+from cornercase.simulators._registry import SIMULATORS
+from cornercase.simulators.dask._simulator import ClusterSimulator
+from cornercase.simulators.pool._simulator import DEFAULT_MAX_FAILURES, MAX_WORKERS, WorkerSimulator
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+_MAIN_GUARD_PATTERN: Final = re.compile(r"""__name__\s*==\s*["']__main__["']|["']__main__["']\s*==\s*__name__""")
+
+
+def create_simulator(
+    name: str,
+    options: Mapping[str, Any] | None = None,
+    *,
+    ego: str = "Ego",
+    workers: int = 1,
+    timeout: float | None = None,
+    retries: int = 1,
+    cluster: str | Client | None = None,
+    max_failures: int = DEFAULT_MAX_FAILURES,
+) -> Simulator:
+    """Create a simulator by name (options after a colon), in this process, in worker processes or on a Dask cluster.
+
+    A simulator with `in_process` runs in this process unless there are several workers, a time-out or a user's driver
+    given by name. Otherwise it runs in worker processes, where a crash or hang costs only the scenario at fault.
+    Drivers given as objects need no worker process, since they may not be picklable. Nor do drivers by name in a script
+    without ``__name__ == "__main__"``, which would start again in the worker process.
+
+    Of `options` (``time_step``, ``duration``, ``on_collision``, ``drivers``; picklable) it gets those that its
+    constructor declares; `timeout` is in s per scenario. Raises `InputError` for an unknown simulator, values out of
+    range, or undeclared drivers or ``on_collision``; warns if a time step or duration has no effect.
+
+    >>> from cornercase.simulators import start_simulator
+    >>> with start_simulator("builtin", {"duration": 20.0}) as simulator:
+    ...     simulator.settings["duration"]
+    20.0
+    """
+    timeout = None if timeout is None else check_float("timeout", timeout, above=0.0)
+    workers = check_int("workers", workers, 1, MAX_WORKERS)
+    retries, max_failures = check_int("retries", retries), check_int("max_failures", max_failures)
+    simulator_class = SIMULATORS.get_class(check_str("simulator", name))
+    accepted = select_declared_options(name, simulator_class, options or {}) | (
+        {"ego": ego} if "ego" in simulator_class.requires else {}
+    )
+    if cluster is not None:
+        return ClusterSimulator(name, accepted, cluster, workers, timeout, retries, max_failures)
+    if (
+        simulator_class.in_process
+        and workers == 1
+        and timeout is None
+        and not (_has_user_driver(accepted) and _can_start_processes())
+    ):
+        return SIMULATORS.create(name, **accepted)
+    return WorkerSimulator(name, accepted, workers, timeout, retries, max_failures)
+
+
+def _has_user_driver(options: Mapping[str, Any]) -> bool:
+    """Return whether a user named a driver that does not come with cornercase."""
+    return any(user_driver_spec(driver) is not None for driver in (options.get("drivers") or {}).values())
+
+
+def _can_start_processes() -> bool:
+    """Return whether this process can start others without running the user's script again."""
+    if current_process().daemon:
+        return False
+    script = getattr(sys.modules.get("__main__"), "__file__", None)
+    if script is None:
+        return True
+    try:
+        return _MAIN_GUARD_PATTERN.search(Path(script).read_text(encoding="utf-8", errors="replace")) is not None
+    except OSError:
+        return True

@@ -1,0 +1,103 @@
+"""Send simulator options with users' drivers to another process."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+from cornercase._common.errors import InputError
+from cornercase._common.text.sanitize import format_exception
+from cornercase.drivers import Driver
+from cornercase.drivers._description import serialize_driver, user_driver_spec
+from cornercase.drivers._resolve import driver_by_name
+
+_DRIVERS_OPTION: Final = "drivers"
+
+
+@dataclass(frozen=True)
+class DriverSpec:
+    """Name of a driver (``"package.module:Class"`` with options), and description of the driver it stands for."""
+
+    name: str
+    description: str | dict[str, Any]
+
+    @classmethod
+    def from_driver(cls, driver: str | Driver) -> str | Driver | DriverSpec:
+        """Return what to send for a driver: itself if it was given as an object or is a preset's name."""
+        name = user_driver_spec(driver)
+        return driver if isinstance(driver, str) or name is None else cls(name, serialize_driver(driver))
+
+    def create(self) -> Driver:
+        """Create the driver in this process; `InputError` if it cannot be, or differs from the sender's."""
+        driver = driver_by_name(self.name)
+        if serialize_driver(driver) != self.description:
+            raise InputError(
+                f"The driver '{self.name}' has changed since the command started (its file or settings); run the"
+                " command again."
+            )
+        return driver
+
+
+def pickle_options(options: Mapping[str, Any], dumps: Callable[[Any], bytes]) -> bytes:
+    """Pickle the options of a simulator by `dumps`; the receiver creates drivers that were given by class name.
+
+    Raises `InputError` if a driver or another option cannot be pickled.
+    """
+    drivers = {
+        entity: DriverSpec.from_driver(driver_spec)
+        for entity, driver_spec in (options.get(_DRIVERS_OPTION) or {}).items()
+    }
+    sent = {**options, _DRIVERS_OPTION: drivers} if drivers else dict(options)
+    try:
+        return dumps(sent)
+    except Exception as error:
+        for entity, driver in drivers.items():
+            _require_picklable(entity, driver, dumps)
+        raise InputError(
+            f"The options of the simulator cannot be sent to another process ({format_exception(error)})."
+        ) from error
+
+
+def _require_picklable(entity: str, driver: Any, dumps: Callable[[Any], bytes]) -> None:
+    try:
+        dumps(driver)
+    except Exception as error:
+        cls = type(driver)
+        culprit = next(
+            (
+                f"its attribute '{name}'"
+                for name, value in _instance_attributes(driver)
+                if not _is_picklable(dumps, value)
+            ),
+            "it",
+        )
+        reason = format_exception(error)
+        raise InputError(
+            f"`drivers` {entity}: the driver {cls.__module__}:{cls.__qualname__} cannot be sent to another process,"
+            f" which `workers`, `timeout` and `cluster` require: {culprit} cannot be pickled ({reason}). Create that in"
+            f" start(), give the class by name ({entity}=package.module:Class), or define __getstate__."
+        ) from error
+
+
+def _instance_attributes(driver: Any) -> list[tuple[str, Any]]:
+    return list(getattr(driver, "__dict__", {}).items())
+
+
+def _is_picklable(dumps: Callable[[Any], bytes], value: Any) -> bool:
+    try:
+        dumps(value)
+    except Exception:
+        return False
+    return True
+
+
+def create_drivers_from_specs(options: dict[str, Any]) -> dict[str, Any]:
+    """Create the drivers that received options only name; `InputError` if that fails."""
+    drivers = options.get(_DRIVERS_OPTION)
+    if not drivers:
+        return options
+    created = {
+        entity: driver.create() if isinstance(driver, DriverSpec) else driver for entity, driver in drivers.items()
+    }
+    return {**options, _DRIVERS_OPTION: created}

@@ -1,0 +1,37 @@
+"""Base class of simulators that run in other processes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from cornercase.scenario import ConcreteScenario
+from cornercase.scenario._file import ScenarioFile
+from cornercase.simulators._base import Simulator
+from cornercase.simulators._registry import SIMULATORS
+
+
+class RemoteSimulator(Simulator):
+    """Runs scenarios in other processes; a local instance checks options and scenarios."""
+
+    def __init__(self, name: str, options: dict[str, Any]) -> None:
+        self.name = name
+        self.simulator_class = SIMULATORS.get_class(name)
+        self.parameter_passing = self.simulator_class.parameter_passing
+        # Runs nothing; checks options, and scenarios before they are run.
+        self._local_instance = SIMULATORS.create(name, **options)
+        self.settings = self._local_instance.settings
+        # Shared with `parallel_instances`.
+        self._noticed: set[str] = set()
+
+    def check_supported(self, scenario: ScenarioFile) -> None:
+        """Let the local instance check if it supports the scenario."""
+        self._local_instance.check_supported(scenario)
+
+    def check_runnable(self, concretes: Sequence[ConcreteScenario]) -> None:
+        """Let the local instance check if any scenario can be run."""
+        self._local_instance.check_runnable(concretes)
+
+    def close(self) -> None:
+        """Close the local instance."""
+        self._local_instance.close()

@@ -1,0 +1,134 @@
+"""Get one result per scenario, whatever a simulator returns."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Final
+
+from cornercase._common.errors import InputError, PluginError, SimulationError
+from cornercase._common.io.support_table import Notice
+from cornercase._common.plugin_errors import convert_plugin_errors, make_scenario_failure
+from cornercase._common.process.signals import count_requests
+from cornercase._common.text.source_lines import remove_file_prefix
+from cornercase.recordings import Recording
+from cornercase.scenario import ConcreteScenario, Value
+from cornercase.scenario._file import ScenarioFile
+from cornercase.simulators._base import Simulator
+from cornercase.simulators._registry import SIMULATORS
+from cornercase.simulators._remote import RemoteSimulator
+
+Outcome = Recording | SimulationError
+
+_NO_RESULT: Final[object] = object()
+
+
+def run_scenarios(simulator: Simulator, concretes: Sequence[ConcreteScenario]) -> Iterator[Outcome]:
+    """Run scenarios and yield one recording or error each, in order.
+
+    If the simulator raises an exception or stops early, the rest is run one by one, so that only the scenario at fault
+    fails. Values are passed as the simulator takes them. Raises `InputError` if none can be run.
+    """
+    yield from run_scenarios_as_given(simulator, pass_values(simulator, concretes))
+
+
+def pass_values(simulator: Simulator, concretes: Sequence[ConcreteScenario]) -> Sequence[ConcreteScenario]:
+    """Return scenarios with values as a simulator takes them, by name or by file."""
+    return (
+        concretes if simulator.parameter_passing == "file" else [concrete.with_all_values() for concrete in concretes]
+    )
+
+
+def run_scenarios_as_given(simulator: Simulator, concretes: Sequence[ConcreteScenario]) -> Iterator[Outcome]:
+    """Like `run_scenarios`, for scenarios whose values are already as the simulator takes them."""
+    results: Iterator[object] | None = None
+    last = len(concretes) - 1
+    for k in range(len(concretes)):
+        result, requests_before = _NO_RESULT, count_requests()
+        try:
+            if results is None:
+                results = iter(simulator.run(concretes))
+            result = next(results, _NO_RESULT)
+            if k == last:
+                # Let it clean up before its last result counts: if that fails, the scenario is run again.
+                next(results, None)
+        except InputError:
+            raise
+        except BaseException as error:
+            if isinstance(simulator, RemoteSimulator):
+                # A failure of the machine or cornercase: simulators fail in their own process.
+                raise
+            failure = make_scenario_failure("the simulator", error, requests_before)
+            result = failure if last == 0 else _NO_RESULT
+        if result is _NO_RESULT and last > 0:
+            for concrete in concretes[k:]:
+                yield from run_scenarios_as_given(simulator, [concrete])
+            return
+        yield _check_outcome(result)
+
+
+def check_simulator_accepts(
+    simulator: Simulator, scenarios: Iterable[ScenarioFile], concretes: Sequence[ConcreteScenario] = ()
+) -> None:
+    """Let a simulator check scenarios before anything is run; `InputError` if it refuses one or fails.
+
+    Each of `scenarios` has to be supported, and at least one of the sample `concretes` has to be runnable.
+    """
+    with convert_plugin_errors(
+        f"The simulator '{simulator.name}'", _simulator_class(simulator), "in require_means or require_runnable"
+    ):
+        for scenario in scenarios:
+            simulator.check_supported(scenario)
+        if concretes:
+            simulator.check_runnable(pass_values(simulator, concretes))
+
+
+def find_refusals(simulator: Simulator, concretes: Sequence[ConcreteScenario]) -> dict[int, str]:
+    """Return which scenario files a simulator cannot run and why, by index, before anything is run.
+
+    Each concrete scenario has a file of its own. Raises `InputError` if all are refused, or the simulator fails.
+    """
+    if len(concretes) == 1:
+        check_simulator_accepts(simulator, [concretes[0].load_file()], concretes)
+        return {}
+    refusals: dict[int, InputError] = {}
+    with convert_plugin_errors(
+        f"The simulator '{simulator.name}'", _simulator_class(simulator), "in require_means or require_runnable"
+    ):
+        for k, concrete in enumerate(concretes):
+            try:
+                simulator.check_supported(concrete.load_file())
+                simulator.check_runnable(pass_values(simulator, [concrete]))
+            except InputError as error:
+                refusals[k] = error
+    if refusals and len(refusals) == len(concretes):
+        raise refusals[0]
+    return {k: describe_file_error(concretes[k].path, error) for k, error in refusals.items()}
+
+
+def describe_file_error(path: Path, error: InputError) -> str:
+    """Describe why a scenario's file cannot be used, without the file's name and a full stop."""
+    return remove_file_prefix(str(path), str(error)).removesuffix(".")
+
+
+def list_ignored_content(
+    name: str, scenario: ScenarioFile, values: Mapping[str, Value] | None = None
+) -> tuple[Notice, ...]:
+    """List scenario content without effect in a simulator; `InputError` if the simulator's class fails."""
+    declared = SIMULATORS.get_class(name)
+    with convert_plugin_errors(f"The simulator '{name}'", declared, "in notices"):
+        return tuple(declared.notices(scenario, values))
+
+
+def _simulator_class(simulator: Simulator) -> type[Simulator]:
+    """Class of a simulator, also if it runs in other processes."""
+    return simulator.simulator_class if isinstance(simulator, RemoteSimulator) else type(simulator)
+
+
+def _check_outcome(result: object) -> Outcome:
+    if isinstance(result, Recording | SimulationError):
+        return result
+    if result is _NO_RESULT:
+        return PluginError("the simulator ended without a result")
+    description = "None" if result is None else f"a {type(result).__name__}"
+    return PluginError(f"the simulator gave {description} instead of a recording")

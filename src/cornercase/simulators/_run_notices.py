@@ -1,0 +1,120 @@
+"""Warnings about finished runs, and about scenarios without a driver of the ego."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterable
+from typing import Final
+
+import numpy as np
+
+from cornercase._common.io.support_table import issue_notice_warning
+from cornercase.recordings import Recording
+from cornercase.roads._network import RoadNetwork
+from cornercase.scenario._file import ScenarioFile
+from cornercase.simulators._base import Simulator
+from cornercase.simulators.builtin._prepared_file import PreparedScenario
+
+# Distance in m to the nearest lane from which pedestrians and misc objects are far from the road; for others: `NEAR`.
+_FAR_FROM_LANE: Final = 50.0
+# Not checked: they follow their vehicle, or are on rails.
+_UNCHECKED_TYPES: Final = ("trailer", "semitrailer", "train", "tram")
+_OFF_ROAD_TYPES: Final = ("pedestrian", "misc")
+# Time in s between samples, and number of runs to check: wrong positions show in the first ones.
+_SAMPLE_INTERVAL: Final = 1.0
+_MAX_CHECKED_RUNS: Final = 1000
+# Further entities are only counted.
+_MAX_NAMED_ENTITIES: Final = 3
+
+
+class RunNotices:
+    """Collects what users should know about runs, and warns once at the end."""
+
+    def __init__(self, simulator: Simulator) -> None:
+        self._duration = simulator.settings.get("duration")
+        self._n_runs = self._n_cut_off = 0
+        # By entity: distance to the nearest lane and time in the first run in which it is far.
+        self._far_entities: dict[str, tuple[float, float]] = {}
+
+    def add_run(self, recording: Recording, get_scenario: Callable[[], ScenarioFile]) -> None:
+        """Check a recording; `scenario` returns its scenario, called only if the simulator reads such files."""
+        self._n_runs += 1
+        self._n_cut_off += recording.is_truncated is True
+        is_checked = recording.is_truncated is not None and self._n_runs <= _MAX_CHECKED_RUNS
+        network = _road_network_of(get_scenario()) if is_checked else None
+        if network is not None:
+            for name, away, time in find_entities_far_from_roads(network, recording, self._far_entities):
+                self._far_entities[name] = (away, time)
+
+    def issue_warnings(self) -> None:
+        """Issue the collected notices as `NoticeWarning`."""
+        if self._far_entities:
+            descriptions = [
+                f"{name} is {away:.0f} m from the nearest lane at {t:.2f} s"
+                for name, (away, t) in self._far_entities.items()
+            ]
+            more = (
+                f", and {len(descriptions) - _MAX_NAMED_ENTITIES} more are far"
+                if len(descriptions) > _MAX_NAMED_ENTITIES
+                else ""
+            )
+            issue_notice_warning(
+                f"far from every road: {', '.join(descriptions[:_MAX_NAMED_ENTITIES])}{more}; check that the road file, its"
+                " axes and the positions in the scenario match"
+            )
+        if self._n_cut_off:
+            runs = "the run was" if self._n_runs == 1 else f"{self._n_cut_off} of {self._n_runs} runs were"
+            # A user's simulator may lack this option.
+            limit = f", {self._duration:g} s," if isinstance(self._duration, int | float) else ""
+            more = "; use a longer `duration` to see the rest" if limit else ""
+            issue_notice_warning(
+                f"cut off: {runs} ended by the maximum duration{limit} before the scenario came to its end{more}"
+            )
+
+
+def find_entities_far_from_roads(
+    network: RoadNetwork, recording: Recording, skip: Collection[str] = ()
+) -> list[tuple[str, float, float]]:
+    """List entities far from every road as (name, distance in m, first time in s), in the order of the recording.
+
+    Checked once a second. Far means 10 m from the nearest lane, or 50 m for pedestrians and misc objects, which may be
+    beside a road. Trailers, trains and names in `known` are skipped.
+    """
+    indices = [
+        a
+        for a, object_type in enumerate(recording.object_types)
+        if object_type not in _UNCHECKED_TYPES and recording.names[a] not in skip
+    ]
+    if not indices or len(recording.time) == 0:
+        return []
+    first, last = recording.time[[0, -1]].tolist()
+    samples = np.unique(np.searchsorted(recording.time, np.arange(first, last + 1e-9, _SAMPLE_INTERVAL)))
+    x, y = (coordinates[indices][:, samples] for coordinates in (recording.x, recording.y))
+    distances = network.distance_from_lanes(x.ravel(), y.ravel()).reshape(x.shape)
+    result = []
+    for a, row in zip(indices, distances, strict=True):
+        far = np.flatnonzero(row > (_FAR_FROM_LANE if recording.object_types[a] in _OFF_ROAD_TYPES else 0.0))
+        if far.size:
+            result.append((recording.names[a], float(row[far[0]]), float(recording.time[samples[far[0]]])))
+    return result
+
+
+def warn_if_ego_has_no_driver(simulator: Simulator, scenarios: Iterable[ScenarioFile], ego: str) -> None:
+    """Warn if the builtin simulator runs scenarios in none of which the ego has a driver."""
+    drivers = simulator.settings.get("drivers")
+    has_driver = isinstance(drivers, dict) and ego in drivers
+    # Other simulators drive the ego themselves, or have no drivers.
+    if (
+        simulator.name.partition(":")[0] != "builtin"
+        or has_driver
+        or any(scenario.may_have_driver(ego) for scenario in scenarios)
+    ):
+        return
+    issue_notice_warning(
+        f"nobody drives {ego}: it follows the scenario and does not react; give it a driver with `drivers` {ego}=normal"
+    )
+
+
+def _road_network_of(scenario: ScenarioFile) -> RoadNetwork | None:
+    """Road network of a scenario, if it was read here and is the same for all parameter values."""
+    networks = list(PreparedScenario.from_scenario(scenario).networks.values())
+    return networks[0] if len(networks) == 1 else None

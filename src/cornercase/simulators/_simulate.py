@@ -1,0 +1,101 @@
+"""Run one concrete scenario."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from cornercase._common.errors import InputError
+from cornercase._common.io.support_table import warn_notices
+from cornercase._common.process.signals import collect_interrupts
+from cornercase._common.text.source_lines import prefix_file
+from cornercase._common.validation import check_parameter_values
+from cornercase.drivers import Driver
+from cornercase.drivers._resolve import resolve_driver
+from cornercase.recordings import Recording
+from cornercase.scenario import ConcreteScenario, Value
+from cornercase.scenario._file import ScenarioFile
+from cornercase.simulators._create import create_simulator
+from cornercase.simulators._results import check_simulator_accepts, list_ignored_content, run_scenarios
+from cornercase.simulators._run_notices import RunNotices
+
+
+def simulate(
+    scenario: Path | str | ScenarioFile,
+    values: Mapping[str, Value] | None = None,
+    *,
+    time_step: float = 0.05,
+    duration: float = 60.0,
+    on_collision: str = "continue",
+    drivers: Mapping[str, str | Driver] | None = None,
+    simulator: str = "builtin",
+    ego: str = "Ego",
+    timeout: float | None = None,
+) -> Recording:
+    """Run one concrete scenario.
+
+    Parameters
+    ----------
+    scenario : path or Scenario
+        OpenSCENARIO file.
+    values : mapping of str to float or str, optional
+        Parameter values; others are taken from the file.
+    time_step : float, default 0.05
+        In s.
+    duration : float, default 60
+        Maximum duration in s.
+    on_collision : {"continue", "stop"}, default "continue"
+        Whether entities pass through each other, or the run ends. The file's own stop trigger holds either way.
+    drivers : mapping of str to str or Driver, optional
+        By entity: a name as on the command line, or a driver object. Overrides the file's controller properties.
+    simulator : str, default "builtin"
+        Registered name, with options after a colon (``"esmini:seed=3"``).
+    ego : str, default "Ego"
+        Entity under test, for a simulator that needs to know it.
+    timeout : float, optional
+        Time in s after which the run is cancelled.
+
+    Returns
+    -------
+    Recording
+
+    Raises
+    ------
+    InputError
+        The scenario cannot be run, an option is out of range, or a simulator, driver or parameter does not exist.
+
+    Warns
+    -----
+    NoticeWarning
+        Something in the files has no effect.
+
+    See Also
+    --------
+    simulate_many : Runs many scenarios.
+
+    Examples
+    --------
+    >>> import cornercase.simulators as simulators
+    >>> scenario = "examples/x_intersection/x_intersection.xosc"
+    >>> simulators.simulate(scenario, {"ego_start": 40.0}, duration=2.0).names
+    ('Ego', 'Truck', 'C', 'Pedestrian')
+    """
+    file = scenario if isinstance(scenario, ScenarioFile) else ScenarioFile.read(scenario)
+    checked_values = check_parameter_values("values", values)
+    file.require_declared(list(checked_values))
+    options = {
+        "time_step": time_step,
+        "duration": duration,
+        "on_collision": on_collision,
+        "drivers": {entity: resolve_driver(driver) for entity, driver in (drivers or {}).items()},
+    }
+    with collect_interrupts(), create_simulator(simulator, options, ego=ego, timeout=timeout) as started:
+        check_simulator_accepts(started, [file])
+        (result,) = run_scenarios(started, [ConcreteScenario(file.path, checked_values, file)])
+    if isinstance(result, Exception):
+        raise InputError(prefix_file(file.path, f"{result}."))
+    warn_notices(list_ignored_content(simulator, file, checked_values))
+    notices = RunNotices(started)
+    notices.add_run(result, lambda: file)
+    notices.issue_warnings()
+    return result

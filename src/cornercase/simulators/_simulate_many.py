@@ -1,0 +1,341 @@
+"""Run many concrete scenarios, and write a recording of each into a folder."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from cornercase._common import validation
+from cornercase._common.errors import InputError, SimulationError
+from cornercase._common.io.files import check_folder, check_output_differs_from_source, portable_name
+from cornercase._common.io.support_table import deduplicate_notices, warn_notices
+from cornercase._common.plugin_errors import group_failure_messages
+from cornercase._common.process.signals import collect_interrupts
+from cornercase._common.progress import ProgressBar
+from cornercase._common.text.source_lines import prefix_file
+from cornercase.drivers import Driver
+from cornercase.drivers._resolve import resolve_driver
+from cornercase.scenario import ConcreteScenario, Value
+from cornercase.scenario._file import ScenarioFile
+from cornercase.scenario._value_table import FILE_COLUMN, read_value_table
+from cornercase.simulators._base import Simulator
+from cornercase.simulators._create import create_simulator
+from cornercase.simulators._output_folder import NOTES_FILE, TABLE_FILE, PlannedRecording, RecordingsFolder
+from cornercase.simulators._results import (
+    check_simulator_accepts,
+    describe_file_error,
+    find_refusals,
+    list_ignored_content,
+    run_scenarios,
+)
+from cornercase.simulators._run_notices import RunNotices
+from cornercase.simulators.pool._simulator import DEFAULT_MAX_FAILURES
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+_CSV_SUFFIX: Final = ".csv"
+# Scenarios per parallel simulator and batch. More gains little, and keeps unwritten recordings in memory.
+_BATCH_SIZE: Final = 100
+
+
+@dataclass(frozen=True)
+class SimulatedFolder:
+    """Result of running many concrete scenarios.
+
+    Attributes
+    ----------
+    folder : Path
+    done : int
+        Number of their recordings in the folder.
+    ran_before : int
+        Number of recordings that existed before and were not made again.
+    failures : mapping of str to str
+        Why recordings are missing, by file name.
+    """
+
+    folder: Path
+    done: int
+    n_existing: int
+    failures: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def failed(self) -> int:
+        """Number of scenarios that failed."""
+        return len(self.failures)
+
+    @property
+    def failure_counts(self) -> dict[str, int]:
+        """Number of failed scenarios by reason, the most frequent first."""
+        return {reason: len(members) for reason, members in group_failure_messages(self.failures.values()).items()}
+
+    def __repr__(self) -> str:
+        failed = f", {_format_scenario_count(self.failed)} failed" if self.failed else ""
+        return f"<SimulatedFolder: {self.done} recordings in {str(self.folder)!r}{failed}>"
+
+
+def _format_scenario_count(count: int) -> str:
+    return f"{count} scenario{'s' if count > 1 else ''}"
+
+
+# The parameters are the options of the command.
+def simulate_many(
+    scenarios: Path | str | ScenarioFile | Sequence[Path | str | ScenarioFile],
+    folder: Path | str,
+    *,
+    table: Path | str | None = None,
+    values: Mapping[str, Value] | None = None,
+    time_step: float = 0.05,
+    duration: float = 60.0,
+    on_collision: str = "continue",
+    drivers: Mapping[str, str | Driver] | None = None,
+    simulator: str = "builtin",
+    ego: str = "Ego",
+    workers: int = 1,
+    cluster: str | Client | None = None,
+    timeout: float | None = None,
+    retries: int = 1,
+    max_failures: int = DEFAULT_MAX_FAILURES,
+    progress: bool = False,
+) -> SimulatedFolder:
+    """Run many concrete scenarios, and write a recording of each into a folder.
+
+    Each recording is written as soon as its scenario has ended. If you call it again, it runs the missing ones. Two
+    more files are written: ``simulation.json`` describes each recording, and ``parameters.csv`` has the values of all,
+    so that `cornercase.study.import_recordings` can read the folder.
+
+    Parameters
+    ----------
+    scenarios : path or Scenario, or a sequence of them
+        OpenSCENARIO files: one with a table, or several without.
+    folder : path
+        Output folder. Without a table, each recording is named after its scenario.
+    table : path, optional
+        CSV file with one concrete scenario per line, and a column per parameter. A column ``file`` names the recordings
+        (``NAME.csv``); without it they are named after the scenario, with a number.
+    values : mapping of str to float or str, optional
+        Parameter values in all scenarios.
+    time_step : float, default 0.05
+        In s.
+    duration : float, default 60
+        Maximum duration of a scenario in s.
+    on_collision : {"continue", "stop"}, default "continue"
+        Whether entities pass through each other, or the run ends.
+    drivers : mapping of str to str or Driver, optional
+        By entity.
+    simulator : str, default "builtin"
+        Registered name, with options after a colon.
+    ego : str, default "Ego"
+        Entity under test, for a simulator that needs to know it.
+    workers : int, default 1
+        Number of simulators that run in parallel.
+    cluster : str or distributed.Client, optional
+        Dask cluster to run on: ``"local"`` for `workers` local processes, the address of a scheduler, a scheduler file,
+        or a client, which stays open.
+    timeout : float, optional
+        Time in s after which a scenario is cancelled.
+    retries : int, default 1
+        How often a scenario is run again after the simulator died or hung.
+    max_failures : int, default 5
+        Stop after this many consecutive scenarios in which the simulator died or hung; 0 for no limit.
+    progress : bool, default False
+        Show a progress bar.
+
+    Returns
+    -------
+    SimulatedFolder
+
+    Raises
+    ------
+    InputError
+        An argument cannot be used, none of the scenarios can be run, or the folder contains recordings of other
+        scenarios or with other settings.
+
+    Warns
+    -----
+    NoticeWarning
+        Something in the files has no effect in the simulator.
+
+    See Also
+    --------
+    simulate : Runs one scenario and returns its recording.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> import cornercase
+    >>> _ = Path("values.csv").write_text("ego_start" + chr(10) + "40")
+    >>> scenario = "examples/x_intersection/x_intersection.xosc"
+    >>> cornercase.simulate_many(scenario, "recordings", table="values.csv", duration=2.0)
+    <SimulatedFolder: 1 recordings in 'recordings'>
+    """
+    inputs = scenarios if isinstance(scenarios, Sequence) and not isinstance(scenarios, str) else [scenarios]
+    scenario_files, failures = _read_scenario_files(inputs)
+    folder = check_folder("folder", folder)
+    if folder.suffix.lower() == _CSV_SUFFIX:
+        raise InputError(
+            f"`folder` {folder}: recordings are written into a folder; give a name without '{_CSV_SUFFIX}'."
+        )
+    checked_values = validation.check_parameter_values("values", values)
+    for scenario in scenario_files:
+        scenario.require_declared(list(checked_values))
+    planned = (
+        _plan_from_files(scenario_files, checked_values)
+        if table is None
+        else _plan_from_table(scenario_files, validation.check_path("table", table), checked_values)
+    )
+    if table is not None:
+        for name in (TABLE_FILE, NOTES_FILE):
+            check_output_differs_from_source(folder / name, table, "folder")
+    options = {
+        "time_step": time_step,
+        "duration": duration,
+        "on_collision": on_collision,
+        "drivers": {entity: resolve_driver(driver) for entity, driver in (drivers or {}).items()},
+    }
+    started = create_simulator(
+        simulator,
+        options,
+        ego=ego,
+        workers=workers,
+        timeout=timeout,
+        retries=retries,
+        cluster=cluster,
+        max_failures=max_failures,
+    )
+    with started:
+        if table is None:
+            refused = find_refusals(started, [plan.concrete_scenario for plan in planned])
+            failures |= {
+                planned[k].file: prefix_file(planned[k].concrete_scenario.path, reason) for k, reason in refused.items()
+            }
+            planned = [plan for k, plan in enumerate(planned) if k not in refused]
+            scenario_files = [
+                scenario
+                for scenario in scenario_files
+                if any(plan.concrete_scenario.file is scenario for plan in planned)
+            ]
+        else:
+            check_simulator_accepts(started, scenario_files, [plan.concrete_scenario for plan in planned])
+        output_folder = RecordingsFolder(folder, planned, {"simulator": simulator, **started.settings})
+        warn_notices(
+            deduplicate_notices(
+                notice
+                for scenario in scenario_files
+                for notice in list_ignored_content(simulator, scenario, checked_values)
+            )
+        )
+        failures |= _run_missing(
+            started,
+            output_folder,
+            [plan for plan in planned if plan.file not in output_folder.existing_files],
+            len(planned),
+            progress,
+        )
+    done = [plan.file for plan in planned if plan.file not in failures]
+    if not done:
+        first = next(iter(failures.values()))
+        count = len({*failures, *(plan.file for plan in planned)})
+        raise InputError(f"None of {_format_scenario_count(count)} could be run; the first: {first}.")
+    output_folder.write_table(done)
+    return SimulatedFolder(folder, len(done), len(output_folder.existing_files), failures)
+
+
+def _read_scenario_files(scenarios: Sequence[Path | str | ScenarioFile]) -> tuple[list[ScenarioFile], dict[str, str]]:
+    """Read scenario files; also return why recordings of unreadable ones are missing, unless none can be read."""
+    readable, errors = list[ScenarioFile](), dict[Path, InputError]()
+    for item in scenarios:
+        try:
+            readable.append(item if isinstance(item, ScenarioFile) else ScenarioFile.read(item))
+        except InputError as error:
+            path = Path(item.path if isinstance(item, ScenarioFile) else item)
+            if not path.is_file():
+                # Probably a typing error.
+                raise
+            errors[path] = error
+    if errors and not readable:
+        raise next(iter(errors.values()))
+    return readable, {
+        _recording_file_name(path): prefix_file(path, describe_file_error(path, error))
+        for path, error in errors.items()
+    }
+
+
+def _recording_file_name(path: Path) -> str:
+    return portable_name(path.stem) + _CSV_SUFFIX
+
+
+def _plan_from_files(scenarios: Sequence[ScenarioFile], values: Mapping[str, Value]) -> list[PlannedRecording]:
+    """Plan recordings that are named after their scenarios."""
+    if not scenarios:
+        raise InputError("`scenario`: name at least one OpenSCENARIO file.")
+    scenario_by_name: dict[str, ScenarioFile] = {}
+    for scenario in scenarios:
+        other = scenario_by_name.setdefault(portable_name(scenario.path.stem).casefold(), scenario)
+        if other is not scenario:
+            raise InputError(f"{scenario.path}: has the same recording name as {other.path}; rename one.")
+    return [
+        PlannedRecording(_recording_file_name(scenario.path), ConcreteScenario(scenario.path, values, scenario))
+        for scenario in scenarios
+    ]
+
+
+def _plan_from_table(
+    scenarios: Sequence[ScenarioFile], table: Path, values: Mapping[str, Value]
+) -> list[PlannedRecording]:
+    """Plan recordings of one scenario with the values of a table."""
+    if len(scenarios) != 1:
+        raise InputError(f"`table` {table}: requires one scenario, not {len(scenarios)}.")
+    (scenario,) = scenarios
+    planned, lines = [], dict[str, int]()
+    for number, row in enumerate(read_value_table(table, scenario), 1):
+        if duplicates := sorted({*values} & {*row.values}):
+            raise InputError(f"`values` {duplicates[0]}: is also a column of {table}; remove one of the two.")
+        # A fixed number of digits, so that recordings keep their names if the table grows.
+        file = row.recording_name or f"{portable_name(scenario.path.stem)}-{number:05d}{_CSV_SUFFIX}"
+        if portable_name(file) != file or not file.lower().endswith(_CSV_SUFFIX) or file.lower() == TABLE_FILE:
+            raise InputError(
+                f"{table}, line {row.line}: '{file}' in the column {FILE_COLUMN} cannot be a recording; give a file"
+                f" name without folder that ends in {_CSV_SUFFIX} and is not {TABLE_FILE}."
+            )
+        earlier = lines.setdefault(file.casefold(), row.line)
+        if earlier != row.line:
+            raise InputError(f"{table}, line {row.line}: repeats the file name {file} of line {earlier}.")
+        planned.append(PlannedRecording(file, ConcreteScenario(scenario.path, {**values, **row.values}, scenario)))
+    return planned
+
+
+def _run_missing(
+    simulator: Simulator, folder: RecordingsFolder, missing: Sequence[PlannedRecording], total: int, progress: bool
+) -> dict[str, str]:
+    """Run the missing scenarios; return why recordings could not be made."""
+    failures: dict[str, str] = {}
+    notes_written, notices = False, RunNotices(simulator)
+    done = total - len(missing)
+    bar = ProgressBar(total, "simulating", "scenarios") if progress else None
+    try:
+        with collect_interrupts() as check:
+            while missing:
+                batch_size = _BATCH_SIZE * max(1, len(simulator.parallel_instances()))
+                batch, missing = missing[:batch_size], missing[batch_size:]
+                outcomes = run_scenarios(simulator, [planned.concrete_scenario for planned in batch])
+                for planned, outcome in zip(batch, outcomes, strict=True):
+                    check()
+                    if isinstance(outcome, SimulationError):
+                        failures[planned.file] = prefix_file(planned.concrete_scenario.path, str(outcome))
+                    else:
+                        if not notes_written:
+                            folder.write_notes()
+                            notes_written = True
+                        outcome.to_csv(folder.path_of(planned.file))
+                        notices.add_run(outcome, planned.concrete_scenario.load_file)
+                    done += 1
+                    if bar is not None:
+                        bar.update(done, "")
+    finally:
+        if bar is not None:
+            bar.stop()
+        notices.issue_warnings()
+    return failures

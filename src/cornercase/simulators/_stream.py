@@ -1,0 +1,119 @@
+"""Submit scenarios one at a time, and receive results as they come."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from queue import Empty, SimpleQueue
+from threading import Thread
+from typing import Any, Final
+
+from cornercase.simulators._base import Simulator
+
+# Time in s between two counts of parallel instances, and between two checks for signals while waiting.
+_COUNT_INTERVAL: Final = 5.0
+_WAIT_INTERVAL: Final = 0.5
+# Time limit in s for cancelled work to end; a wait for a cluster that is cut off never does.
+_CANCEL_TIMEOUT: Final = 10.0
+
+# Runs something on a simulator.
+SimulatorWork = Callable[[Simulator], Any]
+
+
+@dataclass(eq=False)
+class _WorkQueue:
+    """Work queue of one simulator, and the threads that process it."""
+
+    simulator: Simulator
+    queue: SimpleQueue[tuple[int, SimulatorWork] | None] = field(default_factory=SimpleQueue)
+    threads: list[tuple[Thread, Simulator]] = field(default_factory=list)
+
+
+class SimulatorStream:
+    """Runs submitted work on the next free simulator, each in its own thread.
+
+    `simulators` are by name; the first determines the number of parallel scenarios. A simulator without parallel
+    instances runs work in the calling thread when a result is taken.
+    """
+
+    def __init__(self, simulators: Mapping[str, Simulator]) -> None:
+        self._queues = {name: _WorkQueue(simulator) for name, simulator in simulators.items()}
+        self._first_name = next(iter(self._queues))
+        self._local_work: deque[tuple[int, SimulatorWork, Simulator]] = deque()
+        self._results: SimpleQueue[tuple[int, Any, BaseException | None]] = SimpleQueue()
+        self._last_counted, self._n_parallel, self._closed = -math.inf, 1, False
+
+    def count_parallel(self) -> int:
+        """Current number of parallel scenarios; it changes on a cluster."""
+        if time.monotonic() - self._last_counted > _COUNT_INTERVAL:
+            self._n_parallel = max(1, self._start_threads(self._queues[self._first_name]))
+            self._last_counted = time.monotonic()
+        return self._n_parallel
+
+    def _start_threads(self, queue: _WorkQueue) -> int:
+        """Start threads for new parallel instances of a simulator; return their number."""
+        instances = queue.simulator.parallel_instances()
+        for instance in instances[len(queue.threads) :]:
+            thread = Thread(target=self._process_work, args=(queue.queue, instance), daemon=True)
+            queue.threads.append((thread, instance))
+            thread.start()
+        return len(instances)
+
+    def _process_work(self, queue: SimpleQueue[tuple[int, SimulatorWork] | None], simulator: Simulator) -> None:
+        """Process work in a thread."""
+        while (job := queue.get()) is not None and not self._closed:
+            key, work = job
+            try:
+                self._results.put((key, work(simulator), None))
+            except BaseException as error:
+                self._results.put((key, None, error))
+
+    def submit(self, key: int, work: SimulatorWork, name: str | None = None) -> None:
+        """Submit work under a key, for the simulator `name` or the first one; it may be called in another thread."""
+        desk = self._queues[self._first_name if name is None else name]
+        if desk.threads or self._start_threads(desk):
+            desk.queue.put((key, work))
+        else:
+            self._local_work.append((key, work, desk.simulator))
+
+    @property
+    def has_result(self) -> bool:
+        """Whether a result is available now."""
+        return not self._results.empty()
+
+    def wait_for_result(self, check: Callable[[], None]) -> tuple[int, Any]:
+        """Wait for the next result and return it with its key, or raise the error of the work.
+
+        `check` is called now and then while waiting.
+        """
+        while True:
+            check()
+            if self._local_work and not self.has_result:
+                own_key, work, simulator = self._local_work.popleft()
+                return own_key, work(simulator)
+            try:
+                key, result, error = self._results.get(timeout=_WAIT_INTERVAL)
+            except Empty:
+                continue
+            if error is not None:
+                raise error
+            return key, result
+
+    def close(self) -> None:
+        """Cancel unfinished work; the simulators stay open."""
+        self._closed = True
+        for desk in self._queues.values():
+            for _ in desk.threads:
+                desk.queue.put(None)
+        busy = [entry for desk in self._queues.values() for entry in desk.threads]
+        deadline = time.monotonic() + _CANCEL_TIMEOUT
+        while busy := [(thread, simulator) for thread, simulator in busy if thread.is_alive()]:
+            if time.monotonic() > deadline:
+                return
+            busy[0][0].join(0.1)
+            for thread, simulator in busy:
+                if thread.is_alive():
+                    simulator.cancel()

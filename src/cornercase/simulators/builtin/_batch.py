@@ -1,0 +1,250 @@
+"""Run one batch: concrete scenarios of one file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from threading import Lock
+from typing import Any, Final
+
+import numpy as np
+from lxml import etree
+
+from cornercase._common.errors import InputError, SimulationError
+from cornercase._common.plugin_errors import format_time_of_failure
+from cornercase._common.text.source_lines import locate_input_errors
+from cornercase._common.typing import BoolArray
+from cornercase.drivers import Driver
+from cornercase.recordings import Collision, Recording
+from cornercase.scenario import Value
+from cornercase.scenario._other_formats import later_minor_version
+from cornercase.scenario._scope import Scope
+from cornercase.simulators.builtin._entities import read_entities
+from cornercase.simulators.builtin._openscenario_support import check_elements_supported
+from cornercase.simulators.builtin._prepared_file import PreparedScenario, UnusableValuesError
+from cornercase.simulators.builtin._stepper import Coupling, Stepper
+from cornercase.simulators.builtin.actions._controller import DriverControl, DriverError, create_file_driver
+from cornercase.simulators.builtin.kernels._recording_pages import copy_motion
+from cornercase.simulators.builtin.kernels._simulation_state import CENTER_X, LENGTH, WIDTH
+from cornercase.simulators.builtin.paths._positions import read_entity_refs
+from cornercase.simulators.builtin.storyboard._storyboard import Storyboard
+from cornercase.simulators.builtin.world._traffic_signals import read_signal_controllers
+from cornercase.simulators.builtin.world._world import World
+
+_MAX_ENTITIES: Final = 500
+_OBJECT_TYPES: Final = {"pedestrian": "pedestrian", "misc": "miscellaneous"}
+
+
+class Batch:
+    """Concrete scenarios that share a file and everything that shapes its storyboard.
+
+    `drivers` maps entities to drivers, and overrides the file's controllers. `coupling` is another simulator that moves
+    some of the entities. Raises `UnusableValuesError` if the file cannot be used with these values, `BatchSplitError`
+    if the scenarios have to be split further.
+
+    `failure` is the error of a driver that ended the batch early. It is the result of a single scenario; with several
+    scenarios it is not known which of them failed, and no result is usable.
+    """
+
+    def __init__(
+        self,
+        prepared: PreparedScenario,
+        values: Sequence[Mapping[str, Value]],
+        time_step: float,
+        duration: float,
+        stop_at_collision: bool,
+        drivers: Mapping[str, Driver | str],
+        coupling: Coupling | None = None,
+    ) -> None:
+        scope, self._file_name = prepared.scope(values), prepared.scenario.path.name
+        self._time_step = time_step
+        self.failure: DriverError | None = None
+        try:
+            self._read_file(prepared, scope, drivers)
+        except InputError as error:
+            minor, message = later_minor_version(prepared.scenario.root), str(error)
+            if minor is not None and "not supported" in message:
+                message = f"{message.removesuffix('.')}. OpenSCENARIO XML 1.{minor}, the file's version, may have it."
+            raise UnusableValuesError(message, scope.split_parameters) from None
+        self._stepper = Stepper(self._world, self._storyboard, time_step, duration, stop_at_collision, coupling)
+
+    def _read_file(self, prepared: PreparedScenario, scope: Scope, drivers: Mapping[str, Driver | str]) -> None:
+        scenario = prepared.scenario
+        check_elements_supported(prepared)
+        storyboard = scenario.root.find("Storyboard")
+        init_element = None if storyboard is None else storyboard.find("Init")
+        reference = storyboard if init_element is None else init_element
+        self._init_location = "" if reference is None else f"line {reference.sourceline}: <{reference.tag}>"
+        logic_file = scenario.root.find("RoadNetwork/LogicFile")
+        road_file = "" if logic_file is None else scope.read_text(logic_file, "filepath", "")
+        with locate_input_errors(logic_file, scope.file_name):
+            network = prepared.road_network(road_file) if road_file else None
+        objects = list(scenario.root.iterfind("Entities/ScenarioObject"))
+        with locate_input_errors(scenario.root.find("Entities"), scope.file_name):
+            if not objects:
+                raise InputError("has no entities, so there is nothing to simulate.")
+            if len(objects) > _MAX_ENTITIES:
+                raise InputError(f"has {len(objects)} entities; the builtin simulator supports {_MAX_ENTITIES}.")
+        entities, tows = read_entities(objects, scope)
+        self._world = World(entities, scope.n_scenarios, network, tows)
+        self._world.signal_controllers = read_signal_controllers(scenario.root, scope)
+        self._world.selections = _read_entity_selections(scenario.root, self._world, scope)
+        self._world.parameters = {
+            name: _to_parameter_array(value, scope.n_scenarios) for name, value in scope.parameter_values.items()
+        }
+        self._world.variables = scope.read_declared_values(
+            scenario.root, "VariableDeclarations/VariableDeclaration", "variableType"
+        )
+        lines = {declaration.name: declaration.sourceline for declaration in prepared.declarations}
+        for name, is_violated in scope.find_violations_in(scenario.root).items():
+            message = f"line {lines.get(name)}: the value of {name} breaks a constraint of its <ParameterDeclaration>"
+            self._world.fail(is_violated, message)
+        drivers_by_entity = {**scenario.drivers, **drivers}
+        for e, name in enumerate(self._world.names):
+            driver = drivers_by_entity.get(name)
+            if driver is None:
+                continue
+            with locate_input_errors(None if name in drivers else objects[e], scope.file_name):
+                driver_object = create_file_driver(driver, scope.file_name) if isinstance(driver, str) else driver
+            number = DriverControl(self._world, e, driver_object).number
+            self._world.has_fixed_driver[e] = name in drivers
+            self._world.assign_control(e, np.ones(scope.n_scenarios, dtype=np.bool_), number, True)
+        self._storyboard = Storyboard(scenario, scope, self._world)
+        # Again, as catalog entries have been read meanwhile.
+        check_elements_supported(prepared)
+        for message, mask in scope.invalid_values():
+            self._world.fail(mask, message)
+
+    @property
+    def _driver_actions(self) -> list[DriverControl]:
+        return [driver for driver in self._world.drivers if isinstance(driver, DriverControl)]
+
+    @property
+    def has_python_drivers(self) -> bool:
+        """Whether a driver is not compiled, as users' drivers are."""
+        return not all(driving.in_fleet for driving in self._driver_actions)
+
+    @property
+    def remarks(self) -> list[str]:
+        """Sentences about drivers that exceeded vehicle limits, and about deviations from the file, after the run."""
+        if self.failure is not None and self._world.scenarios > 1:
+            return []
+        # Actions name their line, and their file only if it is not the scenario file.
+        remarks = [remark.replace("(line ", f"({self._file_name}, line ", 1) for remark in self._world.notices]
+        return [*remarks, *(text for remark in self._driver_actions for text in remark.limit_notices.values())]
+
+    def run(self, n_threads: int = 1, gil_lock: Lock | None = None) -> None:
+        """Step until every scenario has ended, or a driver fails.
+
+        `gil_lock` is held in Python and released in compiled code.
+        """
+        # Failed scenarios are still computed, but their results are not used.
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            try:
+                for driving in self._driver_actions:
+                    driving.reset_driver()
+                self._stepper.run(n_threads, gil_lock)
+            except DriverError as failure:
+                self.failure = failure
+                if self._world.scenarios == 1:
+                    self._world.errors[0] = failure.error
+
+    def cancel(self) -> None:
+        """Let `run`, in another thread, end soon; its results are unusable then."""
+        self._stepper.is_cancelled = True
+
+    def results(self, scenarios: Sequence[int], gil_lock: Lock | None = None) -> list[Recording | SimulationError]:
+        """Recordings or errors of some scenarios once the batch has run, each with memory of its own."""
+        world, scene = self._world, self._stepper.scene
+        motion, placed = copy_motion(scene, np.array(scenarios, dtype=np.int64), gil_lock)
+        names, object_types = tuple(world.names), tuple(entity.kind for entity in world.entities)
+        boxes = np.ascontiguousarray(scene.dimensions[:, [LENGTH, WIDTH, CENTER_X]].T)
+        time = np.arange(scene.n_frames.max(initial=0)) * self._time_step
+        results: list[Recording | SimulationError] = []
+        for i, motion_of_scenario, was_placed in zip(scenarios, motion, placed.tolist(), strict=True):
+            if i in world.errors:
+                results.append(world.errors[i])
+                continue
+            if not was_placed:
+                end_time = format_time_of_failure(time[motion_of_scenario.shape[2] - 1])
+                message = f"{self._init_location}: no action places an entity on the map up to{end_time[3:]}"
+                results.append(SimulationError(message))
+                continue
+            length, width, center_x = boxes.copy()
+            results.append(
+                Recording(
+                    time=time[: motion_of_scenario.shape[2]].copy(),
+                    names=names,
+                    object_types=object_types,
+                    # Indexing is twice as fast as iterating over the array.
+                    x=motion_of_scenario[0],
+                    y=motion_of_scenario[1],
+                    heading=motion_of_scenario[2],
+                    speed=motion_of_scenario[3],
+                    acceleration=motion_of_scenario[4],
+                    length=length,
+                    width=width,
+                    center_x=center_x,
+                    collisions=self._collisions.get(i, ()),
+                    is_truncated=bool(self._is_cut_off[i]),
+                )
+            )
+        return results
+
+    def recording_size(self, scenario: int) -> int:
+        """Bytes of a scenario's recording, once the batch has run."""
+        return self._recording_sizes[scenario]
+
+    @cached_property
+    def _recording_sizes(self) -> list[int]:
+        scene = self._stepper.scene
+        sizes: list[int] = (scene.n_frames * scene.pages[0, :, :, 0].nbytes).tolist()
+        return sizes
+
+    @cached_property
+    def _is_cut_off(self) -> BoolArray:
+        """Scenarios ended by the maximum duration before their storyboard did, shape (N,)."""
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            return np.asarray(
+                (self._stepper.scene.n_frames == self._stepper.max_frames) & self._storyboard.would_continue()
+            )
+
+    @cached_property
+    def _collisions(self) -> dict[int, tuple[Collision, ...]]:
+        collision_time, names = self._stepper.scene.collision_time, self._world.names
+        scenarios, firsts, seconds = np.nonzero(~np.isnan(collision_time))
+        # The clock sums up steps; times of a recording are multiples of one.
+        times = np.rint(collision_time[scenarios, firsts, seconds] / self._time_step) * self._time_step
+        columns = (scenarios, times, firsts, seconds)
+        collisions: dict[int, list[Collision]] = {}
+        for i, time, a, b in sorted(zip(*(column.tolist() for column in columns), strict=True)):
+            collisions.setdefault(i, []).append(Collision(time, (names[a], names[b])))
+        return {i: tuple(of_scenario) for i, of_scenario in collisions.items()}
+
+
+def _to_parameter_array(value: Any, n_scenarios: int) -> Any:
+    if isinstance(value, bool | np.bool_ | str):
+        text = str(value).lower() if not isinstance(value, str) else value
+        return np.full(n_scenarios, text)
+    array = np.asarray(value)
+    if array.dtype.kind == "b":
+        return np.broadcast_to(np.where(array, "true", "false"), (n_scenarios,)).copy()
+    return np.broadcast_to(array.astype(np.float64), (n_scenarios,)).copy()
+
+
+def _read_entity_selections(root: etree._Element, world: World, scope: Scope) -> dict[str, list[int]]:
+    """Rows of the members of each entity selection: named entities, or all of a type."""
+    selections: dict[str, list[int]] = {}
+    for selection in root.iterfind("Entities/EntitySelection"):
+        members = selection.find("Members")
+        if members is None:
+            continue
+        rows = read_entity_refs(members, scope, world)
+        for by_type in members.iterfind("ByType"):
+            object_type = scope.read_text(by_type, "objectType")
+            of_type = [
+                k for k, entity in enumerate(world.entities) if _OBJECT_TYPES.get(entity.kind, "vehicle") == object_type
+            ]
+            rows += [k for k in of_type if k not in rows]
+        selections[scope.read_text(selection, "name")] = rows
+    return selections

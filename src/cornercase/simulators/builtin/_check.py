@@ -1,0 +1,170 @@
+"""Check a scenario file: contents, schema, and whether it can be run."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Final
+
+from lxml import etree
+
+from cornercase._common.errors import InputError
+from cornercase._common.io.support_table import Notice, NoticeLabel
+from cornercase._common.text.source_lines import prefix_file
+from cornercase.scenario import ConcreteScenario, LogicalScenario, ParameterSpace
+from cornercase.scenario._file import ScenarioFile
+from cornercase.scenario._xml import read_xml
+from cornercase.simulators.builtin._simulator import BuiltinSimulator
+from cornercase.simulators.builtin._unsupported import collect_notices
+
+_COUNTED_ELEMENTS: Final = ("ScenarioObject", "Story", "Act", "ManeuverGroup", "Event")
+
+# ASAM's schema by minor version; files of other versions are validated by the newest one.
+_SCHEMA_VERSIONS: Final = {0: "1.0.0", 1: "1.1.1", 2: "1.2.0", 3: "1.3.0"}
+
+
+@dataclass(frozen=True, repr=False)
+class Check:
+    """Result of checking a scenario file.
+
+    Attributes
+    ----------
+    path : Path
+        The scenario file.
+    contents : dict of str to int
+        Number of elements by kind.
+    parameters, variables : tuple of str
+        Names of declared parameters and variables.
+    notices : tuple of Notice
+        Parts of the scenario, its catalogs, roads and space that have no effect in the builtin simulator, and why.
+    schema : str or None
+        Version of the schema used for validation; None if the schema is not installed.
+    invalid : tuple of str
+        Schema violations of the file and of the space; adapted parts count only if `strict` was given.
+    space : ParameterSpace or None
+        The parameter space; None if no space was given, or it cannot be used.
+    trouble : tuple of str
+        Why the scenario cannot be run.
+    adapted : tuple of str
+        Violations of the standard that are read all the same, with the rule; empty unless `strict` was given.
+    """
+
+    path: Path
+    contents: dict[str, int]
+    parameters: tuple[str, ...]
+    variables: tuple[str, ...]
+    notices: tuple[Notice, ...]
+    schema: str | None
+    schema_errors: tuple[str, ...]
+    space: ParameterSpace | None
+    run_errors: tuple[str, ...]
+    standard_violations: tuple[str, ...] = ()
+
+    @property
+    def is_valid(self) -> bool:
+        """Whether the file can be run and violates neither the schema (if installed) nor, if `strict`, the standard."""
+        return not self.schema_errors and not self.run_errors and not self.standard_violations
+
+    def __repr__(self) -> str:
+        contents = ", ".join(f"{count} {kind}" for kind, count in self.contents.items() if count)
+        validity = "schema not installed" if self.schema is None else f"schema {self.schema}: "
+        if self.schema is not None:
+            validity += f"{len(self.schema_errors)} errors" if self.schema_errors else "valid"
+        lines = [f"<Check of {self.path.name}: {'cannot' if self.run_errors else 'can'} be run, {validity}; {contents}"]
+        lines += [notice.sentence for notice in self.notices]
+        return "\n  ".join([*lines, *self.schema_errors, *self.standard_violations, *self.run_errors]) + ">"
+
+
+def check(scenario: Path | str | ScenarioFile, space: Path | str | None = None, *, strict: bool = False) -> Check:
+    """Check what a scenario file contains, what has no effect here, and whether it is valid and can be run.
+
+    It is validated by ASAM's schema if the extra ``cornercase[validate]`` is installed, and run for one time step: with
+    the parameters' own values, or those in the middle of the space.
+
+    Parameters
+    ----------
+    scenario : path or Scenario
+        OpenSCENARIO file.
+    space : path, optional
+        ParameterValueDistribution file.
+    strict : bool, default False
+        Also reject violations of the standard that can be read: all notices with the label ``adapted``.
+
+    Returns
+    -------
+    Check
+
+    Raises
+    ------
+    InputError
+        A file is missing, is not XML, or is not of the expected format.
+
+    Examples
+    --------
+    >>> import cornercase.simulators as simulators
+    >>> found = simulators.check("examples/t_intersection/t_intersection.xosc")
+    >>> found.good, found.contents["ScenarioObject"]
+    (True, 2)
+    """
+    file = scenario if isinstance(scenario, ScenarioFile) else ScenarioFile.read(scenario)
+    tags = Counter(str(e.tag) for e in file.root.iter() if isinstance(e.tag, str))
+    run_errors, parameter_space = [], None
+    try:
+        concrete = ConcreteScenario(file.path, {}, file)
+        if space is not None:
+            parameter_space = LogicalScenario.read(file, space).space
+            (values,) = parameter_space.values(parameter_space.center_point())
+            concrete = ConcreteScenario(file.path, values, file)
+        (result,) = BuiltinSimulator(duration=0.05).run([concrete])
+        if isinstance(result, Exception):
+            run_errors.append(prefix_file(file.path, f"{result}."))
+    except InputError as error:
+        run_errors.append(str(error))
+    version, schema_violations = _validate_by_schema(file.parse_unnormalized() if strict else file.root)
+    if space is not None:
+        _, space_violations = _validate_by_schema(read_xml(Path(space)))
+        schema_violations += [f"{space}: {violation}" for violation in space_violations]
+    notices = collect_notices(file, is_complete=not run_errors)
+    return Check(
+        path=file.path,
+        contents={tag: tags[tag] for tag in _COUNTED_ELEMENTS},
+        parameters=file.parameters,
+        variables=tuple(e.get("name", "") for e in file.root.iterfind("VariableDeclarations/VariableDeclaration")),
+        notices=notices,
+        schema=version,
+        schema_errors=tuple(schema_violations),
+        space=parameter_space,
+        run_errors=tuple(run_errors),
+        standard_violations=tuple(
+            f"{notice}. The standard: {notice.rule}" if notice.rule else str(notice)
+            for notice in notices
+            if strict and notice.label is NoticeLabel.ADAPTED
+        ),
+    )
+
+
+def schema_errors(root: etree._Element) -> list[str] | None:
+    """Errors by the schema of the file's version, one line each; None if the schema is not installed."""
+    version, errors = _validate_by_schema(root)
+    return None if version is None else errors
+
+
+def _validate_by_schema(root: etree._Element) -> tuple[str | None, list[str]]:
+    """Version of the schema (None if not installed), and at most 20 errors with their lines."""
+    header = root.find("FileHeader")
+    minor = "" if header is None else header.get("revMinor", "")
+    version = _SCHEMA_VERSIONS.get(int(minor) if minor.isdecimal() and len(minor) < 4 else -1, _SCHEMA_VERSIONS[3])
+    try:
+        folder = resources.files("qc_openscenario") / "schema"
+    except ModuleNotFoundError:
+        return None, []
+    file = folder / version / "OpenSCENARIO.xsd"
+    if not file.is_file():
+        return None, []
+    with resources.as_file(file) as schema_path:
+        schema = etree.XMLSchema(etree.parse(str(schema_path)))
+    schema.validate(root.getroottree())
+    entries = list(schema.error_log)  # type: ignore[call-overload]
+    return version, [f"line {entry.line}: {entry.message}" for entry in entries][:20]

@@ -1,0 +1,186 @@
+"""Read entities of a scenario file, and their trailers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Final
+
+import numpy as np
+from lxml import etree
+
+from cornercase._common.errors import InputError, suggest_name
+from cornercase._common.io.tracked_xml import find_by_name, find_untracked, note_adaptation
+from cornercase._common.text.source_lines import format_location
+from cornercase.scenario._scope import Scope
+from cornercase.simulators.builtin.tracks._track import ALONG_SEGMENTS, AT_CORNERS, AT_VERTICES
+from cornercase.simulators.builtin.world._trailers import MAX_TRAILERS, read_tow, sort_front_to_back
+from cornercase.simulators.builtin.world._world import Entity, Tow
+
+_HEADING_INTERPOLATIONS: Final = {
+    "segment": ALONG_SEGMENTS,
+    "corner": AT_CORNERS,
+    "off": AT_VERTICES,
+    "none": AT_VERTICES,
+}
+
+# m; larger than any vehicle or object beside a road.
+_MAX_SIZE: Final = 10_000.0
+# Length, width and longitudinal centre in m, if a file gives none: those of esmini's entities, or of common vehicles.
+_DEFAULT_SIZES: Final = {
+    "car": (5.04, 2.0, 1.4),
+    "van": (4.5, 1.8, 1.3),
+    "truck": (5.7, 2.6, 2.2),
+    "bus": (12.0, 2.55, 3.0),
+    "trailer": (4.5, 2.0, 1.4),
+    "semitrailer": (11.23, 2.6, 2.56),
+    "motorbike": (2.5, 0.5, 1.0),
+    "bicycle": (1.8, 0.5, 0.5),
+    "tram": (30.0, 2.4, 0.0),
+    "train": (25.0, 2.8, 0.0),
+    "pedestrian": (0.6, 0.5, 0.06),
+    "misc": (1.0, 1.0, 0.0),
+}
+_TRAILER_RULE: Final = "the <Trailer> of a vehicle holds a <TrailerRef> or a <Trailer>"
+_LIMIT_ATTRIBUTES: Final = ("maxSpeed", "maxAcceleration", "maxDeceleration")
+
+
+def read_entities(objects: Sequence[etree._Element], scope: Scope) -> tuple[tuple[Entity, ...], tuple[Tow, ...]]:
+    """Read the file's entities and their trailers, and who tows whom (front first).
+
+    The file's entities come first, in order. A trailer without a name of its own has its vehicle's name with ``+``.
+    `InputError` for malformed entities, and trailers that are none.
+    """
+    bodies = [_resolve_body(element, element.get("name", ""), scope) for element in objects]
+    names = [element.get("name", "") for element in objects]
+    entities = [_read_entity(body, name, body_scope) for name, (body, body_scope) in zip(names, bodies, strict=True)]
+    pairs = []
+    for k, (body, body_scope) in enumerate(bodies[: len(objects)]):
+        front = k
+        for trailer in _iter_trailers(body, body_scope, names[k]):
+            if isinstance(trailer, str):
+                if trailer not in names:
+                    raise InputError(
+                        f"{format_location(body, body_scope.file_name)}: <Trailer>: the entity '{names[k]}' pulls '{trailer}',"
+                        f" which does not exist; {suggest_name(trailer, names)}"
+                    )
+                pairs.append((front, names.index(trailer)))
+                break
+            bodies.append(trailer)
+            entities.append(_read_entity(trailer[0], entities[front].name + "+", trailer[1]))
+            pairs.append((front, len(entities) - 1))
+            front = len(entities) - 1
+    return tuple(entities), sort_front_to_back(
+        [read_tow(front_row, rear_row, entities) for front_row, rear_row in pairs]
+    )
+
+
+def _resolve_body(element: etree._Element, name: str, scope: Scope) -> tuple[etree._Element, Scope]:
+    outer_scope = scope
+    body = next((e for e in element.iterchildren("Vehicle", "Pedestrian", "MiscObject", "CatalogReference")), None)
+    if body is not None and body.tag == "CatalogReference":
+        body, scope = scope.resolve_catalog_reference(body)
+    elif body is not None:
+        scope = scope.nested_scope(body)
+    if body is None or body.tag not in ("Vehicle", "Pedestrian", "MiscObject"):
+        raise InputError(
+            f"{format_location(element, outer_scope.file_name)}: the <{element.tag}> '{name}' is not a vehicle, pedestrian or"
+            " misc object, the only ones that the builtin simulator can move."
+        )
+    return body, scope
+
+
+def _read_entity(body: etree._Element, name: str, scope: Scope) -> Entity:
+    kind = {"Pedestrian": "pedestrian", "MiscObject": "misc"}.get(body.tag) or scope.read_text(
+        body, "vehicleCategory", "car"
+    )
+    # A misc object cannot move by itself.
+    limits = [0.0 if body.tag == "MiscObject" else np.inf, np.inf, np.inf]
+    performance = body.find("Performance")
+    if performance is not None:
+        limits = [scope.read_number(performance, a, np.inf) for a in _LIMIT_ATTRIBUTES]
+        for attribute, limit in zip(_LIMIT_ATTRIBUTES, limits, strict=True):
+            if limit < 0.0:
+                location = format_location(performance, scope.file_name)
+                raise InputError(
+                    f"{location}: <Performance>: {attribute} of '{name}' is {limit:g}; it must not be below 0."
+                )
+    length, width, center_x = _read_bounding_box(body, kind, scope)
+    if not (length > 0 and width > 0):
+        raise InputError(
+            f"{format_location(body, scope.file_name)}: <Dimensions>: the bounding box of '{name}' needs a positive"
+            " length and width."
+        )
+    if max(length, width, abs(center_x)) > _MAX_SIZE:
+        raise InputError(
+            f"{format_location(body, scope.file_name)}: <BoundingBox>: the bounding box of '{name}' is larger than"
+            f" {_MAX_SIZE:g} m; give it in m."
+        )
+    # Two properties that esmini defines.
+    items = find_untracked(body, "Properties", "Property")
+    elements = {key: find_by_name(items, key) for key in ("ignoreHeadingForTrajMotion", "plineInterpolation")}
+    properties = {key: "" if item is None else scope.read_text(item, "value") for key, item in elements.items()}
+    slides = properties["ignoreHeadingForTrajMotion"] == "true"
+    turning = _HEADING_INTERPOLATIONS.get(properties["plineInterpolation"], "")
+    body_and_scope = body, scope
+    return Entity(name, kind, length, width, center_x, limits[0], limits[1], limits[2], slides, turning, body_and_scope)
+
+
+def _read_bounding_box(body: etree._Element, object_type: str, scope: Scope) -> tuple[float, float, float]:
+    """Length, width and longitudinal centre of the bounding box in m; defaults of the entity's type if missing."""
+    dimensions, center = body.find("BoundingBox/Dimensions"), body.find("BoundingBox/Center")
+    length, width, default_center_x = _DEFAULT_SIZES.get(object_type, _DEFAULT_SIZES["car"])
+    given = {} if dimensions is None else {key: scope.read_number(dimensions, key, 0.0) for key in ("length", "width")}
+    center_x = default_center_x if center is None else scope.read_number(center, "x")
+    size = given.get("length") or length, given.get("width") or width
+    if center is None or not all(given.get(key) for key in ("length", "width")):
+        part = "<BoundingBox>" if dimensions is None or center is None else "size of <BoundingBox>"
+        reason = (
+            f"the {object_type} is taken as {size[0]:g} m long and {size[1]:g} m wide, its centre {center_x:g} m ahead"
+        )
+        rule = "an entity has a <BoundingBox> with <Center> and <Dimensions>, which are above 0 m"
+        note_adaptation(body if dimensions is None else dimensions, part, reason, rule)
+    return *size, center_x
+
+
+def _iter_trailers(
+    body: etree._Element, scope: Scope, vehicle_name: str
+) -> Iterator[tuple[etree._Element, Scope] | str]:
+    """Yield the trailers behind a vehicle, front first: body and scope, or the name of an entity of its own."""
+    for _ in range(MAX_TRAILERS):
+        holder = body.find("Trailer")
+        if holder is None:
+            return
+        if name_of_entity := _referenced_entity(holder, scope):
+            yield name_of_entity
+            return
+        inner = _trailer_body_parent(holder, scope)
+        if inner is None:
+            return
+        body, scope = _resolve_body(inner, vehicle_name, scope)
+        yield body, scope
+    location = format_location(body, scope.file_name)
+    raise InputError(
+        f"{location}: the <Trailer> of the entity '{vehicle_name}' pulls more than {MAX_TRAILERS} trailers."
+    )
+
+
+def _referenced_entity(holder: etree._Element, scope: Scope) -> str:
+    """Name of the entity that is the trailer; empty for none, as an empty reference is no trailer."""
+    names = []
+    for element in holder.iterchildren("TrailerRef", "EntityRef"):
+        names.append(scope.read_text(element, "entityRef", ""))
+        if element.tag == "EntityRef":
+            note_adaptation(element, "<EntityRef> in <Trailer>", "is read as <TrailerRef>", _TRAILER_RULE)
+    return next(filter(None, names), "")
+
+
+def _trailer_body_parent(holder: etree._Element, scope: Scope) -> etree._Element | None:
+    if (inner := holder.find("Trailer")) is not None:
+        return inner
+    for direct in holder.iterchildren("Vehicle", "CatalogReference"):
+        # As in esmini, a reference without an entry name is no trailer.
+        if direct.tag == "CatalogReference" and not scope.read_text(direct, "entryName", ""):
+            return None
+        note_adaptation(direct, f"<{direct.tag}> in <Trailer>", f"is read as <Trailer><{direct.tag}>", _TRAILER_RULE)
+        return holder
+    return None

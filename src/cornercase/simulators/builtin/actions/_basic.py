@@ -1,0 +1,259 @@
+"""Read actions, and the actions that take effect immediately."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Final
+
+import numpy as np
+from lxml import etree
+
+from cornercase._common.errors import InputError, suggest_name
+from cornercase._common.io.tracked_xml import note_adaptation
+from cornercase._common.typing import BoolArray
+from cornercase.scenario._scope import Scope
+from cornercase.simulators.builtin.actions._action import Action
+from cornercase.simulators.builtin.actions._controller import ControllerAction, VisibilityAction
+from cornercase.simulators.builtin.actions._follow_trajectory import FollowTrajectoryAction
+from cornercase.simulators.builtin.actions._lateral import LaneChangeAction, LaneOffsetAction, LateralDistanceAction
+from cornercase.simulators.builtin.actions._longitudinal import (
+    LongitudinalDistanceAction,
+    SpeedAction,
+    require_child,
+)
+from cornercase.simulators.builtin.actions._speed_profile import SpeedProfileAction
+from cornercase.simulators.builtin.actions._synchronize import SynchronizeAction
+from cornercase.simulators.builtin.actions._trailer import read_trailer_action
+from cornercase.simulators.builtin.paths._positions import read_entity_index, read_position, read_route
+from cornercase.simulators.builtin.world._lane_following import assign_route, place_entity
+from cornercase.simulators.builtin.world._text_values import is_unused_by_conditions, read_text_value
+from cornercase.simulators.builtin.world._traffic_signals import (
+    SIGNAL_CONDITIONS,
+    SignalController,
+    require_phase_index,
+    require_signal_controller,
+)
+from cornercase.simulators.builtin.world._world import LATERAL, LONGITUDINAL, World
+
+# Actions without influence on criticality metrics.
+WITHOUT_EFFECT: Final = (
+    "EnvironmentAction", "AppearanceAction", "UserDefinedAction",
+    "OverrideControllerValueAction", "SetMonitorAction",
+)  # fmt: skip
+
+
+_GROUPING_TAGS: Final = (
+    "LongitudinalAction", "LateralAction", "RoutingAction", "InfrastructureAction", "TrafficSignalAction",
+)  # fmt: skip
+
+
+def read_action(element: etree._Element, scope: Scope, world: World, entity: int | None) -> Action | None:
+    """Read a ``PrivateAction`` of an entity (by row) or a ``GlobalAction``; None if it has no effect."""
+    inner = find_action_element(element)
+    if element.tag in WITHOUT_EFFECT:
+        return None
+    if inner is element:
+        note_adaptation(element, f"<{element.tag}> without an action", "is skipped", f"<{element.tag}> holds an action")
+        return None
+    if inner.tag in WITHOUT_EFFECT:
+        return None
+    if inner.tag in _GLOBAL_READERS:
+        return _GLOBAL_READERS[inner.tag](inner, scope, world, entity)
+    if inner.tag not in _PRIVATE_READERS:
+        raise InputError(
+            f"{scope.file_name}, line {inner.sourceline}: <{inner.tag}> is not supported by the builtin simulator;"
+            f" it runs {', '.join((*_PRIVATE_READERS, *_GLOBAL_READERS))}."
+        )
+    if entity is None:
+        raise InputError(f"{scope.file_name}, line {inner.sourceline}: <{inner.tag}> needs an entity that acts.")
+    return _PRIVATE_READERS[inner.tag](inner, scope, world, entity)
+
+
+def find_action_element(element: etree._Element) -> etree._Element:
+    """Find the action inside its grouping elements; the element itself if there is none."""
+    inner = next(iter(element.iterchildren("*")), None)
+    while inner is not None and inner.tag in _GROUPING_TAGS:
+        inner = next(iter(inner.iterchildren("*")), None)
+    return element if inner is None else inner
+
+
+class TeleportAction(Action):
+    """Moves an entity to a position immediately."""
+
+    domains = (LONGITUDINAL, LATERAL)
+
+    def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int) -> None:
+        self._entity = entity
+        self._position = read_position(require_child(element, "Position", scope), scope, world)
+
+    def start(self, world: World, where: BoolArray) -> None:
+        # Relative positions follow the route of the placed entity.
+        world.positioned_entity = self._entity
+        pose = self._position(world)
+        world.positioned_entity = None
+        place_entity(world, self._entity, pose, where)
+
+
+class AssignRouteAction(Action):
+    """Sets which roads an entity takes at junctions."""
+
+    def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int) -> None:
+        self._entity = entity
+        self._route = read_route(element, scope, world)
+
+    def start(self, world: World, where: BoolArray) -> None:
+        roads = np.stack([pose.road for pose in self._route(world) if pose.road is not None])
+        for route in np.unique(roads[:, where], axis=1).T:
+            rows = where & (roads == route[:, None]).all(axis=0)
+            assign_route(world, self._entity, tuple(int(road) for road in route), rows)
+
+
+class AcquirePositionAction(Action):
+    """Makes an entity drive to a position."""
+
+    domains = (LONGITUDINAL,)
+
+    def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int) -> None:
+        self._entity = entity
+        self._position = read_position(require_child(element, "Position", scope), scope, world)
+
+    def start(self, world: World, where: BoolArray) -> None:
+        pose = self._position(world)
+        if pose.road is None:
+            return
+        for road in np.unique(pose.road[where]):
+            assign_route(world, self._entity, (int(road),), where & (pose.road == road))
+
+
+class EntityAction(Action):
+    """Adds an entity to the traffic or removes it."""
+
+    def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int | None) -> None:
+        self._entity = read_entity_index(element, scope, world)
+        add = element.find("AddEntityAction")
+        self._position = None
+        if add is not None:
+            self._position = read_position(require_child(add, "Position", scope), scope, world)
+        elif element.find("DeleteEntityAction") is None:
+            raise InputError(f"{scope.file_name}, line {element.sourceline}: <EntityAction> neither adds nor deletes.")
+
+    def start(self, world: World, where: BoolArray) -> None:
+        if self._position is None:
+            world.present[self._entity][where] = False
+        else:
+            added = where & ~world.present[self._entity]
+            place_entity(world, self._entity, self._position(world), added)
+            # Unlike a teleported entity, it moves in the same step.
+            world.moved[self._entity][added] = False
+
+
+class SetOrModifyAction(Action):
+    """Sets or modifies a variable or, in files before 1.2, a parameter."""
+
+    def __init__(self, element: etree._Element, scope: Scope, values: dict[str, Any], name: str) -> None:
+        self._name, self._values = name, values
+        where = f"{scope.file_name}, line {element.sourceline}: <{element.tag}>"
+        self._operation: Callable[[Any, Any], Any] = np.add
+        change, source = element.find("SetAction"), None
+        if change is not None:
+            source = change
+            self._set = True
+        else:
+            self._set = False
+            rule = element.find("ModifyAction/Rule")
+            inner = None if rule is None else next(iter(rule.iterchildren("*")), None)
+            if inner is None or inner.tag not in ("AddValue", "MultiplyByValue"):
+                raise InputError(f"{where} neither sets, adds nor multiplies.")
+            source = inner
+            self._operation = np.multiply if inner.tag == "MultiplyByValue" else np.add
+        numeric = values[self._name].dtype.kind == "f"
+        text = "" if numeric else read_text_value(source, scope, values[self._name])
+        self._value = scope.read_numbers(source, "value") if numeric else np.full(scope.n_scenarios, text)
+        if not numeric and not self._set:
+            raise InputError(f"{where}: '{self._name}' is not a number and can only be set.")
+
+    def start(self, world: World, where: BoolArray) -> None:
+        values = self._values[self._name]
+        new = self._value if self._set else self._operation(values, self._value)
+        # A new array, as longer texts need a wider dtype.
+        self._values[self._name] = np.where(where, new, values)
+
+
+def _read_variable_action(element: etree._Element, scope: Scope, world: World, entity: int | None) -> Action | None:
+    attribute = "variableRef" if element.tag == "VariableAction" else "parameterRef"
+    noun, values = attribute.removesuffix("Ref"), world.variables if attribute == "variableRef" else world.parameters
+    name = element.get(attribute, "").lstrip("$")
+    if name in values:
+        return SetOrModifyAction(element, scope, values, name)
+    if is_unused_by_conditions(element, f"{noun.capitalize()}Condition"):
+        why = f"is skipped, as there is no {noun} '{name}', and no condition uses it"
+        note_adaptation(element, f"<{element.tag}>", why, f"{attribute} names a {noun} that is declared")
+        return None
+    where = f"{scope.file_name}, line {element.sourceline}: <{element.tag}>"
+    raise InputError(f"{where}: there is no {noun} '{name}'; {suggest_name(name, values)}")
+
+
+class TrafficSignalControllerAction(Action):
+    """Starts a phase of a traffic signal controller, which continues from there."""
+
+    def __init__(self, controller: SignalController, phase: int) -> None:
+        self._controller, self._phase = controller, phase
+
+    def start(self, world: World, where: BoolArray) -> None:
+        self._controller.start_phase(self._phase, world.time, where)
+        self._controller.update_signals(world.signals, world.time, world.running)
+
+
+def _read_signal_controller_action(
+    element: etree._Element, scope: Scope, world: World, entity: int | None
+) -> Action | None:
+    where = f"{scope.file_name}, line {element.sourceline}: <{element.tag}>"
+    name = scope.read_text(element, "trafficSignalControllerRef")
+    phase = scope.read_text(element, "phase")
+    controller = world.signal_controllers.get(name)
+    if (controller is None or phase not in controller.names) and is_unused_by_conditions(element, *SIGNAL_CONDITIONS):
+        lacking = f"signal controller '{name}'" if controller is None else f"phase '{phase}' of '{name}'"
+        why = f"is skipped, as there is no {lacking}, and no condition uses signals"
+        note_adaptation(element, f"<{element.tag}>", why, "it names a signal controller of the file, and a phase of it")
+        return None
+    controller = require_signal_controller(world.signal_controllers, name, where)
+    return TrafficSignalControllerAction(controller, require_phase_index(controller, phase, where))
+
+
+class TrafficSignalStateAction(Action):
+    """Switches a traffic signal; only conditions read it."""
+
+    def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int | None) -> None:
+        self._name, self._state = scope.read_text(element, "name"), scope.read_text(element, "state")
+
+    def start(self, world: World, where: BoolArray) -> None:
+        before = world.signals.get(self._name, np.full(world.scenarios, ""))
+        world.signals[self._name] = np.where(where, self._state, before)
+
+
+_PRIVATE_READERS: Final[dict[str, Callable[[etree._Element, Scope, World, int], Action | None]]] = {
+    "TeleportAction": TeleportAction,
+    "SpeedAction": SpeedAction,
+    "SpeedProfileAction": SpeedProfileAction,
+    "LongitudinalDistanceAction": LongitudinalDistanceAction,
+    "LaneChangeAction": LaneChangeAction,
+    "LaneOffsetAction": LaneOffsetAction,
+    "LateralDistanceAction": LateralDistanceAction,
+    "AssignRouteAction": AssignRouteAction,
+    "AcquirePositionAction": AcquirePositionAction,
+    "FollowTrajectoryAction": FollowTrajectoryAction,
+    "SynchronizeAction": SynchronizeAction,
+    "ControllerAction": ControllerAction,
+    "AssignControllerAction": ControllerAction,
+    "ActivateControllerAction": ControllerAction,
+    "VisibilityAction": VisibilityAction,
+    "TrailerAction": read_trailer_action,
+}
+
+_GLOBAL_READERS: Final[dict[str, Callable[[etree._Element, Scope, World, int | None], Action | None]]] = {
+    "EntityAction": EntityAction,
+    "VariableAction": _read_variable_action,
+    "ParameterAction": _read_variable_action,
+    "TrafficSignalStateAction": TrafficSignalStateAction,
+    "TrafficSignalControllerAction": _read_signal_controller_action,
+}

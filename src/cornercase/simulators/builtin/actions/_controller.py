@@ -1,0 +1,304 @@
+"""Drivers in control of entities, and the actions that assign them."""
+
+from __future__ import annotations
+
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from lxml import etree
+
+from cornercase._common.errors import InputError, PluginError, SimulationError
+from cornercase._common.io.tracked_xml import find_by_name, find_untracked
+from cornercase._common.plugin_errors import (
+    format_time_of_failure,
+    is_built_in,
+    make_scenario_failure,
+    reraise_termination_request,
+)
+from cornercase._common.process.signals import count_requests
+from cornercase._common.text.sanitize import quote_name
+from cornercase._common.typing import BoolArray, FloatArray
+from cornercase._common.validation import repr_short
+from cornercase.drivers import DrivenPath, Driver, Situation
+from cornercase.drivers._compiled import is_compiled, limit_driver_acceleration
+from cornercase.drivers._resolve import create_driver_named_in_file
+from cornercase.roads._lane_path import LanePath
+from cornercase.scenario._file import DRIVER_PROPERTY
+from cornercase.scenario._scope import Scope
+from cornercase.simulators.builtin.actions._action import Action
+from cornercase.simulators.builtin.tracks._lane import LaneTrack
+from cornercase.simulators.builtin.tracks._track import Track, Trajectory
+from cornercase.simulators.builtin.world._world import World
+
+# Trajectories for drivers, in m: sample spacing, straight extension beyond the end, and longest length.
+_SAMPLE_SPACING, _EXTENSION_LENGTH, _MAX_LENGTH = 0.5, 200.0, 2000.0
+
+# Excess in m/s² that may come from rounding.
+_ROUNDING = 1e-9
+
+_LANE_PATH_CACHE: WeakKeyDictionary[LanePath, DrivenPath] = WeakKeyDictionary()
+
+
+class DriverError(Exception):
+    """A driver raised an exception, or returned no acceleration, for several scenarios at once.
+
+    `error` is for the scenario at fault. `can_bisect`: whether a run with half of the scenarios shows which half is at
+    fault; otherwise only single runs do.
+    """
+
+    def __init__(self, error: SimulationError, splits: bool) -> None:
+        super().__init__(str(error))
+        self.error, self.can_bisect = error, splits
+
+
+class DriverControl:
+    """One entity of a batch and the driver that decides its speed along lanes and trajectories while active.
+
+    A trajectory with times leaves the driver nothing to decide. `number` is its index in `World.drivers`; `in_fleet`
+    says whether kernels decide for it. `limit_notices`: by limit of the vehicle that the driver exceeded, a sentence
+    without a full stop for a notice; what distinguishes notices of one limit follows a semicolon.
+    """
+
+    def __init__(self, world: World, entity: int, driver: Driver) -> None:
+        self._world, self.entity, self.driver = world, entity, driver
+        self.number = len(world.drivers)
+        world.drivers.append(self)
+        self._others = [a for a in range(len(world.entities)) if a != entity]
+        self._paths: dict[int, DrivenPath] = {}
+        self._sampled_versions: dict[int, int] = {}
+        self.limit_notices: dict[str, str] = {}
+        self.in_fleet = is_compiled(driver)
+        self._failure: DriverError | None = None
+        if self.in_fleet:
+            self._join_fleet()
+
+    def _join_fleet(self) -> None:
+        driver, entity = self.driver, self._world.entities[self.entity]
+        assert is_compiled(driver)
+        try:
+            self._start_driver()
+        except DriverError as failure:
+            # The fleet needs a started driver.
+            self._failure = failure
+            built_in = next(base for base in type(driver).__mro__ if is_built_in(base) and issubclass(base, Driver))
+            built_in.start(driver, self._world.scenarios, len(self._others))
+        for limit, value in limit_driver_acceleration(driver, entity.max_acceleration, entity.max_deceleration).items():
+            self._record_exceeded_limit(limit, f"it would go up to {value:.6g} m/s²")
+
+    def reset_driver(self) -> None:
+        """Reset the driver when the batch starts; user code may fail or end the process here."""
+        if self._failure is not None:
+            raise self._failure
+        if not self.in_fleet:
+            self._start_driver()
+
+    def _start_driver(self) -> None:
+        requests = count_requests()
+        try:
+            self.driver.start(self._world.scenarios, len(self._others))
+        except BaseException as error:
+            raise DriverError(make_scenario_failure(self._display_name, error, requests, 0.0), splits=True) from error
+
+    @property
+    def _display_name(self) -> str:
+        """Name of the driver in errors and notices."""
+        driver_class, entity = type(self.driver), quote_name(self._world.names[self.entity])
+        return f"the driver of {entity}" + (
+            "" if is_built_in(driver_class) else f" ({driver_class.__module__}:{driver_class.__qualname__})"
+        )
+
+    def step(self, dt: float) -> None:
+        """Decide the entity's speed at the end of the coming time step."""
+        world, e = self._world, self.entity
+        active = world.running & world.present[e] & world.driven[e] & (world.driver[e] == self.number)
+        if dt == 0.0 or not active.any():
+            return
+        for k, track in enumerate(world.tracks[e]):
+            rows = active & (world.track[e] == k)
+            timed = isinstance(track, Trajectory) and track.times is not None
+            if rows.any() and not timed:
+                situation = self._make_situation(k, track, dt, rows)
+                acceleration = self._call_driver(situation)
+                for i in np.flatnonzero(rows & ~np.isfinite(acceleration)).tolist():
+                    instant = format_time_of_failure(situation.time)
+                    why = f"{self._display_name} returned {acceleration[i]:g}{instant}, which is not an acceleration in m/s²"
+                    world.fail(np.arange(world.scenarios) == i, PluginError(why))
+                if not self.in_fleet:
+                    acceleration = self._clip_acceleration(
+                        acceleration, rows & np.isfinite(acceleration), situation.time
+                    )
+                speed = np.maximum(world.speed[e] + acceleration * dt, 0.0)
+                world.speed[e][rows] = np.minimum(speed, world.entities[e].max_speed)[rows]
+
+    def _call_driver(self, situation: Situation) -> FloatArray:
+        """Call the driver, which may be user code, and check its accelerations."""
+        expected, requests = self._world.scenarios, count_requests()
+        try:
+            returned = self.driver.acceleration(situation)
+        except BaseException as error:
+            raise DriverError(
+                make_scenario_failure(self._display_name, error, requests, situation.time), splits=True
+            ) from error
+        try:
+            acceleration: FloatArray = np.asarray(returned).astype(np.float64, casting="same_kind")
+            # A single number would be broadcast to all scenarios.
+            if acceleration.shape != (expected,):
+                raise ValueError
+            return acceleration
+        except BaseException as error:
+            reraise_termination_request(error, requests)
+            expectation = "for the scenario" if expected == 1 else f"for each of {expected} scenarios"
+            instant = format_time_of_failure(situation.time)
+            why = f"{self._display_name} returned no acceleration {expectation}{instant}, but {_safe_repr(returned)}"
+            raise DriverError(PluginError(why), splits=False) from error
+
+    def _clip_acceleration(self, acceleration: FloatArray, rows: BoolArray, time: float) -> FloatArray:
+        """Clip accelerations to what the vehicle can do."""
+        entity = self._world.entities[self.entity]
+        highest, lowest = entity.max_acceleration, -entity.max_deceleration
+        for limit, excess in (("acceleration", acceleration - highest), ("deceleration", lowest - acceleration)):
+            worst = float(excess[rows].max(initial=0.0))
+            if limit not in self.limit_notices and worst > _ROUNDING:
+                requested = worst + (entity.max_acceleration if limit == "acceleration" else entity.max_deceleration)
+                self._record_exceeded_limit(limit, f"first {requested:.6g} m/s²{format_time_of_failure(time)}")
+        return np.clip(acceleration, lowest, highest)
+
+    def _record_exceeded_limit(self, limit: str, requested: str) -> None:
+        entity = self._world.entities[self.entity]
+        bound = entity.max_acceleration if limit == "acceleration" else entity.max_deceleration
+        self.limit_notices[limit] = (
+            f"{self._display_name} exceeds the {limit} of {bound:.6g} m/s² in <Performance>, and is limited to it; {requested}"
+        )
+
+    def _make_situation(self, track_number: int, track: Track, dt: float, rows: BoolArray) -> Situation:
+        world, e, others = self._world, self.entity, self._others
+        box, boxes = world.entities[e], [world.entities[a] for a in others]
+        is_visible = (world.present & world.visible)[others].T
+        # A driver may store or modify its input: pass copies.
+        return Situation(
+            time=float(world.time[rows].max()),
+            time_step=dt,
+            path=self.path_of_track(track_number, track),
+            distance=world.distance[e].copy(),
+            x=world.x[e].copy(),
+            y=world.y[e].copy(),
+            heading=world.heading[e].copy(),
+            speed=world.speed[e].copy(),
+            acceleration=world.acceleration[e].copy(),
+            length=box.length,
+            width=box.width,
+            center_x=box.center_x,
+            target_speed=world.target_speed[e].copy(),
+            others_x=np.where(is_visible, world.x[others].T, np.nan),
+            others_y=np.where(is_visible, world.y[others].T, np.nan),
+            others_heading=np.where(is_visible, world.heading[others].T, np.nan),
+            others_speed=np.where(is_visible, world.speed[others].T, np.nan),
+            others_length=np.array([other.length for other in boxes]),
+            others_width=np.array([other.width for other in boxes]),
+            others_center_x=np.array([other.center_x for other in boxes]),
+            others_object_type=tuple(other.kind for other in boxes),
+            active=rows.copy(),
+        )
+
+    def path_of_track(self, track_number: int, track: Track) -> DrivenPath:
+        """Path for the driver of one of its entity's tracks."""
+        if isinstance(track, LaneTrack):
+            if track_number not in self._paths:
+                self._paths[track_number] = _lane_path(track.path)
+        elif isinstance(track, Trajectory) and self._sampled_versions.get(track_number) != track.version:
+            # A restarted trajectory may have another shape.
+            self._paths[track_number], self._sampled_versions[track_number] = _sample_trajectory(track), track.version
+        return self._paths[track_number]
+
+
+def _safe_repr(value: object) -> str:
+    try:
+        return repr_short(value)
+    except Exception:
+        return f"a {type(value).__name__}"
+
+
+def _lane_path(lane_path: LanePath) -> DrivenPath:
+    """Path along a lane, cached so that plans along it serve all batches."""
+    if lane_path not in _LANE_PATH_CACHE:
+        _LANE_PATH_CACHE[lane_path] = DrivenPath(
+            lane_path.distance, lane_path.x, lane_path.y, lane_path.heading, lane_path.curvature
+        )
+    return _LANE_PATH_CACHE[lane_path]
+
+
+def _sample_trajectory(track: Trajectory) -> DrivenPath:
+    """Samples of a trajectory that may differ between scenarios.
+
+    Distances are the same in all scenarios and extend further than a driver looks, so that what it sees in one scenario
+    does not depend on the others.
+    """
+    ends = np.minimum(track.lengths, _MAX_LENGTH)
+    distances = _SAMPLE_SPACING * np.arange(int(np.ceil((ends.max() + _EXTENSION_LENGTH) / _SAMPLE_SPACING)) + 1)
+    scenarios = np.arange(len(ends))
+    x, y, heading, curvature = (np.empty((len(ends), len(distances))) for _ in range(4))
+    for k, distance in enumerate(distances):
+        at = np.full(len(ends), distance)
+        x[:, k], y[:, k], heading[:, k] = track.pose_at(at, np.zeros(len(ends)), scenarios)
+        curvature[:, k] = np.where(at <= ends, track.curvature_at(at, scenarios), 0.0)
+    return DrivenPath(np.tile(distances, (len(ends), 1)), x, y, np.unwrap(heading, axis=1), curvature)
+
+
+class ControllerAction(Action):
+    """Assigns a controller to an entity, or activates the assigned one.
+
+    Only controllers with the property ``cornercase.driver`` act; any other leaves the entity to the storyboard. A
+    driver chosen by the user who runs the file stays in control.
+    """
+
+    def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int) -> None:
+        self._entity = entity
+        assign = element if element.tag == "AssignControllerAction" else element.find("AssignControllerAction")
+        activate = element if element.tag == "ActivateControllerAction" else element.find("ActivateControllerAction")
+        self._driver, self._activated = None, None
+        if assign is not None:
+            self._driver = self._read_assigned_driver(assign, scope, world)
+            self._activated = _read_optional_flag(assign, "activateLongitudinal", scope)
+        if activate is not None:
+            self._activated = _read_optional_flag(activate, "longitudinal", scope)
+
+    def start(self, world: World, where: BoolArray) -> None:
+        if not world.has_fixed_driver[self._entity]:
+            world.assign_control(self._entity, where, self._driver, self._activated)
+
+    def _read_assigned_driver(self, assign: etree._Element, scope: Scope, world: World) -> int:
+        # Other programs' controllers are reported as having no effect, so they must not count as read.
+        holder = next(iter(find_untracked(assign, "ObjectController")), assign)
+        controller = next(iter(find_untracked(holder, "Controller")), None)
+        reference = holder.find("CatalogReference")
+        if controller is None and reference is not None:
+            controller, scope = scope.resolve_catalog_reference(reference, "Controller")
+        if controller is None:
+            return -1
+        property_element = find_by_name(find_untracked(controller, "Properties", "Property"), DRIVER_PROPERTY)
+        if property_element is None:
+            return -1
+        driver = create_file_driver(scope.read_text(property_element, "value"), scope.file_name)
+        return DriverControl(world, self._entity, driver).number
+
+
+class VisibilityAction(Action):
+    """Hides an entity from others in the traffic, or shows it again."""
+
+    def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int) -> None:
+        self._entity, self._seen = entity, scope.read_boolean(element, "traffic", True)
+
+    def start(self, world: World, where: BoolArray) -> None:
+        world.visible[self._entity][where] = self._seen
+
+
+def create_file_driver(name: str, location: str) -> Driver:
+    """Create the registered driver that a file names; `location` starts the error message."""
+    try:
+        return create_driver_named_in_file(name)
+    except InputError as error:
+        raise InputError(f"{location}: {error}") from None
+
+
+def _read_optional_flag(element: etree._Element, name: str, scope: Scope) -> bool | None:
+    return None if element.get(name) is None else scope.read_boolean(element, name, False)

@@ -1,0 +1,302 @@
+"""Actions that move an entity across its lane."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from lxml import etree
+
+from cornercase._common.errors import InputError
+from cornercase._common.typing import BoolArray, FloatArray, IntArray
+from cornercase.scenario._scope import Scope
+from cornercase.simulators.builtin.actions._action import Action
+from cornercase.simulators.builtin.actions._longitudinal import require_child
+from cornercase.simulators.builtin.kernels._action_table import (
+    DYNAMICS_DIMENSIONS,
+    DYNAMICS_SHAPES,
+    LANE_CHANGE_ACTION,
+    LANE_OFFSET_ACTION,
+)
+from cornercase.simulators.builtin.paths._dynamics import (
+    TransitionDynamics,
+    check_dynamics_shape,
+    duration_at_peak_acceleration,
+    transition_fraction,
+    transition_slope,
+)
+from cornercase.simulators.builtin.paths._positions import read_entity_index, shift_lane
+from cornercase.simulators.builtin.world._entity_distances import offset_of_entity
+from cornercase.simulators.builtin.world._lane_following import attach_to_lane, change_lane
+from cornercase.simulators.builtin.world._road_position import is_heading_along_road, road_pose
+from cornercase.simulators.builtin.world._track_motion import move_along_track, update_pose_on_track
+from cornercase.simulators.builtin.world._world import LATERAL, World
+
+# rad; purely lateral motion turns the entity by slightly less than 90°, so that it still points along its lane, also in
+# bends, where lane headings are accurate to a fraction of the difference.
+_MAX_TURN: Final = 0.5 * np.pi - 1e-3
+
+# m/s²; esmini's default for lane offsets.
+_DEFAULT_ACCELERATION: Final = 0.5
+
+# Tolerances in m or s of offsets and distances.
+_OFFSET_TOLERANCE: Final = 1e-6
+_DISTANCE_TOLERANCE: Final = 0.01
+# Lane offsets, and the duration of a change in s or m, are accurate to about 1e-5.
+_EXTENT_TOLERANCE: Final = 1e-4
+
+
+class LaneChangeAction(Action):
+    """Moves an entity to another lane; part of its speed becomes lateral motion."""
+
+    domains = (LATERAL,)
+    shared_arrays = ("_from", "_to", "_done", "_extent")
+
+    def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int) -> None:
+        self._entity = entity
+        self._location = f"{Path(scope.file_name).name}, line {element.sourceline}"
+        self._transition = TransitionDynamics(require_child(element, "LaneChangeActionDynamics", scope), scope)
+        target = require_child(element, "LaneChangeTarget", scope)
+        absolute, relative = target.find("AbsoluteTargetLane"), target.find("RelativeTargetLane")
+        self._reference: int | None = None
+        if absolute is not None:
+            self._value = scope.read_integer(absolute, "value")
+        elif relative is not None:
+            self._value = scope.read_integer(relative, "value")
+            self._reference = read_entity_index(relative, scope, world)
+        else:
+            raise InputError(f"{scope.file_name}, line {element.sourceline}: <LaneChangeTarget> holds no target.")
+        self._target_offset = scope.read_numbers(element, "targetLaneOffset", 0.0)
+        n = scope.n_scenarios
+        self._from, self._to, self._done, self._extent = (np.zeros(n) for _ in range(4))
+
+    def kernel_options(self) -> tuple[int, ...]:
+        shape, dimension = (
+            DYNAMICS_SHAPES.index(self._transition.shape),
+            DYNAMICS_DIMENSIONS.index(self._transition.dimension),
+        )
+        return LANE_CHANGE_ACTION, self._entity, shape, dimension
+
+    def start(self, world: World, where: BoolArray) -> None:
+        e = self._entity
+        if world.network is None:
+            world.fail(where, f"{world.names[e]} cannot change lanes, as there are no roads")
+            return
+        lane = self._target_lanes(world)
+        exists = change_lane(world, e, lane, where)
+        if not exists[where].all():
+            # Ends in its own lane, as in esmini (which jumps sideways first).
+            self._keep_own_lane(world, where & ~exists)
+        pose = road_pose(world, e)
+        forward = np.where(is_heading_along_road(world, pose), 1.0, -1.0)
+        self._from[where] = world.offset[e][where]
+        self._to[where] = (forward * self._target_offset)[where]
+        self._extent[where] = self._transition.lateral_extent(self._from, self._to)[where]
+        self._done[where] = 0.0
+        # With a route it counts as being on the new lane from the start.
+        world.changes_lanes[e][where] = (world.route[e] == 0)[where]
+        # It starts parallel to its lane, whatever its previous heading.
+        world.turn[e][where] = 0.0
+        update_pose_on_track(world, e, where)
+
+    def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
+        e, change = self._entity, self._to - self._from
+        step_length = longitudinal = np.abs(world.speed[e]) * dt
+        moves = where & (np.abs(world.speed[e]) > 1e-6)
+        abrupt = self._extent <= 1e-6
+        extent = np.where(abrupt, 1.0, self._extent)
+        rate = change / extent * self._transition.fraction_slope(self._done / extent)
+        if self._transition.dimension == "distance":
+            longitudinal = step_length / np.sqrt(1.0 + rate**2)
+            progress = self._done + longitudinal
+            share = self._transition.fraction_done(progress / extent)
+            # As in esmini, the heading is that of driving forwards even if the entity drives backwards.
+            turn = np.arctan(rate)
+        else:
+            lateral = np.minimum(dt * np.abs(rate), step_length)
+            # An entity that is too slow for the change moves only sideways, at constant speed.
+            slow = dt * np.abs(rate) > step_length + 1e-6
+            with np.errstate(divide="ignore", invalid="ignore"):
+                progress = self._done + np.where(slow, step_length * extent / np.abs(change), dt)
+            share = np.where(
+                slow, np.clip(progress / extent, 0.0, 1.0), self._transition.fraction_done(progress / extent)
+            )
+            longitudinal = np.sqrt(np.maximum(step_length**2 - lateral**2, 0.0))
+            turn = np.arctan2(np.sign(rate) * lateral, longitudinal)
+            turn = np.sign(world.speed[e]) * np.where(slow, np.sign(rate) * _MAX_TURN, turn)
+        offset = np.where(abrupt, self._to, self._from + share * change)
+        arrived = (
+            abrupt | (progress > self._extent - _EXTENT_TOLERANCE) | (np.abs(offset - self._to) < _OFFSET_TOLERANCE)
+        )
+        self._done[moves] = progress[moves]
+        world.offset[e][moves] = offset[moves]
+        world.turn[e][moves] = np.where(arrived, 0.0, turn)[moves]
+        world.changes_lanes[e][moves & arrived] = False
+        # It moves even if it was just placed; a speed set by another action in this frame applies from the next frame.
+        world.pace[e][where] = world.speed[e][where]
+        step_length = np.sign(world.speed[e]) * np.where(abrupt, step_length, longitudinal)
+        move_along_track(world, e, where, np.where(moves, step_length, 0.0))
+        # It ends at the end of the road, even between lanes.
+        stuck = moves & ~arrived & np.isfinite(world.at_end_since[e])
+        self.release(world, stuck)
+        return np.asarray(moves & arrived | stuck)
+
+    def release(self, world: World, where: BoolArray) -> None:
+        """Leave the entity in its current lane, or in the target lane if it follows a route."""
+        world.changes_lanes[self._entity][where] = False
+        attach_to_lane(world, self._entity, where & (world.route[self._entity] == 0))
+
+    def _keep_own_lane(self, world: World, where: BoolArray) -> None:
+        """Take the entity's current lane as the target lane, in the scenarios of a mask."""
+        e, own_lane = self._entity, road_pose(world, self._entity).lane
+        assert own_lane is not None
+        why = f"{world.names[e]} is to change to a lane that does not exist, and stays in its own lane"
+        world.add_notice(self._location, "<LaneChangeAction>", why, where)
+        stays = change_lane(world, e, own_lane, where)
+        world.fail(where & ~stays, f"{world.names[e]} cannot change lanes, as it is in none ({self._location})")
+
+    def _target_lanes(self, world: World) -> IntArray:
+        if self._reference is None:
+            return np.full(world.scenarios, self._value)
+        pose = road_pose(world, self._reference)
+        assert pose.lane is not None
+        forward = np.where(is_heading_along_road(world, pose), 1, -1)
+        return shift_lane(pose.lane, self._value * forward)
+
+
+class LaneOffsetAction(Action):
+    """Moves an entity within its lane; the lateral motion does not slow it down."""
+
+    domains = (LATERAL,)
+    shared_arrays = ("_from", "_to", "_elapsed", "_duration")
+
+    def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int) -> None:
+        self._entity = entity
+        dynamics = require_child(element, "LaneOffsetActionDynamics", scope)
+        self._shape = scope.read_text(dynamics, "dynamicsShape")
+        check_dynamics_shape(self._shape, dynamics, scope)
+        self._max_acceleration = scope.read_numbers(dynamics, "maxLateralAcc", _DEFAULT_ACCELERATION)
+        scope.mark_invalid(dynamics, "maxLateralAcc", "is below 0", self._max_acceleration < 0.0)
+        target = require_child(element, "LaneOffsetTarget", scope)
+        absolute, relative = target.find("AbsoluteTargetLaneOffset"), target.find("RelativeTargetLaneOffset")
+        self._reference: int | None = None
+        if absolute is not None:
+            self._value = scope.read_numbers(absolute, "value")
+        elif relative is not None:
+            self._value = scope.read_numbers(relative, "value")
+            self._reference = read_entity_index(relative, scope, world)
+        else:
+            raise InputError(f"{scope.file_name}, line {element.sourceline}: <LaneOffsetTarget> holds no target.")
+        n = scope.n_scenarios
+        self._from, self._to, self._elapsed, self._duration = (np.zeros(n) for _ in range(4))
+
+    def kernel_options(self) -> tuple[int, ...]:
+        return LANE_OFFSET_ACTION, self._entity, DYNAMICS_SHAPES.index(self._shape)
+
+    def start(self, world: World, where: BoolArray) -> None:
+        e = self._entity
+        self._from[where] = world.offset[e][where]
+        if world.network is None:
+            target = self._value
+        elif self._reference is None:
+            pose = road_pose(world, e)
+            target = np.where(is_heading_along_road(world, pose), self._value, -self._value)
+        else:
+            # Left is relative to the reference entity.
+            pose = road_pose(world, e)
+            along = is_heading_along_road(world, replace(pose, heading=world.heading[e] - world.turn[e]))
+            same_direction = is_heading_along_road(world, road_pose(world, self._reference)) == along
+            side = np.where(same_direction, self._value, -self._value)
+            target = offset_of_entity(world, e, self._reference) + side
+        self._to[where] = target[where]
+        self._duration[where] = duration_at_peak_acceleration(
+            self._shape, self._to - self._from, self._max_acceleration
+        )[where]
+        self._elapsed[where] = 0.0
+
+    def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
+        e, change = self._entity, self._to - self._from
+        duration = np.where(self._duration > 0, self._duration, 1.0)
+        share = np.where(self._duration > 0, self._elapsed / duration, 1.0)
+        offset = self._from + transition_fraction(self._shape, share) * change
+        arrived = (self._elapsed > self._duration - _OFFSET_TOLERANCE) | (np.abs(offset - self._to) < _OFFSET_TOLERANCE)
+        offset = np.where(arrived, self._to, offset)
+        slope = change / duration * transition_slope(self._shape, share)
+        world.offset[e][where] = offset[where]
+        speed = world.speed[e]
+        turn = np.arctan(slope / np.where(np.abs(speed) > 1e-6, speed, 1e-6))
+        world.turn[e][where] = np.where(arrived, 0.0, turn)[where]
+        self._elapsed[where] += dt
+        # Later actions of the frame see the new position.
+        update_pose_on_track(world, e, where)
+        return np.asarray(where & arrived)
+
+
+class LateralDistanceAction(Action):
+    """Keeps a lateral distance to another entity."""
+
+    domains = (LATERAL,)
+
+    def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int) -> None:
+        self._entity = entity
+        self._other = read_entity_index(element, scope, world)
+        self._continuous = scope.read_boolean(element, "continuous", False)
+        side = -1.0 if scope.read_text(element, "displacement", "any") == "rightToReferencedEntity" else 1.0
+        distance = np.abs(scope.read_numbers(element, "distance", 0.0))
+        if scope.read_boolean(element, "freespace", False):
+            distance = distance + 0.5 * (world.entities[entity].width + world.entities[self._other].width)
+        self._target_distance = side * distance
+        limits = element.find("DynamicConstraints")
+        n = scope.n_scenarios
+        bounds = [
+            np.full(n, np.inf) if limits is None else scope.read_numbers(limits, name, np.inf)
+            for name in ("maxAcceleration", "maxSpeed", "maxAccelerationRate")
+        ]
+        self._max_acceleration, self._max_speed, self._max_jerk = bounds
+        self._speed, self._acceleration = np.zeros(n), np.zeros(n)
+        self._is_first_frame = np.zeros(n, dtype=np.bool_)
+
+    def start(self, world: World, where: BoolArray) -> None:
+        self._is_first_frame[where] = True
+        self._speed[where] = self._acceleration[where] = 0.0
+
+    def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
+        e = self._entity
+        # No motion in the first frame.
+        moves = where & ~self._is_first_frame & (dt > 0)
+        self._is_first_frame[where] = False
+        error = self._target_distance - (world.offset[e] - offset_of_entity(world, e, self._other))
+        reached = moves & (np.abs(error) < _DISTANCE_TOLERANCE)
+        lateral_speed = self._lateral_speed(world, error, dt, moves)
+        rigid = np.isinf(self._max_acceleration) & np.isinf(self._max_speed)
+        shift = np.where(rigid, error, lateral_speed * dt)
+        longitudinal = np.sqrt(np.maximum((world.speed[e] * dt) ** 2 - np.where(rigid, 0.0, shift) ** 2, 0.0))
+        world.offset[e][moves] += shift[moves]
+        world.sideways[e][moves] = np.where(rigid, 0.0, np.abs(shift))[moves]
+        world.pace[e][moves] = world.speed[e][moves]
+        world.turn[e][moves] = np.arctan2(shift, np.maximum(longitudinal, 1e-9))[moves]
+        return np.asarray(where & reached & (not self._continuous))
+
+    def _lateral_speed(self, world: World, error: FloatArray, dt: float, moves: BoolArray) -> FloatArray:
+        """Lateral speed for the coming step in m/s, shape (N,)."""
+        fastest = np.maximum(np.minimum(self._max_speed, np.abs(world.speed[self._entity])) - 1e-6, 0.0)
+        springy = np.isfinite(self._max_acceleration)
+        stiffness = 0.4 * np.where(springy, self._max_acceleration, 0.0)
+        # As in esmini, the other's speed across its own heading, which is almost 0 in a lane change.
+        heading = world.heading[self._other]
+        other_lateral_speed = world.step_velocity[1][self._other] * np.cos(heading) - world.step_velocity[0][
+            self._other
+        ] * np.sin(heading)
+        acceleration = stiffness * error - 2.0 * np.sqrt(stiffness) * (self._speed - other_lateral_speed)
+        step = np.where(np.isfinite(self._max_jerk), self._max_jerk * dt, np.inf)
+        acceleration = self._acceleration + np.clip(acceleration - self._acceleration, -step, step)
+        acceleration = np.clip(acceleration, -self._max_acceleration, self._max_acceleration)
+        sprung = np.clip(self._speed + acceleration * dt, -fastest, fastest)
+        constant_speed = np.sign(error) * fastest
+        if dt > 0:
+            constant_speed = np.where(np.abs(constant_speed) * dt > np.abs(error), error / dt, constant_speed)
+        self._acceleration[moves & springy] = acceleration[moves & springy]
+        self._speed[moves] = np.where(springy, sprung, constant_speed)[moves]
+        return self._speed

@@ -1,0 +1,73 @@
+"""Kernels of `ClothoidSpline`, for one scenario at a time."""
+
+# Compiled functions have no static types.
+# mypy: disable-error-code="no-untyped-def, untyped-decorator, call-arg, var-annotated"
+
+from __future__ import annotations
+
+import math
+
+from cornercase._common.numba.kernel import kernel
+from cornercase._common.numba.pointers import floats_at_address, ints_at_address
+from cornercase.simulators.builtin.tracks import _track_layout as track_layout
+
+_kernel = kernel(error_model="numpy", forceinline=True, _nrt=False)
+
+
+@_kernel
+def pose_on_spline(tracks, row, n, distance, offset):
+    """x, y (m) and heading (rad) at a distance along a spline, and an offset to the left."""
+    length, chord = spline_length(tracks, row, n), floats_at_address(tracks.address[row, track_layout.CHORD], n + 1)[n]
+    last = ints_at_address(tracks.address[row, track_layout.LAST_CHORD], n + 1)[n]
+    clipped = min(max(distance, 0.0), length)
+    # NaN maps to chord 0, and stays NaN in the result.
+    position = clipped / chord
+    k = min(int(position), last) if position >= 0.0 else 0
+    before = chord * k
+    span = min(before + chord, length) - before
+    fraction = (clipped - before) / (span if span > 0.0 else 1.0)
+    after = k + min(1, tracks.size[row] - 1)
+    point_x, point_y = (
+        _interpolate(tracks, row, n, track_layout.X, k, after, fraction),
+        _interpolate(tracks, row, n, track_layout.Y, k, after, fraction),
+    )
+    heading = _interpolate(tracks, row, n, track_layout.HEADING, k, after, fraction)
+    beyond = distance - clipped
+    if beyond != 0.0 or offset != 0.0:
+        cos, sin = math.cos(heading), math.sin(heading)
+        point_x, point_y = point_x + beyond * cos - offset * sin, point_y + beyond * sin + offset * cos
+    return point_x, point_y, heading
+
+
+@_kernel
+def spline_length(tracks, row, n):
+    """Length of a spline in m."""
+    return floats_at_address(tracks.address[row, track_layout.LENGTH], n + 1)[n]
+
+
+@_kernel
+def spline_end_time(tracks, row, n):
+    """Time in s at which a spline with times ends, on its own clock."""
+    count = tracks.bends[row]
+    return floats_at_address(tracks.address[row, track_layout.TIME] + 8 * count * n, count)[count - 1]
+
+
+@_kernel
+def spline_distance_at_time(tracks, row, n, time):
+    """Distance in m along a spline at a time in s of its own clock."""
+    count = tracks.bends[row]
+    times = floats_at_address(tracks.address[row, track_layout.TIME] + 8 * count * n, count)
+    table = floats_at_address(tracks.address[row, track_layout.DISTANCE] + 8 * count * n, count)
+    k = 0
+    while k + 2 < count and times[k + 1] <= time:
+        k += 1
+    begin, span = times[k], times[k + 1] - times[k]
+    speed = (table[k + 1] - table[k]) / (span if times[k + 1] > times[k] else 1.0)
+    return table[k] + min(max(time - begin, 0.0), span) * speed
+
+
+@_kernel
+def _interpolate(tracks, row, n, column, k, after, fraction):
+    count = tracks.size[row]
+    values = floats_at_address(tracks.address[row, column] + (0 if tracks.alike[row] else 8 * count * n), count)
+    return values[k] + fraction * (values[after] - values[k])

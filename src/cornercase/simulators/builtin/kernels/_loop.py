@@ -1,0 +1,200 @@
+"""The compiled time loop: runs scenarios until their storyboard has to be evaluated."""
+
+# Compiled functions have no static types.
+# mypy: disable-error-code="no-untyped-def, untyped-decorator"
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from cornercase._common.numba.kernel import kernel
+from cornercase._common.typing import BoolArray, FloatArray, IntArray
+from cornercase.drivers._kernels.decide import compute_acceleration, find_route_row, make_workspace
+from cornercase.drivers._kernels.structs import DrivenState, Workspace
+from cornercase.simulators.builtin.kernels._action_table import PYTHON_ACTION
+from cornercase.simulators.builtin.kernels._actions import SavedState, alloc_saved, apply_actions, list_running_actions
+from cornercase.simulators.builtin.kernels._conditions import (
+    Watchlist,
+    alloc_watchlist,
+    fill_watchlist,
+    is_unchanged,
+    store_leaf_values,
+)
+from cornercase.simulators.builtin.kernels._move import AWAKE, EXTERNALLY_MOVED, move_entities, record_frame
+from cornercase.simulators.builtin.kernels._simulation_state import MAX_SPEED
+from cornercase.simulators.builtin.kernels._synchronize import ACTION_APPLIED, NEEDS_LOOKUP
+from cornercase.simulators.builtin.world._state_layout import (
+    BEFORE,
+    DISTANCE,
+    DRIVEN,
+    DRIVER,
+    HEADING,
+    PRESENT,
+    SPEED,
+    TARGET_SPEED,
+    TRACK,
+    VISIBLE,
+    X,
+    Y,
+)
+
+(
+    IDLE,
+    ACT,
+    ACTIONS_DONE,
+    MOVE,
+    ACTION_ENDED,
+    NEEDS_STORYBOARD,
+    NEEDS_LANE,
+    FINISHED,
+    NEEDS_LOOKUP_ACT,
+    NEEDS_LOOKUP_MOVE,
+) = range(10)
+"""State of a scenario in the loop: idle; storyboard evaluated; actions applied, too; moving on; an action ends or
+cannot be applied; the storyboard has to be evaluated; an entity needs the next part of its lane path; finished; an
+entity has to be located on its road before its actions are applied, or before it moves on."""
+
+_kernel = kernel(error_model="numpy", _nrt=False)
+# Inlined: passing the tables would cost more than the work, and code that is called once does not grow.
+_inlined_kernel = kernel(error_model="numpy", _nrt=False, forceinline=True)
+
+
+class LoopState(NamedTuple):
+    """State of the loop for N scenarios."""
+
+    status: npt.NDArray[np.int8]  # (N,): `ACT`, `ACTIONS_DONE`, `MOVE` or `IDLE` before; the state reached after
+    evaluates_each_frame: BoolArray  # (N,): whether the storyboard has to be evaluated in each frame
+    driven_entities: IntArray  # (D,): entity of each driver
+
+
+class LoopOptions(NamedTuple):
+    """Options of the loop."""
+
+    time_step: float  # s
+    max_frames: int  # maximum number of frames
+    stop_at_collision: bool
+    drives_compiled: bool  # whether drivers decide in the loop
+
+
+class Buffers(NamedTuple):
+    """Buffers of a thread that runs scenarios [first, last) of E entities, one after the other."""
+
+    first: int
+    last: int
+    saved: SavedState
+    watchlist: Watchlist
+    activity: npt.NDArray[np.int8]  # (E,): `AWAKE` and so on
+    visible_entities: FloatArray  # (4, E - 1): x, y, heading and speed of entities that a driver may see
+    driver_workspace: Workspace  # of a driver
+
+
+@kernel(error_model="numpy")
+def run_until_storyboard(scene, tracks, roads, fleet, actions, conditions, loop, options, first, last):
+    """Run scenarios [first, last) until their storyboard has to be evaluated.
+
+    Each runs on its own, so the distribution to threads does not matter; a range is always the same.
+    """
+    entities = scene.floats.shape[2]
+    saved, rest = alloc_saved(actions.options.shape[0]), np.empty(entities, dtype=np.int8)
+    others, watchlist = np.empty((4, entities - 1)), alloc_watchlist(conditions)
+    buffers = Buffers(first, last, saved, watchlist, rest, others, make_workspace(entities - 1))
+    _run_scenarios(scene, tracks, roads, fleet, actions, conditions, loop, options, buffers)
+
+
+# In a kernel that allocates, numba would count references of each array, in each frame, with atomic operations.
+@_kernel
+def _run_scenarios(scene, tracks, roads, fleet, actions, conditions, loop, options, buffers):
+    for n in range(buffers.first, buffers.last):
+        status = loop.status[n]
+        if status == IDLE:
+            continue
+        _prepare_scenario(scene, actions, loop, n, buffers)
+        fill_watchlist(conditions, buffers.watched, n)
+        while status in (MOVE, ACT, ACTIONS_DONE):
+            is_acting, dt = status != MOVE, options.time_step if scene.frames[n] > 0 else 0.0
+            if status == MOVE:
+                if scene.frames[n] >= options.most:
+                    status = FINISHED
+                    break
+                if not is_unchanged(scene, conditions, buffers.watched, n):
+                    status = NEEDS_STORYBOARD
+                    break
+                for e in range(scene.floats.shape[2]):
+                    scene.floats[n, BEFORE, e] = scene.floats[n, SPEED, e]
+            outcome = ACTION_APPLIED
+            if status != ACTIONS_DONE:
+                outcome = apply_actions(scene, tracks, roads, actions, buffers.kept, n, dt)
+            if outcome == NEEDS_LOOKUP:
+                status = NEEDS_LOOKUP_ACT if is_acting else NEEDS_LOOKUP_MOVE
+                break
+            if outcome != ACTION_APPLIED:
+                status = ACTION_ENDED if is_acting else NEEDS_STORYBOARD
+                break
+            status = _finish_frame(scene, tracks, fleet, loop, options, n, dt, buffers)
+            if is_acting and loop.looks[n] and status == MOVE:
+                status = NEEDS_STORYBOARD
+        if status == NEEDS_STORYBOARD and scene.frames[n] >= options.most:
+            status = FINISHED
+        if status == NEEDS_STORYBOARD or loop.looks[n]:
+            store_leaf_values(scene, conditions, n)
+        loop.status[n] = status
+
+
+@_inlined_kernel
+def _prepare_scenario(scene, actions, loop, n, buffers):
+    """List the running actions, note who is moved by something else than itself, and wake all entities."""
+    rest, running = buffers.rest, buffers.kept.live
+    for e in range(rest.size):
+        rest[e] = AWAKE
+    list_running_actions(actions, buffers.kept, n)
+    i = 0
+    while running[i] >= 0:
+        if actions.options[running[i], 0] != PYTHON_ACTION:
+            rest[actions.options[running[i], 1]] = EXTERNALLY_MOVED
+        i += 1
+    for d in range(loop.driven.size):
+        rest[loop.driven[d]] = EXTERNALLY_MOVED
+    for t in range(scene.tows.shape[0]):
+        rest[int(scene.tows[t, 0])] = rest[int(scene.tows[t, 1])] = EXTERNALLY_MOVED
+
+
+@_inlined_kernel
+def _finish_frame(scene, tracks, fleet, loop, options, n, dt, buffers):
+    """Do the part of a frame after the storyboard: drivers, motion, recording. Return the new state."""
+    if options.drives and dt > 0.0:
+        for d in range(loop.driven.shape[0]):
+            _apply_driver(scene, tracks, fleet, n, d, loop.driven[d], dt, buffers)
+    needs_lane = move_entities(scene, tracks, n, dt, buffers.rest)
+    collides = record_frame(scene, n, buffers.first, dt, buffers.rest)
+    if collides and options.stop_at_collision:
+        return FINISHED
+    return NEEDS_LANE if needs_lane else MOVE
+
+
+@_inlined_kernel
+def _apply_driver(scene, tracks, fleet, n, driver, e, dt, buffers):
+    """Let a compiled driver set the speed of its entity at the end of the time step, if it is in charge."""
+    state, flags, numbers, others = scene.floats[n], scene.flags[n], scene.numbers[n], buffers.others
+    track = numbers[TRACK, e]
+    if not (flags[PRESENT, e] and flags[DRIVEN, e] and numbers[DRIVER, e] == driver and track >= 0):
+        return
+    # A trajectory with times leaves the driver nothing to decide.
+    route = find_route_row(fleet, driver, track, n)
+    if tracks.timed[tracks.row[e, track]] or route < 0:
+        return
+    for i in range(others.shape[1]):
+        k = i if i < e else i + 1
+        is_visible = flags[PRESENT, k] and flags[VISIBLE, k]
+        others[0, i] = state[X, k] if is_visible else math.nan
+        others[1, i] = state[Y, k] if is_visible else math.nan
+        others[2, i] = state[HEADING, k] if is_visible else math.nan
+        others[3, i] = state[SPEED, k] if is_visible else math.nan
+    driven = DrivenState(
+        state[DISTANCE, e], state[X, e], state[Y, e], state[HEADING, e], state[SPEED, e], state[TARGET_SPEED, e]
+    )
+    acceleration = compute_acceleration(fleet, driver, n, route, scene.time[n], dt, driven, others, buffers.work)
+    state[SPEED, e] = min(max(state[SPEED, e] + acceleration * dt, 0.0), scene.boxes[e, MAX_SPEED])

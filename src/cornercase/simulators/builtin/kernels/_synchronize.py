@@ -1,0 +1,355 @@
+"""Kernels of actions that synchronize an entity with another or keep a distance; NumPy versions are in `actions`."""
+
+# Compiled functions have no static types.
+# mypy: disable-error-code="no-untyped-def, untyped-decorator"
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from cornercase._common.geometry.boxes import COS_RIGHT_ANGLE_TOLERANCE
+from cornercase._common.numba.kernel import kernel
+from cornercase.roads._kernels.heading import reference_cos_and_sin, reference_heading, stays_on_road
+from cornercase.simulators.builtin.kernels._distances import FREE_SPACE, LONGITUDINAL_DISTANCE, distance_to_entity
+from cornercase.simulators.builtin.kernels._lane_track import road_position_on_lane
+from cornercase.simulators.builtin.kernels._move import set_speed
+from cornercase.simulators.builtin.kernels._simulation_state import MAX_SPEED
+from cornercase.simulators.builtin.tracks._track_pool import LANE_TRACK
+from cornercase.simulators.builtin.world._state_layout import (
+    CHANGES_LANES,
+    DISTANCE,
+    DRIVEN,
+    GONE_X,
+    GONE_Y,
+    HEADING,
+    LAST_ROAD,
+    LAST_S,
+    MAX_LANE_OFFSET,
+    OFFSET,
+    PRESENT,
+    ROAD_SPEED,
+    SPEED,
+    TRACK,
+    TURN,
+    UNKNOWN_ROAD_SPEED,
+    X,
+    Y,
+)
+
+NOT_STARTED, FIRST_PHASE, LAST_PHASE, WAITING_FOR_MASTER, HARD_BRAKING, STANDING_STILL, AT_FINAL_SPEED = range(7)
+"""Phase of a synchronization: not started; first of two phases of constant acceleration, below or above the mean speed;
+last phase; waiting for the master to move; braking hard; standing until the last phase begins; going on at the final
+speed."""
+
+NO_FINAL_SPEED, ABSOLUTE_FINAL_SPEED, FINAL_SPEED_DIFFERENCE, FINAL_SPEED_FACTOR = range(4)
+"""Kind of an action's final speed: none, absolute, difference to the master's, factor of the master's."""
+
+NEVER_ARRIVES: Final = 1e10
+"""s; arrival time of a master that does not approach."""
+MAX_BRAKING: Final = 8.0
+"""m/s²; deceleration of an entity that has no room for anything else (esmini's value)."""
+PASSED_TOLERANCE: Final = 1e-3
+"""m; an entity whose distance has grown by more than this in a step has passed its destination."""
+PHASE_SPEED_TOLERANCE: Final = 0.1
+"""m/s; the last phase begins if the speed differs from its speed by less."""
+DISTANCE_TOLERANCE: Final = 0.1
+"""m; tolerance within which a distance is reached."""
+SPRING_STIFFNESS: Final = 0.4
+"""1/m; stiffness of the distance controller, per m/s² of maximum acceleration."""
+
+ACTION_NOT_APPLIED, ACTION_APPLIED, NEEDS_LOOKUP = range(3)
+"""Outcome of an action in a frame: it ends or cannot be applied here; applied; an entity has to be located on its track
+or road first."""
+
+_EPSILON: Final = 1e-6
+
+# Memory layout: phase and last distances, both destinations, final speed.
+_PHASE, _IS_FASTER_FIRST, _LAST_DISTANCE, _LAST_MASTER_DISTANCE, _OWN_DESTINATION, _MASTER_DESTINATION = (
+    0,
+    1,
+    2,
+    3,
+    4,
+    11,
+)
+_STEADY_DISTANCE, _STEADY_TIME, _FINAL_SPEED = 18, 19, 20
+# Offsets within each destination.
+_X, _Y, _ROAD, _S, _TRACK, _DISTANCE_ON_TRACK, _TOLERANCE = range(7)
+
+(
+    _ACCELERATION,
+    _IS_BEHIND,
+    _TARGET_DISTANCE,
+    _MAX_ACCELERATION,
+    _MAX_DECELERATION,
+    _MAX_SPEED,
+    _MAX_JERK_UP,
+    _MAX_JERK_DOWN,
+) = range(8)
+
+_kernel = kernel(error_model="numpy", forceinline=True, _nrt=False)
+
+
+@_kernel
+def apply_synchronize_action(scene, tracks, roads, actions, n, j, dt):
+    """Apply a `SynchronizeAction` for one time step; NumPy version: `SynchronizeAction.step`.
+
+    Returns `ACTION_NOT_APPLIED` (it ends or cannot act here), `ACTION_APPLIED` or `NEEDS_LOOKUP`.
+    """
+    e, master, final_kind = actions.options[j, 1], actions.options[j, 2], actions.options[j, 3]
+    memory, state, has_driver = actions.memory[n, j], scene.floats[n], scene.flags[n, DRIVEN, e]
+    master_outcome, signed_distance = _distance_to_destination(
+        scene, tracks, roads, memory, _MASTER_DESTINATION, n, master
+    )
+    outcome, distance = _distance_to_destination(scene, tracks, roads, memory, _OWN_DESTINATION, n, e)
+    if outcome != ACTION_APPLIED or master_outcome != ACTION_APPLIED:
+        return ACTION_NOT_APPLIED if ACTION_NOT_APPLIED in (outcome, master_outcome) else NEEDS_LOOKUP
+    distance, master_distance = abs(distance), abs(signed_distance)
+    if (
+        distance < memory[_OWN_DESTINATION + _TOLERANCE] + _EPSILON
+        or master_distance < memory[_MASTER_DESTINATION + _TOLERANCE] + _EPSILON
+    ):
+        return ACTION_NOT_APPLIED
+    if (
+        distance > memory[_LAST_DISTANCE] + PASSED_TOLERANCE
+        or master_distance > memory[_LAST_MASTER_DISTANCE] + PASSED_TOLERANCE
+    ):
+        return ACTION_NOT_APPLIED
+    memory[_LAST_DISTANCE], memory[_LAST_MASTER_DISTANCE] = distance, master_distance
+    distance = max(distance - memory[_OWN_DESTINATION + _TOLERANCE], _EPSILON)
+    master_distance = max(master_distance - memory[_MASTER_DESTINATION + _TOLERANCE], _EPSILON)
+    # Only the master's speed along its road and towards its destination counts.
+    is_known, master_speed = _speed_along_road(scene, tracks, roads, n, master)
+    if not is_known:
+        return NEEDS_LOOKUP
+    # Usually it does not turn off its path.
+    direction = signed_distance if state[TURN, master] == 0.0 else signed_distance * math.cos(state[TURN, master])
+    direction = 1.0 if direction > 0.0 else -1.0 if direction < 0.0 else direction
+    master_speed = _sign(state[SPEED, master]) * direction * master_speed
+    is_approaching = master_speed > _EPSILON
+    time = master_distance / master_speed if is_approaching else NEVER_ARRIVES
+    if is_approaching and time < dt:
+        return ACTION_NOT_APPLIED
+    if final_kind == NO_FINAL_SPEED:
+        wanted = _speed_for_arrival(state[SPEED, e], has_driver, memory, distance, time, is_approaching, dt)
+    else:
+        final = memory[_FINAL_SPEED]
+        if final_kind == FINAL_SPEED_DIFFERENCE:
+            final = state[SPEED, master] + final
+        elif final_kind == FINAL_SPEED_FACTOR:
+            final = state[SPEED, master] * final
+        is_known, road_speed = _speed_along_road(scene, tracks, roads, n, e)
+        if not is_known:
+            return NEEDS_LOOKUP
+        wanted = _speed_for_arrival_with_final_speed(
+            state[SPEED, e], _sign(state[SPEED, e]) * road_speed, memory, distance, time, final, is_approaching, dt
+        )
+    if has_driver:
+        # An entity with a driver gets a target speed that it can reach.
+        wanted = min(max(wanted, 0.0), scene.boxes[e, MAX_SPEED])
+    elif not math.isfinite(wanted):
+        wanted = state[SPEED, e]
+    set_speed(scene, n, e, wanted)
+    return ACTION_APPLIED
+
+
+@_kernel
+def apply_distance_action(scene, actions, n, j, dt):
+    """Apply a `LongitudinalDistanceAction` with limits along the heading; False if it ends.
+
+    NumPy version: `LongitudinalDistanceAction.step`.
+    """
+    e, other, continuous = actions.options[j, 1], actions.options[j, 2], actions.options[j, 3]
+    between_boxes, is_time_gap = actions.options[j, 4], actions.options[j, 5]
+    memory, state = actions.memory[n, j], scene.floats[n]
+    wanted = abs(abs(state[SPEED, other]) * memory[_TARGET_DISTANCE] if is_time_gap else memory[_TARGET_DISTANCE])
+    distance = distance_to_entity(
+        scene, n, e, other, LONGITUDINAL_DISTANCE + FREE_SPACE if between_boxes else LONGITUDINAL_DISTANCE
+    )
+    if not math.isfinite(distance):
+        return True
+    error = distance - (wanted if memory[_IS_BEHIND] > 0.0 else -wanted)
+    stiffness = SPRING_STIFFNESS * (memory[_MAX_ACCELERATION] if error < 0.0 else memory[_MAX_DECELERATION])
+    acceleration = error * stiffness - 2.0 * math.sqrt(stiffness) * (state[SPEED, e] - state[SPEED, other])
+    acceleration = min(max(acceleration, -memory[_MAX_DECELERATION]), memory[_MAX_ACCELERATION])
+    previous = memory[_ACCELERATION]
+    if acceleration < 0.0 and acceleration < previous:
+        acceleration = max(acceleration, previous - memory[_MAX_JERK_DOWN] * dt)
+    elif acceleration >= 0.0 and acceleration > previous:
+        acceleration = min(acceleration, previous + memory[_MAX_JERK_UP] * dt)
+    memory[_ACCELERATION] = acceleration
+    set_speed(scene, n, e, min(max(state[SPEED, e] + acceleration * dt, -memory[_MAX_SPEED]), memory[_MAX_SPEED]))
+    return not (abs(error) < DISTANCE_TOLERANCE and not continuous)
+
+
+@_kernel
+def _sign(speed):
+    return -1.0 if speed < 0.0 else 1.0
+
+
+@_kernel
+def _road_position(scene, tracks, n, e, row):
+    """Road and s of an entity on a lane; -1 if it has to be located on the road."""
+    state, flags = scene.floats[n], scene.flags[n]
+    if not flags[PRESENT, e] or (flags[CHANGES_LANES, e] and not abs(state[OFFSET, e]) < MAX_LANE_OFFSET):
+        return -1, 0.0
+    road, _, s, _ = road_position_on_lane(tracks, row, state[DISTANCE, e])
+    return road, s
+
+
+@_kernel
+def _distance_to_destination(scene, tracks, roads, memory, destination, n, e):
+    """Outcome, and signed distance in m to the entity's destination of a `SynchronizeAction`."""
+    state, track = scene.floats[n], scene.numbers[n, TRACK, e]
+    row = tracks.row[e, track] if track >= 0 else -1
+    x, y = memory[destination + _X], memory[destination + _Y]
+    if not math.isfinite(x + y):
+        return ACTION_NOT_APPLIED, math.nan
+    if row >= 0 and tracks.kind[row] == LANE_TRACK and roads.length.size > 0:
+        road, s = _road_position(scene, tracks, n, e, row)
+        if road < 0 or not roads.known[road]:
+            return ACTION_NOT_APPLIED, math.nan
+        if road == memory[destination + _ROAD]:
+            signed_distance = memory[destination + _S] - s
+            return ACTION_APPLIED, signed_distance if math.cos(
+                state[HEADING, e] - reference_heading(roads, road, s)
+            ) > -COS_RIGHT_ANGLE_TOLERANCE else -signed_distance
+    signed = math.inf
+    if row >= 0:
+        if memory[destination + _TRACK] != track or math.isnan(memory[destination + _DISTANCE_ON_TRACK]):
+            return NEEDS_LOOKUP, math.nan
+        signed = memory[destination + _DISTANCE_ON_TRACK] - state[DISTANCE, e]
+    return ACTION_APPLIED, signed if math.isfinite(signed) else math.hypot(x - state[X, e], y - state[Y, e])
+
+
+@_kernel
+def _speed_along_road(scene, tracks, roads, n, e):
+    """Whether an entity's speed along its road is known, and the speed in m/s; NumPy version: `speed_along_road`."""
+    state, numbers = scene.floats[n], scene.numbers[n]
+    speed = state[ROAD_SPEED, e]
+    if speed != UNKNOWN_ROAD_SPEED:
+        state[ROAD_SPEED, e] = UNKNOWN_ROAD_SPEED
+        return True, speed
+    track = numbers[TRACK, e]
+    row = tracks.row[e, track] if track >= 0 else -1
+    if roads.length.size > 0 and row >= 0 and tracks.kind[row] == LANE_TRACK:
+        road, s = _road_position(scene, tracks, n, e, row)
+        if road < 0 or not roads.known[road]:
+            return False, math.nan
+        cos, sin = reference_cos_and_sin(roads, road, s)
+    elif roads.length.size > 0 and scene.flags[n, PRESENT, e]:
+        road = numbers[LAST_ROAD, e]
+        if road < 0 or not roads.plain[road]:
+            return False, math.nan
+        is_on_road, s = stays_on_road(roads, road, state[LAST_S, e], state[X, e], state[Y, e])
+        if not is_on_road:
+            return False, math.nan
+        state[LAST_S, e] = s
+        cos, sin = reference_cos_and_sin(roads, road, s)
+    else:
+        cos, sin = math.cos(state[HEADING, e]), math.sin(state[HEADING, e])
+    return True, abs(state[GONE_X, e] * cos + state[GONE_Y, e] * sin)
+
+
+@_kernel
+def _speed_for_arrival(speed, has_driver, memory, distance, time, is_approaching, dt):
+    """Speed at the end of the step, with one constant acceleration."""
+    mean_speed = distance / time
+    if has_driver:
+        return mean_speed
+    if is_approaching:
+        memory[_PHASE] = LAST_PHASE
+        return speed + 2.0 * (mean_speed - speed) / time * dt
+    was_waiting, memory[_PHASE] = memory[_PHASE] == WAITING_FOR_MASTER, WAITING_FOR_MASTER
+    return speed if was_waiting else 0.0
+
+
+@_kernel
+def _speed_for_arrival_with_final_speed(speed, road_speed, memory, distance, time, final_speed, is_approaching, dt):
+    """Speed at the end of the step, with a final speed; `road_speed` is the speed along the road."""
+    divisor = max(abs(final_speed), 1e-9)
+    steady_distance = memory[_STEADY_TIME] * final_speed if memory[_STEADY_TIME] > 0.0 else memory[_STEADY_DISTANCE]
+    if steady_distance > 0.0 and memory[_PHASE] != AT_FINAL_SPEED:
+        steady_time = steady_distance / divisor
+        if distance - steady_distance < _EPSILON or time - steady_time < _EPSILON:
+            memory[_PHASE] = AT_FINAL_SPEED
+        else:
+            distance, time = distance - steady_distance, time - steady_time
+    if memory[_PHASE] == AT_FINAL_SPEED:
+        return final_speed
+    if not is_approaching:
+        was_waiting, memory[_PHASE] = memory[_PHASE] == WAITING_FOR_MASTER, WAITING_FOR_MASTER
+        return speed if was_waiting else 0.0
+    if memory[_PHASE] == WAITING_FOR_MASTER:
+        # An entity that waited starts anew; with a steady state the last phase comes next, as in esmini.
+        if not (speed > 0.0 or steady_distance <= 0.0):
+            memory[_PHASE] = LAST_PHASE
+            return 0.0
+        memory[_PHASE] = NOT_STARTED
+    if memory[_PHASE] == HARD_BRAKING:
+        if speed - MAX_BRAKING * dt < 0.0:
+            memory[_PHASE] = NOT_STARTED
+        return max(speed - MAX_BRAKING * dt, 0.0)
+    if memory[_PHASE] == STANDING_STILL:
+        if not time < 2.0 * distance / divisor:
+            return 0.0
+        memory[_PHASE] = LAST_PHASE
+    if memory[_PHASE] == LAST_PHASE:
+        return 0.0 if time < 1e-3 or distance < 1e-3 else max(2.0 * distance / time - max(final_speed, 0.0), 0.0)
+    if memory[_PHASE] == FIRST_PHASE and abs(speed - (2.0 * distance / time - final_speed)) < PHASE_SPEED_TOLERANCE:
+        memory[_PHASE] = LAST_PHASE
+        return speed
+    if memory[_PHASE] == NOT_STARTED:
+        memory[_PHASE], memory[_IS_FASTER_FIRST] = (
+            FIRST_PHASE,
+            1.0 if (final_speed + speed) / 2.0 < distance / time else 0.0,
+        )
+    return _speed_in_first_phase(speed, road_speed, memory, distance, time, final_speed, dt)
+
+
+@_kernel
+def _speed_in_first_phase(speed, road_speed, memory, distance, time, final_speed, dt):
+    """Speed at the end of the step in the first of two phases."""
+    rate, apex = _first_phase(road_speed, final_speed, distance, time)
+    if (rate < 0.0) if memory[_IS_FASTER_FIRST] > 0.0 else (rate > 0.0):
+        memory[_PHASE] = LAST_PHASE
+        return speed
+    if apex < 0.0:
+        # Instead of driving backwards it stops, waits, and continues in time.
+        stop_time = 2.0 * road_speed * distance / (road_speed * road_speed + final_speed * final_speed)
+        rate = -road_speed / stop_time if stop_time > _EPSILON else 0.0
+        if stop_time * road_speed / 2.0 > distance / 2.0:
+            rate, memory[_PHASE] = -MAX_BRAKING, HARD_BRAKING
+        if road_speed + rate * dt < 0.0:
+            memory[_PHASE] = STANDING_STILL
+            return 0.0
+    return speed + rate * dt
+
+
+@_kernel
+def _first_phase(start_speed, end_speed, distance, time):
+    """Acceleration and speed at the end of the first phase; NumPy version: same name in `actions.synchronise`."""
+    mean_speed = distance / time
+    if abs(end_speed - start_speed) < _EPSILON:
+        apex = 2.0 * mean_speed - start_speed
+        return 2.0 * (apex - start_speed) / time, apex
+    root = math.sqrt(
+        max(
+            2.0
+            * (
+                2.0 * (mean_speed * mean_speed)
+                - 2.0 * (start_speed + end_speed) * mean_speed
+                + start_speed * start_speed
+                + end_speed * end_speed
+            ),
+            0.0,
+        )
+    )
+    for k in range(2):
+        sign = -1.0 if k == 0 else 1.0
+        x = -time * (2.0 * mean_speed - 2.0 * end_speed - sign * root) / (2.0 * (end_speed - start_speed))
+        if x > 0.0 and x < time:
+            apex = mean_speed + 0.5 * sign * root
+            return (apex - start_speed) / x, apex
+    return 0.0, 0.0

@@ -1,0 +1,142 @@
+"""Transitions of values over time: shapes and dimensions of ``TransitionDynamics``."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from lxml import etree
+
+from cornercase._common.errors import InputError
+from cornercase._common.typing import BoolArray, FloatArray
+from cornercase.scenario._scope import Scope
+
+# Largest slope of a transition from 0 to 1 over unit time.
+_PEAK_SLOPE: Final = {"linear": 1.0, "cubic": 1.5, "sinusoidal": 0.5 * np.pi, "step": 1.0}
+
+# s and m/s; smaller differences are ignored.
+_EPSILON: Final = 1e-6
+
+
+class TransitionDynamics:
+    """A change from one value to another, as an element's shape, dimension and value describe it."""
+
+    def __init__(self, element: etree._Element, scope: Scope) -> None:
+        self.shape = scope.read_text(element, "dynamicsShape")
+        self.dimension = scope.read_text(element, "dynamicsDimension", "time")
+        self.value = scope.read_numbers(element, "value", 0.0)
+        check_dynamics_shape(self.shape, element, scope)
+        if self.dimension not in ("time", "rate", "distance"):
+            raise InputError(
+                f"{scope.file_name}, line {element.sourceline}: dynamicsDimension '{self.dimension}' of"
+                f" <{element.tag}> is not time, rate or distance."
+            )
+        # The sign of a rate is ignored, as files give braking with a minus.
+        if self.dimension != "rate":
+            scope.mark_invalid(element, "value", "is below 0", self.value < 0.0)
+
+    def speed_change_duration(
+        self, start: FloatArray, end: FloatArray, unlimited_end: FloatArray, max_slope: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Duration of a change of speed, and the factor by which it is stretched, each (N,).
+
+        `unlimited_end` is `end` without the vehicle's maximum speed; `max_slope` the largest slope in m/s², which the
+        stretched change does not exceed. All speeds in m/s.
+        """
+        change, peak = np.abs(end - start), _PEAK_SLOPE[self.shape]
+        if self.shape == "step":
+            return np.zeros_like(start), np.ones_like(start)
+        if self.dimension == "rate":
+            span, slope = self.duration_at_rate(end - start), np.abs(self.value)
+        else:
+            span = self.value if self.dimension == "time" else self._time_for_distance(start, unlimited_end)
+            with np.errstate(divide="ignore"):
+                slope = np.where(span < _EPSILON, 0.0, peak * change / np.maximum(span, _EPSILON))
+        with np.errstate(divide="ignore"):
+            return span, np.maximum(slope / np.maximum(max_slope, _EPSILON), 1.0)
+
+    def duration_at_rate(self, change: FloatArray) -> FloatArray:
+        """Duration of a change whose largest slope is the rate, shape (N,)."""
+        if self.shape == "step":
+            return np.zeros_like(change)
+        span = _PEAK_SLOPE[self.shape] * np.abs(change) / np.maximum(np.abs(self.value), _EPSILON)
+        return np.asarray(np.maximum(span, _EPSILON))
+
+    def is_immediate(self, span: FloatArray) -> BoolArray:
+        """Whether the change is immediate, shape (N,)."""
+        return np.asarray((span < _EPSILON) & (self.shape == "step" or self.dimension != "rate"))
+
+    def value_at(self, start: FloatArray, end: FloatArray, parameter: FloatArray, span: FloatArray) -> FloatArray:
+        """Value after a part of the span, shape (N,)."""
+        step = self.is_immediate(span)
+        fraction = self.fraction_done(parameter / np.where(step, 1.0, np.maximum(span, _EPSILON)))
+        return np.where(step, end, start + fraction * (end - start))
+
+    def lateral_extent(self, start: FloatArray, end: FloatArray) -> FloatArray:
+        """Duration or distance of a lateral change, shape (N,)."""
+        if self.shape == "step":
+            return np.zeros_like(start)
+        if self.dimension != "rate":
+            return self.value
+        with np.errstate(divide="ignore", invalid="ignore"):
+            change = np.abs(end - start)
+            return np.where(change > 0, _PEAK_SLOPE[self.shape] * change / np.abs(self.value), 0.0)
+
+    def fraction_done(self, time_fraction: FloatArray) -> FloatArray:
+        """Fraction of the change done after a fraction of the time, shape (N,)."""
+        return transition_fraction(self.shape, time_fraction)
+
+    def fraction_slope(self, time_fraction: FloatArray) -> FloatArray:
+        """Derivative of `fraction_done`, shape (N,)."""
+        return transition_slope(self.shape, time_fraction)
+
+    def _time_for_distance(self, start: FloatArray, end: FloatArray) -> FloatArray:
+        # A change of sign is a change to 0 and one from 0; their distances have the ratio of the squared speeds.
+        with np.errstate(divide="ignore", invalid="ignore"):
+            fraction = start**2 / (start**2 + end**2)
+            through_zero = 2.0 * fraction * self.value / np.abs(start) + 2.0 * (1.0 - fraction) * self.value / np.abs(
+                end
+            )
+            direct = 2.0 * self.value / np.abs(start + end)
+        changes_sign = (np.sign(start) * np.sign(end)) < 0
+        changes_sign &= (np.abs(start) > _EPSILON) & (np.abs(end) > _EPSILON)
+        return np.where(np.abs(start - end) < _EPSILON, 0.0, np.where(changes_sign, through_zero, direct))
+
+
+def check_dynamics_shape(shape: str, element: etree._Element, scope: Scope) -> None:
+    """Raise `InputError` if a ``dynamicsShape`` does not exist."""
+    if shape not in _PEAK_SLOPE:
+        raise InputError(
+            f"{scope.file_name}, line {element.sourceline}: dynamicsShape '{shape}' of <{element.tag}> is not one of"
+            f" {', '.join(_PEAK_SLOPE)}."
+        )
+
+
+def transition_fraction(shape: str, time_fraction: FloatArray) -> FloatArray:
+    """Fraction of a change done after a fraction of the time, clipped to [0, 1], shape (N,)."""
+    time_fraction = np.clip(time_fraction, 0.0, 1.0)
+    if shape == "cubic":
+        return time_fraction * time_fraction * (3.0 - 2.0 * time_fraction)
+    if shape == "sinusoidal":
+        return np.asarray(0.5 - 0.5 * np.cos(np.pi * time_fraction))
+    return time_fraction
+
+
+def transition_slope(shape: str, time_fraction: FloatArray) -> FloatArray:
+    """Derivative of `transition_fraction`, shape (N,)."""
+    time_fraction = np.clip(time_fraction, 0.0, 1.0)
+    if shape == "cubic":
+        return 6.0 * time_fraction * (1.0 - time_fraction)
+    if shape == "sinusoidal":
+        return np.asarray(0.5 * np.pi * np.sin(np.pi * time_fraction))
+    return np.ones_like(time_fraction)
+
+
+def duration_at_peak_acceleration(shape: str, change: FloatArray, max_acceleration: FloatArray) -> FloatArray:
+    """Duration in s of a lateral change by `change` m that peaks at `max_acceleration` m/s²; linear as cubic."""
+    with np.errstate(divide="ignore"):
+        if shape == "step":
+            return np.zeros_like(change)
+        if shape == "sinusoidal":
+            return np.asarray(np.pi * np.sqrt(np.abs(change) / (2.0 * max_acceleration)))
+        return np.asarray(np.sqrt(6.0 * np.abs(change) / max_acceleration))

@@ -1,0 +1,322 @@
+"""Trajectory shapes as files and catalogs define them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Final, Protocol
+
+import numpy as np
+from lxml import etree
+
+from cornercase._common.errors import InputError
+from cornercase._common.io.tracked_xml import cached_on_element, note_adaptation
+from cornercase._common.typing import FloatArray
+from cornercase.scenario._batch_split import BatchSplitError
+from cornercase.scenario._scope import Scope
+from cornercase.simulators.builtin.tracks._clothoid_spline import ClothoidSpline
+from cornercase.simulators.builtin.tracks._nurbs import evaluate_nurbs
+from cornercase.simulators.builtin.tracks._polyline import Polyline
+from cornercase.simulators.builtin.tracks._track import ALONG_SEGMENTS, AT_CORNERS, Pose, Trajectory
+from cornercase.simulators.builtin.world._world import World
+
+PositionResolver = Callable[[World], Pose]
+"""Resolves a position in the world's current state."""
+
+PositionReader = Callable[[etree._Element, Scope, World], PositionResolver]
+"""Reads the position in an element."""
+
+
+class WorldPosition:
+    """A position given by coordinates; its road is looked up only when needed."""
+
+    def __init__(self, pose: Pose) -> None:
+        self.pose = pose
+
+    def __call__(self, world: World) -> Pose:
+        """Return the pose with its road."""
+        if world.network is None:
+            return self.pose
+        return replace(self.pose, **world.network.locate(self.pose.x, self.pose.y)._asdict())
+
+
+# s; times that differ by less are equal.
+_TIME_TOLERANCE: Final = 1e-6
+
+
+@dataclass(frozen=True)
+class TimeConversion:
+    """Conversion of a file's times into a trajectory's: scaled, then shifted, each (N,)."""
+
+    scale: FloatArray
+    shift: FloatArray
+
+    def convert(self, file_times: FloatArray) -> FloatArray:
+        """Convert times of the file, each (N, V).
+
+        If they go back before the latest one, time stands still until it is reached again.
+        """
+        times = file_times * self.scale[:, None] + self.shift[:, None]
+        latest = np.maximum.accumulate(times, axis=1)
+        return np.where(times[:, -1:] == latest[:, -1:], latest, times)
+
+
+class TrajectoryBuilder(Protocol):
+    """Builds a trajectory in the world's current state.
+
+    `smooth` is the following mode ``follow``; without `clock` the trajectory has no times; `entity` follows it.
+    """
+
+    def __call__(
+        self, world: World, smooth: bool = False, clock: TimeConversion | None = None, entity: int | None = None
+    ) -> Trajectory:
+        """Return the trajectory."""
+        ...
+
+
+def read_trajectory(
+    holder: etree._Element, scope: Scope, world: World, read_position: PositionReader
+) -> TrajectoryBuilder:
+    """Read the ``Trajectory`` or ``CatalogReference`` in `holder`; `read_position` reads positions of its vertices.
+
+    `InputError` if there is none, or it is malformed.
+    """
+    element, inner = scope.resolve_element_or_reference(holder, "Trajectory")
+    shape = element.find("Shape")
+    kind = None if shape is None else next(iter(shape.iterchildren("*")), None)
+    if kind is None or kind.tag not in ("Polyline", "Clothoid", "ClothoidSpline", "Nurbs"):
+        raise InputError(
+            f"{scope.file_name}, line {element.sourceline}: a <Trajectory> is not a <Polyline>, <Clothoid>,"
+            " <ClothoidSpline> or <Nurbs>."
+        )
+    closed = inner.read_boolean(element, "closed", False)
+    if kind.tag == "Polyline":
+        return _read_polyline(kind, inner, world, read_position, closed)
+    if closed:
+        raise InputError(
+            f"{scope.file_name}, line {element.sourceline}: a closed <Trajectory> has to be a <Polyline> here; give closed"
+            " as false."
+        )
+    return (_read_nurbs if kind.tag == "Nurbs" else _read_clothoids)(kind, inner, world, read_position)
+
+
+def has_times(holder: etree._Element, scope: Scope) -> bool:
+    """Whether the trajectory in `holder` has different times.
+
+    `InputError` if it has, but is closed: no time says when its first vertex is reached again. `BatchSplitError` if it
+    has in some scenarios only.
+    """
+    element, inner = scope.resolve_element_or_reference(holder, "Trajectory")
+    timed = [
+        (part, name)
+        for part in element.iterfind("Shape//*")
+        for name in ("time", "startTime", "stopTime", "timeStart", "timeEnd")
+        if part.get(name) is not None
+    ]
+    times_given = [inner.read_numbers(part, name) for part, name in timed]
+    origins = {origin for part, name in timed for origin in inner.origin_parameters(part.get(name, ""))}
+    if element.find("Shape/Polyline") is None and element.find("Shape/Nurbs") is None:
+        # Missing times of clothoids are 0.
+        times_given.append(np.zeros(scope.n_scenarios))
+    differ = np.zeros(scope.n_scenarios, dtype=np.bool_)
+    for values in times_given:
+        differ |= np.abs(values - times_given[0]) > _TIME_TOLERANCE
+    if differ.any() != differ.all():
+        raise BatchSplitError(origins)
+    inner.split_parameters |= origins
+    times = np.array(times_given)
+    if {name for _, name in timed} == {"time"} and (times[-1] == times.max(axis=0)).all():
+        back = next((k for k in range(1, len(timed)) if (times[k] < times[k - 1] - _TIME_TOLERANCE).any()), None)
+        if back is not None:
+            reason = f"time goes back to {times[back].min():g} s; vertices are skipped until it is reached again"
+            note_adaptation(
+                timed[back][0], f"time of <{timed[back][0].tag}>", reason, "times of a trajectory never go back"
+            )
+    if differ.all() and inner.read_boolean(element, "closed", False):
+        raise InputError(
+            f"{scope.file_name}, line {element.sourceline}: a closed <Trajectory> has no time for its return to the"
+            " first vertex; set closed to false, and repeat the first vertex at the end, with its time."
+        )
+    return bool(differ.all())
+
+
+def _read_polyline(
+    element: etree._Element, scope: Scope, world: World, read_position: PositionReader, closed: bool
+) -> TrajectoryBuilder:
+    vertices = list(element.iterfind("Vertex"))
+    if len(vertices) < 2:
+        raise InputError(f"{scope.file_name}, line {element.sourceline}: a <Polyline> needs at least two vertices.")
+    resolve_vertices = _read_vertices(element, vertices, scope, world, read_position)
+
+    def build_trajectory(
+        world: World, smooth: bool = False, clock: TimeConversion | None = None, entity: int | None = None
+    ) -> Trajectory:
+        turning, begin_speed = ALONG_SEGMENTS if smooth else AT_CORNERS, None
+        if entity is not None:
+            turning = world.entities[entity].polyline_turning or turning
+        if smooth:
+            begin_speed = np.zeros(world.scenarios) if entity is None else world.speed[entity].copy()
+        x, y, heading, times = resolve_vertices(world)
+        reached = None if clock is None else clock.convert(times)
+        return Polyline(x, y, heading, reached, closed, turning, begin_speed)
+
+    return build_trajectory
+
+
+_Vertices = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
+"""x, y, heading (NaN if the file gives none) and time of all vertices, each (N, V)."""
+
+
+def _read_vertices(
+    element: etree._Element, vertices: list[etree._Element], scope: Scope, world: World, read_position: PositionReader
+) -> Callable[[World], _Vertices]:
+    """Read the vertices of a polyline; the returned function resolves them in a world."""
+    constant = cached_on_element(
+        element, "corners", lambda: _read_constant_vertices(vertices, scope, world, read_position)
+    )
+    if constant is not None:
+        x, y, heading, times = (np.tile(vertex, (scope.n_scenarios, 1)) for vertex in constant)
+        return lambda world: (x, y, heading, times)
+    positions = [read_position(_require_position(vertex, scope), scope, world) for vertex in vertices]
+    oriented = _vertices_with_heading(vertices)
+    times = np.stack([scope.read_numbers(vertex, "time", 0.0) for vertex in vertices], axis=1)
+
+    def resolve_vertices(world: World) -> _Vertices:
+        poses = [_resolve_coordinates(position, world) for position in positions]
+        headings = [
+            pose.heading if has_heading else np.full_like(pose.heading, np.nan)
+            for pose, has_heading in zip(poses, oriented, strict=True)
+        ]
+        x, y = np.stack([pose.x for pose in poses], axis=1), np.stack([pose.y for pose in poses], axis=1)
+        return x, y, np.stack(headings, axis=1), times
+
+    return resolve_vertices
+
+
+def _read_constant_vertices(
+    vertices: list[etree._Element], scope: Scope, world: World, read_position: PositionReader
+) -> tuple[FloatArray, ...] | None:
+    """Rows of vertices, each (V,), if no parameter changes them and all are world positions; else None."""
+    elements = [_require_position(vertex, scope) for vertex in vertices]
+    if any(len(element) != 1 or element[0].tag != "WorldPosition" or len(element[0]) for element in elements):
+        return None
+    if any("$" in text for vertex in vertices for below in vertex.iter() for text in below.attrib.values()):
+        return None
+    positions = [read_position(element, scope, world) for element in elements]
+    times = np.array([scope.read_number(vertex, "time", 0.0) for vertex in vertices])
+    poses = [position.pose for position in positions if isinstance(position, WorldPosition)]
+    x, y, heading = np.array([(pose.x[0], pose.y[0], pose.heading[0]) for pose in poses]).T
+    return x, y, np.where(_vertices_with_heading(vertices), heading, np.nan), times
+
+
+def _vertices_with_heading(vertices: list[etree._Element]) -> list[bool]:
+    return [
+        vertex.find("Position//Orientation[@h]") is not None or next(vertex.iterfind("Position/*")).get("h") is not None
+        for vertex in vertices
+    ]
+
+
+def _read_clothoids(
+    element: etree._Element, scope: Scope, world: World, read_position: PositionReader
+) -> TrajectoryBuilder:
+    segments = [element] if element.tag == "Clothoid" else list(element.iterfind("ClothoidSplineSegment"))
+    if not segments:
+        raise InputError(f"{scope.file_name}, line {element.sourceline}: a <ClothoidSpline> has no segments.")
+    length = np.stack([scope.read_numbers(segment, "length") for segment in segments], axis=1)
+    for segment, values in zip(segments, length.T, strict=True):
+        if not scope.origin_parameters(segment.get("length", "")) and not values[0] > 0:
+            raise InputError(f"{scope.file_name}, line {segment.sourceline}: length of <{segment.tag}> is not above 0.")
+        scope.mark_invalid(segment, "length", "is not above 0", ~(values > 0))
+    length = np.where(length > 0, length, 1.0)
+    if element.tag == "Clothoid":
+        start = scope.read_numbers(element, "curvature")[:, None]
+        name = "curvaturePrime" if element.get("curvatureDot") is None else "curvatureDot"
+        end = start + scope.read_numbers(element, name)[:, None] * length
+        times = np.stack([scope.read_numbers(element, name, 0.0) for name in ("startTime", "stopTime")], axis=1)
+        holder = element.find("Position")
+    else:
+        start = np.stack([scope.read_numbers(segment, "curvatureStart") for segment in segments], axis=1)
+        end = np.stack([scope.read_numbers(segment, "curvatureEnd") for segment in segments], axis=1)
+        times = _read_segment_times(element, segments, length, scope)
+        holder = segments[0].find("PositionStart")
+    position = None if holder is None else read_position(holder, scope, world)
+    # Start positions of later segments that do not continue the previous one.
+    holders = {k: segment.find("PositionStart") for k, segment in enumerate(segments[1:], start=1)}
+    later_starts = {k: read_position(holder, scope, world) for k, holder in holders.items() if holder is not None}
+    turns = np.stack([scope.read_numbers(segment, "hOffset", 0.0) for segment in segments], axis=1)
+
+    def build_trajectory(
+        world: World, smooth: bool = False, clock: TimeConversion | None = None, entity: int | None = None
+    ) -> Trajectory:
+        if position is not None:
+            pose = position(world)
+            x, y, heading = pose.x, pose.y, pose.heading
+        elif entity is not None:
+            x, y, heading = world.x[entity].copy(), world.y[entity].copy(), world.heading[entity].copy()
+        else:
+            raise InputError(f"{scope.file_name}, line {element.sourceline}: the trajectory has no start position.")
+        begins = {k: resolve(world) for k, resolve in later_starts.items()}
+        reached = None if clock is None else clock.convert(times)
+        return ClothoidSpline(x, y, heading, start, end, length, reached, begins, turns)
+
+    return build_trajectory
+
+
+def _read_segment_times(
+    element: etree._Element, segments: list[etree._Element], length: FloatArray, scope: Scope
+) -> FloatArray:
+    """Times at which spline segments begin, and the last one ends; evenly interpolated where not given."""
+    given: dict[int, FloatArray] = {
+        k: scope.read_numbers(segment, "timeStart")
+        for k, segment in enumerate(segments)
+        if segment.get("timeStart") is not None
+    }
+    distances = np.concatenate([np.zeros((len(length), 1)), np.cumsum(length, axis=1)], axis=1)
+    given = {0: np.zeros(len(length)), **given, len(segments): scope.read_numbers(element, "timeEnd", 0.0)}
+    indices = sorted(given)
+    given_distances, times = distances[:, indices], np.stack([given[k] for k in indices], axis=1)
+    # Usually the times are the same in all scenarios.
+    if (times == times[0]).all() and (distances == distances[0]).all():
+        return np.tile(np.interp(distances[0], given_distances[0], times[0]), (len(distances), 1))
+    return np.stack([np.interp(*row) for row in zip(distances, given_distances, times, strict=True)])
+
+
+def _read_nurbs(
+    element: etree._Element, scope: Scope, world: World, read_position: PositionReader
+) -> TrajectoryBuilder:
+    controls, order = list(element.iterfind("ControlPoint")), scope.read_integer(element, "order")
+    knots = np.array([scope.read_number(control, "value") for control in element.iterfind("Knot")])
+    location = f"{scope.file_name}, line {element.sourceline}"
+    if not 2 <= order <= len(controls) or len(knots) != len(controls) + order or (np.diff(knots) < 0).any():
+        raise InputError(
+            f"{location}: a <Nurbs> of order {order} with {len(controls)} control points needs"
+            f" {len(controls) + order} rising knots, and at least as many control points as its order."
+        )
+    weights = np.array([scope.read_number(control, "weight", 1.0) for control in controls])
+    if not (weights > 0).all():
+        raise InputError(f"{location}: a weight of a <Nurbs> is not above 0.")
+    positions = [read_position(_require_position(control, scope), scope, world) for control in controls]
+    times = np.stack([scope.read_numbers(control, "time", 0.0) for control in controls], axis=1)
+
+    def build_trajectory(
+        world: World, smooth: bool = False, clock: TimeConversion | None = None, entity: int | None = None
+    ) -> Trajectory:
+        poses = [_resolve_coordinates(position, world) for position in positions]
+        x, y = np.stack([pose.x for pose in poses], axis=1), np.stack([pose.y for pose in poses], axis=1)
+        px, py, heading, reached = evaluate_nurbs(x, y, times, weights, knots, order)
+        # On a curve, all headings are tangents, and change from point to point.
+        return Polyline(px, py, heading, None if clock is None else clock.convert(reached), False, ALONG_SEGMENTS)
+
+    return build_trajectory
+
+
+def _resolve_coordinates(position: PositionResolver, world: World) -> Pose:
+    """Current pose; with a road only if the position is given by its road."""
+    return position.pose if isinstance(position, WorldPosition) else position(world)
+
+
+def _require_position(element: etree._Element, scope: Scope) -> etree._Element:
+    position = element.find("Position")
+    if position is None or not len(position):
+        raise InputError(f"{scope.file_name}, line {element.sourceline}: <{element.tag}> has no <Position>.")
+    return position

@@ -1,0 +1,215 @@
+"""Storyboard elements: actions, events, and their groups."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from cornercase._common.masks import any_true
+from cornercase._common.typing import BoolArray
+from cornercase.simulators.builtin.actions._action import Action
+from cornercase.simulators.builtin.storyboard._element import INIT, NOTHING, RUNNING, SKIP, STANDBY, START, Element
+from cornercase.simulators.builtin.storyboard._triggers import Trigger
+from cornercase.simulators.builtin.world._world import World
+
+
+class ActionElement(Element):
+    """An action of one event for one actor; without effect if `action` is None.
+
+    `rivals`: all actions of the same entity, to which this one is added. `chosen`: scenarios in which the actor takes
+    part, evaluated at the start. `place`: line, element and name for errors.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        scenarios: int,
+        action: Action | None,
+        world: World,
+        entity_actions: list[ActionElement],
+        takes_part: Callable[[], BoolArray] | None = None,
+        location: str = "",
+    ) -> None:
+        super().__init__("action", name, scenarios)
+        self._location = location
+        self.action, self._takes_part, self._world, self._entity_actions = action, takes_part, world, entity_actions
+        self.domains = () if action is None else action.domains
+        entity_actions.append(self)
+
+    @property
+    def is_instantaneous(self) -> bool:
+        """Whether it is done as soon as it has started, and ends in the same frame."""
+        return self.action is None or type(self.action).step is Action.step
+
+    def start(self, where: BoolArray) -> None:
+        if self._takes_part is not None:
+            taking_part = where & self._takes_part()
+            self.set_state(where & ~taking_part, STANDBY, NOTHING)
+            self.end(where & ~taking_part)
+            where = taking_part
+        self.set_state(where, RUNNING, START)
+        if self.action is not None:
+            self._world.current_action = self._location
+            self.action.start(self._world, where)
+            self._world.current_action = None
+
+    def end_conflicting_actions(self, where: BoolArray) -> None:
+        """End all actions of the same entity with a common domain, in the scenarios of a mask."""
+        for rival in self._entity_actions:
+            if rival is not self and not set(rival.domains).isdisjoint(self.domains):
+                rival.end(where & (rival.state == RUNNING))
+
+    def step(self, dt: float, where: BoolArray) -> None:
+        """Act for one time step in the scenarios of a mask."""
+        where = where & (self.state == RUNNING)
+        if any_true(where):
+            self._world.current_action = self._location
+            is_done = where if self.action is None else self.action.step(self._world, dt, where) & where
+            self._world.current_action = None
+            self._world.changed |= is_done
+            self._end_without_release(is_done)
+
+    def look_up_positions(self, where: BoolArray) -> None:
+        """Look up what kernels cannot before the action acts, in the scenarios of a mask."""
+        where = where & (self.state == RUNNING)
+        if self.action is not None and any_true(where):
+            self._world.current_action = self._location
+            self.action.look_up_positions(self._world, where)
+            self._world.current_action = None
+
+    def end(self, where: BoolArray) -> None:
+        self._release_entity(where & (self.state == RUNNING))
+        super().end(where)
+
+    def stop(self, where: BoolArray) -> None:
+        self._release_entity(where & (self.state == RUNNING))
+        super().stop(where)
+
+    def _end_without_release(self, where: BoolArray) -> None:
+        super().end(where)
+
+    def _release_entity(self, where: BoolArray) -> None:
+        if self.action is not None and where.any():
+            self.action.release(self._world, where)
+
+
+class Event(Element):
+    """An event: when its trigger fires, its actions start.
+
+    Without a trigger it fires immediately. `times`: number of executions. `priority`: ``"overwrite"`` ends the other
+    events of its maneuver, ``"skip"`` does not start while one of them runs.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        scenarios: int,
+        actions: Sequence[ActionElement],
+        trigger: Trigger | None,
+        max_executions: int,
+        priority: str,
+    ) -> None:
+        super().__init__("event", name, scenarios, actions, trigger, None, max_executions)
+        self._actions = actions
+        self._priority = priority
+
+    def evaluate_trigger(self, world: World, where: BoolArray) -> None:
+        """Start where the maneuver runs and the trigger fires."""
+        waiting = where & (self.state == STANDBY)
+        if any_true(waiting):
+            fired = waiting if self._start is None else self._start.fires(world, waiting)
+            world.changed |= fired
+            self._start_actions(fired)
+
+    def start(self, where: BoolArray) -> None:
+        """Become ready as the maneuver starts."""
+        self.set_state(where & (self.state == INIT), STANDBY, NOTHING)
+
+    def step(self, dt: float, where: BoolArray) -> None:
+        """Let the actions act for one time step."""
+        if any_true(where & (self.state == RUNNING)):
+            for action in self._actions:
+                action.step(dt, where)
+
+    def _start_actions(self, fired: BoolArray) -> None:
+        if not any_true(fired):
+            return
+        others = [] if self._parent is None else [event for event in self._parent.children if event is not self]
+        if self._priority == "skip":
+            busy = np.zeros_like(fired)
+            for event in others:
+                busy |= event.state == RUNNING
+            # A skipped event has not run, and keeps waiting.
+            self.set_state(fired & busy, STANDBY, SKIP)
+            fired = fired & ~busy
+        elif self._priority in ("overwrite", "override"):
+            for event in others:
+                event.end(fired & (event.state == RUNNING))
+        self.set_state(fired, RUNNING, START)
+        self._executions[fired] += 1
+        for action in self._actions:
+            action.end_conflicting_actions(fired)
+            action.start(fired)
+        if not self._actions:
+            self.end(fired)
+
+
+class ElementGroup(Element):
+    """A maneuver, maneuver group, act or story: runs its children until all of them have ended."""
+
+    def __init__(
+        self,
+        kind: str,
+        name: str,
+        scenarios: int,
+        children: Sequence[ElementGroup | Event],
+        start: Trigger | None = None,
+        stop: Trigger | None = None,
+        max_executions: int | None = None,
+    ) -> None:
+        super().__init__(kind, name, scenarios, children, start, stop, max_executions)
+        self._parts = children
+
+    def evaluate_triggers(self, world: World, where: BoolArray) -> None:
+        """Evaluate the triggers of the element and its descendants, where its parent runs."""
+        if self._stop is not None:
+            self.stop(self._stop.fires(world, where & (self.state == RUNNING)))
+        waiting = where & (self.state == STANDBY)
+        if any_true(waiting):
+            begins = waiting if self._start is None else self._start.fires(world, waiting)
+            world.changed |= begins
+            self._start_running(begins)
+        running = where & (self.state == RUNNING)
+        if any_true(running):
+            for child in self._parts:
+                child.evaluate_triggers(world, running)
+
+    def start(self, where: BoolArray) -> None:
+        """Start with the parent, or wait for the start trigger."""
+        new = where & (self.state == INIT)
+        if self._start is not None:
+            self.set_state(new, STANDBY, NOTHING)
+        else:
+            self._start_running(new)
+
+    def step(self, dt: float, where: BoolArray) -> None:
+        """Let all actions below the element act for one time step."""
+        where = where & (self.state == RUNNING)
+        if any_true(where):
+            for child in self._parts:
+                child.step(dt, where)
+
+    def has_pending_stop(self, world: World) -> BoolArray:
+        """Where it runs and its stop trigger may fire later, but does not fire now, shape (N,)."""
+        if self._stop is None:
+            return np.zeros(world.scenarios, dtype=np.bool_)
+        running = self.state == RUNNING
+        return np.asarray(running & self._stop.may_fire(world) & ~self._stop.fires(world, running))
+
+    def _start_running(self, where: BoolArray) -> None:
+        if any_true(where):
+            self.set_state(where, RUNNING, START)
+            self._executions[where] += 1
+            for child in self._parts:
+                child.start(where)

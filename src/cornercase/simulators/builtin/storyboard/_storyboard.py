@@ -1,0 +1,320 @@
+"""The storyboard: a tree of elements, each with its own state in every scenario of a batch."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+from typing import Final, TypeVar
+
+import numpy as np
+from lxml import etree
+
+from cornercase._common.errors import InputError
+from cornercase._common.io.tracked_xml import note_adaptation
+from cornercase._common.text.source_lines import format_location, locate_input_errors
+from cornercase._common.typing import BoolArray
+from cornercase.scenario._file import ScenarioFile
+from cornercase.scenario._scope import Scope
+from cornercase.simulators.builtin.actions._basic import find_action_element, read_action
+from cornercase.simulators.builtin.paths._positions import read_entity_index, read_entity_refs
+from cornercase.simulators.builtin.storyboard._element import RUNNING, STANDBY, Element, ElementTrigger, StateWatcher
+from cornercase.simulators.builtin.storyboard._events import ActionElement, ElementGroup, Event
+from cornercase.simulators.builtin.storyboard._triggers import Trigger, read_trigger
+from cornercase.simulators.builtin.world._collisions import update_overlaps
+from cornercase.simulators.builtin.world._track_motion import heading_velocity
+from cornercase.simulators.builtin.world._world import World
+
+E = TypeVar("E", bound="Element")
+
+# Elements of <Init>, in their order of execution.
+_INIT_TAGS: Final = ("GlobalAction", "UserDefinedAction", "Private")
+_PLACING_TAGS: Final = ("TeleportAction", "AddEntityAction")
+_RELATIVE_POSITION_TAGS: Final = (
+    "RelativeLanePosition",
+    "RelativeRoadPosition",
+    "RelativeObjectPosition",
+    "RelativeWorldPosition",
+)
+
+
+class Storyboard:
+    """A file's storyboard for all scenarios of a batch.
+
+    `actions`: all of its actions in the order in which they act.
+    """
+
+    def __init__(self, scenario: ScenarioFile, scope: Scope, world: World) -> None:
+        self._scenario, self._world = scenario, world
+        self._elements: dict[tuple[str, str], list[tuple[Element, tuple[str, ...]]]] = {}
+        self._parents: list[str] = []
+        self._watches: list[tuple[str, str, StateWatcher, str]] = []
+        # By entity; None for global actions.
+        self._actions: dict[int | None, list[ActionElement]] = {}
+        self.actions: list[ActionElement] = []
+        self._triggered: list[Element] = []
+        root = scenario.root.find("Storyboard")
+        assert root is not None
+        self._init_actions = list(self._read_init(root, scope))
+        self._stopped = np.zeros(scope.n_scenarios, dtype=np.bool_)
+        self._is_active = ~self._stopped
+        self.stories = [self._read_story(story, scope) for story in root.iterfind("Story")]
+        self._momentary = [action for action in self.actions if action.is_instantaneous]
+        self._stop = read_trigger(root.find("StopTrigger"), scope, world, self)
+        for kind, reference, watch, where in self._watches:
+            element = self.find_element(kind, reference)
+            if element is None:
+                raise InputError(f"{where}: there is no {kind} '{reference}' in the storyboard.")
+            element.add_watcher(watch)
+
+    def iter_pending_triggers(self) -> Iterator[tuple[ElementTrigger, BoolArray]]:
+        """Yield all triggers in a fixed order, and where each may fire in the next frame."""
+        yield self._stop, np.ones(self._world.scenarios, dtype=np.bool_)
+        for element in self._triggered:
+            yield from element.iter_pending_triggers()
+
+    def waits_without_trigger(self) -> BoolArray:
+        """Scenarios in which an element without a start trigger waits for the next frame, shape (N,)."""
+        result = self._stopped.copy()
+        for element in self._triggered:
+            if element.has_no_start_trigger:
+                result |= element.state == STANDBY
+        return result
+
+    def watch_element(self, kind: str, name: str, watch: StateWatcher, location: str) -> None:
+        """Connect a condition to the element of a kind and name once all elements are read."""
+        self._watches.append((kind, name, watch, location))
+
+    def find_element(self, kind: str, name: str) -> Element | None:
+        """Find the element of a kind and name; names may include those of parents, as in ``Act::Group``."""
+        path = tuple(name.split("::"))
+        for element, parents in self._elements.get((kind, path[-1]), ()):
+            # A name need not include all parents.
+            names = iter(parents)
+            if all(segment in names for segment in path[:-1]):
+                return element
+        return None
+
+    def evaluate_triggers(self, dt: float) -> None:
+        """Evaluate all triggers at the start of a frame of `dt` s, and start elements.
+
+        `dt` is 0 in the first frame, which places entities.
+        """
+        world = self._world
+        if dt == 0.0:
+            for action in self._init_actions:
+                action.start(world.running.copy())
+            # Nothing has moved yet, but conditions on velocities and collisions already apply.
+            world.step_velocity[0][:], world.step_velocity[1][:] = heading_velocity(world)
+            update_overlaps(world)
+            for story in self.stories:
+                story.start(world.running.copy())
+        stopped = self._stop.fires(world, world.running.copy())
+        ends = stopped | (self._stopped & world.running)
+        self._stopped |= stopped
+        if dt > 0.0:
+            world.running &= ~ends
+        # A storyboard that stops in the first frame does nothing in it; the frame is recorded.
+        self._is_active = ~stopped
+        for story in self.stories:
+            story.evaluate_triggers(world, world.running & self._is_active)
+
+    def would_continue(self) -> BoolArray:
+        """Scenarios that would end later although all elements have run, shape (N,).
+
+        The storyboard, or a running act, has a stop trigger that may fire, or an entity follows a trajectory with
+        times.
+        """
+        all_scenarios = np.ones(self._world.scenarios, dtype=np.bool_)
+        result = self._stop.may_fire(self._world)
+        for act in (act for story in self.stories for act in story.children if isinstance(act, ElementGroup)):
+            result |= act.has_pending_stop(self._world)
+        for action in self.actions:
+            if action.action is not None and action.action.has_own_timing:
+                result |= action.state == RUNNING
+        # It may fire in the last frame, in which triggers are not evaluated.
+        return result & ~self._stopped & ~self._stop.fires(self._world, all_scenarios)
+
+    def look_up_positions(self, where: BoolArray) -> None:
+        """Look up what kernels cannot before the actions act, in the scenarios of a mask."""
+        for action in self.actions:
+            action.look_up_positions(where)
+
+    def end_instantaneous_actions(self) -> None:
+        """End the actions that were done when they started; later actions cannot tell the difference."""
+        for action in self._momentary:
+            action.step(0.0, self._world.running)
+
+    def step_actions(self, dt: float) -> None:
+        """Let all actions act for a step of `dt` s."""
+        running = self._world.running
+        for action in self._init_actions:
+            action.step(dt, running)
+        for story in self.stories:
+            story.step(dt, running & self._is_active)
+
+    def _read_init(self, root: etree._Element, scope: Scope) -> Iterator[ActionElement]:
+        actions = root.find("Init/Actions")
+        if actions is None:
+            return
+        elements = [child for tag in _INIT_TAGS for child in actions.iterfind(tag)]
+        for element in _sort_init_actions(elements, scope):
+            if element.tag != "Private":
+                yield self._read_action("init", element, scope, None)
+                continue
+            for entity in self._read_entities(element, scope):
+                for private_action in element.iterfind("PrivateAction"):
+                    yield self._read_action("init", private_action, scope, entity)
+
+    def _read_entities(self, element: etree._Element, scope: Scope) -> list[int]:
+        members = self._world.selections.get(scope.read_text(element, "entityRef"))
+        return [read_entity_index(element, scope, self._world)] if members is None else members
+
+    def _read_story(self, story: etree._Element, scope: Scope) -> ElementGroup:
+        scope = scope.nested_scope(story)
+        name = story.get("name", "")
+        with self._inside_parent(name), locate_input_errors(story, scope.file_name):
+            acts = [self._read_act(act, scope) for act in story.iterfind("Act")]
+        return self._register_element(ElementGroup("story", name, scope.n_scenarios, acts))
+
+    def _read_act(self, act: etree._Element, scope: Scope) -> ElementGroup:
+        name = act.get("name", "")
+        with self._inside_parent(name), locate_input_errors(act, scope.file_name):
+            groups = [self._read_group(group, scope) for group in act.iterfind("ManeuverGroup")]
+        start = self._read_start_trigger(act, scope)
+        ending = read_trigger(act.find("StopTrigger"), scope, self._world, self)
+        stop = None if ending.is_empty else ending
+        return self._register_element(ElementGroup("act", name, scope.n_scenarios, groups, start, stop))
+
+    def _read_start_trigger(self, element: etree._Element, scope: Scope) -> Trigger | None:
+        """Start trigger of an act or event; None, which fires immediately, if missing or empty."""
+        trigger = read_trigger(element.find("StartTrigger"), scope, self._world, self)
+        return None if trigger.is_empty else trigger
+
+    def _read_group(self, group: etree._Element, scope: Scope) -> ElementGroup:
+        name, holder = group.get("name", ""), group.find("Actors")
+        select = holder is not None and scope.read_boolean(holder, "selectTriggeringEntities", False)
+        actors = [] if holder is None else read_entity_refs(holder, scope, self._world)
+        maneuvers = []
+        for element in group.iterchildren("Maneuver", "CatalogReference"):
+            if element.tag == "CatalogReference":
+                maneuver, inner = scope.resolve_catalog_reference(element, "Maneuver")
+            else:
+                maneuver, inner = element, scope.nested_scope(element)
+            maneuver_name = maneuver.get("name", "")
+            with self._inside_parent(name), self._inside_parent(maneuver_name):
+                events = []
+                for event in maneuver.iterfind("Event"):
+                    with locate_input_errors(event, inner.file_name):
+                        events.append(self._read_event(event, inner, actors, select))
+            with self._inside_parent(name):
+                maneuvers.append(
+                    self._register_element(ElementGroup("maneuver", maneuver_name, scope.n_scenarios, events))
+                )
+        times = scope.read_integer(group, "maximumExecutionCount", 1, minimum=1)
+        return self._register_element(
+            ElementGroup("maneuverGroup", name, scope.n_scenarios, maneuvers, max_executions=times)
+        )
+
+    def _read_event(
+        self, event: etree._Element, scope: Scope, actors: list[int], select_triggering_entities: bool
+    ) -> Event:
+        trigger = self._read_start_trigger(event, scope)
+        # Triggering entities may act too, besides the named actors.
+        choices: dict[int, Callable[[], BoolArray] | None] = {}
+        if select_triggering_entities and trigger is not None:
+            choices = {e: partial(trigger.is_triggered_by, e) for e in trigger.entities}
+        choices |= dict.fromkeys(actors)
+        actions = []
+        for action in event.iterfind("Action"):
+            name = action.get("name", "")
+            if action.find("*") is None:
+                note_adaptation(action, "<Action> without an action", "is skipped", "<Action> holds an action")
+            for element in action.iterchildren("*"):
+                private = element.tag == "PrivateAction"
+                for actor, chosen in choices.items() if private else [(None, None)]:
+                    running = self._read_action(name, element, scope, actor, chosen)
+                    actions.append(running)
+                    with self._inside_parent(event.get("name", "")):
+                        self._register_element(running)
+        times = scope.read_integer(event, "maximumExecutionCount", 1, minimum=1)
+        priority = scope.read_text(event, "priority", "parallel")
+        return self._register_element(
+            Event(event.get("name", ""), scope.n_scenarios, actions, trigger, times, priority)
+        )
+
+    def _read_action(
+        self,
+        name: str,
+        element: etree._Element,
+        scope: Scope,
+        entity: int | None,
+        takes_part: Callable[[], BoolArray] | None = None,
+    ) -> ActionElement:
+        rivals, action_element = self._actions.setdefault(entity, []), find_action_element(element)
+        with locate_input_errors(action_element, scope.file_name):
+            action = read_action(element, scope, self._world, entity)
+        # The name of the scenario file itself is omitted.
+        scenario_file = str(self._scenario.path)
+        location = (
+            f"line {action_element.sourceline}"
+            if scope.file_name == scenario_file
+            else format_location(action_element, scope.file_name)
+        )
+        holder = "<Init>" if next(action_element.iterancestors("Init"), None) is not None else f"'{name}'"
+        location += f": <{action_element.tag}> of {holder}"
+        self.actions.append(ActionElement(name, scope.n_scenarios, action, self._world, rivals, takes_part, location))
+        return self.actions[-1]
+
+    def _register_element(self, element: E) -> E:
+        self._elements.setdefault((element.kind, element.name), []).append((element, tuple(self._parents)))
+        self._triggered.append(element)
+        return element
+
+    @contextmanager
+    def _inside_parent(self, name: str) -> Iterator[None]:
+        self._parents.append(name)
+        try:
+            yield
+        finally:
+            self._parents.pop()
+
+
+def _sort_init_actions(actions: list[etree._Element], scope: Scope) -> list[etree._Element]:
+    """Sort initial actions so that entities are placed before others are placed relative to them."""
+    remaining = [_InitAction.from_element(element, scope) for element in actions]
+    ordered: list[etree._Element] = []
+    while remaining:
+        adding = {action.entity for action in remaining if action.adds}
+        placing = {action.entity for action in remaining if action.places}
+        ready = [
+            action
+            for action in remaining
+            if (action.adds or action.entity not in adding) and not action.references & placing
+        ]
+        # Keep the file's order for entities that refer to each other.
+        ready = ready or remaining[:1]
+        ordered += [action.element for action in ready]
+        remaining = [action for action in remaining if action not in ready]
+    return ordered
+
+
+@dataclass(frozen=True, eq=False)
+class _InitAction:
+    """An initial action: its entity, the entities it refers to, and whether it adds or places its entity."""
+
+    element: etree._Element
+    entity: str
+    references: frozenset[str]
+    adds: bool
+    places: bool
+
+    @classmethod
+    def from_element(cls, element: etree._Element, scope: Scope) -> _InitAction:
+        adding = element.find("EntityAction")
+        entity = (element if adding is None else adding).get("entityRef", "")
+        placing = list(element.iter(*_PLACING_TAGS))
+        positions = (position for action in placing for position in action.iter(*_RELATIVE_POSITION_TAGS))
+        references = frozenset(scope.read_text(position, "entityRef") for position in positions)
+        return cls(element, entity, references - {entity}, adding is not None, bool(placing))

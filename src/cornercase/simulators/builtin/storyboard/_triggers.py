@@ -1,0 +1,431 @@
+"""Conditions and triggers, evaluated for every scenario of a batch."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Any, Final, Protocol
+
+import numpy as np
+from lxml import etree
+
+from cornercase._common.errors import InputError, suggest_name
+from cornercase._common.io.tracked_xml import note_adaptation
+from cornercase._common.masks import any_true
+from cornercase._common.text.source_lines import locate_input_errors
+from cornercase._common.typing import BoolArray, FloatArray
+from cornercase.scenario._runner_criteria import is_condition_never_true
+from cornercase.scenario._scope import Scope
+from cornercase.simulators.builtin.actions._longitudinal import require_child
+from cornercase.simulators.builtin.kernels import _conditions as conditions_module
+from cornercase.simulators.builtin.kernels._conditions import ConditionSpec, LeafCondition
+from cornercase.simulators.builtin.kernels._distances import TOLERANCE
+from cornercase.simulators.builtin.paths._positions import read_entity_refs
+from cornercase.simulators.builtin.storyboard._element import StateWatcher
+from cornercase.simulators.builtin.storyboard._entity_conditions import (
+    ENTITY_CONDITION_READERS,
+    CompiledTest,
+    EntityTest,
+    comparison_rule_index,
+    read_comparison_rule,
+)
+from cornercase.simulators.builtin.world._text_values import read_text_value
+from cornercase.simulators.builtin.world._traffic_signals import require_phase_index, require_signal_controller
+from cornercase.simulators.builtin.world._world import World
+
+Test = Callable[[World, BoolArray], BoolArray]
+
+_CONSTANT: Final = LeafCondition(conditions_module.CONSTANT_CONDITION)
+
+# Conditions that only a user's program or the time of day can make true.
+NEVER_TRUE: Final = ("UserDefinedValueCondition", "TimeOfDayCondition")
+
+
+_TEXT_RULES: Final[dict[str, Callable[[Any, Any], Any]]] = {
+    "equalTo": np.equal,
+    "notEqualTo": np.not_equal,
+    "lessThan": np.less,
+    "lessOrEqual": np.less_equal,
+    "greaterThan": np.greater,
+    "greaterOrEqual": np.greater_equal,
+}
+
+
+class ElementLookup(Protocol):
+    """Storyboard elements by name, available once the whole storyboard is read."""
+
+    def watch_element(self, kind: str, name: str, watch: StateWatcher, location: str) -> None:
+        """Connect a condition to the element of a kind and name once all elements are read."""
+        ...
+
+
+class Condition:
+    """One condition with its edge and its delay in s, shape (N,).
+
+    `test` takes the world and a mask of scenarios, and returns a boolean array (N,). `edge` is ``"none"``,
+    ``"rising"``, ``"falling"`` or ``"risingOrFalling"``. With a delay, the value of that long ago counts.
+    """
+
+    def __init__(self, test: Test, edge: str, delay: FloatArray) -> None:
+        self.test, self._edge = test, edge
+        self.delayed = np.asarray(delay > 0)
+        self._last_value = np.full(len(delay), -1, dtype=np.int8)
+        self._past = DelayBuffer(delay, edge != "none") if any_true(self.delayed) else None
+
+    def evaluate(self, world: World, where: BoolArray) -> BoolArray:
+        """Evaluate the condition in the scenarios of the mask, shape (N,)."""
+        if not any_true(where):
+            return where
+        value = self.test(world, where)
+        last = self._last_value
+        if self._edge == "none":
+            result = value
+        elif self._edge == "rising":
+            result = value & (last == 0)
+        elif self._edge == "falling":
+            result = ~value & (last == 1)
+        else:
+            result = (last >= 0) & (value != (last == 1))
+        self._last_value = np.where(where, value.astype(np.int8), last)
+        if self._edge != "none":
+            world.changed |= self._last_value != last
+        return where & (result if self._past is None else self._past.delayed_value(world, result, where))
+
+    @property
+    def kernel_spec(self) -> ConditionSpec | None:
+        """What kernels evaluate for it; None if they cannot."""
+        test, plain = self.test, self._edge == "none" and self._past is None
+        if isinstance(test, EntityCondition):
+            return None if test.leaves is None else ConditionSpec(test.leaves, test.requires_all, plain)
+        if isinstance(test, ValueCondition):
+            return ConditionSpec([(-1, test.leaf)], True, plain)
+        return ConditionSpec([], True, False) if isinstance(test, StateWatcher) else None
+
+    def constant_value(self, world: World) -> BoolArray | None:
+        """Its value (N,) if only the storyboard can change it; otherwise None."""
+        test = self.test
+        return (
+            test.value(world)
+            if isinstance(test, ValueCondition) and test.leaf.kind == conditions_module.CONSTANT_CONDITION
+            else None
+        )
+
+    @property
+    def delay_buffer(self) -> DelayBuffer | None:
+        """Its delayed values, if it has a delay."""
+        return self._past
+
+    def reset_edge(self, where: BoolArray) -> None:
+        """See no edge at the next evaluation in the scenarios of the mask."""
+        self._last_value[where] = -1
+
+    def reset_delay(self, where: BoolArray) -> None:
+        """Restart delays in the scenarios of the mask."""
+        if self._past is not None:
+            self._past.clear(where)
+        if isinstance(self.test, StateWatcher):
+            self.test.clear_changes(where)
+
+
+class DelayBuffer:
+    """Earlier values of a condition with a delay in s, shape (N,).
+
+    `is_sudden`: whether its value may change in the next frame although its inputs have not.
+    """
+
+    def __init__(self, delay: FloatArray, is_sudden: bool) -> None:
+        self._delay, self._sudden = delay, is_sudden
+        # Frames whose delay has not passed in all scenarios: times, values, and where the value changed.
+        self._frames: list[tuple[FloatArray, BoolArray, BoolArray]] = []
+        self._newest_value, self._current_value = (np.full(len(delay), -1, dtype=np.int8) for _ in range(2))
+
+    def delayed_value(self, world: World, value: BoolArray, where: BoolArray) -> BoolArray:
+        """Store the current value, and return the delayed one, shape (N,).
+
+        Of several values since the last call, any true one counts.
+        """
+        new, time = where & (self._newest_value != value), world.time
+        self._newest_value[new] = value[new]
+        if self._sudden:
+            world.changed |= new
+        for past_time, past_value, changed in self._frames:
+            # The first two frames have the same time; the later one counts.
+            same_time = new & changed & (time <= past_time)
+            past_value[same_time] = value[same_time]
+            new &= ~same_time
+        if any_true(new):
+            self._frames.append((time.copy(), value.copy(), new))
+        result, is_due = np.zeros_like(where), np.zeros_like(where)
+        for past_time, past_value, changed in self._frames:
+            due = where & changed & (past_time <= time - self._delay + TOLERANCE)
+            self._current_value[due] = past_value[due]
+            result |= due & past_value
+            is_due |= due
+            changed &= ~due
+        if self._sudden:
+            world.changed |= is_due
+        self._frames = [frame for frame in self._frames if frame[2].any()]
+        return np.where(is_due, result, self._current_value == 1)
+
+    @property
+    def delay(self) -> FloatArray:
+        """The delay in s, shape (N,)."""
+        return self._delay
+
+    def oldest_pending_time(self) -> FloatArray:
+        """Time in s of the oldest change that waits for its delay, infinite if none, shape (N,)."""
+        result = np.full(len(self._delay), np.inf)
+        for then, _, changed in self._frames:
+            result = np.where(changed, np.minimum(result, then), result)
+        return result
+
+    def clear(self, where: BoolArray) -> None:
+        """Clear all values in the scenarios of the mask."""
+        self._newest_value[where] = self._current_value[where] = -1
+        for _, _, changed in self._frames:
+            changed &= ~where
+
+
+class Trigger:
+    """Condition groups; the trigger fires when all conditions of one group hold, and never without groups."""
+
+    def __init__(self, groups: list[list[Condition]]) -> None:
+        self._groups = groups
+
+    @property
+    def groups(self) -> list[list[Condition]]:
+        """All conditions, by group."""
+        return self._groups
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether there are no conditions, so that it never fires."""
+        return not self._groups
+
+    @property
+    def entities(self) -> list[int]:
+        """Entities that may trigger it by themselves, in order."""
+        return list(dict.fromkeys(entity for test in self._entity_conditions() for entity in test.entities))
+
+    def is_triggered_by(self, entity: int) -> BoolArray:
+        """Scenarios in which a condition was last true for an entity, shape (N,)."""
+        return np.asarray(
+            np.any(
+                [test.last_result_for(entity) for test in self._entity_conditions() if entity in test.entities], axis=0
+            )
+        )
+
+    def _entity_conditions(self) -> list[EntityCondition]:
+        tests = (condition.test for group in self._groups for condition in group)
+        return [test for test in tests if isinstance(test, EntityCondition)]
+
+    def fires(self, world: World, where: BoolArray) -> BoolArray:
+        """Scenarios of the mask in which the trigger fires, shape (N,)."""
+        fired = np.zeros(len(where), dtype=np.bool_)
+        if not any_true(where):
+            return fired
+        for group in self._groups:
+            holds = where.copy()
+            for condition in group:
+                # Without a delay, a condition is only evaluated (and its edge updated) where all previous ones hold.
+                holds &= condition.evaluate(world, where & (holds | condition.delayed))
+            fired |= holds
+        world.changed |= fired
+        if any_true(fired):
+            for group in self._groups:
+                for condition in group:
+                    condition.reset_edge(fired)
+        return fired
+
+    def may_fire(self, world: World) -> BoolArray:
+        """Scenarios in which no constant condition prevents all groups from holding, shape (N,)."""
+        result = np.zeros(world.scenarios, dtype=np.bool_)
+        for group in self._groups:
+            constants = [condition.constant_value(world) for condition in group]
+            result |= np.all([value for value in constants if value is not None], axis=0)
+        return result
+
+    def reset(self, where: BoolArray) -> None:
+        """Restart delays in the scenarios of the mask."""
+        for group in self._groups:
+            for condition in group:
+                condition.reset_delay(where)
+
+
+def read_trigger(element: etree._Element | None, scope: Scope, world: World, elements: ElementLookup) -> Trigger:
+    """Read a ``StartTrigger`` or ``StopTrigger``; a missing one never fires."""
+    groups: list[list[Condition]] = []
+    for group in () if element is None else element.iterfind("ConditionGroup"):
+        conditions = []
+        for condition in group.iterfind("Condition"):
+            edge = scope.read_text(condition, "conditionEdge", "none")
+            if edge not in ("none", "rising", "falling", "risingOrFalling"):
+                raise InputError(
+                    f"{scope.file_name}, line {condition.sourceline}: conditionEdge '{edge}' of <Condition> is not none,"
+                    " rising, falling or risingOrFalling."
+                )
+            delay = scope.read_numbers(condition, "delay", 0.0)
+            scope.mark_invalid(condition, "delay", "is below 0", delay < 0.0)
+            with locate_input_errors(condition, scope.file_name):
+                conditions.append(Condition(_read_condition_test(condition, scope, world, elements), edge, delay))
+        if not conditions:
+            rule = "a <ConditionGroup> holds at least one <Condition>"
+            note_adaptation(group, "<ConditionGroup> without a condition", "is true from the beginning", rule)
+        groups.append(conditions)
+    return Trigger(groups)
+
+
+def _read_condition_test(condition: etree._Element, scope: Scope, world: World, elements: ElementLookup) -> Test:
+    kind = next(iter(condition.iterchildren("*")), None)
+    if kind is not None and kind.tag == "ByEntityCondition":
+        holder = kind.find("EntityCondition")
+        inner = None if holder is None else next(iter(holder.iterchildren("*")), None)
+        if inner is not None and inner.tag in ENTITY_CONDITION_READERS:
+            test = ENTITY_CONDITION_READERS[inner.tag](inner, scope, world)
+            return _read_triggering_entities(kind, scope, world, test)
+    else:
+        inner = None if kind is None else next(iter(kind.iterchildren("*")), None)
+        if inner is not None and inner.tag in _VALUE_CONDITION_READERS:
+            return _VALUE_CONDITION_READERS[inner.tag](inner, scope, world, elements)
+    tag = condition.tag if inner is None else inner.tag
+    raise InputError(
+        f"{scope.file_name}, line {condition.sourceline}: <{tag}> is not supported by the builtin simulator; it reads"
+        f" {', '.join((*_VALUE_CONDITION_READERS, *ENTITY_CONDITION_READERS))}."
+    )
+
+
+class EntityCondition:
+    """A condition on entities: true for any, or for all, triggering entities."""
+
+    def __init__(self, entities: list[int], requires_all: bool, test: EntityTest) -> None:
+        self.entities = entities
+        self.requires_all, self._test = requires_all, test
+        self._last_results: list[BoolArray] = []
+
+    @property
+    def leaves(self) -> list[tuple[int, LeafCondition]] | None:
+        """Leaves to evaluate for each entity; None if kernels cannot."""
+        test = self._test
+        return [(e, leaf) for e in self.entities for leaf in test.leaves] if isinstance(test, CompiledTest) else None
+
+    def __call__(self, world: World, where: BoolArray) -> BoolArray:
+        self._last_results = [self._test(world, e) & world.present[e] for e in self.entities]
+        result = np.stack(self._last_results)
+        return np.asarray(result.all(axis=0) if self.requires_all else result.any(axis=0))
+
+    def last_result_for(self, entity: int) -> BoolArray:
+        """Scenarios in which it was last true for an entity, shape (N,)."""
+        return self._last_results[self.entities.index(entity)]
+
+
+class ValueCondition:
+    """A condition on time, or on values that only the storyboard changes, which kernels can evaluate too."""
+
+    def __init__(self, value: Callable[[World], BoolArray], leaf: LeafCondition = _CONSTANT) -> None:
+        self.value, self.leaf = value, leaf
+
+    def __call__(self, world: World, where: BoolArray) -> BoolArray:
+        return self.value(world)
+
+
+def _read_triggering_entities(element: etree._Element, scope: Scope, world: World, test: EntityTest) -> Test:
+    holder = require_child(element, "TriggeringEntities", scope)
+    require_all = scope.read_text(holder, "triggeringEntitiesRule", "any") == "all"
+    entities = read_entity_refs(holder, scope, world)
+    if not entities:
+        raise InputError(f"{scope.file_name}, line {holder.sourceline}: <TriggeringEntities> names no entity.")
+    return EntityCondition(entities, require_all, test)
+
+
+def _simulation_time_condition(element: etree._Element, scope: Scope, world: World, elements: ElementLookup) -> Test:
+    rule, value = read_comparison_rule(element, scope), scope.read_numbers(element, "value")
+    leaf = LeafCondition(conditions_module.TIME_CONDITION, rule=comparison_rule_index(rule), values=(value,))
+    return ValueCondition(lambda world: np.asarray(rule(world.time, value)), leaf)
+
+
+def _element_state_condition(element: etree._Element, scope: Scope, world: World, elements: ElementLookup) -> Test:
+    kind = scope.read_text(element, "storyboardElementType")
+    name, state = scope.read_text(element, "storyboardElementRef"), scope.read_text(element, "state")
+    where = f"{scope.file_name}, line {element.sourceline}: <{element.tag}>"
+
+    watch = StateWatcher(state, scope.n_scenarios, where)
+    elements.watch_element(kind, name, watch, where)
+    return watch
+
+
+def _variable_condition(element: etree._Element, scope: Scope, world: World, elements: ElementLookup) -> Test:
+    attribute = "variableRef" if element.tag == "VariableCondition" else "parameterRef"
+    values = world.variables if attribute == "variableRef" else world.parameters
+    name = (
+        scope.read_text(element, attribute)
+        if not element.get(attribute, "").startswith("$")
+        else element.get(attribute, "")[1:]
+    )
+    if name not in values:
+        if element.tag == "ParameterCondition" and is_condition_never_true(element, name):
+            return _never_true_condition(element, scope, world, elements)
+        noun = "variable" if attribute == "variableRef" else "parameter"
+        raise InputError(
+            f"{scope.file_name}, line {element.sourceline}: <{element.tag}>: there is no {noun} '{name}';"
+            f" {suggest_name(name, values)}"
+        )
+    if values[name].dtype.kind == "f":
+        rule, value = read_comparison_rule(element, scope), scope.read_numbers(element, "value")
+        return ValueCondition(lambda world: np.asarray(rule(values[name], value)))
+    text, compare = read_text_value(element, scope, values[name]), read_comparison_rule(element, scope, _TEXT_RULES)
+    if compare not in (np.equal, np.not_equal):
+        numeric = not np.isnan(_parse_numbers([text, *np.unique(values[name])])).any()
+        why = "as a number" if numeric else "alphabetically, as in esmini"
+        why = f"'{name}', which is declared as a text, is compared {why}"
+        note_adaptation(element, f"rule of <{element.tag}>", why, "ordered values are declared as numbers")
+        if numeric:
+            rule, number = read_comparison_rule(element, scope), float(text)
+            return ValueCondition(lambda world: np.asarray(rule(_parse_numbers(values[name]), number)))
+    return ValueCondition(lambda world: np.asarray(compare(values[name], text)))
+
+
+def _parse_numbers(texts: Iterable[str]) -> FloatArray:
+    """Parse texts as numbers, NaN if not a number."""
+
+    def number(text: str) -> float:
+        try:
+            return float(text)
+        except ValueError:
+            return np.nan
+
+    return np.array([number(text) for text in texts])
+
+
+def _never_true_condition(element: etree._Element, scope: Scope, world: World, elements: ElementLookup) -> Test:
+    # Nothing in this simulator can make these conditions true.
+    result = np.zeros(scope.n_scenarios, dtype=np.bool_)
+    return ValueCondition(lambda world: result)
+
+
+def _signal_condition(element: etree._Element, scope: Scope, world: World, elements: ElementLookup) -> Test:
+    name, state, n = scope.read_text(element, "name"), scope.read_text(element, "state"), scope.n_scenarios
+
+    def shows(world: World) -> BoolArray:
+        return np.asarray(world.signals[name] == state) if name in world.signals else np.zeros(n, np.bool_)
+
+    # With controllers, signals change by themselves.
+    return (lambda world, where: shows(world)) if world.signal_controllers else ValueCondition(shows)
+
+
+def _signal_controller_condition(element: etree._Element, scope: Scope, world: World, elements: ElementLookup) -> Test:
+    location = f"{scope.file_name}, line {element.sourceline}: <{element.tag}>"
+    controller = require_signal_controller(
+        world.signal_controllers, scope.read_text(element, "trafficSignalControllerRef"), location
+    )
+    phase = require_phase_index(controller, scope.read_text(element, "phase"), location)
+    return lambda world, where: np.asarray(controller.phase_at(world.time) == phase)
+
+
+_VALUE_CONDITION_READERS: Final[dict[str, Callable[[etree._Element, Scope, World, ElementLookup], Test]]] = {
+    "SimulationTimeCondition": _simulation_time_condition,
+    "StoryboardElementStateCondition": _element_state_condition,
+    "ParameterCondition": _variable_condition,
+    "VariableCondition": _variable_condition,
+    "TrafficSignalCondition": _signal_condition,
+    "TrafficSignalControllerCondition": _signal_controller_condition,
+    **dict.fromkeys(NEVER_TRUE, _never_true_condition),
+}

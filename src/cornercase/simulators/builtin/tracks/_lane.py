@@ -1,0 +1,90 @@
+"""A track along a lane and the lanes that follow it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from cornercase._common.typing import FloatArray, IntArray
+from cornercase.roads._lane_path import LanePath
+from cornercase.roads._network import RoadNetwork
+from cornercase.simulators.builtin.kernels._lane_track import advance_on_lane_path
+from cornercase.simulators.builtin.kernels._projection import project_on_lane_path
+from cornercase.simulators.builtin.tracks._track import Pose, Track
+
+# m; largest margin before the cut end of a path at which an entity changes to the next path.
+_MAX_MARGIN_AHEAD: Final = 1000.0
+_MAX_MARGIN_BEHIND: Final = 250.0
+
+
+class LaneTrack(Track):
+    """The centre line of a lane and its successors, the same for all scenarios.
+
+    `span` is the range of distances in m where it is followed; beyond it another track continues. `is_continued` says
+    whether there is such a track at all.
+    """
+
+    def __init__(self, path: LanePath) -> None:
+        self.path = path
+        self.length = float(path.distance[-1])
+        begin, end = path.lane_span
+        # A path that is cut is left at most halfway between its own lane and the cut.
+        self.span = (
+            -np.inf if path.has_start else min(_MAX_MARGIN_BEHIND, 0.5 * begin),
+            np.inf if path.has_end else self.length - min(_MAX_MARGIN_AHEAD, 0.5 * (self.length - end)),
+        )
+        self.is_continued = not (path.has_start and path.has_end)
+
+    @classmethod
+    def from_lane(
+        cls, network: RoadNetwork, road: int, lane: int, s: float, along: bool, via: tuple[tuple[int, int, float], ...]
+    ) -> LaneTrack | None:
+        """Track through a point on a lane, along s or against it; None if there is no lane."""
+        path = network.lane_path_from(road, lane, s, along, via)
+        return None if path is None else cls(path)
+
+    def distance_at_s(self, s: FloatArray) -> FloatArray:
+        """Distance along the track for s on the road that it was made for."""
+        return self.path.distance_of_s(s)
+
+    def pose_at(
+        self, distance: FloatArray, offset: FloatArray, rows: IntArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        x, y, heading, _ = self.path.pose_at(distance, offset)
+        return x, y, heading
+
+    def curvature_at(self, distance: FloatArray, rows: IntArray) -> FloatArray:
+        return self.path.pose_at(distance, np.zeros_like(distance))[3]
+
+    def advance(self, distance: FloatArray, offset: FloatArray, step: FloatArray) -> FloatArray:
+        """Distance along the track after a step, each (R,) in m.
+
+        As in esmini, a step is made along the reference line, and scaled by the curvature at its beginning. If the
+        distance driven differs by more than 0.1 % (changing curvature, or a lane at an angle), the step is made along
+        the lane.
+        """
+        path = self.path
+        return np.asarray(
+            advance_on_lane_path(
+                path.array_addresses, path.x.size, path.curvature_distance.size, distance, offset, step
+            )
+        )
+
+    def nearest_distance(
+        self, x: FloatArray, y: FloatArray, rows: IntArray, after: FloatArray | None = None
+    ) -> FloatArray:
+        path, start = self.path, np.full(len(x), -np.inf) if after is None else after
+        return np.asarray(project_on_lane_path(path.array_addresses, path.x.size, path.max_chord, x, y, start))
+
+    def update_road_coordinates(self, pose: Pose, rows: IntArray, distance: FloatArray, offset: FloatArray) -> Pose:
+        """Return `pose` with the road coordinates of `rows` on this track."""
+        assert pose.offset is not None
+        sample = self.path.sample_index(distance)
+        road, lane, s = pose.road_coordinates()
+        road, lane, s, t = road.copy(), lane.copy(), s.copy(), pose.offset.copy()
+        road[rows], lane[rows] = self.path.road[sample], self.path.lane[sample]
+        s[rows] = self.path.s_at(distance)
+        t[rows] = np.where(self.path.forward[sample], offset, -offset)
+        return replace(pose, road=road, lane=lane, s=s, offset=t)

@@ -1,0 +1,222 @@
+"""Place entities, and make them follow lanes and other tracks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
+
+from cornercase._common.geometry.boxes import is_facing_forward, wrap_angle
+from cornercase._common.typing import BoolArray, FloatArray, IntArray
+from cornercase.simulators.builtin.tracks._lane import LaneTrack
+from cornercase.simulators.builtin.tracks._track import NO_TRACK, Pose, Track
+from cornercase.simulators.builtin.world._road_position import follows_lane, road_pose
+from cornercase.simulators.builtin.world._trailers import align_trailers
+from cornercase.simulators.builtin.world._world import World
+
+# Tolerance of headings in rad.
+_ALIGNED: Final = 1e-3
+# Distance in m beyond the end of a road from which a placement is reported as moved.
+_MAX_PLACEMENT_ERROR: Final = 1.0
+# Distance in m from a lane's end within which a path sample may belong to either lane.
+_SEAM_TOLERANCE: Final = 0.5
+
+
+def place_entity(world: World, entity: int, pose: Pose, where: BoolArray) -> None:
+    """Place an entity at a pose; from there it follows its lane, or its heading without a lane."""
+    lost = ~np.isfinite(pose.x + pose.y + pose.heading)
+    if pose.is_beyond_road is not None and pose.relative_location:
+        why = f"{world.names[entity]} would be beyond the end of the road, and is placed at that end"
+        world.add_notice(pose.relative_location, "<Position>", why, where & ~lost & pose.is_beyond_road)
+    elif pose.is_beyond_road is not None:
+        lost = lost | pose.is_beyond_road
+    world.fail(where & lost, f"{world.names[entity]} is placed off the map")
+    where = where & world.running
+    for state, value in ((world.x, pose.x), (world.y, pose.y), (world.heading, pose.heading)):
+        state[entity][where] = value[where]
+    # A teleport does not add to the travelled distance.
+    world.from_x[entity][where], world.from_y[entity][where] = pose.x[where], pose.y[where]
+    world.present[entity] |= where
+    world.jumped[entity] |= where
+    world.moved[entity] |= where & world.started
+    align_trailers(world, entity, where)
+    # An entity on a trajectory stays on it.
+    attach_to_lane(world, entity, where & ((world.track[entity] == NO_TRACK) | follows_lane(world, entity)), pose)
+
+
+def attach_to_lane(world: World, entity: int, where: BoolArray, pose: Pose | None = None) -> None:
+    """Make an entity follow the lane at its position (or `pose`) in the direction of its heading."""
+    world.track[entity][where] = NO_TRACK
+    world.stranded[entity][where] = False
+    if world.network is None:
+        return
+    if pose is None or pose.lane is None or pose.road is None:
+        location = world.network.locate(world.x[entity], world.y[entity])
+        pose = Pose(world.x[entity], world.y[entity], world.heading[entity], *location)
+    assert pose.road is not None
+    assert pose.s is not None
+    assert pose.lane is not None
+    assert pose.offset is not None
+    road, section, along = _road_section_direction(world, pose, where)
+    route = world.route[entity]
+    keys = np.stack([road, section, pose.lane, along, route])
+    for key, rows in _iter_groups(keys, where):
+        first = int(rows.argmax())
+        track = get_lane_track(world, key[0], key[2], float(pose.s[first]), bool(key[3]), key[4])
+        if track is None:
+            continue
+        distance = np.zeros(world.scenarios)
+        distance[rows] = track.distance_at_s(pose.s[rows])
+        follow_track(world, entity, track, distance, rows)
+        world.offset[entity][rows] = pose.offset[rows] if key[3] else -pose.offset[rows]
+        x, y, heading = track.pose_at(distance[rows], world.offset[entity][rows], np.flatnonzero(rows))
+        if world.current_action is not None:
+            is_off = rows.copy()
+            is_off[rows] = np.hypot(x - pose.x[rows], y - pose.y[rows]) > _MAX_PLACEMENT_ERROR
+            why = f"{world.names[entity]} lies beyond the end of the nearest road, and is placed at that end"
+            world.add_notice(world.current_action, "position", why, is_off)
+        turn = wrap_angle(pose.heading[rows] - heading)
+        # Headings of sampled lanes are not exact: ignore small differences.
+        world.turn[entity][rows] = np.where(np.abs(turn) < _ALIGNED, 0.0, turn)
+
+
+def _iter_groups(keys: IntArray, where: BoolArray) -> Iterator[tuple[tuple[int, ...], BoolArray]]:
+    """Yield the distinct columns of keys in the scenarios of a mask, sorted, and where each occurs, (N,)."""
+    for key in sorted({*zip(*keys[:, where].tolist(), strict=True)}):
+        yield key, where & (keys == np.array(key)[:, None]).all(axis=0)
+
+
+def change_lane(world: World, entity: int, lane: IntArray, where: BoolArray) -> BoolArray:
+    """Make an entity follow another lane of its road from beside it; return where that lane exists, (N,)."""
+    assert world.network is not None
+    pose = road_pose(world, entity)
+    assert pose.s is not None
+    road, section, along = _road_section_direction(world, pose, where)
+    route = _remaining_route(world, entity, where)
+    exists = np.zeros_like(where)
+    keys = np.stack([road, section, lane, along, route])
+    for key, rows in _iter_groups(keys, where):
+        track = get_lane_track(world, key[0], key[2], float(pose.s[int(rows.argmax())]), bool(key[3]), key[4])
+        if track is None:
+            continue
+        at = np.flatnonzero(rows)
+        distance = np.zeros(world.scenarios)
+        distance[at] = track.nearest_distance(world.x[entity][at], world.y[entity][at], at)
+        x, y, heading = track.pose_at(distance[at], np.zeros(len(at)), at)
+        follow_track(world, entity, track, distance, rows)
+        dx, dy = world.x[entity][at] - x, world.y[entity][at] - y
+        world.offset[entity][at] = dy * np.cos(heading) - dx * np.sin(heading)
+        world.turn[entity][at] = 0.0
+        world.stranded[entity][at] = False
+        world.route[entity][at] = key[4]
+        exists |= rows
+    return exists
+
+
+def extend_lane_path(world: World, entity: int, track_number: int) -> None:
+    """Make an entity near the end of its lane's cut path (track `track_number`) follow the next part."""
+    assert world.network is not None
+    track = world.tracks[entity][track_number]
+    assert isinstance(track, LaneTrack)
+    distance = world.distance[entity]
+    near = (distance < track.span[0]) | (distance > track.span[1])
+    at = np.flatnonzero(world.running & (world.track[entity] == track_number) & near)
+    routes, path = _remaining_route(world, entity, near & world.running), track.path
+    sample = path.sample_index(distance[at])
+    s = path.s_at(distance[at])
+    keys = np.stack([path.road[sample], path.lane[sample], path.forward[sample], routes[at]])
+    for key in np.unique(keys, axis=1).T if at.size else ():
+        road, lane, along, route = int(key[0]), int(key[1]), bool(key[2]), int(key[3])
+        # Near a lane's end the sample may belong to either lane: wait for the next step.
+        seams = world.network.roads[road].section_bounds
+        rows = (
+            (keys == key[:, None]).all(axis=0)
+            & (np.abs(s[:, None] - seams) > _SEAM_TOLERANCE).all(axis=1)
+            & (s > _SEAM_TOLERANCE)
+        )
+        for section in np.unique(world.network.roads[road].section_at(s[rows])):
+            in_section = rows & (world.network.roads[road].section_at(s) == section)
+            new = get_lane_track(world, road, lane, float(s[in_section][0]), along, route)
+            if new is not None:
+                # On a ring it is the current path, started again.
+                new = LaneTrack(new.path) if new is track else new
+                _move_to_new_path(world, entity, track, new, at[in_section], s[in_section])
+                world.route[entity][at[in_section]] = route
+
+
+def _remaining_route(world: World, entity: int, where: BoolArray) -> IntArray:
+    """Route of an entity without the roads it has passed, to which a new path would lead back, (N,)."""
+    result: IntArray = world.route[entity].copy()
+    for _, track, at in world.iter_followed_tracks(entity, where & (world.route[entity] > 0)):
+        if not isinstance(track, LaneTrack):
+            continue
+        passed = track.path.goals_passed[track.path.sample_index(world.distance[entity][at])]
+        for route, count in sorted({*zip(world.route[entity][at].tolist(), passed.tolist(), strict=True)}):
+            remaining = world.routes[route][count:]
+            if remaining not in world.routes:
+                world.routes.append(remaining)
+            result[at[(world.route[entity][at] == route) & (passed == count)]] = world.routes.index(remaining)
+    return result
+
+
+def _move_to_new_path(
+    world: World, entity: int, old: LaneTrack, new: LaneTrack, scenarios: IntArray, s: FloatArray
+) -> None:
+    x, y, _ = old.pose_at(world.distance[entity][scenarios], np.zeros(len(scenarios)), scenarios)
+    track_distance = new.distance_at_s(s)
+    track_x, track_y, heading = new.pose_at(track_distance, np.zeros(len(scenarios)), scenarios)
+    distance, rows = np.zeros(world.scenarios), np.zeros(world.scenarios, dtype=np.bool_)
+    distance[scenarios] = track_distance + (x - track_x) * np.cos(heading) + (y - track_y) * np.sin(heading)
+    rows[scenarios] = True
+    follow_track(world, entity, new, distance, rows)
+
+
+def assign_route(world: World, entity: int, roads: tuple[int, ...], where: BoolArray) -> None:
+    """Make an entity pass roads (by index), and continue as before if it is already on the way."""
+    via = tuple((road, 0, 0.0) for road in roads)
+    if via not in world.routes:
+        world.routes.append(via)
+    world.route[entity][where] = world.routes.index(via)
+    onward = where & follows_lane(world, entity)
+    if onward.any():
+        pose, turn, offset = road_pose(world, entity), world.turn[entity].copy(), world.offset[entity].copy()
+        attach_to_lane(world, entity, onward, pose)
+        world.turn[entity][onward], world.offset[entity][onward] = turn[onward], offset[onward]
+
+
+def follow_track(world: World, entity: int, track: Track, distance: FloatArray, where: BoolArray) -> None:
+    """Make an entity follow a track from a distance in m on, (N,)."""
+    tracks = world.tracks[entity]
+    if track not in tracks:
+        tracks.append(track)
+    world.track[entity][where] = tracks.index(track)
+    world.distance[entity][where] = distance[where]
+
+
+def get_lane_track(world: World, road: int, lane: int, s: float, along: bool, route: int) -> LaneTrack | None:
+    """Track along a lane and its successors, cached per lane section; None if there is no such lane.
+
+    `s` in m on the road, `along`: in the direction of s; `road` and `route` are indices.
+    """
+    assert world.network is not None
+    section = int(world.network.roads[road].section_at(np.array([s]))[0])
+    key = (road, section, lane, along, route)
+    if key not in world.lane_tracks:
+        world.lane_tracks[key] = LaneTrack.from_lane(world.network, road, lane, s, along, world.routes[route])
+    return world.lane_tracks[key]
+
+
+def _road_section_direction(world: World, pose: Pose, where: BoolArray) -> tuple[IntArray, IntArray, BoolArray]:
+    """Road, lane section, and whether the heading points along s, each (N,)."""
+    assert world.network is not None
+    assert pose.road is not None
+    assert pose.s is not None
+    section = np.zeros(world.scenarios, dtype=np.int64)
+    along = np.zeros(world.scenarios, dtype=np.bool_)
+    for road in sorted(set(pose.road[where].tolist())):
+        rows = where & (pose.road == road)
+        road_geometry = world.network.roads[road]
+        section[rows] = road_geometry.section_at(pose.s[rows])
+        along[rows] = is_facing_forward(pose.heading[rows] - road_geometry.reference(pose.s[rows])[2])
+    return pose.road, section, along

@@ -1,0 +1,175 @@
+"""Positions of entities on the roads."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from cornercase._common.geometry.boxes import is_facing_forward
+from cornercase._common.typing import BoolArray, FloatArray, IntArray
+from cornercase.roads._network import RoadNetwork
+from cornercase.simulators.builtin.tracks._lane import LaneTrack
+from cornercase.simulators.builtin.tracks._track import Pose
+from cornercase.simulators.builtin.world._state_layout import MAX_LANE_OFFSET
+from cornercase.simulators.builtin.world._world import World
+
+
+def follows_lane(world: World, entity: int) -> BoolArray:
+    """Check whether the entity follows a lane, shape (N,)."""
+    result = np.zeros(world.scenarios, dtype=np.bool_)
+    for k, track in enumerate(world.tracks[entity]):
+        if isinstance(track, LaneTrack):
+            result |= world.track[entity] == k
+    return result
+
+
+def road_pose(world: World, entity: int) -> Pose:
+    """Pose of an entity with its road position; without a road if there is no network."""
+    pose = Pose(world.x[entity].copy(), world.y[entity].copy(), world.heading[entity].copy())
+    if world.network is None:
+        return pose
+    # As in esmini, only a lane change leads to another lane, not a large offset.
+    near = ~world.changes_lanes[entity] | (np.abs(world.offset[entity]) < MAX_LANE_OFFSET)
+    along = follows_lane(world, entity) & near & world.present[entity]
+    n = world.scenarios
+    road, lane, s, offset = np.full(n, -1), np.zeros(n, dtype=np.int64), np.zeros(n), np.zeros(n)
+    free = np.flatnonzero(~along)
+    if free.size:
+        location = world.network.locate(world.x[entity][free], world.y[entity][free])
+        road[free], lane[free], s[free], offset[free] = location
+    pose = replace(pose, road=road, lane=lane, s=s, offset=offset)
+    for _, track, rows in world.iter_followed_tracks(entity, along):
+        if isinstance(track, LaneTrack):
+            pose = track.update_road_coordinates(pose, rows, world.distance[entity][rows], world.offset[entity][rows])
+    return pose
+
+
+def is_on_road(world: World, entity: int) -> BoolArray:
+    """Check whether an entity's reference point is within the width of a road, shape (N,)."""
+    assert world.network is not None
+    location = world.network.locate(world.x[entity], world.y[entity])
+    width = np.zeros(world.scenarios)
+    for road, lane in sorted({*zip(location.road.tolist(), location.lane.tolist(), strict=True)}):
+        rows = (location.road == road) & (location.lane == lane)
+        road_geometry = world.network.roads[road]
+        section = road_geometry.section_at(location.s[rows])
+        # A lane of type "none" is not part of the road.
+        lanes = {int(k): road_geometry.sections[int(k)][1].get(lane) for k in np.unique(section)}
+        untyped_sections = {
+            k
+            for k, lane_geometry in lanes.items()
+            if lane_geometry is not None and lane_geometry.kind == "none" and lane != 0
+        }
+        width[rows] = [
+            -1.0 if k in untyped_sections else float(road_geometry.width(int(k), lane, location.s[rows][i : i + 1])[0])
+            for i, k in enumerate(section.tolist())
+        ]
+    return np.asarray(np.abs(location.offset) <= 0.5 * width + 1e-6)
+
+
+def road_heading(world: World, pose: Pose) -> FloatArray:
+    """Direction of the road's s at a pose in rad, shape (N,)."""
+    assert world.network is not None
+    assert pose.road is not None
+    assert pose.s is not None
+    return _road_headings(world.network, pose.road, pose.s)
+
+
+def is_heading_along_road(world: World, pose: Pose) -> BoolArray:
+    """Check whether a pose points along its road's s, shape (N,); exactly across counts as along."""
+    return is_facing_forward(pose.heading - road_heading(world, pose))
+
+
+def speed_along_road(world: World, entity: int, where: BoolArray) -> FloatArray:
+    """Absolute speed of the last step along the entity's road in m/s, (N,); along its heading without roads.
+
+    In a bend it is the speed along the chord, projected onto the road's direction at the end of the step.
+    """
+    direction = world.heading[entity].copy()
+    if world.network is not None:
+        lane = follows_lane(world, entity)
+        if lane.any():
+            direction = np.where(lane, road_heading(world, road_pose(world, entity)), direction)
+        at = np.flatnonzero(~lane & where & world.present[entity])
+        x, y, heading = world.x[entity][at], world.y[entity][at], world.heading[entity][at]
+        road, s = world.network.track_road(world.last_road[entity][at], world.last_s[entity][at], x, y, heading)
+        world.last_road[entity][at], world.last_s[entity][at] = road, s
+        direction[at] = _road_headings(world.network, road, s)
+    return np.asarray(
+        np.abs(world.step_velocity[0][entity] * np.cos(direction) + world.step_velocity[1][entity] * np.sin(direction))
+    )
+
+
+def _road_headings(network: RoadNetwork, road: IntArray, s: FloatArray) -> FloatArray:
+    """Direction of the roads' s at positions on them, shape (R,)."""
+    heading = np.zeros(len(s))
+    for number in np.unique(road):
+        rows = road == number
+        heading[rows] = network.roads[int(number)].reference_pose(s[rows])[2]
+    return heading
+
+
+def distance_ahead_on_road(world: World, entity: int, target: Pose, default: FloatArray) -> FloatArray:
+    """Distance in m to a target along the entity's reference line, (N,), negative behind.
+
+    `default` applies if the target is on another road.
+    """
+    if world.network is None or target.road is None or target.s is None:
+        return default
+    own_pose = road_pose(world, entity)
+    assert own_pose.road is not None
+    assert own_pose.s is not None
+    forward = np.where(is_heading_along_road(world, own_pose), 1.0, -1.0)
+    return np.where(own_pose.road == target.road, forward * (target.s - own_pose.s), default)
+
+
+def relative_lane(world: World, pose: Pose, other: Pose) -> IntArray:
+    """Number of lanes from `pose` to `other`, positive to the left in driving direction, (N,)."""
+    assert pose.lane is not None
+    assert other.lane is not None
+    # Lane 0 is the centre line, not a lane.
+    difference = other.lane - pose.lane
+    crossing = np.sign(pose.lane) != np.sign(other.lane)
+    difference = difference - np.where(crossing, np.sign(difference), 0)
+    return np.asarray(difference * np.where(is_heading_along_road(world, pose), 1, -1))
+
+
+def is_opposite_direction(world: World, entity: int, pose: Pose) -> BoolArray:
+    """Check whether the pose's road runs opposite to the entity's road along its lane, (N,); False if not connected."""
+    assert pose.road is not None
+    result = np.zeros(world.scenarios, dtype=np.bool_)
+    for _, track, rows in world.iter_followed_tracks(entity, world.present[entity]):
+        if not isinstance(track, LaneTrack):
+            continue
+        path = track.path
+        sample = path.sample_index(world.distance[entity][rows])
+        for road in np.unique(pose.road[rows]):
+            samples = np.flatnonzero(path.road == road)
+            on_road_rows = pose.road[rows] == road
+            if samples.size:
+                near = samples[np.clip(np.searchsorted(samples, sample[on_road_rows]), 0, samples.size - 1)]
+                result[rows[on_road_rows]] = path.forward[near] != path.forward[sample[on_road_rows]]
+    return result
+
+
+def has_drivable_lane_in_range(world: World, pose: Pose, first: int, last: int, opposite: bool) -> BoolArray:
+    """Check for a drivable lane from `first` to `last` lanes left of a pose (inclusive), shape (N,).
+
+    `opposite`: whether lanes of the opposite direction count.
+    """
+    assert world.network is not None
+    assert pose.road is not None
+    assert pose.lane is not None
+    assert pose.s is not None
+    result = np.zeros(world.scenarios, dtype=np.bool_)
+    for road in np.unique(pose.road):
+        rows = np.flatnonzero(pose.road == road)
+        road_geometry = world.network.roads[int(road)]
+        for k in np.unique(section := road_geometry.section_at(pose.s[rows])):
+            at = rows[section == k]
+            lane = pose.lane[at]
+            for number, other in road_geometry.sections[int(k)][1].items():
+                in_range = (number >= lane + first) & (number <= lane + last) & other.is_drivable
+                result[at] |= in_range & (opposite | (np.sign(number) == np.sign(lane)))
+    return result

@@ -1,0 +1,105 @@
+"""Move entities along their tracks outside of kernels."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from cornercase._common.geometry.boxes import wrap_angle
+from cornercase._common.typing import BoolArray, FloatArray, IntArray
+from cornercase.simulators.builtin.tracks._lane import LaneTrack
+from cornercase.simulators.builtin.tracks._track import Track
+from cornercase.simulators.builtin.world._lane_following import extend_lane_path
+from cornercase.simulators.builtin.world._road_position import is_on_road
+from cornercase.simulators.builtin.world._world import World
+
+# Distance in m to the end of a road that counts as the end.
+_END_TOLERANCE: Final = 1e-3
+
+
+def update_off_road_times(world: World, where: BoolArray) -> None:
+    """Update since when entities are off the road, in the scenarios of a mask."""
+    # As in esmini, no entity is off the road before the first time step.
+    current_time = np.where(world.last_step > 0.0, world.time, np.inf)
+    for e, since in enumerate(world.off_road_since):
+        is_off = world.present[e] if world.network is None else world.present[e] & ~is_on_road(world, e)
+        since[where] = np.where(is_off, np.minimum(since, current_time), np.inf)[where]
+
+
+def extend_lane_paths(world: World) -> None:
+    """Make entities near the end of their lane's cut path follow the next part."""
+    for e, tracks in enumerate(world.tracks):
+        for k, track in enumerate([*tracks]):
+            if isinstance(track, LaneTrack) and track.is_continued:
+                extend_lane_path(world, e, k)
+
+
+def heading_velocity(world: World) -> tuple[FloatArray, FloatArray]:
+    """Velocity in x and y along the headings in m/s, each (E, N)."""
+    return world.speed * np.cos(world.heading), world.speed * np.sin(world.heading)
+
+
+def heading_acceleration(world: World) -> FloatArray:
+    """Acceleration along the heading in the last step in m/s², shape (E, N)."""
+    return np.asarray(
+        world.step_acceleration[0] * np.cos(world.heading) + world.step_acceleration[1] * np.sin(world.heading)
+    )
+
+
+def update_pose_on_track(world: World, entity: int, where: BoolArray) -> None:
+    """Update an entity's pose from its position on the track immediately."""
+    for _, track, at in world.iter_followed_tracks(entity, where):
+        _set_pose_from_track(world, entity, track, at)
+
+
+def move_along_track(world: World, entity: int, where: BoolArray, distance: FloatArray) -> None:
+    """Move an entity by `distance` m (N,) along its track and to its offset within the frame."""
+    world.moved[entity] |= where
+    for _, track, at in world.iter_followed_tracks(entity, where & world.running):
+        _advance_on_track(world, entity, track, at, distance[at])
+
+
+def shift_along_track(world: World, entity: int, where: BoolArray, distance: FloatArray) -> None:
+    """Shift an entity by `distance` m (N,) along its track before it moves in the frame."""
+    for _, track, at in world.iter_followed_tracks(entity, where):
+        world.distance[entity][at] = _advance_distance(
+            track, world.distance[entity][at], world.offset[entity][at], distance[at]
+        )
+        _set_pose_from_track(world, entity, track, at)
+
+
+def set_external_motion(
+    world: World, entity: int, x: FloatArray, y: FloatArray, heading: FloatArray, speed: FloatArray
+) -> None:
+    """Set the motion of an entity that another simulator moves, at the end of the coming step, each (N,)."""
+    world.x[entity], world.y[entity], world.heading[entity], world.speed[entity] = x, y, heading, speed
+    world.moved[entity] = True
+    for _, track, at in world.iter_followed_tracks(entity, world.running):
+        along = track.nearest_distance(x[at], y[at], at, world.distance[entity][at])
+        on_x, on_y, track_heading = track.pose_at(along, np.zeros(len(at)), at)
+        world.distance[entity][at] = along
+        world.offset[entity][at] = (y[at] - on_y) * np.cos(track_heading) - (x[at] - on_x) * np.sin(track_heading)
+        world.turn[entity][at] = wrap_angle(heading[at] - track_heading)
+
+
+def _advance_on_track(world: World, entity: int, track: Track, rows: IntArray, step: FloatArray) -> None:
+    distance = _advance_distance(track, world.distance[entity][rows], world.offset[entity][rows], step)
+    if isinstance(track, LaneTrack):
+        since = world.at_end_since[entity][rows]
+        backwards = (step < 0.0) | ((step == 0.0) & np.isfinite(since))
+        at_end = (distance >= track.length - _END_TOLERANCE) | ((distance <= _END_TOLERANCE) & backwards)
+        arrived = np.where(world.last_step > 0.0, world.time + world.last_step, np.inf)[rows]
+        world.at_end_since[entity][rows] = np.where(at_end, np.minimum(since, arrived), np.inf)
+    world.distance[entity][rows] = distance
+    _set_pose_from_track(world, entity, track, rows)
+
+
+def _advance_distance(track: Track, distance: FloatArray, offset: FloatArray, step: FloatArray) -> FloatArray:
+    return track.advance(distance, offset, step) if isinstance(track, LaneTrack) else distance + step
+
+
+def _set_pose_from_track(world: World, entity: int, track: Track, rows: IntArray) -> None:
+    x, y, heading = track.pose_at(world.distance[entity][rows], world.offset[entity][rows], rows)
+    world.x[entity][rows], world.y[entity][rows] = x, y
+    world.heading[entity][rows] = heading + world.turn[entity][rows]

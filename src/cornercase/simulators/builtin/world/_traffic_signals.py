@@ -1,0 +1,112 @@
+"""Traffic signal controllers, which cycle through their phases."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+from lxml import etree
+
+from cornercase._common.errors import InputError, suggest_name
+from cornercase._common.io.tracked_xml import note_adaptation
+from cornercase._common.typing import BoolArray, FloatArray, IntArray
+from cornercase.scenario._scope import Scope
+from cornercase.simulators.builtin.world._text_values import is_unused_by_conditions
+
+SIGNAL_CONDITIONS: Final = ("TrafficSignalCondition", "TrafficSignalControllerCondition")
+"""Conditions on traffic signals."""
+
+# Tolerance in s for times that are multiples of the time step.
+_TINY: Final = 1e-6
+
+
+class SignalController:
+    """Switches traffic signals at the start of each phase; in between, a signal keeps any other state it is given.
+
+    `states`: state of each signal in each of P phases; `durations` (P, N) and `delay` (N,) in s.
+    """
+
+    def __init__(
+        self, names: Sequence[str], states: Sequence[dict[str, str]], durations: FloatArray, delay: FloatArray
+    ) -> None:
+        self.names = tuple(names)
+        self._states = tuple(states)
+        self._phase_ends = np.cumsum(durations, axis=0)
+        self.delay = delay
+        self._cycle_start = delay.copy()
+        self._phase = np.full(len(delay), -1)
+
+    def phase_at(self, time: FloatArray) -> IntArray:
+        """Index of the phase at times in s, shape (N,)."""
+        since = np.mod(time - self._cycle_start + _TINY, self._phase_ends[-1])
+        return np.asarray(np.minimum((self._phase_ends <= since).sum(axis=0), len(self.names) - 1), dtype=np.int64)
+
+    def start_phase(self, phase: int, time: FloatArray, where: BoolArray) -> None:
+        """Start a phase now in the scenarios of a mask, and continue from there."""
+        begins = self._phase_ends[phase - 1] if phase else np.zeros(self._phase_ends.shape[1])
+        self._cycle_start[where] = (time - begins)[where]
+        self._phase[where] = -1
+
+    def update_signals(self, signals: dict[str, npt.NDArray[np.str_]], time: FloatArray, where: BoolArray) -> None:
+        """Set the signals where a phase has begun, in the scenarios of a mask."""
+        phases = np.where(where, self.phase_at(time), self._phase)
+        for k in np.unique(phases[phases != self._phase]):
+            has_begun = (phases == k) & (phases != self._phase)
+            for signal, state in self._states[k].items():
+                signals[signal] = np.where(has_begun, state, signals.get(signal, np.full(len(phases), "")))
+        self._phase = phases
+
+
+def read_signal_controllers(root: etree._Element, scope: Scope) -> dict[str, SignalController]:
+    """Read the traffic signal controllers below ``OpenSCENARIO``, by name."""
+    controllers: dict[str, SignalController] = {}
+    for element in root.iterfind("RoadNetwork/TrafficSignals/TrafficSignalController"):
+        name, where = scope.read_text(element, "name"), f"{scope.file_name}, line {element.sourceline}: <{element.tag}>"
+        phases = list(element.iterfind("Phase"))
+        durations = np.array([scope.read_numbers(phase, "duration") for phase in phases])
+        is_instant = np.ones(scope.n_scenarios, dtype=np.bool_) if not phases else durations.sum(axis=0) <= 0
+        is_instant |= (durations < 0).any(axis=0)
+        if is_instant.any() and not any(scope.origin_parameters(phase.get("duration", "")) for phase in phases):
+            if is_unused_by_conditions(element, *SIGNAL_CONDITIONS):
+                why = f"'{name}' is skipped, as none of its phases takes time, and no condition uses signals"
+                note_adaptation(
+                    element, "<TrafficSignalController>", why, "a signal controller has phases that take time"
+                )
+                continue
+            raise InputError(f"{where}: the signal controller '{name}' needs phases with a duration above 0.")
+        for phase, duration in zip(phases, durations, strict=True):
+            scope.mark_invalid(phase, "duration", "is below 0", duration < 0)
+        if is_instant.any():
+            scope.mark_invalid(phases[0], "duration", "is 0, as are those of the other phases", is_instant)
+        delay, other = scope.read_numbers(element, "delay", 0.0), scope.read_text(element, "reference", "")
+        if other:
+            delay = delay + require_signal_controller(controllers, other, where).delay
+        states = [
+            {
+                scope.read_text(signal_state, "trafficSignalId"): scope.read_text(signal_state, "state")
+                for signal_state in phase.iterfind("TrafficSignalState")
+            }
+            for phase in phases
+        ]
+        controllers[name] = SignalController(
+            [scope.read_text(phase, "name") for phase in phases], states, durations, delay
+        )
+    return controllers
+
+
+def require_signal_controller(controllers: dict[str, SignalController], name: str, location: str) -> SignalController:
+    """Return the controller with a name; raise `InputError`, starting with `location`, if there is none."""
+    if name not in controllers:
+        raise InputError(f"{location}: there is no signal controller '{name}'; {suggest_name(name, controllers)}")
+    return controllers[name]
+
+
+def require_phase_index(controller: SignalController, name: str, location: str) -> int:
+    """Index of the phase with a name; raises `InputError`, starting with `location`, if there is none."""
+    if name not in controller.names:
+        raise InputError(
+            f"{location}: the signal controller has no phase '{name}'; {suggest_name(name, controller.names)}"
+        )
+    return controller.names.index(name)

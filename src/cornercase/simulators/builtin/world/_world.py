@@ -1,0 +1,220 @@
+"""State of all entities in all concrete scenarios of a batch.
+
+Arrays are indexed (entity, scenario), so that an entity's row is contiguous over the scenarios.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+from lxml import etree
+
+from cornercase._common.errors import SimulationError
+from cornercase._common.io.support_table import NoticeLabel
+from cornercase._common.plugin_errors import format_time_of_failure
+from cornercase._common.typing import BoolArray, FloatArray, IntArray
+from cornercase.roads._network import RoadNetwork
+from cornercase.scenario._scope import Scope
+from cornercase.simulators.builtin.tracks._lane import LaneTrack
+from cornercase.simulators.builtin.tracks._track import Track
+from cornercase.simulators.builtin.world._state_layout import (
+    FLAG_ROWS,
+    FLOAT_ROWS,
+    GONE_X,
+    GONE_Y,
+    INTEGER_ROWS,
+    N_FLOAT_ROWS,
+    PULL_X,
+    PULL_Y,
+)
+from cornercase.simulators.builtin.world._traffic_signals import SignalController
+
+LONGITUDINAL, LATERAL = "longitudinal", "lateral"
+
+
+class SpeedController(Protocol):
+    """Decides the speed of an entity while in control of it."""
+
+    def step(self, dt: float) -> None:
+        """Decide the entity's speed at the end of the coming time step."""
+        ...
+
+
+@dataclass(frozen=True)
+class Entity:
+    """Constant properties of an entity.
+
+    `kind`: vehicle category, ``"pedestrian"`` or ``"misc"``. Box in m; limits in m/s and m/s², infinite if not set.
+    `slides`: follows trajectories with any heading they prescribe. `polyline_turning`: where its heading turns along a
+    polyline (`ALONG_SEGMENTS`, `AT_CORNERS`, `AT_VERTICES`), or empty if the following mode decides. `body`: its element
+    and scope.
+    """
+
+    name: str
+    kind: str
+    length: float
+    width: float
+    center_x: float
+    max_speed: float
+    max_acceleration: float
+    max_deceleration: float
+    slides: bool = False
+    polyline_turning: str = ""
+    body: tuple[etree._Element, Scope] | None = field(default=None, repr=False, compare=False)
+
+
+@dataclass(frozen=True)
+class Tow:
+    """A vehicle and a trailer (rows) that it pulls, or may pull later.
+
+    `hitch`: connection ahead of the vehicle's reference point, `coupler`: ahead of the trailer's, in m.
+    """
+
+    vehicle: int
+    trailer: int
+    hitch: float
+    coupler: float
+
+
+class World:
+    """State of E entities in N concrete scenarios; rows of the tables are documented in `layout_revision`.
+
+    The (E, N) arrays are views of `floats`, `flags` and `numbers` (N, K, E): write into them, never replace them.
+    `overlapping` (E, E, N) is a view of `overlaps` (N, E, E). `time` and `last_step` (N,) in s differ between
+    scenarios. `running` (N,): scenarios in the current frame. `changed` (N,): scenarios whose storyboard has changed in
+    this frame. `started`: the first frame, in which nothing moves, is over. `step_velocity` and `step_acceleration`:
+    velocity in m/s and acceleration in m/s² of the last step, as x and y. `needs_road_check`: a condition asks for
+    entities off the road. `variables` and `parameters`: values (N,) as numbers or texts; `signals`: states (N,) as
+    texts. `selections`: rows of entities. `positioned_entity`: row of the entity whose position is being resolved.
+    `drivers`: all that may control entities; `has_fixed_driver` (E): the driver was chosen by the user, and the file
+    cannot change it. `tracks`: all tracks that an entity has followed. `routes`: all assigned routes, as (road, lane,
+    s). `lane_tracks`: cache of tracks along lanes. `current_action`: line and name of the acting action, for errors.
+    `errors`: by scenario. `notices`: sentences on deviations from the file, without a full stop, each once.
+    """
+
+    x: FloatArray
+    y: FloatArray
+    heading: FloatArray
+    speed: FloatArray
+    acceleration: FloatArray
+    odometer: FloatArray
+    standing_since: FloatArray
+    distance: FloatArray
+    offset: FloatArray
+    turn: FloatArray
+    sideways: FloatArray
+    pace: FloatArray
+    velocity: FloatArray
+    last_s: FloatArray
+    road_speed: FloatArray
+    at_end_since: FloatArray
+    off_road_since: FloatArray
+    target_speed: FloatArray
+    from_x: FloatArray
+    from_y: FloatArray
+    from_heading: FloatArray
+    before: FloatArray
+    present: BoolArray
+    changes_lanes: BoolArray
+    stranded: BoolArray
+    moved: BoolArray
+    decided: BoolArray
+    activated: BoolArray
+    driven: BoolArray
+    visible: BoolArray
+    jumped: BoolArray
+    track: IntArray
+    route: IntArray
+    last_road: IntArray
+    driver: IntArray
+    pulled_by: IntArray
+
+    def __init__(
+        self,
+        entities: tuple[Entity, ...],
+        scenarios: int,
+        network: RoadNetwork | None,
+        tows: tuple[Tow, ...] = (),
+    ) -> None:
+        self.entities, self.tows = entities, tows
+        self.names = [entity.name for entity in entities]
+        self.scenarios = scenarios
+        self.network = network
+        self.time, self.last_step = np.zeros(scenarios), np.zeros(scenarios)
+        self.running = np.ones(scenarios, dtype=np.bool_)
+        self.changed = np.zeros(scenarios, dtype=np.bool_)
+        self.started = False
+        self.floats = np.zeros((scenarios, N_FLOAT_ROWS, len(entities)))
+        self.flags = np.zeros((scenarios, len(FLAG_ROWS), len(entities)), dtype=np.bool_)
+        self.numbers = np.zeros((scenarios, len(INTEGER_ROWS), len(entities)), dtype=np.int64)
+        for table, rows in ((self.floats, FLOAT_ROWS), (self.flags, FLAG_ROWS), (self.numbers, INTEGER_ROWS)):
+            for name, (row, value) in rows.items():
+                table[:, row] = value
+                setattr(self, name, table[:, row].T)
+        self.step_velocity = (self.floats[:, GONE_X].T, self.floats[:, GONE_Y].T)
+        self.step_acceleration = (self.floats[:, PULL_X].T, self.floats[:, PULL_Y].T)
+        self.overlaps = np.zeros((scenarios, len(entities), len(entities)), dtype=np.bool_)
+        self.overlapping = self.overlaps.transpose(1, 2, 0)
+        self.signals: dict[str, npt.NDArray[np.str_]] = {}
+        self.signal_controllers: dict[str, SignalController] = {}
+        self.drivers: list[SpeedController] = []
+        self.has_fixed_driver = [False] * len(entities)
+        self.tracks: list[list[Track]] = [[] for _ in entities]
+        self.routes: list[tuple[tuple[int, int, float], ...]] = [()]
+        self.needs_road_check = False
+        self.variables: dict[str, Any] = {}
+        self.parameters: dict[str, Any] = {}
+        self.selections: dict[str, list[int]] = {}
+        self.positioned_entity: int | None = None
+        self.lane_tracks: dict[tuple[object, ...], LaneTrack | None] = {}
+        self.errors: dict[int, SimulationError] = {}
+        self.current_action: str | None = None
+        self.notices: dict[str, None] = {}
+        for tow in tows:
+            self.pulled_by[tow.trailer] = tow.vehicle
+
+    def iter_followed_tracks(self, entity: int, where: BoolArray) -> Iterator[tuple[int, Track, IntArray]]:
+        """Yield the tracks that an entity follows in the mask: number, track, and scenarios."""
+        for number, track in enumerate(self.tracks[entity]):
+            rows = np.flatnonzero(where & (self.track[entity] == number))
+            if rows.size:
+                yield number, track, rows
+
+    def fail(self, where: BoolArray, reason: str | SimulationError) -> None:
+        """End the scenarios of a mask with an error."""
+        for i in np.flatnonzero(where & self.running).tolist():
+            if isinstance(reason, SimulationError):
+                self.errors[i] = reason
+            else:
+                acting = "" if self.current_action is None else f"{self.current_action}: "
+                instant = "" if self.current_action is None else format_time_of_failure(float(self.time[i]))
+                self.errors[i] = SimulationError(f"{acting}{reason}{instant}")
+        self.running &= ~where
+
+    def add_notice(self, location: str, subject: str, reason: str, where: BoolArray) -> None:
+        """Record that `subject` at `location` (file and line) is not run as written, but as `reason` says."""
+        first = np.flatnonzero(where & self.running)
+        sentence = f"{NoticeLabel.ADAPTED}: {subject} ({location}): {reason}"
+        if first.size and not any(notice.startswith(f"{sentence}; ") for notice in self.notices):
+            self.notices[f"{sentence}; first at {self.time[first[0]]:.6g} s"] = None
+
+    def set_speed(self, entity: int, where: BoolArray, speed: FloatArray) -> None:
+        """Set an entity's speed, or its driver's target speed, in the scenarios of the mask."""
+        self.target_speed[entity][where] = speed[where]
+        undriven = where & ~self.driven[entity]
+        self.speed[entity][undriven] = speed[undriven]
+        self.decided[entity] |= where
+
+    def assign_control(
+        self, entity: int, where: BoolArray, driver: int | None = None, activated: bool | None = None
+    ) -> None:
+        """Assign a driver (-1 for none) or activate longitudinal control; None leaves it unchanged."""
+        if driver is not None:
+            self.driver[entity][where] = driver
+        if activated is not None:
+            self.activated[entity][where] = activated
+        self.driven[entity] = self.activated[entity] & (self.driver[entity] >= 0)

@@ -1,0 +1,350 @@
+"""Decide which entities ScenarioRunner can move by the storyboard, and which need trajectories."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+from lxml import etree
+
+from cornercase._common.errors import InputError
+from cornercase.scenario._file import DRIVER_PROPERTY
+from cornercase.scenario._maps import describe_how_to_get_map
+from cornercase.simulators.carla._support_table import HandlingStatus, SupportFinding, SupportRow, find_unsupported
+
+# Conditions that stay true once they are true.
+_LASTING_CONDITIONS: Final = ("SimulationTimeCondition", "TraveledDistanceCondition", "StoryboardElementStateCondition")
+_REFERENCE_ATTRIBUTES: Final = ("entityRef", "masterEntityRef")
+
+
+@dataclass
+class ActorPlan:
+    """How each entity of a scenario is moved.
+
+    `sampled`: entities that move along a trajectory, with reasons; `reacting`: those that react to externally driven
+    ones; `dropped`: driven entities whose events are left out; `notes`: what has no effect or differs.
+    """
+
+    sampled: dict[str, list[str]] = field(default_factory=dict)
+    reacting: set[str] = field(default_factory=set)
+    dropped: set[str] = field(default_factory=set)
+    notes: list[str] = field(default_factory=list)
+
+
+def plan_actors(
+    root: etree._Element,
+    driven: Collection[str],
+    source: Path,
+    carla_map_name: str,
+    deviations: Mapping[str, str],
+    lowest_speeds: Mapping[str, float],
+) -> ActorPlan:
+    """Decide how each entity is moved.
+
+    An entity that does not react to an externally driven one always moves the same way, so a trajectory loses nothing:
+    it gets one wherever ScenarioRunner deviates from the storyboard. An entity that reacts keeps the storyboard as long
+    as ScenarioRunner does something similar.
+
+    `driven` are entities that an agent drives. `carla_map_name` is the map's name, empty if there is a road file (without
+    one, no trajectories can be sampled). `astray` says why ScenarioRunner's controls would lead entities elsewhere.
+    `slowest` is the lowest speed of each entity in the builtin simulator in m/s (missing: 0). Raises `InputError` if an
+    entity needs a trajectory and there is none.
+    """
+    names = [element.get("name", "") for element in root.iterfind("Entities/ScenarioObject")]
+    parts = {name: list(_elements_moving(root, name)) for name in names}
+    reacting = _reacting_entities(root, parts, driven)
+    result = ActorPlan(reacting=reacting - set(driven))
+    result.notes += _describe_ineffective(root)
+    for name in names:
+        if name in driven:
+            _drop_events_of_driven(name, parts[name], result)
+            continue
+        deviations: list[str] = []
+        for part in parts[name]:
+            for finding in (
+                *find_unsupported(part),
+                *_find_implicit_deviations(part, root),
+                *_find_negative_speeds(part, driven, lowest_speeds),
+            ):
+                if finding.row.status is HandlingStatus.SAMPLED:
+                    result.sampled.setdefault(name, []).append(_describe_finding(finding))
+                elif finding.row.status is HandlingStatus.APPROXIMATE:
+                    deviations.append(_describe_finding(finding))
+        if name in deviations:
+            deviations.append(deviations[name])
+        if _has_cornercase_driver(root, name):
+            deviations.append("it has a driver of cornercase")
+        if carla_map_name and name in result.sampled:
+            raise InputError(
+                f"{source}: ScenarioRunner cannot move '{name}' like that ({result.sampled[name][0]}), and a trajectory"
+                f" needs a road file besides CARLA's map {carla_map_name}; {describe_how_to_get_map(carla_map_name)}."
+            )
+        if deviations and name not in reacting and not carla_map_name:
+            result.sampled.setdefault(name, []).extend(deviations)
+        elif deviations and name not in result.sampled:
+            result.notes += [f"{name}: {reason}." for reason in dict.fromkeys(deviations)]
+    _sample_waiting_entities(root, parts, result, driven)
+    result.notes += [
+        f"{name} moves along a trajectory of the builtin simulator, as {'; '.join(dict.fromkeys(reasons))}."
+        for name, reasons in result.sampled.items()
+    ]
+    result.notes += [
+        f"{name} should react to {' and '.join(driven)}, but no longer does."
+        for name in result.sampled
+        if name in reacting
+    ]
+    return result
+
+
+def select_stop_conditions(
+    root: etree._Element, actor_plan: ActorPlan, driven: Collection[str]
+) -> list[etree._Element]:
+    """Return the condition groups of the stop trigger that depend on externally driven entities and stay.
+
+    Adds a note to the plan for each group that does not stay.
+    """
+    groups = []
+    for group in root.iterfind("Storyboard/StopTrigger/ConditionGroup"):
+        all_findings = [*find_unsupported(group), *_find_implicit_deviations(group, root)]
+        unsupported = [finding for finding in all_findings if finding.row.status is HandlingStatus.SAMPLED]
+        if len(group) > 1 or not driven:
+            unsupported = unsupported or [
+                _sampled_finding(group, "one condition of a group is enough for ScenarioRunner to end an act")
+            ]
+        if not unsupported:
+            groups.append(group)
+        elif driven:
+            actor_plan.notes.append(f"The stop trigger is without {_describe_finding(unsupported[0])}.")
+    return groups
+
+
+def _drop_events_of_driven(name: str, parts: list[etree._Element], actor_plan: ActorPlan) -> None:
+    """Drop the events of an agent-driven entity if ScenarioRunner would fail at one."""
+    for part in parts:
+        if part.tag == "ManeuverGroup" and any(
+            finding.row.status is HandlingStatus.SAMPLED for finding in find_unsupported(part)
+        ):
+            actor_plan.dropped.add(name)
+    if name in actor_plan.dropped:
+        actor_plan.notes.append(f"{name}: its events are left out, as an agent drives it.")
+
+
+def _elements_moving(root: etree._Element, name: str) -> Iterator[etree._Element]:
+    """Storyboard elements that move an entity: its own actions, its maneuver groups, and triggers of their acts."""
+    yield from (
+        element for element in root.iterfind("Storyboard/Init/Actions/Private") if element.get("entityRef") == name
+    )
+    for action in root.iter("EntityAction"):
+        if action.get("entityRef") == name:
+            yield action
+    for group in root.iter("ManeuverGroup"):
+        if any(element.get("entityRef") == name for element in group.iterfind("Actors/EntityRef")):
+            yield group
+            act = group.getparent()
+            if act is not None:
+                yield from (*act.iterfind("StartTrigger"), *act.iterfind("StopTrigger"))
+
+
+def refuse_unsupported(root: etree._Element, source: Path) -> None:
+    """Raise `InputError` for the first element or attribute that the support table refuses or lacks."""
+    for finding in find_unsupported(root):
+        if finding.row.status is HandlingStatus.REFUSED:
+            raise InputError(
+                f"{source}, line {finding.element.sourceline}: {finding.description} {_describe_refusal(finding)}."
+            )
+
+
+def _describe_ineffective(root: etree._Element) -> list[str]:
+    without: dict[str, list[str]] = {}
+    for finding in find_unsupported(root):
+        if finding.row.status is HandlingStatus.WITHOUT_EFFECT:
+            without.setdefault(finding.row.note, []).append(finding.description)
+    return [f"{', '.join(dict.fromkeys(names))}: without effect, as {note}." for note, names in without.items()]
+
+
+def _describe_refusal(finding: SupportFinding) -> str:
+    return finding.row.note if finding.row.note.startswith("is ") else f"cannot be used, as {finding.row.note}"
+
+
+def _describe_finding(finding: SupportFinding) -> str:
+    return f"{finding.description}: {finding.row.note}"
+
+
+def _find_implicit_deviations(part: etree._Element, root: etree._Element) -> Iterator[SupportFinding]:
+    """Find deviations that no single element or attribute shows."""
+    if part.tag == "Private":
+        yield from _find_unsupported_init_actions(part)
+    for group in part.iter("ConditionGroup"):
+        conditions = group.findall("Condition")
+        lasting = all(
+            any(condition.find(f".//{tag}") is not None for tag in _LASTING_CONDITIONS) for condition in conditions
+        )
+        if len(conditions) > 1 and not lasting:
+            yield _approximate_finding(
+                group, "it is enough for ScenarioRunner that each condition has been true at some time"
+            )
+    for entities in part.iter("TriggeringEntities"):
+        if len(entities) > 1:
+            yield _sampled_finding(entities, "ScenarioRunner looks at the last entity only")
+    for time in part.iter("SimulationTimeCondition"):
+        if time.get("rule", "").startswith("less"):
+            yield _approximate_finding(time, "ScenarioRunner counts from when it first looks at the condition")
+    for state in part.iter("StoryboardElementStateCondition"):
+        if not _is_reference_kept(root, state):
+            yield _sampled_finding(state, "it waits for what is left out")
+    act = part.getparent() if part.tag == "ManeuverGroup" else None
+    if act is not None and not _starts_immediately(act) and any(True for _ in part.iter("SimulationTimeCondition")):
+        yield _approximate_finding(part, "ScenarioRunner counts the time from the start of the act")
+    if part.tag == "StopTrigger":
+        for group in part.iterfind("ConditionGroup"):
+            if len(group) > 1:
+                yield _approximate_finding(group, "one condition of a group is enough for ScenarioRunner to end an act")
+
+
+def _find_negative_speeds(
+    part: etree._Element, driven: Collection[str], lowest_speeds: Mapping[str, float]
+) -> Iterator[SupportFinding]:
+    """Find speeds below 0, at which ScenarioRunner stops."""
+    for speed in part.iter("AbsoluteTargetSpeed", "AbsoluteSpeed"):
+        if float(speed.get("value", "0")) < 0.0:
+            yield _sampled_finding(speed, "ScenarioRunner stops at speeds below 0")
+    for speed in part.iter("RelativeTargetSpeed", "RelativeSpeedToMaster"):
+        action = next(speed.iterancestors("SynchronizeAction"), None)
+        other = speed.get("entityRef", "") if action is None else action.get("masterEntityRef", "")
+        value, slowest_speed = float(speed.get("value", "0")), lowest_speeds.get(other, 0.0)
+        factor = speed.get("speedTargetValueType") == "factor"
+        if slowest_speed < 0.0 or (value < 0.0 if factor else slowest_speed + value < 0.0):
+            yield _sampled_finding(speed, "ScenarioRunner stops at speeds below 0")
+        elif other in driven and value < 0.0:
+            yield _approximate_finding(speed, "ScenarioRunner stops if it leads below 0")
+
+
+def _find_unsupported_init_actions(private: etree._Element) -> Iterator[SupportFinding]:
+    """Find initial actions that ScenarioRunner does not execute, besides the first position and speed."""
+    for action_tag in ("LateralAction", "SynchronizeAction", "LongitudinalDistanceAction", "SpeedProfileAction"):
+        for action in private.iter(action_tag):
+            yield _sampled_finding(action, "ScenarioRunner does not do it in <Init> as the standard says")
+    is_walker = not any(
+        element.get("name") == private.get("entityRef") and element.find("Vehicle") is not None
+        for element in private.getroottree().iterfind("Entities/ScenarioObject")
+    )
+    for action_tag in ("AssignRouteAction", "AcquirePositionAction") if is_walker else ():
+        for action in private.iter(action_tag):
+            yield _sampled_finding(action, "CARLA's route planner is for vehicles")
+    for relative in private.iter("RelativeTargetSpeed"):
+        if relative.get("continuous") in ("true", "1"):
+            yield _sampled_finding(relative, "ScenarioRunner does not do it in <Init>")
+
+
+def _starts_immediately(act: etree._Element) -> bool:
+    """Return whether an act starts with the scenario."""
+    trigger = act.find("StartTrigger")
+    for condition in () if trigger is None else trigger.iter("Condition"):
+        time = condition.find("ByValueCondition/SimulationTimeCondition")
+        if time is None or not time.get("rule", "").startswith("greater") or float(time.get("value", "0")) > 0.0:
+            return False
+    return True
+
+
+def _approximate_finding(element: etree._Element, note: str) -> SupportFinding:
+    return _make_finding(element, HandlingStatus.APPROXIMATE, note)
+
+
+def _sampled_finding(element: etree._Element, note: str) -> SupportFinding:
+    return _make_finding(element, HandlingStatus.SAMPLED, note)
+
+
+def _make_finding(element: etree._Element, status: HandlingStatus, note: str) -> SupportFinding:
+    return SupportFinding(f"<{element.tag}>", SupportRow(str(element.tag), "", (), status, note), element)
+
+
+def _has_cornercase_driver(root: etree._Element, name: str) -> bool:
+    for holder in root.iterfind("Entities/ScenarioObject"):
+        if holder.get("name") == name:
+            return holder.find(f".//Property[@name='{DRIVER_PROPERTY}']") is not None
+    return False
+
+
+def _reacting_entities(
+    root: etree._Element, parts: dict[str, list[etree._Element]], driven: Collection[str]
+) -> set[str]:
+    """Entities whose motion depends on externally driven ones, including these."""
+    referenced = {
+        name: {
+            element.get(attribute, "")
+            for part in elements
+            for element in part.iter()
+            for attribute in _REFERENCE_ATTRIBUTES
+            if isinstance(element.tag, str) and element.get(attribute) is not None
+        }
+        for name, elements in parts.items()
+    }
+    for name, elements in parts.items():
+        for state in (element for part in elements for element in part.iter("StoryboardElementStateCondition")):
+            referenced[name] |= _referenced_actors(root, state)
+        if _has_cornercase_driver(root, name):
+            referenced[name] |= set(parts)
+    reacting = set(driven)
+    while more := {name for name, names in referenced.items() if name not in reacting and names & reacting}:
+        reacting |= more
+    return reacting
+
+
+def _is_reference_kept(root: etree._Element, state: etree._Element) -> bool:
+    """Return whether everything that a condition refers to stays in the storyboard, if its actors do."""
+    elements = [
+        element
+        for element in _referenced_elements(root, state)
+        if str(element.tag).lower() == state.get("storyboardElementType", "").lower()
+    ]
+    return bool(elements) and not any(
+        action.tag == "GlobalAction" or finding.row.status is HandlingStatus.WITHOUT_EFFECT
+        for element in elements
+        for action in element.iter("PrivateAction", "GlobalAction")
+        for finding in find_unsupported(action)
+    )
+
+
+def _referenced_elements(root: etree._Element, state: etree._Element) -> list[etree._Element]:
+    """Storyboard elements with the name that a condition refers to."""
+    name = state.get("storyboardElementRef", "").replace("::", "/").rpartition("/")[2]
+    return [element for element in root.iterfind("Storyboard/Story//*[@name]") if element.get("name") == name]
+
+
+def _referenced_actors(root: etree._Element, state: etree._Element) -> set[str]:
+    """Entities that act in the storyboard elements that a condition refers to."""
+    return {
+        reference.get("entityRef", "")
+        for element in _referenced_elements(root, state)
+        for group in (*element.iter("ManeuverGroup"), *element.iterancestors("ManeuverGroup"))
+        for reference in group.iterfind("Actors/EntityRef")
+    }
+
+
+def _sample_waiting_entities(
+    root: etree._Element, parts: dict[str, list[etree._Element]], actor_plan: ActorPlan, driven: Collection[str]
+) -> None:
+    """Give trajectories also to entities that wait for events that are replaced."""
+    waiting = {
+        name: {
+            actor
+            for part in elements
+            for state in part.iter("StoryboardElementStateCondition")
+            for actor in _referenced_actors(root, state)
+        }
+        for name, elements in parts.items()
+        if name not in driven
+    }
+
+    def replaced_entities(actor_plan: ActorPlan) -> set[str]:
+        return actor_plan.dropped | set(actor_plan.sampled)
+
+    while more := [
+        name
+        for name, actors in waiting.items()
+        if name not in actor_plan.sampled and actors & replaced_entities(actor_plan)
+    ]:
+        for name in more:
+            actor_plan.sampled[name] = ["it waits for events of one that moves along a trajectory"]

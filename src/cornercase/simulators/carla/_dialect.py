@@ -1,0 +1,109 @@
+"""Tell ScenarioRunner which controller moves each entity of a scenario."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+from lxml import etree
+
+from cornercase._common.errors import InputError
+from cornercase.simulators.carla._storyboard_rewrite import format_number
+
+DRIVER_FILE: Final = Path(__file__).with_name("cornercase_driver.py")
+TRAJECTORY_FILE: Final = Path(__file__).with_name("cornercase_trajectory.py")
+BEHAVIORS: Final = ("aggressive", "cautious", "normal")
+_INACTIVE_OVERRIDES: Final = (
+    ("Throttle", "value"), ("Brake", "value"), ("Clutch", "value"), ("ParkingBrake", "value"),
+    ("SteeringWheel", "value"), ("Gear", "number"),
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class DrivingAgents:
+    """Agents that drive entities instead of the storyboard.
+
+    `behaviors`: CARLA's behaviour agents by entity; `agent` and `config`: the user's own agent, which drives the ego,
+    and its configuration.
+    """
+
+    behaviors: Mapping[str, str] = field(default_factory=dict)
+    agent: Path | None = None
+    config: Path | None = None
+
+    def driven_entities(self, ego: str) -> set[str]:
+        """Entities that an agent drives."""
+        return set(self.behaviors) | ({ego} if self.agent is not None else set())
+
+
+def assign_controllers(
+    root: etree._Element, source: Path, ego: str, agents: DrivingAgents, box_offsets: Mapping[str, float]
+) -> set[Path]:
+    """Assign controllers to entities that ScenarioRunner's own controls do not move; return those that it must find.
+
+    ScenarioRunner 0.9.16 does not execute routes (its waypoints need times since then), so our own controller follows
+    the initial route. `sampled` are the entities on trajectories, with the distance in m by which the centre of the box
+    is ahead of the reference point. Raises `InputError` if an entity with a behaviour agent has no route.
+    """
+    controllers = set()
+    for private in root.iterfind("Storyboard/Init/Actions/Private"):
+        entity = private.get("entityRef", "")
+        route = _pop_initial_route(private)
+        properties = {}
+        if entity in box_offsets:
+            properties = {"module": TRAJECTORY_FILE.name, "center_x": format_number(box_offsets[entity])}
+        elif entity == ego and agents.agent is not None:
+            properties = {
+                "module": DRIVER_FILE.name,
+                "agent": str(agents.agent),
+                "agent_config": str(agents.config or ""),
+            }
+        elif entity in agents.behaviors:
+            if not len(route):
+                raise InputError(
+                    f"{source}: '{entity}' needs a route for CARLA's behaviour agent; give it an <AssignRouteAction> or"
+                    " an <AcquirePositionAction> in <Init>."
+                )
+            properties = {"module": DRIVER_FILE.name, "behavior": agents.behaviors[entity]}
+        elif len(route):
+            properties = {"module": DRIVER_FILE.name}
+        if not properties:
+            continue
+        if len(route):
+            properties["route"] = etree.tostring(route, encoding="unicode")
+        for old_action in private.findall("PrivateAction"):
+            if old_action.find("ControllerAction") is not None:
+                private.remove(old_action)
+        private.append(_make_controller_action(entity, properties))
+        controllers.add(TRAJECTORY_FILE if entity in box_offsets else DRIVER_FILE)
+    return controllers
+
+
+def _pop_initial_route(private: etree._Element) -> etree._Element:
+    """Remove an entity's initial route, and return its positions."""
+    route = etree.Element("route")
+    for action in private.findall("PrivateAction"):
+        routing = action.find("RoutingAction")
+        if routing is None or routing.find("FollowTrajectoryAction") is not None:
+            continue
+        private.remove(action)
+        route.extend(routing.iterfind(".//Position"))
+    return route
+
+
+def _make_controller_action(entity: str, properties: Mapping[str, str]) -> etree._Element:
+    action = etree.Element("PrivateAction")
+    controller_action = etree.SubElement(action, "ControllerAction")
+    controller = etree.SubElement(
+        etree.SubElement(controller_action, "AssignControllerAction"), "Controller", name=f"driver of {entity}"
+    )
+    holder = etree.SubElement(controller, "Properties")
+    for name, value in properties.items():
+        etree.SubElement(holder, "Property", name=name, value=value)
+    # Required in 1.0; all inactive, since ScenarioRunner would execute them.
+    override = etree.SubElement(controller_action, "OverrideControllerValueAction")
+    for tag, attribute in _INACTIVE_OVERRIDES:
+        etree.SubElement(override, tag, {attribute: "0", "active": "false"})
+    return action

@@ -1,0 +1,457 @@
+"""Write concrete scenarios as OpenSCENARIO 1.0 for CARLA's ScenarioRunner."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from lxml import etree
+
+from cornercase._common.errors import InputError
+from cornercase._common.io.atomic import atomic_write_group
+from cornercase._common.io.files import atomic_write, check_output_differs_from_source
+from cornercase._common.validation import check_parameter_values, check_path
+from cornercase.scenario import Value
+from cornercase.scenario._axes import mirror_axes
+from cornercase.scenario._concrete_file import copy_companion_file
+from cornercase.scenario._file import DRIVER_PROPERTY, ScenarioFile
+from cornercase.scenario._scope import Scope
+from cornercase.simulators.builtin._check import schema_errors
+from cornercase.simulators.carla._actor_plan import ActorPlan, plan_actors, refuse_unsupported, select_stop_conditions
+from cornercase.simulators.carla._code_injection import add_criteria, pop_criteria, refuse_code_injection
+from cornercase.simulators.carla._dialect import DrivingAgents, assign_controllers
+from cornercase.simulators.carla._route_check import find_deviating_entities, initial_heights
+from cornercase.simulators.carla._storyboard_rewrite import (
+    add_missing_start_triggers,
+    copy_stop_trigger_to_acts,
+    make_names_unique,
+    remove_element,
+    remove_entities_from_storyboard,
+    remove_ineffective,
+    set_end_time,
+    set_initial_state,
+)
+from cornercase.simulators.carla._trajectories import add_trajectories, simulate_builtin
+
+_MINOR_REVISION: Final = 0
+# Attributes introduced after 1.0 that do not change the meaning of the rest.
+_LATER_ATTRIBUTES: Final = {
+    "SynchronizeAction": ("targetTolerance", "targetToleranceMaster"),
+    "Vehicle": ("mass", "role", "model3d"),
+    "Pedestrian": ("role", "model3d"),
+    "MiscObject": ("model3d",),
+    "SpeedActionDynamics": ("followingMode",),
+    "LongitudinalDistanceAction": ("coordinateSystem", "displacement"),
+    "RelativeDistanceCondition": ("coordinateSystem", "routingAlgorithm"),
+    "DistanceCondition": ("coordinateSystem", "routingAlgorithm"),
+    "TimeToCollisionCondition": ("coordinateSystem", "routingAlgorithm"),
+    "DynamicConstraints": ("maxAccelerationRate", "maxDecelerationRate"),
+    "Performance": ("maxAccelerationRate", "maxDecelerationRate"),
+}
+_PARAMETER_CHARACTERS: Final = str.maketrans("", "", "${}")
+_RULES_IN_1_0: Final = {"greaterOrEqual": "greaterThan", "lessOrEqual": "lessThan"}
+# Numbers and truth values of XML.
+_NUMBER_PATTERN: Final = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|-?INF|NaN|true|false", re.ASCII)
+_MAX_ENTITIES: Final = 500
+_AXES_NOTE: Final = (
+    "Positions were converted from CARLA's left-handed axes (the description begins with 'CARLA:') to those of the road"
+    " file; the new file's description lacks this prefix."
+)
+
+
+@dataclass(frozen=True)
+class Conversion:
+    """A concrete scenario that was written as OpenSCENARIO 1.0.
+
+    Attributes
+    ----------
+    path : Path
+        The new file.
+    notes : tuple of str
+        Differences from the original and replacements, one sentence each.
+    """
+
+    path: Path
+    notes: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        lines = "".join(f"\n  {note}" for note in self.notes) or "\n  nothing had to be changed"
+        return f"<Conversion {self.path}:{lines}>"
+
+
+def convert(
+    scenario: ScenarioFile | Path | str,
+    output: Path | str,
+    *,
+    ego: str,
+    values: Mapping[str, Value] | None = None,
+) -> Conversion:
+    """Write a concrete scenario as OpenSCENARIO 1.0, as CARLA's ScenarioRunner reads it.
+
+    Parameters and expressions are replaced by their values, since 1.0 has no expressions, and catalog entries are
+    copied into the file. The ego becomes ScenarioRunner's ``ego_vehicle``. The road file is copied next to the new file
+    and named after it (``t10.xodr`` for ``t10.xosc``), unless it is the name of one of CARLA's maps (``Town01``).
+
+    Parameters
+    ----------
+    scenario : Scenario or path
+        OpenSCENARIO of any version.
+    output : path
+        File to write.
+    ego : str
+        Entity that becomes the ego vehicle.
+    values : mapping of str to float or str, optional
+        Parameter values; others keep those of their declarations.
+
+    Returns
+    -------
+    Conversion
+
+    Raises
+    ------
+    InputError
+        A file cannot be read or written, there is no such entity or parameter, or something cannot be expressed in
+        OpenSCENARIO 1.0.
+
+    Examples
+    --------
+    >>> from cornercase.simulators import convert
+    >>> convert("t_intersection.xosc", "t10.xosc", ego="Ego", values={"c_speed": 9.0}).notes  # doctest: +SKIP
+    ("Ego is driven by the agent that ScenarioRunner gives it, not by cornercase's driver 'normal'.", ...)
+    """
+    if not isinstance(scenario, ScenarioFile):
+        scenario = ScenarioFile.read(scenario)
+    output, checked_values = check_path("output", output), check_parameter_values("values", values)
+    check_output_differs_from_source(output, scenario.path)
+    return Conversion(
+        output,
+        write_openscenario_1_0(
+            scenario, checked_values, output, ego=ego, options=ConversionOptions(with_criteria=True)
+        ),
+    )
+
+
+@dataclass(frozen=True)
+class ConversionOptions:
+    """Options of a converted scenario.
+
+    `agents` drive entities instead of the storyboard; `time_step` and `duration` in s; `open_loop`: an entity may move
+    along a trajectory although it should react to an agent-driven one; `road_file` and `controllers`: path of the
+    copied road file and folder of our controllers, relative to the new file (default: next to it); `judged`:
+    ScenarioRunner judges the run by the scenario's criteria.
+    """
+
+    agents: DrivingAgents = field(default_factory=DrivingAgents)
+    time_step: float = 0.05
+    duration: float = 60.0
+    open_loop: bool = True
+    road_file: str = ""
+    controllers: str = ""
+    with_criteria: bool = False
+
+
+def write_openscenario_1_0(
+    scenario: ScenarioFile,
+    values: Mapping[str, Value],
+    target: Path | str,
+    *,
+    ego: str,
+    options: ConversionOptions | None = None,
+) -> tuple[str, ...]:
+    """Write a concrete scenario for ScenarioRunner, as `convert` does; return notes on differences."""
+    options = options or ConversionOptions()
+    scenario.require_declared(list(values))
+    scenario.require_entity(ego, "ego")
+    target, road = Path(target), scenario.road_path_for(values)
+    town = carla_map_name(scenario, values)
+    missing_map = "" if road is None or road.exists() else town
+    root, notes, controllers = _make_tree_1_0(scenario, values, ego, options, missing_map)
+    # A scenario must not choose the name of a written file: ScenarioRunner would import 'carla.py'.
+    road_file = options.road_file or f"{target.stem}.xodr"
+    file = root.find("RoadNetwork/LogicFile")
+    if road is not None and file is not None:
+        try:
+            file.set("filepath", town or road_file)
+        except ValueError as error:
+            raise InputError(f"{target}: its name has characters that XML cannot hold; choose another one.") from error
+    violations = schema_errors(root)
+    if violations is None:
+        notes.append("It was not validated against the schema of 1.0; pip install 'cornercase[validate]'.")
+    elif violations:
+        raise InputError(f"{scenario.path}: cannot be expressed in OpenSCENARIO 1.0 ({violations[0]}).")
+    content = io.BytesIO()
+    # Into memory: lxml may silently lose data when it writes to a full disk.
+    etree.ElementTree(root).write(content, encoding="utf-8", xml_declaration=True, pretty_print=True)
+    with atomic_write_group():
+        if road is not None and not town:
+            copy_companion_file(road, target.parent / road_file, "OpenDRIVE")
+        for controller in controllers:
+            with atomic_write(target.parent / options.controllers / controller.name) as temporary:
+                temporary.write_bytes(controller.read_bytes())
+        with atomic_write(target) as temporary:
+            temporary.write_bytes(content.getvalue())
+    return tuple(dict.fromkeys(notes))
+
+
+def carla_map_name(scenario: ScenarioFile, values: Mapping[str, Value]) -> str:
+    """Return the name of CARLA's map that a scenario names instead of a road file; empty for a file or no road."""
+    reference = scenario.road_reference_for(values)
+    road = scenario.resolve_path(reference, "road file")
+    if not reference or road.exists() or not re.fullmatch(r"\w+", road.name, re.ASCII):
+        return ""
+    return road.name
+
+
+def make_concrete_tree(scenario: ScenarioFile, values: Mapping[str, Value]) -> etree._Element:
+    """Return the tree of a concrete scenario without parameters and catalog references.
+
+    Raises `InputError` if a value cannot be evaluated or breaks a constraint, or there are too many entities.
+    """
+    # The time grows with the square of the number of entities.
+    if len(scenario.entities) > _MAX_ENTITIES:
+        raise InputError(
+            f"{scenario.path}: has {len(scenario.entities)} entities; at most {_MAX_ENTITIES} can be written."
+        )
+    root = etree.fromstring(etree.tostring(scenario.root))
+    scope = Scope.from_file(str(scenario.path), scenario.root, [dict(values)], scenario.find_catalog_entry)
+    if scope.find_violations_in(scenario.root):
+        raise InputError(f"{scenario.path}: the values break a constraint of the parameters' declarations.")
+    # The scope contains the file's own declarations already, with the given values.
+    for child in root:
+        _resolve_expressions(child, scope)
+    _trim_numbers(root)
+    if scenario.is_left_handed:
+        mirror_axes(root)
+    return root
+
+
+def _make_tree_1_0(
+    scenario: ScenarioFile, values: Mapping[str, Value], ego: str, options: ConversionOptions, map_name: str
+) -> tuple[etree._Element, list[str], set[Path]]:
+    """Return the tree of a concrete scenario in OpenSCENARIO 1.0, notes on differences, and needed controllers."""
+    root = make_concrete_tree(scenario, values)
+    criteria = pop_criteria(root)
+    refuse_code_injection(root, scenario.path)
+    _rewrite_header(root, scenario.path)
+    _expand_selections(root)
+    refuse_unsupported(root, scenario.path)
+    driven = options.agents.driven_entities(ego)
+    if ego in scenario.drivers:
+        # The ego is the system under test, driven by an agent that the file cannot name.
+        driven.add(ego)
+    recording = None if map_name else simulate_builtin(scenario, values, options.time_step, options.duration)
+    road = scenario.road_path_for(values)
+    astray = {} if recording is None else find_deviating_entities(recording, road, scenario)
+    slowest = (
+        {} if recording is None else dict(zip(recording.names, np.fmin.reduce(recording.speed, axis=1), strict=True))
+    )
+    axes_notes = (_AXES_NOTE,) if scenario.is_left_handed else ()
+    actor_plan = plan_actors(root, sorted(driven), scenario.path, map_name, astray, slowest)
+    notes = [*axes_notes, *actor_plan.notes]
+    for name in actor_plan.sampled if not options.open_loop else ():
+        if name in actor_plan.reacting:
+            raise InputError(
+                f"{scenario.path}: '{name}' has to react to {' and '.join(sorted(driven))}, but ScenarioRunner cannot"
+                f" move it like that ({actor_plan.sampled[name][0]}); with `simulator` carla:open_loop=true it moves as"
+                " in the builtin simulator, without reacting."
+            )
+    kept_groups = select_stop_conditions(root, actor_plan, driven or ({ego} if map_name else set()))
+    remove_ineffective(root)
+    remove_entities_from_storyboard(root, set(actor_plan.sampled) | actor_plan.dropped)
+    _rewrite_entities(root, ego, actor_plan, notes)
+    notes += add_trajectories(root, recording, list(actor_plan.sampled), ego)
+    centers: dict[str, float] = {}
+    end = options.duration
+    if recording is not None:
+        by_storyboard = set(recording.names) - set(actor_plan.sampled)
+        set_initial_state(root, recording, by_storyboard, initial_heights(recording, road, scenario))
+        centers = dict(zip(recording.names, map(float, recording.center_x), strict=True))
+        last_time = float(recording.time[-1])
+        # If nothing ends the scenario, the caller ends it.
+        end += 1.0
+        if not kept_groups and last_time < options.duration - 0.5 * options.time_step:
+            # Time conditions become true in the first frame after the time.
+            end = last_time - 0.5 * options.time_step
+    set_end_time(root, end, kept_groups)
+    copy_stop_trigger_to_acts(root)
+    add_missing_start_triggers(root)
+    make_names_unique(root)
+    if options.with_criteria:
+        notes += add_criteria(root, criteria)
+    _rewrite_conditions(root, scenario.path, notes)
+    _add_final_speeds(root, scenario, notes)
+    _remove_later_attributes(root)
+    controllers = assign_controllers(
+        root, scenario.path, ego, options.agents, {name: centers[name] for name in actor_plan.sampled}
+    )
+    return root, notes, controllers
+
+
+def _rewrite_header(root: etree._Element, source: Path) -> None:
+    for unused in root.iter("ParameterDeclarations", "CatalogLocations"):
+        unused.clear()
+    for unused in root.findall("VariableDeclarations") + root.findall("MonitorDeclarations"):
+        root.remove(unused)
+    header = root.find("FileHeader")
+    if header is None:
+        raise InputError(f"{source}: has no <FileHeader>.")
+    header.set("revMajor", "1")
+    header.set("revMinor", str(_MINOR_REVISION))
+    # ScenarioRunner names files after the description, and a leading 'CARLA:' would change the axes.
+    header.set("description", "cornercase")
+    for child in list(header):
+        header.remove(child)
+    header.text = None
+
+
+def _expand_selections(root: etree._Element) -> None:
+    """Replace entity selections by their members, since ScenarioRunner has no selections."""
+    for selection in root.findall("Entities/EntitySelection"):
+        members = [member_element.get("entityRef", "") for member_element in selection.iterfind("Members/EntityRef")]
+        object_types = [
+            member_element.get("objectType", member_element.get("type", ""))
+            for member_element in selection.iterfind("Members/ByType")
+        ]
+        for holder in root.iterfind("Entities/ScenarioObject"):
+            tag = "" if len(holder) == 0 else str(holder[0].tag)
+            if {"Vehicle": "vehicle", "Pedestrian": "pedestrian", "MiscObject": "miscellaneous"}.get(
+                tag
+            ) in object_types:
+                members.append(holder.get("name", ""))
+        for reference in list(root.iter("EntityRef")):
+            parent = reference.getparent()
+            if reference.get("entityRef") == selection.get("name") and parent is not None:
+                for member in dict.fromkeys(members):
+                    reference.addprevious(etree.Element("EntityRef", entityRef=member))
+                parent.remove(reference)
+        remove_element(selection)
+
+
+def _remove_later_attributes(root: etree._Element) -> None:
+    """Remove attributes introduced after 1.0 that do not change the meaning of the rest."""
+    for tag, names in _LATER_ATTRIBUTES.items():
+        for element in root.iter(tag):
+            for name in names:
+                element.attrib.pop(name, "")
+
+
+def _resolve_expressions(element: etree._Element, scope: Scope) -> None:
+    """Replace parameters and expressions by values."""
+    if not isinstance(element.tag, str) or element.tag == "ParameterDeclarations":
+        return
+    inner = scope.nested_scope(element) if element.find("ParameterDeclarations") is not None else scope
+    for name, text in element.attrib.items():
+        if "$" not in str(text) or name == "parameterRef":
+            continue
+        if name == "name":
+            # In 1.0, a $ in a name would be read as a parameter reference; remove it.
+            element.set(name, str(text).translate(_PARAMETER_CHARACTERS))
+        else:
+            element.set(name, inner.read_text(element, str(name)))
+    for child in element:
+        if child.tag == "CatalogReference":
+            # ScenarioRunner would search catalogs next to the new file, and cannot read later versions.
+            entry, entry_scope = inner.resolve_catalog_reference(child)
+            resolved_entry = etree.fromstring(etree.tostring(entry, with_tail=False))
+            element.replace(child, resolved_entry)
+            # The scope contains these values, or those that the reference assigns.
+            for declarations in resolved_entry.findall("ParameterDeclarations"):
+                declarations.clear()
+            _resolve_expressions(resolved_entry, entry_scope)
+        else:
+            _resolve_expressions(child, inner)
+
+
+def _trim_numbers(root: etree._Element) -> None:
+    """Remove blanks around numbers, which XML allows but ScenarioRunner does not."""
+    for element in root.iter("*"):
+        for name, text in element.attrib.items():
+            if name != "name" and not str(name).endswith("Ref") and _NUMBER_PATTERN.fullmatch(str(text).strip()):
+                element.set(name, str(text).strip())
+
+
+def _rewrite_entities(root: etree._Element, ego: str, actor_plan: ActorPlan, notes: list[str]) -> None:
+    for holder in root.iterfind("Entities/ScenarioObject"):
+        name = holder.get("name", "")
+        for controlled in holder.findall("ObjectController"):
+            driver = controlled.find(f"Controller/Properties/Property[@name='{DRIVER_PROPERTY}']")
+            # ScenarioRunner ignores these, but would use their properties as the entity's own.
+            holder.remove(controlled)
+            if driver is not None and name not in actor_plan.sampled:
+                driver_name = "the agent that ScenarioRunner gives it" if name == ego else "the storyboard only"
+                notes.append(f"{name} is driven by {driver_name}, not by cornercase's driver '{driver.get('value')}'.")
+        vehicle, walker = holder.find("Vehicle"), holder.find("Pedestrian")
+        if vehicle is not None:
+            properties = vehicle.find("Properties")
+            if properties is None:
+                properties = etree.SubElement(vehicle, "Properties")
+            for old_property in properties.findall("Property[@name='type']"):
+                properties.remove(old_property)
+            type_value = "ego_vehicle" if name == ego else "simulation"
+            rear = vehicle.find("Axles/RearAxle")
+            if rear is not None and vehicle.find("Axles/FrontAxle") is None:
+                # 1.0 requires both, and they have no effect.
+                front = etree.fromstring(etree.tostring(rear, with_tail=False))
+                front.tag = "FrontAxle"
+                rear.addprevious(front)
+            # Before any <File> elements.
+            properties.insert(0, etree.Element("Property", name="type", value=type_value))
+        if walker is not None:
+            # In 1.0 a pedestrian has a model, which ScenarioRunner uses as the name of a CARLA blueprint.
+            walker.set("model", walker.get("model", "walker.pedestrian.0001"))
+        for body in holder.iterfind("*"):
+            if body.tag in ("Pedestrian", "MiscObject"):
+                # 1.0 requires a mass, which has no effect.
+                body.set("mass", body.get("mass", "80"))
+                if body.find("Properties") is None:
+                    etree.SubElement(body, "Properties")
+
+
+def _rewrite_conditions(root: etree._Element, source: Path, notes: list[str]) -> None:
+    for element in root.iter():
+        rule = element.get("rule") if isinstance(element.tag, str) else None
+        if rule in _RULES_IN_1_0:
+            element.set("rule", _RULES_IN_1_0[str(rule)])
+            notes.append(f"'{rule}' became '{_RULES_IN_1_0[str(rule)]}', which may be true a time step later.")
+        elif rule == "notEqualTo":
+            raise InputError(f"{source}: 'notEqualTo' of <{element.tag}> cannot be expressed in OpenSCENARIO 1.0.")
+    for event in root.iter("Event"):
+        if event.get("priority") == "override":
+            event.set("priority", "overwrite")
+    for condition in root.iter("Condition"):
+        # ScenarioRunner ignores the edge.
+        condition.set("conditionEdge", "none")
+        if condition.get("delay") is None:
+            condition.set("delay", "0")
+
+
+def _add_final_speeds(root: etree._Element, scenario: ScenarioFile, notes: list[str]) -> None:
+    """Add a final speed to synchronize actions, which ScenarioRunner requires."""
+    for action in root.iter("SynchronizeAction"):
+        final_speed = action.find("FinalSpeed")
+        if final_speed is not None and final_speed.find("*/SteadyState") is not None:
+            raise InputError(
+                f"{scenario.path}: a steady state of <SynchronizeAction> cannot be expressed in OpenSCENARIO 1.0."
+            )
+        if final_speed is not None:
+            continue
+        group = next((element for element in action.iterancestors("ManeuverGroup")), None)
+        actors = [] if group is None else [element.get("entityRef") for element in group.iterfind("Actors/EntityRef")]
+        speeds = [
+            float(element.get("value", "0"))
+            for holder in root.iter("ManeuverGroup", "Private")
+            if holder.get("entityRef") in actors
+            or any(element.get("entityRef") in actors for element in holder.iterfind("Actors/EntityRef"))
+            for element in holder.iter("AbsoluteTargetSpeed")
+        ]
+        if not speeds:
+            raise InputError(
+                f"{scenario.path}: a <SynchronizeAction> needs a <FinalSpeed> for ScenarioRunner; add one."
+            )
+        etree.SubElement(etree.SubElement(action, "FinalSpeed"), "AbsoluteSpeed", value=f"{max(speeds):g}")
+        notes.append(f"{actors[0] if actors else 'Who'} synchronises with a final speed of {max(speeds):g} m/s.")

@@ -1,0 +1,330 @@
+"""CARLA, through its ScenarioRunner."""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from importlib.metadata import PackageNotFoundError, version
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Final, Literal
+
+from cornercase._common.errors import InputError, SimulationError, SimulatorError, suggest_name
+from cornercase._common.io.support_table import Notice, merge_notices
+from cornercase.drivers import Driver
+from cornercase.recordings import Recording
+from cornercase.recordings.formats._carla_log import read_carla_log
+from cornercase.scenario import ConcreteScenario, Value
+from cornercase.scenario._file import ScenarioFile
+from cornercase.simulators._base import Availability, Simulator, check_seed, check_settings
+from cornercase.simulators._ports import worker_address
+from cornercase.simulators.carla._dialect import BEHAVIORS, DrivingAgents
+from cornercase.simulators.carla._openscenario_1_0 import (
+    ConversionOptions,
+    carla_map_name,
+    make_concrete_tree,
+    write_openscenario_1_0,
+)
+from cornercase.simulators.carla._scenario_runner import ScenarioRunnerProcess, find_scenario_runner_folder
+from cornercase.simulators.carla._server import CarlaServer
+from cornercase.simulators.carla._support_table import HandlingStatus, find_unsupported
+from cornercase.simulators.carla._tracker import EntityTracker
+
+_MISSING_CLIENT_MESSAGE: Final = (
+    "CARLA's client is not installed; pip install 'cornercase[carla]' with Python 3.11 or 3.12, on Linux or Windows on"
+    " x86-64."
+)
+# A server uses its port and the next two.
+_PORTS_PER_SERVER: Final = 4
+# Road file of a run, in a folder that is not on Python's path.
+_ROAD_FILE: Final = "road/road.xodr"
+# Statuses that cause a notice, and what is done instead.
+_REPLACEMENT_BY_STATUS: Final = {
+    HandlingStatus.WITHOUT_EFFECT: "",
+    HandlingStatus.APPROXIMATE: "; an entity that reacts to an agent does that, any other one moves along a trajectory",
+    HandlingStatus.SAMPLED: "; the entity moves along a trajectory of the builtin simulator",
+}
+# Categories for which ScenarioRunner would choose any vehicle.
+_UNSUPPORTED_CATEGORIES: Final = ("semitrailer", "trailer", "train", "tram")
+# The server is considered lost after this many times `patience` without a frame.
+_SILENCE_FACTOR: Final = 3
+
+
+class CarlaSimulator(Simulator):
+    """Runs concrete scenarios by ScenarioRunner in synchronous mode, on a CARLA server that nothing else uses.
+
+    Each scenario is written as OpenSCENARIO 1.0 and run by its own ScenarioRunner process, in ScenarioRunner's
+    environment. A second client records the motion of all entities. CARLA's behaviour agents drive entities with the
+    driver ``cautious``, ``normal`` or ``aggressive`` along their initial route; ScenarioRunner moves all others. CARLA
+    is not deterministic, so run each scenario several times.
+
+    Parameters
+    ----------
+    time_step : float, default 0.05
+        Time between frames in s.
+    duration : float, default 60
+        Maximum duration of a scenario in s.
+    on_collision : {"continue", "stop"}, default "continue"
+        Whether the first collision of two entities ends the run. CARLA's sensors detect collisions.
+    drivers : mapping of str to str, optional
+        Behaviour agent by entity.
+    ego : str, default "Ego"
+        Entity that becomes ScenarioRunner's ego vehicle.
+    hosts : str, default "localhost"
+        Where CARLA listens: ``host`` or ``host:port``, several separated by ``+``, used in turn.
+    port : int, default 2000
+        Port of the first worker; each further one on a host uses the port 4 above.
+    worker : int, default 0
+        Number of this worker.
+    scenario_runner, python, carla_root : str, optional
+        Folder of ScenarioRunner, Python of its environment, and folder of CARLA, which contains
+        ``PythonAPI/carla/agents``. Default: the environment variables ``SCENARIO_RUNNER_ROOT``,
+        ``CORNERCASE_CARLA_PYTHON`` (else the current Python) and ``CARLA_ROOT``.
+    agent, agent_config : str, optional
+        File of your own agent for ScenarioRunner (``AutonomousAgent``), which drives the ego, and its configuration.
+    record : {"client", "recorder"}, default "client"
+        Whether motion is recorded by the second client or read from the file of CARLA's recorder, which the server
+        writes and which must be accessible here.
+    folder : str, optional
+        Where the files of each scenario and of the recorder are kept; by default they are deleted.
+    seed : int, default 0
+        Seed of CARLA's traffic manager.
+    undriven : bool, default False
+        Whether a scenario with another driver of cornercase may run; the storyboard alone moves that entity.
+    open_loop : bool, default False
+        Whether an entity that ScenarioRunner cannot move by the storyboard may move along a trajectory of the builtin
+        simulator, although it should react to an entity that an agent drives.
+    patience : float, default 20
+        Time in s to wait for an answer of the server.
+
+    Raises
+    ------
+    InputError
+        CARLA's client is not installed, ScenarioRunner is not found or too old, or an option is out of range.
+    """
+
+    name = "carla"
+    requires = ("worker", "ego")
+    parameter_passing = "file"
+
+    def __init__(
+        self,
+        *,
+        time_step: float = 0.05,
+        duration: float = 60.0,
+        on_collision: str = "continue",
+        drivers: Mapping[str, str | Driver] | None = None,
+        ego: str = "Ego",
+        hosts: str = "localhost",
+        port: int = 2000,
+        worker: int = 0,
+        scenario_runner: str = "",
+        python: str = "",
+        carla_root: str = "",
+        agent: str = "",
+        agent_config: str = "",
+        record: Literal["client", "recorder"] = "client",
+        folder: str = "",
+        seed: int = 0,
+        undriven: bool = False,
+        open_loop: bool = False,
+        patience: float = 20.0,
+    ) -> None:
+        settings = check_settings(time_step, duration, on_collision, None)
+        if find_spec("carla") is None:
+            raise InputError(_MISSING_CLIENT_MESSAGE)
+        for entity, driver in (drivers or {}).items():
+            if driver not in BEHAVIORS:
+                raise InputError(
+                    f"`drivers` {entity}: CARLA does not have this driver; {suggest_name(str(driver), BEHAVIORS)}"
+                )
+        if record not in ("client", "recorder"):
+            raise InputError(f"record={record}: {suggest_name(str(record), ('client', 'recorder'))}")
+        if not patience > 0.0:
+            raise InputError(f"patience={patience:g}: give a time above 0 s.")
+        self._time_step, self._duration, self._stop_on_collision = time_step, duration, on_collision == "stop"
+        self._drivers = {entity: str(driver) for entity, driver in (drivers or {}).items()}
+        self._ego, self._record, self._seed, self._undriven = ego, record, seed, bool(undriven)
+        self._open_loop = bool(open_loop)
+        self._server = CarlaServer(*worker_address(hosts, port, worker, _PORTS_PER_SERVER), patience)
+        self._runner = ScenarioRunnerProcess(scenario_runner, python, carla_root)
+        self._traffic_port, self._folder = 8000 + worker, folder
+        self._last_scenario: ScenarioFile | None = None
+        self._agent = None if not agent else _existing_file(agent, "agent")
+        self._agent_config = None if not agent_config else _existing_file(agent_config, "agent_config")
+        self.settings: dict[str, object] = settings | {
+            "drivers": self._drivers,
+            "ego": ego,
+            "record": record,
+            "seed": check_seed(seed, "CARLA's traffic manager"),
+            "carla": version("carla"),
+            # Recordings also depend on the agent.
+            "agent": _file_fingerprint(self._agent),
+            "agent_config": _file_fingerprint(self._agent_config),
+        }
+
+    @classmethod
+    def notices(cls, scenario: ScenarioFile, values: Mapping[str, Value] | None = None) -> tuple[Notice, ...]:
+        """List content that is left out, changed or replaced by a trajectory for ScenarioRunner."""
+        root = make_concrete_tree(scenario, values or {})
+        ignored = (
+            Notice(
+                (finding.description,),
+                finding.row.note + _REPLACEMENT_BY_STATUS[finding.row.status],
+                scenario.path,
+                (),
+                affects_result=finding.row.matters,
+            )
+            for finding in find_unsupported(root)
+            if finding.row.status in _REPLACEMENT_BY_STATUS
+        )
+        return merge_notices((*scenario.left_handed_notices(), *ignored))
+
+    @classmethod
+    def availability(cls) -> Availability:
+        """Return whether client and ScenarioRunner are installed; the server is checked when it is needed."""
+        try:
+            client_version, missing = version("carla"), ""
+        except PackageNotFoundError:
+            client_version, missing = "", _MISSING_CLIENT_MESSAGE
+        if not missing:
+            try:
+                find_scenario_runner_folder("")
+            except InputError as error:
+                missing = str(error)
+        return Availability(
+            client_version,
+            missing,
+            (
+                "pedestrians", "vehicle dynamics", "behaviour agents", "agents of your own",
+                "collisions go on or end the run", "not deterministic", "needs a running CARLA",
+            ),
+        )  # fmt: skip
+
+    def run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Recording | SimulationError]:
+        """Run scenarios; `InputError` also if no server answers or its version differs from the client's."""
+        for concrete in concretes:
+            scenario = self._last_scenario = concrete.load_file(self._last_scenario)
+            behaviors = self._behavior_agents(scenario)
+            try:
+                yield self._run_scenario(scenario, concrete, behaviors)
+            except SimulationError as error:
+                if isinstance(error, SimulatorError):
+                    self._server.reset_client()
+                yield error
+            except RuntimeError as error:
+                # CARLA's client raises RuntimeError if the server is gone or does not answer in time.
+                self._server.reset_client()
+                yield SimulatorError(f"CARLA on {self._server.host}:{self._server.port}: {error}")
+
+    def check_supported(self, scenario: ScenarioFile) -> None:
+        """Refuse a scenario with entities or drivers that CARLA does not have."""
+        self._behavior_agents(scenario)
+
+    def _behavior_agents(self, scenario: ScenarioFile) -> dict[str, str]:
+        """Behaviour agents by entity."""
+        scenario.require_entity(self._ego, "ego")
+        for entity in self._drivers:
+            scenario.require_entity(entity, "driven entity")
+        behaviors = {}
+        for element in scenario.root.iterfind("Entities/ScenarioObject"):
+            name = element.get("name", "")
+            vehicle = element.find("Vehicle")
+            if vehicle is not None and vehicle.get("vehicleCategory") in _UNSUPPORTED_CATEGORIES:
+                raise InputError(
+                    f"{scenario.path}: '{name}' is a {vehicle.get('vehicleCategory')}, which CARLA does not have;"
+                    " use another category."
+                )
+            driver = self._drivers.get(name, scenario.drivers.get(name, ""))
+            if driver in BEHAVIORS:
+                behaviors[name] = driver
+            elif driver and not self._undriven and not (name == self._ego and self._agent):
+                raise InputError(
+                    f"{scenario.path}: '{name}' has the driver '{driver}', which CARLA does not support; `simulator`"
+                    " carla:undriven=true runs it with the storyboard only."
+                )
+        return behaviors
+
+    def _run_scenario(
+        self, scenario: ScenarioFile, concrete: ConcreteScenario, behaviors: Mapping[str, str]
+    ) -> Recording:
+        if self._folder:
+            Path(self._folder).mkdir(parents=True, exist_ok=True)
+        folder = Path(tempfile.mkdtemp(prefix="cornercase-", dir=self._folder or None))
+        try:
+            return self._run_in_folder(folder, scenario, concrete, behaviors)
+        finally:
+            if not self._folder:
+                shutil.rmtree(folder, ignore_errors=True)
+
+    def _run_in_folder(
+        self, folder: Path, scenario: ScenarioFile, concrete: ConcreteScenario, behaviors: Mapping[str, str]
+    ) -> Recording:
+        file, drivers = folder / "cornercase.xosc", folder / "drivers"
+        write_openscenario_1_0(
+            scenario, concrete.values, file, ego=self._ego,
+            options=ConversionOptions(
+                DrivingAgents(behaviors, self._agent, self._agent_config), self._time_step, self._duration,
+                open_loop=self._open_loop, road_file=_ROAD_FILE, controllers=drivers.name,
+            ),
+        )  # fmt: skip
+        drivers.mkdir(exist_ok=True)
+        server, road = self._server, scenario.road_path_for(concrete.values)
+        town = carla_map_name(scenario, concrete.values)
+        server.prepare_map(town or (None if road is None else folder / _ROAD_FILE))
+        with EntityTracker(server.get_client(), scenario.entities, self._ego, self._time_step) as tracker:
+            try:
+                self._runner.run_file(
+                    file, drivers, self._scenario_runner_options(), tracker, duration=self._duration, until_collision=self._stop_on_collision,
+                    silence=_SILENCE_FACTOR * server.patience,
+                )  # fmt: skip
+            finally:
+                server.leave_synchronous_mode()
+            if self._record == "client":
+                return tracker.make_recording(file, self._duration, self._stop_on_collision)
+        return self._read_recorder_file(folder / "cornercase.log")
+
+    def _scenario_runner_options(self) -> dict[str, object]:
+        server = self._server
+        options: dict[str, object] = {
+            "--host": server.host, "--port": server.port, "--timeout": server.patience,
+            "--frameRate": repr(1.0 / self._time_step), "--trafficManagerPort": self._traffic_port,
+            "--trafficManagerSeed": self._seed,
+        }  # fmt: skip
+        # Relative to the folder of the run.
+        return options | ({"--record": "."} if self._record == "recorder" else {})
+
+    def _read_recorder_file(self, path: Path) -> Recording:
+        self._server.stop_recorder()
+        if not path.is_file():
+            raise SimulationError(
+                f"CARLA wrote no recording {path}; the server needs access to that folder; set it with carla:folder="
+            )
+        try:
+            recording = read_carla_log(path)
+        except InputError as error:
+            raise SimulationError(str(error)) from error
+        end = self._duration
+        if self._stop_on_collision and recording.collisions:
+            end = min(end, recording.collisions[0].time)
+        count = int((recording.time <= end + 1e-9).sum())
+        return replace(
+            recording,
+            time=recording.time[:count],
+            **{name: getattr(recording, name)[:, :count] for name in ("x", "y", "heading", "speed", "acceleration")},
+            collisions=tuple(collision for collision in recording.collisions if collision.time <= end),
+        )
+
+
+def _existing_file(text: str, option: str) -> Path:
+    path = Path(text)
+    if not path.is_file():
+        raise InputError(f"{option}={text}: there is no such file.")
+    return path.resolve()
+
+
+def _file_fingerprint(path: Path | None) -> str | None:
+    return None if path is None else f"{path.name} {hashlib.sha256(path.read_bytes()).hexdigest()[:16]}"

@@ -1,0 +1,106 @@
+"""Support table: what ScenarioRunner 0.9.16 does with each element and attribute of OpenSCENARIO, from its source."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import StrEnum
+from functools import cache
+from importlib import resources
+from typing import Final
+
+from lxml import etree
+
+_TABLE_FILE: Final = "scenario_runner.csv"
+
+
+class HandlingStatus(StrEnum):
+    """How an element or attribute is handled for ScenarioRunner."""
+
+    EXECUTED = "executed"
+    # Replaced by something equivalent.
+    REWRITTEN = "rewritten"
+    # ScenarioRunner does something similar; entities that do not react to others move along a trajectory instead.
+    APPROXIMATE = "approximate"
+    # ScenarioRunner cannot do it; the entity moves along a trajectory instead.
+    SAMPLED = "sampled"
+    # Left out.
+    WITHOUT_EFFECT = "without effect"
+    # The scenario is not converted.
+    REFUSED = "refused"
+
+
+@dataclass(frozen=True)
+class SupportRow:
+    """How an element or attribute is handled.
+
+    `element`: its name, with parents if relevant (``"CollisionCondition/ByType"``); `attribute`: empty for the element;
+    `values`: attribute values that the row holds for, empty for all others; `note`: reason or replacement; `matters`:
+    whether leaving it out can change positions, speeds or verdicts.
+    """
+
+    element: str
+    attribute: str
+    values: tuple[str, ...]
+    status: HandlingStatus
+    note: str
+    matters: bool = True
+
+
+@dataclass(frozen=True)
+class SupportFinding:
+    """An element or attribute that is not simply executed; `what` describes it in messages."""
+
+    description: str
+    row: SupportRow
+    element: etree._Element
+
+
+@cache
+def load_support_table() -> dict[tuple[str, str], tuple[SupportRow, ...]]:
+    """Read the rows by last element name and attribute, those with most parents first."""
+    rows_by_name: dict[tuple[str, str], list[SupportRow]] = {}
+    text = (resources.files(__package__) / _TABLE_FILE).read_text(encoding="utf-8")
+    for line in csv.DictReader(text.splitlines()):
+        values = tuple(line["values"].split("|")) if line["values"] else ()
+        matters = (line["matters"] or "yes") == "yes"
+        row = SupportRow(
+            line["element"], line["attribute"], values, HandlingStatus(line["status"]), line["note"], matters
+        )
+        rows_by_name.setdefault((row.element.rpartition("/")[2], row.attribute), []).append(row)
+    return {key: tuple(sorted(rows, key=lambda row: -row.element.count("/"))) for key, rows in rows_by_name.items()}
+
+
+def find_row(path: tuple[str, ...], attribute: str = "", value: str = "") -> SupportRow | None:
+    """Return the row of an element (path of names) or attribute; None if the table has none."""
+    for row in load_support_table().get((path[-1], attribute), ()):
+        names = tuple(row.element.split("/"))
+        if path[-len(names) :] == names and (not row.values or value in row.values):
+            return row
+    return None
+
+
+def find_unsupported(element: etree._Element) -> Iterator[SupportFinding]:
+    """Yield what is not simply executed in an element and its children; unknown content counts as refused.
+
+    Children of content that is left out, rewritten or replaced as a whole are skipped.
+    """
+    path = tuple(str(ancestor.tag) for ancestor in (*reversed(list(element.iterancestors())), element))
+    row = find_row(path) or _unknown_row(path[-1], "")
+    if row.status is not HandlingStatus.EXECUTED:
+        yield SupportFinding(f"<{path[-1]}>", row, element)
+    if row.status not in (HandlingStatus.EXECUTED, HandlingStatus.APPROXIMATE):
+        return
+    for name, value in ((str(name), str(value)) for name, value in element.items()):
+        if name.startswith("{"):
+            continue
+        attribute_row = find_row(path, name, value) or _unknown_row(path[-1], name)
+        if attribute_row.status is not HandlingStatus.EXECUTED:
+            yield SupportFinding(f"{name} '{value}' of <{path[-1]}>", attribute_row, element)
+    for child in element.iterchildren("*"):
+        yield from find_unsupported(child)
+
+
+def _unknown_row(element: str, attribute: str) -> SupportRow:
+    return SupportRow(element, attribute, (), HandlingStatus.REFUSED, "is not in the table of what ScenarioRunner does")

@@ -1,0 +1,210 @@
+"""Trajectories of entities, sampled from a run of the builtin simulator."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final
+
+import numpy as np
+from lxml import etree
+
+from cornercase._common.errors import InputError, SimulationError
+from cornercase._common.text.source_lines import prefix_file
+from cornercase._common.typing import FloatArray
+from cornercase.recordings import Recording
+from cornercase.scenario import ConcreteScenario, Value
+from cornercase.scenario._file import ScenarioFile
+from cornercase.simulators.builtin._simulator import BuiltinSimulator
+from cornercase.simulators.carla._storyboard_rewrite import (
+    format_number,
+    make_speed_action,
+    make_time_condition,
+    make_world_position,
+)
+
+# Tolerance in m and rad of the interpolation between two vertices.
+_MAX_POSITION_ERROR, _MAX_HEADING_ERROR = 0.001, 0.001
+# Maximum change of heading in rad between vertices: not all players interpolate it.
+_MAX_HEADING_CHANGE: Final = 0.03
+# Tolerance in m/s between recorded speed and speed of the motion, and maximum number of jumps.
+_MAX_SPEED_ERROR, _MAX_JUMPS = 0.2, 20
+# Time in s that no run reaches.
+_NEVER_TIME: Final = 1e6
+
+
+def simulate_builtin(
+    scenario: ScenarioFile, values: Mapping[str, Value], time_step: float, duration: float
+) -> Recording:
+    """Run a concrete scenario in the builtin simulator; time step and duration in s.
+
+    Raises `InputError` if it cannot be run, or an entity does not exist at the start.
+    """
+    simulator = BuiltinSimulator(time_step=time_step, duration=duration)
+    (recording,) = simulator.run([ConcreteScenario(scenario.path, dict(values), scenario)])
+    if isinstance(recording, SimulationError):
+        raise InputError(prefix_file(scenario.path, f"{recording}."))
+    for k, name in enumerate(recording.names):
+        if not np.isfinite(recording.x[k, 0]):
+            raise InputError(
+                f"{scenario.path}: '{name}' does not exist at the start, when ScenarioRunner needs all entities; give"
+                " it a <TeleportAction> in <Init>."
+            )
+    return recording
+
+
+def add_trajectories(root: etree._Element, recording: Recording | None, names: list[str], ego: str) -> list[str]:
+    """Add a story in which entities move as recorded, from start to end; return notes on differences.
+
+    `recording` is None if no entity moves along a trajectory.
+    """
+    storyboard = root.find("Storyboard")
+    assert storyboard is not None
+    stop = storyboard.find("StopTrigger")
+    story = etree.Element("Story", name="cornercase")
+    if stop is None:
+        storyboard.append(story)
+    else:
+        stop.addprevious(story)
+    act = etree.SubElement(story, "Act", name="cornercase trajectories")
+    notes = (
+        [] if recording is None else [note for name in names for note in _add_entity_trajectory(act, recording, name)]
+    )
+    # An event that never happens keeps the act, and so ScenarioRunner, running until the stop trigger.
+    idle_maneuver = _add_maneuver_group(act, ego, "never")
+    _add_event(idle_maneuver, "never", _make_speed_action(0.0), make_time_condition("never", _NEVER_TIME))
+    etree.SubElement(act, "StartTrigger").append(make_time_condition("from the beginning", -1.0))
+    return notes
+
+
+def _add_maneuver_group(act: etree._Element, entity: str, name: str) -> etree._Element:
+    """Add a maneuver group with one entity, and return its maneuver."""
+    holder = etree.SubElement(act, "ManeuverGroup", name=name, maximumExecutionCount="1")
+    actors = etree.SubElement(holder, "Actors", selectTriggeringEntities="false")
+    etree.SubElement(actors, "EntityRef", entityRef=entity)
+    return etree.SubElement(holder, "Maneuver", name=name)
+
+
+def _add_event(maneuver: etree._Element, name: str, action: etree._Element, trigger: etree._Element) -> None:
+    event = etree.SubElement(maneuver, "Event", name=name, priority="overwrite")
+    outer = etree.SubElement(event, "Action", name=name)
+    etree.SubElement(outer, "PrivateAction").append(action)
+    etree.SubElement(event, "StartTrigger").append(trigger)
+
+
+def _make_speed_action(speed: float) -> etree._Element:
+    holder = etree.Element("LongitudinalAction")
+    holder.append(make_speed_action(speed))
+    return holder
+
+
+def _add_entity_trajectory(act: etree._Element, recording: Recording, name: str) -> list[str]:
+    """Add the trajectories of an entity: one, and another one after each jump; return notes."""
+    k = recording.names.index(name)
+    is_present = np.isfinite(recording.x[k])
+    count = len(is_present) if is_present.all() else int(np.argmin(is_present))
+    time, x, y = recording.time[:count], recording.x[k, :count], recording.y[k, :count]
+    heading, speed = np.unwrap(recording.heading[k, :count]), recording.speed[k, :count]
+    notes = []
+    maneuver = _add_maneuver_group(act, name, f"{name} along its trajectory")
+    jumps = _find_jumps(time, x, y, speed)
+    if len(jumps) > _MAX_JUMPS:
+        notes.append(f"{name} has the speed of its motion, from which its own differs at {len(jumps)} instants.")
+        jumps = []
+    start_trigger = make_time_condition(f"{name} starts", -1.0)
+    if jumps and jumps[0] == 0:
+        # The first speed does not match the motion that follows.
+        event = f"{name} has its first speed"
+        _add_event(maneuver, event, _make_speed_action(max(float(speed[0]), 0.0)), start_trigger)
+        start_trigger = _make_completed_condition(event)
+    starts = [0, *(i for i in jumps if i)]
+    for part, start in enumerate(starts):
+        end = starts[part + 1] if part + 1 < len(starts) else count
+        rows = np.arange(start, end)
+        trajectory = np.stack([time[rows], x[rows], y[rows], heading[rows]], axis=1)
+        vertices = trajectory[_select_vertices(trajectory)]
+        if part:
+            # The first step leads to the target of the jump.
+            vertices = np.concatenate([[_extrapolate(trajectory[0], speed[start], time[start - 1])], vertices])
+            start_trigger = make_time_condition(f"{name} jumps", 0.5 * float(time[start - 1] + time[max(start - 2, 0)]))
+        if part + 1 < len(starts):
+            vertices = np.concatenate(
+                [vertices, [_extrapolate(trajectory[-1], speed[end - 1], 2.0 * time[end] - time[end - 1])]]
+            )
+        event_name = f"{name} moves" if part == 0 else f"{name} moves on from {time[start]:g} s"
+        _add_event(maneuver, event_name, _make_follow_action(vertices, event_name), start_trigger)
+    if count < len(is_present):
+        _add_delete_event(maneuver, name, 0.5 * float(time[-1] + time[max(count - 2, 0)]))
+    return notes
+
+
+def _add_delete_event(maneuver: etree._Element, entity: str, seconds: float) -> None:
+    name = f"{entity} vanishes"
+    event = etree.SubElement(maneuver, "Event", name=name, priority="overwrite")
+    holder = etree.SubElement(etree.SubElement(event, "Action", name=name), "GlobalAction")
+    etree.SubElement(etree.SubElement(holder, "EntityAction", entityRef=entity), "DeleteEntityAction")
+    etree.SubElement(event, "StartTrigger").append(make_time_condition(name, seconds))
+
+
+def _make_completed_condition(event: str) -> etree._Element:
+    group = etree.Element("ConditionGroup")
+    condition = etree.SubElement(group, "Condition", name=f"{event} before", delay="0", conditionEdge="none")
+    etree.SubElement(
+        etree.SubElement(condition, "ByValueCondition"), "StoryboardElementStateCondition",
+        storyboardElementType="event", storyboardElementRef=event, state="completeState",
+    )  # fmt: skip
+    return group
+
+
+def _extrapolate(vertex: FloatArray, speed: float, time: float) -> FloatArray:
+    """Vertex straight ahead of or behind another one, at another time."""
+    distance = speed * (time - vertex[0])
+    return np.array(
+        [time, vertex[1] + distance * np.cos(vertex[3]), vertex[2] + distance * np.sin(vertex[3]), vertex[3]]
+    )
+
+
+def _find_jumps(time: FloatArray, x: FloatArray, y: FloatArray, speed: FloatArray) -> list[int]:
+    """Indices of samples whose speed does not match their distance to the previous one; 0 for a wrong first speed."""
+    if len(time) < 2:
+        return []
+    speeds = np.hypot(np.diff(x), np.diff(y)) / np.diff(time)
+    indices = (np.flatnonzero(np.abs(speeds - np.abs(speed[1:])) > _MAX_SPEED_ERROR) + 1).tolist()
+    return [0, *indices] if abs(speeds[0] - abs(speed[0])) > _MAX_SPEED_ERROR else indices
+
+
+def _make_follow_action(trajectory: FloatArray, name: str) -> etree._Element:
+    """Create the action that follows a trajectory with the columns time, x, y and heading."""
+    routing = etree.Element("RoutingAction")
+    action = etree.SubElement(routing, "FollowTrajectoryAction")
+    trajectory = etree.SubElement(action, "Trajectory", name=name, closed="false")
+    etree.SubElement(trajectory, "ParameterDeclarations")
+    line = etree.SubElement(etree.SubElement(trajectory, "Shape"), "Polyline")
+    for time, x, y, heading in trajectory if len(trajectory) > 1 else np.repeat(trajectory, 2, axis=0):
+        vertex = etree.SubElement(line, "Vertex", time=format_number(time))
+        vertex.append(make_world_position(x, y, heading))
+    reference = etree.SubElement(action, "TimeReference")
+    # Times since the start of the run, independent of when ScenarioRunner reaches the action.
+    etree.SubElement(reference, "Timing", domainAbsoluteRelative="absolute", scale="1", offset="0")
+    etree.SubElement(action, "TrajectoryFollowingMode", followingMode="position")
+    return routing
+
+
+def _select_vertices(trajectory: FloatArray) -> list[int]:
+    """Indices of vertices such that linear interpolation between them reproduces the motion."""
+    indices, last = [0], len(trajectory) - 1
+    limit = np.array([_MAX_POSITION_ERROR, _MAX_POSITION_ERROR, _MAX_HEADING_ERROR])
+    while indices[-1] < last:
+        start, end = indices[-1], indices[-1] + 1
+        while end < last:
+            inner = trajectory[start + 1 : end + 1]
+            part = ((inner[:, 0] - trajectory[start, 0]) / (trajectory[end + 1, 0] - trajectory[start, 0]))[:, None]
+            if abs(trajectory[end + 1, 3] - trajectory[start, 3]) > _MAX_HEADING_CHANGE:
+                break
+            if (
+                np.abs(trajectory[start, 1:] + part * (trajectory[end + 1, 1:] - trajectory[start, 1:]) - inner[:, 1:])
+                > limit
+            ).any():
+                break
+            end += 1
+        indices.append(end)
+    return indices

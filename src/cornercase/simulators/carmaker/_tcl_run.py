@@ -1,0 +1,182 @@
+"""A run of a TestRun through CarMaker's command port, from idle to the new result file."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Final
+
+from cornercase._common.errors import InputError, SimulationError, SimulatorError
+from cornercase.scenario import Value
+from cornercase.simulators.carmaker._result_files import ResultFileTracker
+from cornercase.simulators.carmaker._tcl_client import TclClient
+
+_IDLE, _POSTPROCESSING, _FATAL, _LICENCE, _PAUSED = -2, -3, -6, -7, -8
+# States of `SimStatus`; from 0 on the simulation is running.
+_STATUS_NAMES: Final = {
+    -1: "preprocessing",
+    _IDLE: "idle",
+    _POSTPROCESSING: "postprocessing",
+    -4: "checking its models",
+    -5: "adapting its driver",
+    _FATAL: "stopped by a fatal error",
+    _LICENCE: "waiting for a licence",
+    _PAUSED: "paused",
+    -10: "starting",
+    -11: "initializing Simulink",
+}
+# In s: time limit for CarMaker to start or become idle, for a result file to appear, and interval of polling.
+START_TIMEOUT: Final = 60.0
+_RESULT_TIMEOUT: Final = 5.0
+_POLL_INTERVAL: Final = 0.05
+
+
+class TclTestRun:
+    """Runs a TestRun; `patience` is the time limit in s of the run, `waiting` that to start or stop.
+
+    `WaitForStatus` saves polling, but its answer may be late or an error, so `SimStatus` decides.
+    """
+
+    def __init__(
+        self, client: TclClient, project: Path, run_timeout: float, start_timeout: float = START_TIMEOUT
+    ) -> None:
+        self._client, self._project, self._run_timeout, self._start_timeout = (
+            client,
+            project,
+            run_timeout,
+            start_timeout,
+        )
+
+    def run_testrun(self, testrun: str, values: Mapping[str, Value]) -> Path:
+        """Run the TestRun with named values, and return the result file that it wrote.
+
+        Raises `SimulationError` if CarMaker refuses, does not start or end in time, is paused or writes no result file,
+        `SimulatorError` if it fails or does not stop, and `InputError` if it waits for a licence.
+        """
+        self._require_idle()
+        before = ResultFileTracker(self._project)
+        self._send(f'LoadTestRun "{testrun}"')
+        for name, value in values.items():
+            self._send(f"NamedValue set {_format_tcl_word(name)} {_format_tcl_word(value)}")
+        self._send("SaveMode save_all")
+        self._send("StartSim")
+        self._wait_for_start(before)
+        self._wait_for_end()
+        return self._find_result_file(before)
+
+    def _send(self, command: str) -> str:
+        return self._client.send(command, self._start_timeout)
+
+    def _require_idle(self) -> None:
+        """Stop whatever is running, and wait until CarMaker is idle."""
+        status = self._read_status()
+        if status == _IDLE:
+            return
+        status = self._stop_run()
+        if status != _IDLE:
+            raise SimulatorError(
+                f"CarMaker is not idle but {_describe_status(status)}, also {self._start_timeout:g} s after StopSim"
+            )
+
+    def _stop_run(self) -> int:
+        self._send("StopSim")
+        self._wait_for_state("idle", self._start_timeout)
+        return self._poll_status(lambda status: status == _IDLE, self._start_timeout)
+
+    def _wait_for_start(self, earlier_files: ResultFileTracker) -> None:
+        """Wait until the run has started; a short run may be over before the first poll."""
+        self._wait_for_state("running", self._start_timeout)
+        status = self._poll_status(
+            lambda now: (
+                now >= 0 or now in (_POSTPROCESSING, _PAUSED) or (now == _IDLE and bool(earlier_files.new_files()))
+            ),
+            self._start_timeout,
+        )
+        if status == _IDLE and not earlier_files.new_files():
+            raise SimulationError(f"CarMaker did not start the TestRun within {self._start_timeout:g} s: it is idle")
+        if status < 0 and status not in (_IDLE, _POSTPROCESSING):
+            self._stop_run()
+            raise SimulationError(
+                f"CarMaker did not start the TestRun within {self._start_timeout:g} s: it is {_describe_status(status)}"
+            )
+
+    def _wait_for_end(self) -> None:
+        self._wait_for_state("idle", self._run_timeout)
+        status = self._poll_status(lambda now: now in (_IDLE, _PAUSED), self._run_timeout)
+        if status == _IDLE:
+            return
+        stopped = self._stop_run()
+        if status == _PAUSED:
+            raise SimulationError("CarMaker has paused the TestRun; let it run to its end by itself")
+        if stopped != _IDLE:
+            raise SimulatorError(f"CarMaker did not end the TestRun within {self._run_timeout:g} s, nor after StopSim")
+        raise SimulationError(f"CarMaker did not end the TestRun within {self._run_timeout:g} s")
+
+    def _find_result_file(self, earlier_files: ResultFileTracker) -> Path:
+        """Return the result file of this run, never one that existed before."""
+        deadline = time.monotonic() + min(_RESULT_TIMEOUT, self._start_timeout)
+        while True:
+            name = self._send("GetLastResultFName")
+            path = self._project / name
+            if name and path.is_file() and not earlier_files.is_old(path):
+                return path
+            if time.monotonic() > deadline:
+                break
+            time.sleep(_POLL_INTERVAL)
+        if not name:
+            raise SimulationError("CarMaker stored no result file; let the TestRun store its results")
+        if not path.is_file():
+            raise SimulationError(f"{path}: cannot be read; check that project is the folder of CarMaker's project")
+        raise SimulationError(
+            f"CarMaker names {path} as its last result, but it is older than this run; let the TestRun store its"
+            " results"
+        )
+
+    def _wait_for_state(self, state: str, seconds: float) -> None:
+        """Let CarMaker wait for a state; the status is polled afterwards in any case."""
+        try:
+            self._client.send(f"WaitForStatus {state} {round(1000 * seconds)}", seconds + self._start_timeout)
+        except SimulatorError:
+            raise
+        except SimulationError:
+            # The time limit is over, or CarMaker cannot wait.
+            pass
+
+    def _poll_status(self, is_accepted: Callable[[int], bool], seconds: float) -> int:
+        """Poll the status until `enough` accepts it; return the last one."""
+        deadline = time.monotonic() + seconds
+        while not is_accepted(status := self._read_status()) and time.monotonic() < deadline:
+            time.sleep(_POLL_INTERVAL)
+        return status
+
+    def _read_status(self) -> int:
+        text = self._send("SimStatus")
+        try:
+            status = int(text)
+        except ValueError:
+            raise SimulationError(f"CarMaker reports the status '{text}', which is not a number") from None
+        if status == _LICENCE:
+            raise InputError(
+                "CarMaker waits for a licence, or has lost its licence; restore the licence server and run the same"
+                " command again to resume."
+            )
+        if status == _FATAL:
+            # Clear the error for the next run.
+            with suppress(SimulationError):
+                self._send("StopSim")
+            raise SimulatorError("CarMaker ended the TestRun with a fatal error; see its log")
+        return status
+
+
+def _describe_status(status: int) -> str:
+    return f"running ({status})" if status >= 0 else f"{_STATUS_NAMES.get(status, 'in an unknown state')} ({status})"
+
+
+def _format_tcl_word(value: Value) -> str:
+    """Format a value as one Tcl word."""
+    text = f"{value:.9g}" if isinstance(value, float) else str(value)
+    if any(sign in text for sign in "{}\\\r\n"):
+        raise SimulationError(f"'{text}' contains a special character of Tcl")
+    return text if text.replace(".", "").replace("-", "").replace("_", "").isalnum() else f"{{{text}}}"

@@ -1,0 +1,225 @@
+"""Code that runs on the workers of a cluster: holds simulators and scenario files, and runs scenarios."""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from multiprocessing import current_process
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from threading import Condition, Lock
+from typing import TYPE_CHECKING, Final
+
+from cornercase._common.errors import InputError, SimulationError
+from cornercase._common.text.sanitize import format_exception
+from cornercase._common.version import __version__
+from cornercase.scenario import ConcreteScenario, Value
+from cornercase.scenario._bundle import ScenarioBundle
+from cornercase.scenario._file import ScenarioFile
+from cornercase.simulators._base import Simulator
+from cornercase.simulators._registry import SIMULATORS
+from cornercase.simulators._results import Outcome, run_scenarios_as_given
+from cornercase.simulators.pool._process import unpickle_options
+from cornercase.simulators.pool._simulator import DEFAULT_MAX_FAILURES, WorkerSimulator
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+
+@dataclass(frozen=True)
+class SimulatorJob:
+    """Simulator and settings of one exploration or suite; `version` is that of the sender, `timeout` in s.
+
+    `options` are pickled, since the scheduler may not know the user's driver classes.
+    """
+
+    key: str
+    version: str
+    simulator: str
+    options: bytes
+    timeout: float | None
+    retries: int
+    max_failures: int = DEFAULT_MAX_FAILURES
+
+
+@dataclass(frozen=True)
+class JobAttempt:
+    """Identifies scenarios that run together; at most `lives` workers may start them before they are given up."""
+
+    name: str
+    lives: int
+
+
+@dataclass(frozen=True)
+class BatchResult:
+    """Results of scenarios in order, and sentences for the user."""
+
+    outcomes: list[Outcome]
+    notices: list[str]
+
+
+class _JobState:
+    """Simulators and files of one job in this process; each simulator is used by one thread at a time."""
+
+    def __init__(self, job: SimulatorJob) -> None:
+        self._job = job
+        try:
+            self._options = unpickle_options(job.options)
+        except Exception as error:
+            raise InputError(
+                f"`cluster`: a worker cannot load a driver of your own ({format_exception(error)}); install its module on"
+                " each worker, or start the workers in its folder."
+            ) from error
+        self._free_numbers: list[int] = []
+        self._simulators: list[Simulator] = []
+        self._condition = Condition()
+        declared = SIMULATORS.get_class(job.simulator)
+        self._wants_worker_number = "worker" in declared.requires
+        # An in-process simulator uses all cores of this process.
+        self._runs_in_process = declared.in_process and job.timeout is None
+        self._folders: dict[str, TemporaryDirectory[str]] = {}
+        self._scenarios: dict[str, ScenarioFile] = {}
+
+    @contextmanager
+    def borrow_simulator(self) -> Iterator[Simulator]:
+        with self._condition:
+            while self._runs_in_process and self._simulators and not self._free_numbers:
+                self._condition.wait()
+            if not self._free_numbers:
+                self._simulators.append(self._create_simulator(len(self._simulators)))
+                heapq.heappush(self._free_numbers, len(self._simulators) - 1)
+            number = heapq.heappop(self._free_numbers)
+        try:
+            yield self._simulators[number]
+        finally:
+            with self._condition:
+                heapq.heappush(self._free_numbers, number)
+                self._condition.notify()
+
+    def _create_simulator(self, number: int) -> Simulator:
+        job = self._job
+        options = self._options | ({"worker": number} if self._wants_worker_number else {})
+        if self._runs_in_process:
+            return SIMULATORS.create(job.simulator, **options)
+        if current_process().daemon:
+            raise InputError(
+                "`cluster`: its workers may not start processes; set DASK_DISTRIBUTED__WORKER__DAEMON=False when you"
+                " start them."
+            )
+        return WorkerSimulator(job.simulator, options, 1, job.timeout, job.retries, job.max_failures)
+
+    def unpack_scenario(self, key: str, bundle: ScenarioBundle) -> tuple[ScenarioFile, Path]:
+        from distributed import get_worker
+
+        with self._condition:
+            if key not in self._scenarios:
+                # In the worker's folder, which Dask removes if this process cannot.
+                worker_folder = get_worker().local_directory
+                folder = TemporaryDirectory(prefix="cornercase-", dir=worker_folder, ignore_cleanup_errors=True)
+                self._scenarios[key] = bundle.unpack(Path(folder.name))
+                self._folders[key] = folder
+            return self._scenarios[key], Path(self._folders[key].name)
+
+    def close(self) -> None:
+        for simulator in self._simulators:
+            simulator.close()
+        for folder in self._folders.values():
+            folder.cleanup()
+
+
+_JOB_STATES: Final[dict[str, _JobState]] = {}
+_LOCK: Final = Lock()
+
+
+def identity_task(bundle: ScenarioBundle) -> ScenarioBundle:
+    """Return the bundle: a task that puts it on the cluster."""
+    return bundle
+
+
+def run_scenarios_of_job(
+    job: SimulatorJob,
+    attempt: JobAttempt,
+    bundles: Mapping[str, ScenarioBundle],
+    scenarios: Sequence[tuple[str, Mapping[str, Value]]],
+) -> BatchResult | None:
+    """Run scenarios, given as bundle key and values, in this process or a child process that it keeps.
+
+    Returns None if too many workers were lost with them. Raises `InputError` for another version of cornercase, or if
+    no scenario can be run.
+    """
+    if job.version != __version__:
+        raise InputError(
+            f"`cluster`: a worker has cornercase {__version__}, this machine has {job.version}; install the same."
+        )
+    with _LOCK:
+        site = _JOB_STATES[job.key] if job.key in _JOB_STATES else _JOB_STATES.setdefault(job.key, _JobState(job))
+    unpacked = {key: site.unpack_scenario(key, parcel) for key, parcel in bundles.items()}
+    concretes = [ConcreteScenario(unpacked[key][0].path, values, unpacked[key][0]) for key, values in scenarios]
+    sender_folders = {str(unpacked[key][1]): parcel.common_folder for key, parcel in bundles.items()}
+    with _mark_started(attempt) as may_run:
+        if not may_run:
+            return None
+        try:
+            with site.borrow_simulator() as simulator:
+                noticed = list[str]()
+                simulator.on_notice = noticed.append
+                results = list(run_scenarios_as_given(simulator, concretes))
+        except InputError as error:
+            raise InputError(_restore_sender_paths(str(error), sender_folders)) from None
+    outcomes = [
+        type(result)(_restore_sender_paths(str(result), sender_folders))
+        if isinstance(result, SimulationError)
+        else result
+        for result in results
+    ]
+    return BatchResult(outcomes, noticed)
+
+
+@contextmanager
+def _mark_started(attempt: JobAttempt) -> Iterator[bool]:
+    """Mark an attempt as started at the scheduler while it runs; yield whether it may start.
+
+    The mark of a lost worker stays, so the next one knows; `forget_attempt` removes them. Dask also counts lost workers
+    per task (``allowed-failures``), but with one limit for the whole cluster, and including those that had not started
+    it.
+    """
+    from distributed import Event, get_client
+
+    client = get_client()
+    for life in range(attempt.lives):
+        mark = Event(f"{attempt.name}-{life}", client)
+        if not mark.is_set():
+            break
+    else:
+        yield False
+        return
+    mark.set()
+    try:
+        yield True
+    finally:
+        mark.clear()
+
+
+def _restore_sender_paths(text: str, sender_folders: Mapping[str, str]) -> str:
+    """Replace local folders in a text by the folders of the sender."""
+    for own_folder, sender_folder in sender_folders.items():
+        text = text.replace(own_folder, sender_folder)
+    return text
+
+
+def forget_attempt(attempt: JobAttempt, client: Client) -> None:
+    """Remove the marks that lost workers have left of an attempt."""
+    from distributed import Event
+
+    for life in range(attempt.lives):
+        Event(f"{attempt.name}-{life}", client).clear()
+
+
+def close_job(key: str) -> None:
+    """Close the simulators and remove the files of a job."""
+    with _LOCK:
+        site = _JOB_STATES.pop(key, None)
+    if site is not None:
+        site.close()

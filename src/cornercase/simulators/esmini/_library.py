@@ -1,0 +1,129 @@
+"""ctypes binding of esmini's library."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+from pathlib import Path
+from typing import Any, Final
+
+from cornercase._common.errors import InputError
+from cornercase._common.process.platform import encode_path
+from cornercase.scenario import Value
+
+LIBRARY_VARIABLE: Final = "CORNERCASE_ESMINI"
+NOT_FOUND_MESSAGE: Final = (
+    f"esmini's library is not found; download esmini from github.com/esmini/esmini and set {LIBRARY_VARIABLE} to its"
+    " libesminiLib.so, esminiLib.dll or libesminiLib.dylib."
+)
+_FILL_BYTE: Final = 0xAA
+
+
+class ObjectState(ctypes.Structure):
+    """State of an object, in the memory layout of esmini 3.6."""
+
+    _fields_ = (
+        ("id", ctypes.c_int), ("model_id", ctypes.c_int), ("ctrl_type", ctypes.c_int), ("timestamp", ctypes.c_double),
+        ("x", ctypes.c_double), ("y", ctypes.c_double), ("z", ctypes.c_double), ("h", ctypes.c_double),
+        ("p", ctypes.c_double), ("r", ctypes.c_double), ("road", ctypes.c_uint32), ("junction", ctypes.c_uint32),
+        ("t", ctypes.c_double), ("lane", ctypes.c_int), ("lane_offset", ctypes.c_double), ("s", ctypes.c_double),
+        ("speed", ctypes.c_double), ("center_x", ctypes.c_double), ("center_y", ctypes.c_double),
+        ("center_z", ctypes.c_double), ("width", ctypes.c_double), ("length", ctypes.c_double),
+        ("height", ctypes.c_double), ("kind", ctypes.c_int), ("category", ctypes.c_int),
+        ("wheel_angle", ctypes.c_double), ("wheel_rotation", ctypes.c_double), ("visible", ctypes.c_int),
+    )  # fmt: skip
+
+
+PARAMETER_CALLBACK: Final = ctypes.CFUNCTYPE(None, ctypes.c_void_p)
+
+
+def find_library_path(library: str | None) -> Path:
+    """Return the path of esmini's library: `given`, or that in the variable ``CORNERCASE_ESMINI``."""
+    text = library or os.environ.get(LIBRARY_VARIABLE, "")
+    if not text:
+        raise InputError(NOT_FOUND_MESSAGE)
+    path = Path(text)
+    if not path.is_file():
+        raise InputError(f"{path}: there is no such file; set {LIBRARY_VARIABLE} to the path of esmini's library.")
+    return path.resolve()
+
+
+def load_library(path: Path) -> ctypes.CDLL:
+    """Load esmini's library and declare its functions; `InputError` if it cannot be loaded or lacks a function."""
+    try:
+        lib = ctypes.CDLL(str(path))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be loaded ({error}).") from error
+    text, number = ctypes.c_char_p, ctypes.c_int
+    signatures: dict[str, tuple[Any, list[Any]]] = {
+        "SE_Init": (number, [text, number, number, number, number]),
+        "SE_StepDT": (number, [ctypes.c_double]),
+        "SE_Close": (None, []),
+        "SE_GetQuitFlag": (number, []),
+        "SE_GetNumberOfObjects": (number, []),
+        "SE_GetId": (number, [number]),
+        "SE_GetObjectName": (text, [number]),
+        "SE_GetObjectState": (number, [number, ctypes.c_void_p]),
+        "SE_GetObjectNumberOfCollisions": (number, [number]),
+        "SE_GetObjectCollision": (number, [number, number]),
+        "SE_SetSeed": (None, [ctypes.c_uint]),
+        "SE_CollisionDetection": (None, [ctypes.c_bool]),
+        "SE_SetOptionPersistent": (number, [text]),
+        "SE_RegisterParameterDeclarationCallback": (None, [PARAMETER_CALLBACK, ctypes.c_void_p]),
+        "SE_SetParameterString": (number, [text, text]),
+        "SE_SetParameterDouble": (number, [text, ctypes.c_double]),
+        "SE_SetParameterInt": (number, [text, number]),
+        "SE_SetParameterBool": (number, [text, ctypes.c_bool]),
+    }
+    for name, (result, arguments) in signatures.items():
+        try:
+            function = getattr(lib, name)
+        except AttributeError:
+            raise InputError(f"{path}: has no function {name}; use esmini 3.6 or a version close to it.") from None
+        function.restype, function.argtypes = result, arguments
+    lib.SE_SetOptionPersistent(b"disable_stdout")
+    lib.SE_SetOptionPersistent(b"disable_log")
+    return lib
+
+
+def read_state(lib: ctypes.CDLL, object_id: int) -> ObjectState:
+    """Read the state of the object with the id `one`; `InputError` if esmini does not report it."""
+    state = ObjectState()
+    if lib.SE_GetObjectState(object_id, ctypes.addressof(state)) != 0:
+        raise InputError("esmini does not report the state of one of its objects; use another version.")
+    return state
+
+
+def check_layout(lib: ctypes.CDLL, object_id: int) -> None:
+    """Raise `InputError` if the library's states have another size or layout than expected."""
+    size = ctypes.sizeof(ObjectState)
+    buffer = (ctypes.c_ubyte * (2 * size)).from_buffer_copy(bytes([_FILL_BYTE]) * (2 * size))
+    if lib.SE_GetObjectState(object_id, ctypes.addressof(buffer)) != 0:
+        raise InputError("esmini does not report the state of one of its objects; use another version.")
+    written = bytes(buffer)
+    # The last field is an int, followed by padding up to the next multiple of 8 bytes.
+    if written[size - 8 : size - 4] == bytes([_FILL_BYTE]) * 4 or written[size:] != bytes([_FILL_BYTE]) * size:
+        raise InputError("esmini's library has another layout than that of esmini 3.6; use esmini 3.6.")
+    if ObjectState.from_buffer_copy(written[:size]).id != object_id:
+        raise InputError("esmini's library has another layout than that of esmini 3.6; use esmini 3.6.")
+
+
+def set_parameter(lib: ctypes.CDLL, name: str, value: Value, parameter_type: str) -> int:
+    """Set a scenario parameter, whose declared type is `kind`; returns 0 if esmini accepts it."""
+    key = name.encode()
+    if parameter_type == "double":
+        return int(lib.SE_SetParameterDouble(key, float(value)))
+    if parameter_type in ("integer", "int", "unsignedInt", "unsignedShort"):
+        return int(lib.SE_SetParameterInt(key, round(float(value))))
+    if parameter_type == "boolean":
+        return int(lib.SE_SetParameterBool(key, str(value).lower() in ("true", "1")))
+    text = f"{value:g}" if isinstance(value, float) else str(value)
+    return int(lib.SE_SetParameterString(key, text.encode()))
+
+
+def encode_path(path: Path) -> bytes:
+    """Encode a path as esmini opens it; `InputError` for characters that it cannot open on this platform."""
+    try:
+        return encode_path(path)
+    except UnicodeEncodeError:
+        raise InputError(f"{path}: esmini cannot open a path with such characters here; move the scenario.") from None

@@ -1,0 +1,254 @@
+"""esmini, through its library."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from cornercase._common.errors import InputError, SimulationError
+from cornercase.drivers import Driver
+from cornercase.recordings import Collision, Recording
+from cornercase.scenario import ConcreteScenario, Value
+from cornercase.scenario._file import ScenarioFile
+from cornercase.simulators._base import Availability, Simulator, check_seed, check_settings
+from cornercase.simulators.esmini._library import (
+    NOT_FOUND_MESSAGE,
+    PARAMETER_CALLBACK,
+    ObjectState,
+    check_layout,
+    encode_path,
+    find_library_path,
+    load_library,
+    read_state,
+    set_parameter,
+)
+
+_VEHICLE_CATEGORIES: Final = (
+    "car", "van", "truck", "semitrailer", "trailer", "bus", "motorbike", "bicycle", "train", "tram",
+)  # fmt: skip
+_VEHICLE_TYPE, _PEDESTRIAN_TYPE = 1, 2
+
+
+class EsminiSimulator(Simulator):
+    """Runs concrete scenarios with esmini, one at a time per process.
+
+    Parameters
+    ----------
+    time_step : float, default 0.05
+        In s.
+    duration : float, default 60
+        Maximum duration of a scenario in s.
+    on_collision : {"continue", "stop"}, default "continue"
+        Collisions are those that esmini detects.
+    drivers : mapping, optional
+        Must be empty: esmini has its own controllers, which the scenario file names.
+    seed : int, default 0
+    controllers : bool, default True
+        Whether esmini's controllers drive the entities that have one; otherwise all follow the storyboard.
+    undriven : bool, default False
+        Whether a scenario with a driver of cornercase, which esmini lacks, may run without it.
+    library : str, optional
+        Path of esmini's library; default: that in the environment variable ``CORNERCASE_ESMINI``.
+
+    Raises
+    ------
+    InputError
+        The library is not found or cannot be used, or an option is out of range.
+    """
+
+    name = "esmini"
+    deterministic = True
+    parameter_passing = "file"
+
+    def __init__(
+        self,
+        *,
+        time_step: float = 0.05,
+        duration: float = 60.0,
+        on_collision: str = "continue",
+        drivers: Mapping[str, str | Driver] | None = None,
+        seed: int = 0,
+        controllers: bool = True,
+        undriven: bool = False,
+        library: str | None = None,
+    ) -> None:
+        if drivers:
+            raise InputError(
+                "`drivers`: esmini does not support cornercase's drivers; name its own in the scenario file."
+            )
+        self._path = find_library_path(library)
+        self._time_step, self._duration, self._stop_on_collision = time_step, duration, on_collision == "stop"
+        self._seed, self._controllers, self._undriven = seed, bool(controllers), bool(undriven)
+        self._library: ctypes.CDLL | None = None
+        self._layout_checked = False
+        self._last_scenario: ScenarioFile | None = None
+        self.settings: dict[str, object] = {
+            **check_settings(time_step, duration, on_collision, None),
+            "seed": check_seed(seed, "esmini"),
+            "controllers": self._controllers,
+            "library": self._path.name,
+            "library size": self._path.stat().st_size,
+        }
+
+    @classmethod
+    def availability(cls) -> Availability:
+        """Return whether esmini's library is found."""
+        try:
+            missing = "" if find_library_path(None) else NOT_FOUND_MESSAGE
+        except InputError as error:
+            missing = str(error)
+        abilities = ("pedestrians", "its own controllers", "collisions go on or end the run", "deterministic")
+        return Availability("", missing, abilities)
+
+    def run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Recording | SimulationError]:
+        """Run scenarios; `InputError` also if the library has another memory layout."""
+        if self._library is None:
+            self._library = load_library(self._path)
+        for concrete in concretes:
+            scenario = self._last_scenario = concrete.load_file(self._last_scenario)
+            self.check_supported(scenario)
+            try:
+                yield self._run_scenario(self._library, scenario, concrete.values)
+            finally:
+                self._library.SE_Close()
+
+    def check_supported(self, scenario: ScenarioFile) -> None:
+        """Refuse a scenario with a driver of cornercase, left-handed axes, or a road file that esmini does not find."""
+        if scenario.is_left_handed:
+            raise InputError(
+                f"{scenario.path}: its description begins with 'CARLA:', so its axes are left-handed, which esmini does"
+                " not support; `cornercase convert` writes the scenario with right-handed axes."
+            )
+        reference = scenario.road_reference_for()
+        road = scenario.road_path(reference) if reference else None
+        if road not in (
+            None,
+            scenario.resolve_path(reference, "road file"),
+            scenario.path.with_name(Path(reference).name),
+        ):
+            raise InputError(
+                f"{scenario.path}: names the road '{reference}', which was found as {road}, but esmini does not search"
+                " there; name that file in <LogicFile>."
+            )
+        if self._undriven or not scenario.drivers:
+            return
+        name, driver = next(iter(scenario.drivers.items()))
+        raise InputError(
+            f"{scenario.path}: '{name}' has the driver '{driver}', which esmini does not support; `simulator`"
+            " esmini:undriven=true runs it with the storyboard only."
+        )
+
+    def _run_scenario(
+        self, lib: ctypes.CDLL, scenario: ScenarioFile, values: Mapping[str, Value]
+    ) -> Recording | SimulationError:
+        parameter_types = {
+            e.get("name", ""): e.get("parameterType", "")
+            for e in scenario.root.iterfind("ParameterDeclarations/ParameterDeclaration")
+        }
+        rejected: list[str] = []
+
+        def set_parameters(_: object) -> None:
+            for name, value in values.items():
+                if set_parameter(lib, name, value, parameter_types.get(name, "")) != 0:
+                    rejected.append(name)
+
+        # Keep a reference until the run is over: esmini only stores the address.
+        callback = PARAMETER_CALLBACK(set_parameters)
+        lib.SE_RegisterParameterDeclarationCallback(callback, None)
+        lib.SE_SetSeed(self._seed)
+        lib.SE_CollisionDetection(True)
+        if lib.SE_Init(encode_path(scenario.path), 0 if self._controllers else 1, 0, 0, 0) != 0:
+            return SimulationError("esmini cannot load the scenario; run it with esmini to see why")
+        if rejected:
+            return SimulationError(f"esmini does not take the parameter {rejected[0]}")
+        if not self._layout_checked and lib.SE_GetNumberOfObjects() > 0:
+            check_layout(lib, lib.SE_GetId(0))
+            self._layout_checked = True
+        log = _StateLog(lib)
+        steps = round(self._duration / self._time_step)
+        cut_off = False
+        for step in range(steps + 1):
+            collides = log.record_state(step * self._time_step)
+            if step == steps or (collides and self._stop_on_collision):
+                cut_off = step == steps and scenario.root.find("Storyboard/StopTrigger//Condition") is not None
+                break
+            lib.SE_StepDT(self._time_step)
+            # The step in which the storyboard stops is not recorded.
+            if lib.SE_GetQuitFlag() != 0:
+                break
+        return log.make_recording(self._time_step, cut_off)
+
+
+class _StateLog:
+    """Records the state of all entities at each time step."""
+
+    def __init__(self, lib: ctypes.CDLL) -> None:
+        self._lib = lib
+        self._rows: list[dict[str, tuple[float, float, float, float]]] = []
+        self._boxes: dict[str, tuple[str, float, float, float]] = {}
+        self._colliding_pairs: set[tuple[str, str]] = set()
+        self._collisions: dict[tuple[str, str], float] = {}
+
+    def record_state(self, time: float) -> bool:
+        """Record the current state; return whether a collision between two entities begins."""
+        lib, row, names = self._lib, {}, {}
+        ids = [lib.SE_GetId(k) for k in range(lib.SE_GetNumberOfObjects())]
+        for object_id in ids:
+            state = read_state(lib, object_id)
+            name = names[object_id] = (lib.SE_GetObjectName(object_id) or b"").decode("utf-8", "replace")
+            row[name] = (state.x, state.y, state.h, state.speed)
+            self._boxes.setdefault(name, (_object_type(state), state.length, state.width, state.center_x))
+        self._rows.append(row)
+        touching = set()
+        for object_id in ids:
+            for k in range(max(lib.SE_GetObjectNumberOfCollisions(object_id), 0)):
+                if (other := lib.SE_GetObjectCollision(object_id, k)) in names:
+                    first, second = sorted((names[object_id], names[other]), key=list(self._boxes).index)
+                    touching.add((first, second))
+        new_pairs = touching - self._colliding_pairs
+        self._colliding_pairs = touching
+        for pair in sorted(new_pairs):
+            self._collisions.setdefault(pair, time)
+        return bool(new_pairs)
+
+    def make_recording(self, time_step: float, cut_off: bool) -> Recording | SimulationError:
+        """Convert the recorded states to a recording."""
+        if not self._boxes:
+            return SimulationError("no entity is ever placed on the map")
+        missing = (np.nan,) * 4
+        motion = np.array([[row.get(name, missing) for row in self._rows] for name in self._boxes])
+        x, y, heading, speed = np.moveaxis(motion, -1, 0)
+        acceleration = np.zeros_like(speed)
+        acceleration[:, 1:] = np.diff(speed, axis=1) / time_step
+        is_present = np.isfinite(x)
+        # No acceleration at an entity's first instant.
+        acceleration = np.where(is_present, np.nan_to_num(acceleration), np.nan)
+        object_types, lengths, widths, centers = zip(*self._boxes.values(), strict=True)
+        collisions = sorted(self._collisions.items(), key=lambda item: item[1])
+        return Recording(
+            time=np.arange(len(self._rows)) * time_step,
+            names=tuple(self._boxes),
+            object_types=object_types,
+            x=x,
+            y=y,
+            heading=heading,
+            speed=speed,
+            acceleration=acceleration,
+            length=np.array(lengths),
+            width=np.array(widths),
+            center_x=np.array(centers),
+            collisions=tuple(Collision(time, pair) for pair, time in collisions),
+            is_truncated=cut_off,
+        )
+
+
+def _object_type(state: ObjectState) -> str:
+    if state.kind == _PEDESTRIAN_TYPE:
+        return "pedestrian"
+    if state.kind != _VEHICLE_TYPE:
+        return "misc"
+    return _VEHICLE_CATEGORIES[state.category] if 0 <= state.category < len(_VEHICLE_CATEGORIES) else "car"

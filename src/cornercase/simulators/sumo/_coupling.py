@@ -1,0 +1,271 @@
+"""Couple a SUMO simulation with a storyboard, step by step."""
+
+from __future__ import annotations
+
+import io
+import math
+import tempfile
+from collections.abc import Mapping
+from contextlib import redirect_stdout
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Final, Self
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+
+from cornercase._common.errors import SimulationError
+from cornercase._common.geometry.boxes import wrap_angle
+from cornercase.simulators.builtin.tracks._lane import LaneTrack
+from cornercase.simulators.builtin.world._collisions import all_box_corners
+from cornercase.simulators.builtin.world._track_motion import set_external_motion
+from cornercase.simulators.builtin.world._world import Entity, World
+
+# Parameters of SUMO's models, not calibrated. tau: time headway in s. jmTimegapMinor: time gap in s to traffic with the
+# right of way. impatience: how much a driver relies on that traffic to brake. jmIgnoreJunctionFoeProb: it completes a
+# turn that it has started.
+VEHICLE_TYPES: Final[dict[str, dict[str, float]]] = {
+    "cautious": {
+        "accel": 1.8, "decel": 3.5, "emergencyDecel": 8.0, "tau": 1.8, "minGap": 3.0, "speedFactor": 0.9,
+        "jmTimegapMinor": 2.5, "impatience": 0.0,
+    },
+    "normal": {
+        "accel": 2.6, "decel": 4.5, "emergencyDecel": 9.0, "tau": 1.0, "minGap": 2.5, "speedFactor": 1.0,
+        "jmTimegapMinor": 1.0, "impatience": 0.5, "jmIgnoreJunctionFoeProb": 1.0,
+    },
+    "aggressive": {
+        "accel": 3.5, "decel": 5.5, "emergencyDecel": 9.0, "tau": 0.6, "minGap": 1.5, "speedFactor": 1.1,
+        "jmTimegapMinor": 0.2, "impatience": 1.0, "jmIgnoreJunctionFoeProb": 1.0,
+    },
+}  # fmt: skip
+# Entities that the storyboard moves do not yield, and go exactly where they are put.
+_MOVED_TYPE: Final = {
+    "minGap": 0.0, "jmIgnoreFoeProb": 1.0, "jmIgnoreFoeSpeed": 100.0, "jmIgnoreJunctionFoeProb": 1.0,
+}  # fmt: skip
+
+_SUMO_OPTIONS: Final = (
+    "--no-step-log", "true", "--no-warnings", "true", "--xml-validation", "never", "--collision.action", "none",
+    "--time-to-teleport", "-1", "--step-method.ballistic", "true", "--default.speeddev", "0",
+)  # fmt: skip
+# Maximum offset in m from the middle of a lane for an entity that follows it.
+_MAX_LANE_OFFSET: Final = 0.3
+_REMOTE_OFFSET: Final = 1e5
+
+
+class SumoCoupling:
+    """A run of SUMO; only one can exist per process.
+
+    `types` are the vehicle types of the entities that SUMO drives; it sees all others. `error` says why SUMO failed,
+    else None.
+    """
+
+    def __init__(self, network: Path, types: Mapping[str, str], time_step: float, seed: int) -> None:
+        # libsumo prints warnings about other packages when it is imported.
+        with redirect_stdout(io.StringIO()):
+            import libsumo
+
+        self._sumo: Any = libsumo
+        self._types = types
+        self._added: dict[int, str] = {}
+        self._lane_cache: dict[int, tuple[tuple[float, float, float], bool]] = {}
+        self.error: SimulationError | None = None
+        self._folder = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
+        types_file = Path(self._folder.name) / "types.add.xml"
+        types_file.write_text(_format_vehicle_types(), encoding="utf-8")
+        arguments = [
+            "--additional-files",
+            str(types_file),
+            "--net-file",
+            str(network),
+            "--step-length",
+            f"{time_step:g}",
+            "--seed",
+            str(seed),
+            *_SUMO_OPTIONS,
+        ]
+        arguments += ["--default.action-step-length", f"{time_step:g}"]
+        # Loading is far faster than starting again.
+        if libsumo.simulation.isLoaded():
+            libsumo.simulation.load(arguments)
+        else:
+            libsumo.simulation.start(["sumo", *arguments])
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, error_class: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._folder.cleanup()
+
+    def step(self, world: World, dt: float) -> None:
+        """Show SUMO the other entities as at the end of the step, let it step, and copy the entities that it drives.
+
+        `world` holds one scenario and is changed in place; with `dt` 0, entities are only added.
+        """
+        if self.error is not None or not world.running[0]:
+            return
+        try:
+            for e in np.flatnonzero(world.present[:, 0]).tolist():
+                if e not in self._added:
+                    self._add_entity(world, e)
+            if dt == 0.0:
+                return
+            for e, name in self._added.items():
+                if name in self._types:
+                    self._set_max_speed(world, e, name)
+                else:
+                    self._move_in_sumo(world, e, name, dt)
+            self._sumo.simulationStep()
+            for e, name in self._added.items():
+                if name in self._types:
+                    self._move_from_sumo(world, e, name)
+        except self._sumo.TraCIException as error:
+            self._stop_with_error(world, f"SUMO fails at {world.time:g} s ({error})")
+
+    def _stop_with_error(self, world: World, reason: str) -> None:
+        self.error = SimulationError(reason)
+        world.running[:] = False
+
+    def _add_entity(self, world: World, e: int) -> None:
+        sumo, entity = self._sumo, world.entities[e]
+        name = entity.name
+        vehicle_type = self._make_vehicle_type(entity)
+        start, end = self._route_ends(world, e)
+        route = sumo.simulation.findRoute(start[0], end[0]).edges or (start[0],)
+        sumo.route.add(f"route {name}", route)
+        sumo.vehicle.add(
+            name, f"route {name}", typeID=vehicle_type, departLane=str(start[2]), departPos=f"{start[1]:.6f}",
+            departSpeed=f"{max(float(world.speed[e, 0]), 0.0):.6f}",
+        )  # fmt: skip
+        # Insert it at once, even if another vehicle is there.
+        sumo.vehicle.moveTo(name, f"{start[0]}_{start[2]}", start[1])
+        if name in self._types:
+            sumo.vehicle.setSpeed(name, max(float(world.speed[e, 0]), 0.0))
+        else:
+            # No checks: it goes where the storyboard says.
+            sumo.vehicle.setSpeedMode(name, 32)
+            sumo.vehicle.setLaneChangeMode(name, 0)
+        self._added[e] = name
+
+    def _make_vehicle_type(self, entity: Entity) -> str:
+        sumo, name, temper = self._sumo, f"type {entity.name}", self._types.get(entity.name)
+        sumo.vehicletype.copy(temper or "moved", name)
+        sumo.vehicletype.setLength(name, entity.length)
+        sumo.vehicletype.setWidth(name, entity.width)
+        if temper is not None:
+            type_settings = VEHICLE_TYPES[temper]
+            sumo.vehicletype.setAccel(name, min(type_settings["accel"], entity.max_acceleration))
+            sumo.vehicletype.setDecel(name, min(type_settings["decel"], entity.max_deceleration))
+            sumo.vehicletype.setEmergencyDecel(
+                name, max(type_settings["decel"], min(type_settings["emergencyDecel"], entity.max_deceleration))
+            )
+        return name
+
+    def _route_ends(self, world: World, e: int) -> tuple[tuple[str, float, int], tuple[str, float, int]]:
+        """Start of an entity's front and end of its route, each as (edge, position, lane)."""
+        x, y = self._front_position(world, e)
+        begin = self._sumo.simulation.convertRoad(x, y)
+        track = self._lane_track_of(world, e)
+        if track is None or begin[0].startswith(":"):
+            # It may start on a junction. Its position is set in each step, so any edge will do.
+            any_edge = next(edge for edge in self._sumo.edge.getIDList() if not edge.startswith(":"))
+            return (any_edge, 0.0, 0), (any_edge, 0.0, 0)
+        # The very end of a path may be just outside the network.
+        end_s = np.array([max(track.length - 1.0, 0.0)])
+        end_x, end_y, _ = track.pose_at(end_s, np.zeros(1), np.zeros(1, dtype=np.int64))
+        return begin, self._sumo.simulation.convertRoad(float(end_x[0]), float(end_y[0]))
+
+    def _lane_track_of(self, world: World, e: int) -> LaneTrack | None:
+        k = int(world.track[e, 0])
+        track = world.tracks[e][k] if 0 <= k < len(world.tracks[e]) else None
+        return track if isinstance(track, LaneTrack) else None
+
+    def _set_max_speed(self, world: World, e: int, name: str) -> None:
+        """Set the maximum speed of an entity that SUMO drives."""
+        self._sumo.vehicle.setSpeed(name, -1.0)
+        max_speed = min(float(world.target_speed[e, 0]), world.entities[e].max_speed)
+        if math.isfinite(max_speed):
+            self._sumo.vehicle.setMaxSpeed(name, max(max_speed, 0.01))
+
+    def _move_in_sumo(self, world: World, e: int, name: str, dt: float) -> None:
+        """Move an entity in SUMO to its position at the end of the step."""
+        speed, heading = float(world.speed[e, 0]), float(world.heading[e, 0])
+        x, y = self._front_position(world, e)
+        x, y = x + speed * dt * math.cos(heading), y + speed * dt * math.sin(heading)
+        follows_lane = self._lane_track_of(world, e) is not None and abs(float(world.offset[e, 0])) < _MAX_LANE_OFFSET
+        if not (follows_lane or self._is_on_lane(world, e)):
+            x, y = x + _REMOTE_OFFSET, y + _REMOTE_OFFSET
+        self._sumo.vehicle.setSpeed(name, max(speed, 0.0))
+        self._sumo.vehicle.moveToXY(name, "", -1, x, y, _to_compass(heading), keepRoute=1 if follows_lane else 2)
+
+    def _is_on_lane(self, world: World, e: int) -> bool:
+        """Return whether an entity's box reaches into a drivable lane; cached while it does not move."""
+        if world.network is None:
+            return True
+        pose = (float(world.x[e, 0]), float(world.y[e, 0]), float(world.heading[e, 0]))
+        if e not in self._lane_cache or self._lane_cache[e][0] != pose:
+            self._lane_cache[e] = (pose, self._reaches_lane(world, e))
+        return self._lane_cache[e][1]
+
+    def _reaches_lane(self, world: World, e: int) -> bool:
+        assert world.network is not None
+        entity = world.entities[e]
+        corners = all_box_corners(world)[e, 0]
+        points = np.concatenate([corners, corners.mean(axis=0, keepdims=True)])
+        positions = world.network.locate(points[:, 0], points[:, 1])
+        for road, lane, s, offset in zip(positions.road, positions.lane, positions.s, positions.offset, strict=True):
+            road_object = world.network.roads[int(road)]
+            section = int(road_object.section_at(np.array([s]))[0])
+            lane_object = road_object.sections[section][1].get(int(lane))
+            width = float(road_object.lane_width(section, int(lane), np.array([s]))[0])
+            if (
+                lane_object is not None
+                and lane_object.is_drivable
+                and abs(float(offset)) <= 0.5 * width + 0.05 * entity.width
+            ):
+                return True
+        return False
+
+    def _front_position(self, world: World, e: int) -> tuple[float, float]:
+        entity, heading = world.entities[e], float(world.heading[e, 0])
+        front_offset = entity.center_x + 0.5 * entity.length
+        return float(world.x[e, 0]) + front_offset * math.cos(heading), float(world.y[e, 0]) + front_offset * math.sin(
+            heading
+        )
+
+    def _move_from_sumo(self, world: World, e: int, name: str) -> None:
+        """Move an entity to where SUMO has driven it."""
+        sumo = self._sumo
+        if name not in sumo.vehicle.getIDList():
+            # It has arrived at the end of its route, and stays there.
+            set_external_motion(world, e, world.x[e], world.y[e], world.heading[e], np.zeros(1))
+            return
+        x, y = sumo.vehicle.getPosition(name)
+        heading = math.pi / 2 - math.radians(sumo.vehicle.getAngle(name))
+        entity = world.entities[e]
+        front_offset = entity.center_x + 0.5 * entity.length
+        set_external_motion(
+            world,
+            e,
+            np.array([x - front_offset * math.cos(heading)]),
+            np.array([y - front_offset * math.sin(heading)]),
+            np.array([wrap_angle(heading)]),
+            np.array([sumo.vehicle.getSpeed(name)]),
+        )
+
+
+def _to_compass(heading: float) -> float:
+    """Convert a heading in rad to degrees clockwise from north."""
+    return (90.0 - math.degrees(heading)) % 360.0
+
+
+def _format_vehicle_types() -> str:
+    """Vehicle types as SUMO's XML; all are deterministic."""
+    rows = [
+        f"<vType id={quoteattr(name)} sigma='0' "
+        + " ".join(f"{key}='{value:g}'" for key, value in settings.items())
+        + "/>"
+        for name, settings in {**VEHICLE_TYPES, "moved": _MOVED_TYPE}.items()
+    ]
+    return "<additional>\n" + "\n".join(rows) + "\n</additional>\n"

@@ -1,0 +1,176 @@
+"""Eclipse SUMO: SUMO drives the ego, the builtin storyboard moves all other entities."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
+from importlib.metadata import PackageNotFoundError, version
+from importlib.util import find_spec
+
+import numpy as np
+
+from cornercase._common.errors import InputError, SimulationError, suggest_name
+from cornercase._common.io.support_table import Notice
+from cornercase._common.text.sanitize import remove_folders
+from cornercase._common.typing import FloatArray
+from cornercase.drivers import DRIVERS, Driver, Situation
+from cornercase.drivers._registry import is_registered_driver
+from cornercase.recordings import Recording
+from cornercase.scenario import ConcreteScenario, Value
+from cornercase.scenario._file import ScenarioFile
+from cornercase.simulators._base import Availability, Simulator, check_seed, check_settings
+from cornercase.simulators.builtin._batch import Batch
+from cornercase.simulators.builtin._prepared_file import PreparedScenario, UnusableValuesError
+from cornercase.simulators.builtin._unsupported import read_and_collect_notices
+from cornercase.simulators.sumo._coupling import VEHICLE_TYPES, SumoCoupling
+from cornercase.simulators.sumo._network import find_or_convert_network
+
+_MISSING_MESSAGE = "SUMO is not installed; pip install 'cornercase[sumo]'."
+
+
+class SumoSimulator(Simulator):
+    """Runs concrete scenarios in which SUMO's car-following and junction models drive.
+
+    SUMO drives entities with the driver ``cautious``, ``normal`` or ``aggressive``, as a vehicle type of that name. The
+    builtin storyboard moves all others as in the builtin simulator, and SUMO sees them: vehicles that follow their lane
+    as traffic on its route, others where they are on the road. So whatever the builtin simulator runs can be run here,
+    but a vehicle that SUMO drives follows its lane and ignores trajectories.
+
+    Parameters
+    ----------
+    time_step : float, default 0.05
+        In s.
+    duration : float, default 60
+        Maximum duration of a scenario in s.
+    on_collision : {"continue", "stop"}, default "continue"
+        As for the builtin simulator: overlapping boxes collide.
+    drivers : mapping of str to str or Driver, optional
+        By entity: a vehicle type of SUMO, or a driver of cornercase.
+    seed : int, default 0
+        Seed of SUMO. It has no effect with the built-in vehicle types, which are deterministic.
+    network : str, optional
+        A ``.net.xml`` file to use instead of the scenario's OpenDRIVE file, in the same coordinates.
+
+    Raises
+    ------
+    InputError
+        SUMO is not installed, or an option is out of range.
+    """
+
+    name = "sumo"
+    deterministic = True
+    parameter_passing = "file"
+
+    def __init__(
+        self,
+        *,
+        time_step: float = 0.05,
+        duration: float = 60.0,
+        on_collision: str = "continue",
+        drivers: Mapping[str, str | Driver] | None = None,
+        seed: int = 0,
+        network: str | None = None,
+    ) -> None:
+        settings = check_settings(time_step, duration, on_collision, drivers)
+        if find_spec("libsumo") is None:
+            raise InputError(_MISSING_MESSAGE)
+        self._time_step, self._duration, self._on_collision = time_step, duration, on_collision
+        self._drivers, self._seed, self._network = dict(drivers or {}), seed, network
+        self._prepared: PreparedScenario | None = None
+        self.settings: dict[str, object] = {
+            **settings,
+            "seed": check_seed(seed, "SUMO"),
+            "network": None if network is None else remove_folders(network),
+            "sumo": version("libsumo"),
+        }
+
+    @classmethod
+    def availability(cls) -> Availability:
+        """Return whether SUMO is installed."""
+        try:
+            installed_version = version("libsumo")
+        except PackageNotFoundError:
+            installed_version = ""
+        return Availability(
+            version=installed_version,
+            problem="" if installed_version else _MISSING_MESSAGE,
+            features=(
+                "pedestrians",
+                "car-following",
+                "right of way",
+                "collisions go on or end the run",
+                "deterministic",
+            ),
+        )
+
+    @classmethod
+    def notices(cls, scenario: ScenarioFile, values: Mapping[str, Value] | None = None) -> tuple[Notice, ...]:
+        """List content without effect, as for the builtin simulator, whose storyboard is used."""
+        return read_and_collect_notices(scenario, values)
+
+    def run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Recording | SimulationError]:
+        """Run scenarios, as `Simulator.run`."""
+        prepared = self._prepared
+        for concrete in concretes:
+            scenario = concrete.load_file(None if prepared is None else prepared.scenario)
+            if prepared is None or prepared.scenario is not scenario:
+                prepared = self._prepared = PreparedScenario(scenario)
+            for entity in self._drivers:
+                scenario.require_entity(entity, "driven entity")
+            types = self._vehicle_types(scenario)
+            try:
+                yield self._run_scenario(prepared, concrete.values, types)
+            except UnusableValuesError as error:
+                make_batch = partial(self._make_batch, prepared, {}, self._drivers, None)
+                yield SimulationError(prepared.describe_value_error(error, concrete.values, make_batch))
+
+    def _run_scenario(
+        self, prepared: PreparedScenario, values: Mapping[str, Value], types: Mapping[str, str]
+    ) -> Recording | SimulationError:
+        if problem := prepared.find_invalid_values([values]).get(0):
+            return SimulationError(problem)
+        roads = prepared.scenario.road_path_for(values)
+        if roads is not None and not roads.is_file():
+            self._make_batch(prepared, values, self._drivers, None)  # raises an error that names the parameter
+        network = find_or_convert_network(prepared.scenario, self._network, values)
+        with SumoCoupling(network, types, self._time_step, self._seed) as coupling:
+            batch = self._make_batch(
+                prepared, values, {**self._drivers, **dict.fromkeys(types, _SumoDriver())}, coupling
+            )
+            batch.run()
+        self.notify(batch.remarks)
+        return coupling.error or batch.results([0])[0]
+
+    def _make_batch(
+        self,
+        prepared: PreparedScenario,
+        values: Mapping[str, Value],
+        drivers: Mapping[str, str | Driver],
+        coupling: SumoCoupling | None,
+    ) -> Batch:
+        return Batch(
+            prepared, [values], self._time_step, self._duration, self._on_collision == "stop", drivers, coupling
+        )
+
+    def check_supported(self, scenario: ScenarioFile) -> None:
+        """Refuse a scenario with an unknown driver."""
+        self._vehicle_types(scenario)
+
+    def _vehicle_types(self, scenario: ScenarioFile) -> dict[str, str]:
+        """Vehicle types of the entities that SUMO drives."""
+        all_drivers = {**scenario.drivers, **self._drivers}
+        for name, driver in all_drivers.items():
+            if isinstance(driver, str) and driver not in VEHICLE_TYPES and not is_registered_driver(driver):
+                hint = suggest_name(driver.partition(":")[0], (*VEHICLE_TYPES, *DRIVERS.names()))
+                raise InputError(f"{scenario.path}: '{name}' asks for the driver '{driver}'; {hint}")
+        return {
+            name: driver for name, driver in all_drivers.items() if isinstance(driver, str) and driver in VEHICLE_TYPES
+        }
+
+
+class _SumoDriver(Driver):
+    """Driver that decides nothing, so that the storyboard leaves the entity to SUMO."""
+
+    def acceleration(self, situation: Situation) -> FloatArray:
+        """Return zero, shape (1,): the coupling sets the speed."""
+        return np.zeros(1)

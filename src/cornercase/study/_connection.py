@@ -1,0 +1,206 @@
+"""Open SQLite connections to study files, and refuse unusable files before they are read."""
+
+from __future__ import annotations
+
+import os
+import sqlite3
+import stat
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Final
+
+from cornercase._common.errors import InputError
+from cornercase._common.io.atomic import SQLITE_SUFFIXES
+from cornercase.study._damage import DamageError
+from cornercase.study._schema import APPLICATION_ID, CREATE_STATEMENTS, REQUIRED_TABLES, SCHEMA_VERSION
+
+# Error codes for a file that cannot be opened or is locked.
+_UNREACHABLE_CODES: Final = {
+    sqlite3.SQLITE_BUSY,
+    sqlite3.SQLITE_LOCKED,
+    sqlite3.SQLITE_PROTOCOL,
+    sqlite3.SQLITE_CANTOPEN,
+}
+
+
+@contextmanager
+def reraise_sqlite_errors(path: Path) -> Iterator[None]:
+    """Turn SQLite errors within the block into one-sentence `InputError` messages that name the study."""
+    try:
+        yield
+    except UnicodeDecodeError as error:
+        # SQLite quotes damaged text in its message.
+        raise InputError(f"{path}: cannot be used as a study (damaged text). `verify` says what is damaged.") from error
+    except sqlite3.Error as error:
+        if is_unreachable_error(error):
+            raise InputError(_describe_unreachable(path, error)) from error
+        if "readonly" in str(error):
+            raise InputError(
+                f"{path}: cannot be written: it was opened for reading only, or its file or folder is read-only; use a"
+                " copy in a folder where you can write."
+            ) from error
+        # SQLite's message for unreadable pages.
+        advice = " `verify` says what is damaged." if "malformed" in str(error) else ""
+        raise InputError(f"{path}: cannot be used as a study ({error}).{advice}") from error
+
+
+def is_unreachable_error(error: BaseException) -> bool:
+    """Tell whether SQLite could not open or lock the file, which says nothing about its content."""
+    # Errors of Python's own module have no code. The lower byte is the primary code.
+    return isinstance(error, sqlite3.Error) and vars(error).get("sqlite_errorcode", 0) & 0xFF in _UNREACHABLE_CODES
+
+
+def _describe_unreachable(path: Path, error: sqlite3.Error) -> str:
+    if error.sqlite_errorcode & 0xFF == sqlite3.SQLITE_CANTOPEN:
+        return (
+            f"{path}: cannot be opened, or SQLite cannot create its -wal and -shm files beside it; copy the study, with"
+            " these files, to a folder where you can write."
+        )
+    return (
+        f"{path}: cannot be used as a study ({error}): another program has locked it (such as `verify --repair`),"
+        " or its file system does not support locks; wait until that program has ended, or copy the study to another"
+        " folder."
+    )
+
+
+@contextmanager
+def add_path_to_damage(path: Path) -> Iterator[None]:
+    """Add the name of the study to a `DamageError` raised within the block."""
+    try:
+        yield
+    except DamageError as error:
+        raise DamageError.from_problem(path, str(error)) if str(path) not in str(error) else error from error
+
+
+def require_study_file(path: Path) -> None:
+    """Raise `InputError` unless there is a regular file of this name that is not empty."""
+    try:
+        status = path.stat()
+    except OSError as error:
+        if not isinstance(error, FileNotFoundError | NotADirectoryError):
+            raise InputError(f"{path}: cannot be read ({error.strerror}).") from error
+        raise InputError(f"{path}: there is no such study; make one with `explore`.") from error
+    except ValueError as error:
+        raise InputError(f"{path}: is not a valid file name ({error}).") from error
+    if not stat.S_ISREG(status.st_mode):
+        raise InputError(f"{path}: is not a file; name the file of a study.")
+    if not status.st_size:
+        raise InputError(
+            f"{path}: is empty, and not a study; copy the study here again, or remove the file and make one with"
+            " `explore`."
+        )
+
+
+def read_schema_version(connection: sqlite3.Connection) -> int:
+    """Read the schema version of a study."""
+    (version,) = connection.execute("PRAGMA user_version").fetchone()
+    return int(version)
+
+
+def require_current_schema(path: Path, connection: sqlite3.Connection) -> None:
+    """Raise `InputError` unless the file is a study of the current schema version."""
+    (application,) = connection.execute("PRAGMA application_id").fetchone()
+    if application != APPLICATION_ID:
+        raise InputError(f"{path}: is a database, but not a cornercase study.")
+    version = read_schema_version(connection)
+    if version != SCHEMA_VERSION:
+        raise InputError(
+            f"{path}: has schema version {version}, but this cornercase reads version {SCHEMA_VERSION} only; use the"
+            " version that wrote it, or run `explore` again, into another study."
+        )
+
+
+def require_known_tables(path: Path, connection: sqlite3.Connection) -> None:
+    """Raise `InputError` unless the file holds exactly the tables that cornercase makes.
+
+    Views, triggers, virtual tables and computed columns would run something when they are read or written.
+    """
+    entries = connection.execute("SELECT type, name, sql FROM sqlite_master").fetchall()
+    for kind, name, statement in entries:
+        # The automatic index of a key has no statement.
+        is_known = kind == "index" and statement is None
+        if kind == "table":
+            is_known = statement == CREATE_STATEMENTS.get(name)
+        if not is_known:
+            table = f"the {kind} '{name}'"
+            if kind == "table" and name in CREATE_STATEMENTS:
+                table += (
+                    " with other columns: use the version that wrote it, or run `explore` again, into another study"
+                )
+            raise InputError(f"{path}: is not a study that cornercase wrote; it holds {table}.")
+    if missing := set(REQUIRED_TABLES) - {name for _, name, _ in entries}:
+        raise DamageError.from_problem(path, f"its table {min(missing)} is missing")
+
+
+def require_sqlite_integrity(path: Path, connection: sqlite3.Connection) -> None:
+    """Raise `DamageError` if SQLite's integrity check finds a problem, also in pages that are not read."""
+    for line in iter_sqlite_problems(connection, 1):
+        raise DamageError.from_problem(path, f"SQLite says: {line}")
+
+
+def iter_sqlite_problems(connection: sqlite3.Connection, limit: int) -> Iterator[str]:
+    """Yield at most `limit` problems that SQLite's integrity check finds."""
+    text_factory = connection.text_factory
+    # It quotes damaged content, which may not be valid text.
+    connection.text_factory = _decode_leniently
+    try:
+        for (line,) in connection.execute(f"PRAGMA integrity_check({limit})"):
+            if line != "ok":
+                yield line
+    finally:
+        connection.text_factory = text_factory
+
+
+def _decode_leniently(raw: bytes) -> str:
+    return raw.decode(errors="replace")
+
+
+def open_connection(path: Path, timeout: float = 30.0) -> sqlite3.Connection:
+    """Open an existing file, waiting up to `timeout` s for other writers."""
+    # In WAL mode a reader creates shared memory beside the file. If it cannot, nobody can write either.
+    location = f"{path.resolve().as_uri()}?{'immutable=1' if is_read_only_file(path) else 'mode=rw'}"
+    return sqlite3.connect(location, uri=True, timeout=timeout)
+
+
+def file_identity(path: Path) -> tuple[int, int] | None:
+    """Device and inode of the file that a path leads to; None if there is none."""
+    with suppress(OSError):
+        status = path.stat()
+        return status.st_dev, status.st_ino
+    return None
+
+
+def require_same_file(path: Path, identity: tuple[int, int] | None) -> None:
+    """Raise `InputError` if the path leads to another file than `identity`, as `file_identity` gave it before opening.
+
+    A process that waits for a lock may get the lock of the file that was there earlier.
+    """
+    if file_identity(path) != identity:
+        raise InputError(f"{path}: was replaced by another file just now; run the same command again.")
+
+
+def is_read_only_file(path: Path) -> bool:
+    """Tell whether the file may only be read here and has no log, so that nobody writes to it."""
+    # SQLite would leave its log beside a read-only file, and keep the owner from writing.
+    writable = os.access(path, os.W_OK) and os.access(path.parent, os.W_OK)
+    return not writable and not path.with_name(path.name + "-wal").exists()
+
+
+def require_single_link(path: Path) -> None:
+    """Raise `InputError` if the file has several hard links: SQLite keeps a log per name and sees only its own."""
+    if (names := path.stat().st_nlink) > 1:
+        raise InputError(
+            f"{path}: has {names} hard links, through which two processes could write at once; remove the others, or"
+            " use a copy."
+        )
+
+
+def remove_sqlite_files(path: Path) -> None:
+    """Remove the log and journal that a killed process left beside a file that is gone."""
+    # SQLite would apply it to the new file.
+    try:
+        for ending in SQLITE_SUFFIXES:
+            path.with_name(path.name + ending).unlink(missing_ok=True)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror}).") from error

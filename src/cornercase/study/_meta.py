@@ -1,0 +1,427 @@
+"""The description of a study."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+from typing import Any, Final
+
+from cornercase._common.errors import InputError
+from cornercase._common.text.sanitize import escape_control_characters, shorten
+from cornercase._common.typing import FloatArray
+from cornercase._common.version import __version__
+from cornercase.drivers._description import iter_driver_changes
+from cornercase.metrics.formulas._critical_if import find_critical_if_condition
+from cornercase.scenario import Parameter, ParameterSpace
+
+_DIFFERENCE_TEXTS: Final = {
+    "scenario": "another scenario",
+    "fingerprint": "another version of the scenario file",
+    "space": "other parameter ranges",
+    "ego": "another ego",
+    "other": "metrics against another entity",
+    "metrics": "other metrics",
+    "optimizer": "another optimizer",
+    "weights": "other weights of the metrics",
+    "pareto": "another objective",
+    "seed": "another seed",
+    "batch": "another batch size",
+    "asynchronous": "another mode of search (in rounds or asynchronous)",
+    "settings": "other simulator settings",
+    "repeats": "another number of repeats",
+    "most_repeats": "another largest number of repeats",
+    "audit": "another share of audits",
+    "elsewhere": "another warm start (another study, none, or one that has changed since)",
+    "suite": "other files, or files that have changed since",
+}
+
+
+_FIELD_TYPES: Final[dict[str, Any]] = (
+    dict.fromkeys(("scenario", "fingerprint", "ego", "optimizer", "simulator", "suite", "origin", "version"), str)
+    | dict.fromkeys(("seed", "budget", "batch", "repeats", "most_repeats"), int)
+    | dict.fromkeys(("elsewhere", "repeatability", "settings", "weights"), dict)
+    | dict.fromkeys(("metrics", "files", "kinds", "requirements"), list)
+    | {"other": (str, list), "critical": (int, float), "audit": (int, float), "pareto": bool, "asynchronous": bool}
+)
+# Largest number of characters of a setting in a message.
+_MAX_SETTING_LENGTH: Final = 60
+_DRIVERS_KEY: Final = "drivers"
+# Keys that are only written if they are used.
+_OPTIONAL_FIELDS: Final = (
+    "asynchronous", "elsewhere", "kinds", "most_repeats", "origin", "repeatability", "requirements", "suite",
+)  # fmt: skip
+_BOOLEAN_FIELDS: Final = ("asynchronous", "pareto")
+
+
+MAX_AUDIT_FRACTION: Final = 0.5
+"""Largest fraction of the scenarios of a study that may be audits."""
+
+
+def count_audits(audit_fraction: float, n_scenarios: int) -> int:
+    """Number of audits among the first `n_scenarios` of a study, for a given fraction of audits."""
+    return math.floor(audit_fraction * n_scenarios + 1e-9)
+
+
+def hash_points_and_scores(points: FloatArray, scores: FloatArray) -> str:
+    """SHA-256 of points, shape (n, d), and their scores, shape (n,)."""
+    return hashlib.sha256(points.astype("<f8").tobytes() + scores.astype("<f8").tobytes()).hexdigest()
+
+
+@dataclass(frozen=True)
+class StudyMeta:
+    """The description of a study: everything that its content depends on.
+
+    Attributes
+    ----------
+    scenario : str
+        Path of the scenario file, of the folder of imported recordings, or of a suite, relative to the folder of the
+        study as `stored_path` gives it.
+    fingerprint : str
+        SHA-256 of the scenario and the files that it uses, or of the imported files; for a suite that of its first one.
+    space : ParameterSpace
+        The parameter space.
+    ego : str
+        Name of the entity under test.
+    other : str or tuple of str
+        Name of the entity that the ego is measured against; several names if there are several.
+    metrics : tuple of str
+        Names of the metrics; the first one is the objective.
+    optimizer : str
+        Name of the optimizer; ``"none"`` for imported recordings and suites.
+    simulator : str
+        Name of the simulator; ``"imported"`` for imported recordings.
+    settings : mapping of str to object
+        Everything else that the recordings depend on.
+    critical : float or None
+        Threshold of the objective; None if there is none.
+    weights : mapping of str to float
+        Weight of each metric in the weighted sum that is the objective; empty if the first metric is.
+    pareto : bool
+        Whether the Pareto front of all metrics is searched.
+    seed, budget, batch : int
+        Seed of the optimizer, number of scenarios in total, and per round.
+    repeats : int
+        Number of runs of each scenario.
+    most_repeats : int or None
+        Largest number of runs of a scenario for which it is undecided on which side of the threshold it is; None if
+        each scenario has `repeats` runs.
+    audit : float
+        Fraction of the scenarios that are audits: drawn at random to judge the search, and hidden from it.
+    asynchronous : bool
+        Whether the optimizer was asked for the next scenario as soon as one had ended, instead of in rounds.
+    elsewhere : mapping of str to object
+        The study of the warm start: the name of its file (``study``), its ``fingerprint``, ``simulator``, ``settings``
+        and number of ``scenarios``, and ``sha256`` of their points and scores; empty without a warm start.
+    repeatability : mapping of str to object
+        Result of running a scenario a second time: its id (``scenario``), whether both recordings have the ``same``
+        bytes, and otherwise the largest distance of entities in m (``apart``; None if it is unknown); empty if not
+        tried.
+    files : tuple of str
+        Imported recordings, or scenario files of a suite, in the order of the scenarios' ids.
+    kinds : tuple of str
+        Name of the cluster that each scenario of a suite represents, in the same order; empty if unknown.
+    requirements : tuple of str
+        Requirements on the scenarios of a suite, as `cornercase.suite.Requirement` parses them.
+    suite : str
+        SHA-256 of all files of a suite and of the files that they use; empty if one scenario file was explored.
+    origin : str
+        `fingerprint` of the study that a suite was reduced from; empty if there is none.
+    version : str
+        Version of cornercase that created the study.
+    """
+
+    scenario: str
+    fingerprint: str
+    space: ParameterSpace
+    ego: str
+    other: str | tuple[str, ...]
+    metrics: tuple[str, ...]
+    optimizer: str
+    simulator: str
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    critical: float | None = None
+    weights: Mapping[str, float] = field(default_factory=dict)
+    pareto: bool = False
+    seed: int = 0
+    budget: int = 0
+    batch: int = 0
+    repeats: int = 1
+    most_repeats: int | None = None
+    audit: float = 0.0
+    asynchronous: bool = False
+    elsewhere: Mapping[str, Any] = field(default_factory=dict)
+    repeatability: Mapping[str, Any] = field(default_factory=dict)
+    files: tuple[str, ...] = ()
+    kinds: tuple[str, ...] = ()
+    requirements: tuple[str, ...] = ()
+    suite: str = ""
+    origin: str = ""
+    version: str = __version__
+
+    @property
+    def others(self) -> tuple[str, ...]:
+        """Names of all entities that the ego is measured against."""
+        return (self.other,) if isinstance(self.other, str) else self.other
+
+    @property
+    def objective_metrics(self) -> tuple[str, ...]:
+        """Metrics whose scores the optimizer gets; none for imported recordings and suites."""
+        if self.optimizer == "none":
+            return ()
+        if self.pareto:
+            return self.metrics
+        return tuple(name for name in self.metrics if name in self.weights) if self.weights else self.metrics[:1]
+
+    @property
+    def repeats_text(self) -> str:
+        """Number of runs of each scenario, in words."""
+        return str(self.repeats) if self.most_repeats is None else f"{self.repeats} to {self.most_repeats}"
+
+    @property
+    def file_name(self) -> str:
+        """Name without folders of the scenario file (for a suite its first one) or of the folder of recordings."""
+        return _base_name(self.files[0] if self.suite and self.files else self.scenario)
+
+    @property
+    def nondeterminism_text(self) -> str:
+        """How two runs of the same scenario differ, in words; empty if they are not known to differ."""
+        if self.repeatability.get("same", True):
+            return ""
+        distance = self.repeatability.get("apart")
+        difference = (
+            f"in its recordings entities are up to {distance:.3g} m apart"
+            if distance
+            else "more than positions differs"
+        )
+        return f"scenario {self.repeatability['scenario']} was run twice, and {difference}"
+
+    @property
+    def drivers(self) -> dict[str, Any]:
+        """Drivers by entity, in the form of `cornercase.drivers.serialize_driver`; empty if none were given."""
+        return dict(self.settings.get(_DRIVERS_KEY, {}))
+
+    @property
+    def title(self) -> str:
+        """Name of the scenario file or folder without its ending."""
+        return Path(_base_name(self.scenario)).stem
+
+    def to_json(self) -> dict[str, Any]:
+        """Return plain values.
+
+        Returns
+        -------
+        dict of str to object
+            By field name; None stands for an empty or default value.
+        """
+        # These keys are only written if the study uses them.
+        is_written = {
+            "asynchronous": self.asynchronous,
+            "elsewhere": bool(self.elsewhere),
+            "most_repeats": self.most_repeats is not None,
+            "repeatability": bool(self.repeatability),
+        }
+        names = [field_.name for field_ in fields(self) if is_written.get(field_.name, True)]
+        return {name: getattr(self, name) for name in names} | {
+            "space": self.space.to_json(),
+            "other": self.other if isinstance(self.other, str) else list(self.other),
+            "metrics": list(self.metrics),
+            "settings": dict(self.settings),
+            "weights": dict(self.weights) or None,
+            "pareto": self.pareto or None,
+            "repeats": self.repeats if self.repeats > 1 else None,
+            "audit": self.audit or None,
+            "files": list(self.files) or None,
+            "kinds": list(self.kinds) or None,
+            "requirements": list(self.requirements) or None,
+            "suite": self.suite or None,
+            "origin": self.origin or None,
+        }
+
+    def is_audit(self, scenario: int) -> bool:
+        """Tell whether a scenario is an audit, which keeps the number of audits at their fraction of all.
+
+        Parameters
+        ----------
+        scenario : int
+            Its id.
+
+        Returns
+        -------
+        bool
+        """
+        return count_audits(self.audit, scenario) > count_audits(self.audit, scenario - 1)
+
+    @classmethod
+    def from_json(cls, description: Mapping[str, Any]) -> StudyMeta:
+        """Make it from the result of `to_json`.
+
+        Parameters
+        ----------
+        plain : mapping of str to object
+
+        Returns
+        -------
+        StudyMeta
+
+        Raises
+        ------
+        ValueError, LookupError, TypeError, AttributeError or OverflowError
+            The values do not describe a study.
+        """
+        # Empty and default values are stored as None.
+        names = [item.name for item in fields(cls) if item.name in description or item.name not in _OPTIONAL_FIELDS]
+        values = {name: description[name] for name in names if description[name] is not None}
+        for name, value in values.items():
+            if name in _FIELD_TYPES and (
+                not isinstance(value, _FIELD_TYPES[name]) or isinstance(value, bool) != (name in _BOOLEAN_FIELDS)
+            ):
+                raise ValueError(f"its {name} is {str(value)[:60]!r}")
+        if isinstance(values["other"], list):
+            values["other"] = _require_distinct_names(values["other"])
+        for name in ("metrics", "files", "kinds", "requirements"):
+            if not all(isinstance(item, str) for item in values.get(name, ())):
+                raise ValueError(f"its {name} are not texts")
+        if not values["metrics"] or not all(
+            isinstance(item, int | float) for item in values.get("weights", {}).values()
+        ):
+            raise ValueError("it has no metrics, or weights that are not numbers")
+        numbers = (values.get("critical", 0.0), *values.get("weights", {}).values())
+        if not all(math.isfinite(float(item)) for item in numbers):
+            raise ValueError("its critical or its weights are not finite")
+        names = values.get("elsewhere", {})
+        if names and not all(isinstance(names.get(key), str) for key in ("sha256", "simulator", "study")):
+            raise ValueError("its warm start is invalid")
+        if (repeatability := values.get("repeatability")) and not _is_repeatability_valid(repeatability):
+            raise ValueError("its repeatability is invalid")
+        if values.get("most_repeats", math.inf) <= values.get("repeats", 1):
+            raise ValueError("its most_repeats is not greater than its repeats")
+        if not 0.0 <= values.get("audit", 0.0) <= MAX_AUDIT_FRACTION:
+            raise ValueError("its audit is not a fraction")
+        if not isinstance(values.get("settings", {}).get("drivers", {}), dict):
+            raise ValueError("its drivers are not a mapping")
+        values |= {
+            name: tuple(values[name]) for name in ("metrics", "files", "kinds", "requirements") if name in values
+        }
+        return cls(**values | {"space": ParameterSpace.from_json(description["space"])})
+
+    def require_resumable(self, other: StudyMeta, path: Path, *, same_budget: bool = False) -> None:
+        """Raise `InputError` unless a study of this description can be continued with another one.
+
+        The budget may grow, files and simulator may be in another place, and a threshold may be added if there is none.
+
+        Parameters
+        ----------
+        other : StudyMeta
+            Description to continue with.
+        path : Path
+            Path of the study, for messages.
+        same_budget : bool, default False
+            Whether the budget has to stay, because the optimizer depends on it.
+
+        Raises
+        ------
+        InputError
+            Something else differs.
+        """
+        if self.suite and other.suite and self.suite != other.suite:
+            raise InputError(
+                f"{path}: has other scenarios than the folder now: files were added, removed or changed since; name"
+                " another study with `study`."
+            )
+        for name, description in _DIFFERENCE_TEXTS.items():
+            mine, theirs_value = getattr(self, name), getattr(other, name)
+            if name == "scenario" and self.fingerprint == other.fingerprint:
+                continue
+            if name == "space":
+                # Its constraints follow from the file.
+                ours, theirs = mine.parameters, theirs_value.parameters
+                mine, theirs_value = _fill_missing_units(ours, theirs), _fill_missing_units(theirs, ours)
+            if name == "elsewhere":
+                # The file may have moved; its scores must be the same.
+                mine, theirs_value = mine.get("sha256"), theirs_value.get("sha256")
+            if name == "metrics" and find_critical_if_condition(mine) != find_critical_if_condition(theirs_value):
+                description = "another condition of what is critical"
+            if mine != theirs_value:
+                if name == "settings":
+                    _require_same_driver_files(mine, theirs_value, path)
+                    description += f" ({_describe_setting_differences(mine, theirs_value)})"
+                raise InputError(
+                    f"{path}: belongs to {description}; name another study with `study`, or give the same options."
+                )
+        # The address may change; the settings hold everything that recordings depend on.
+        if self.simulator.partition(":")[0] != other.simulator.partition(":")[0]:
+            raise InputError(
+                f"{path}: belongs to another simulator; name another study with `study`, or give the same."
+            )
+        if self.critical not in (None, other.critical):
+            raise InputError(
+                f"{path}: belongs to the threshold {self.critical:g}; name another study with"
+                " `study`, or give the same `critical`."
+            )
+        if same_budget and self.budget != other.budget:
+            raise InputError(
+                f"{path}: its optimizer planned for a budget of {self.budget} scenarios; give the same `budget`."
+            )
+
+
+def _is_repeatability_valid(values: Mapping[str, Any]) -> bool:
+    """Tell whether the values are valid as `StudyMeta.repeatability`."""
+    distance, scenario = values.get("apart"), values.get("scenario")
+    return (
+        isinstance(values.get("same"), bool)
+        and isinstance(scenario, int)
+        and (distance is None or (isinstance(distance, int | float) and math.isfinite(distance)))
+    )
+
+
+def _fill_missing_units(parameters: tuple[Parameter, ...], reference: tuple[Parameter, ...]) -> tuple[Parameter, ...]:
+    """Fill missing units from `reference`: a range given as an option has none, and no value depends on it."""
+    units = {parameter.name: parameter.unit for parameter in reference}
+    return tuple(replace(parameter, unit=parameter.unit or units.get(parameter.name, "")) for parameter in parameters)
+
+
+def _require_distinct_names(names: list[Any]) -> tuple[str, ...]:
+    if len(names) < 2 or not all(isinstance(name, str) for name in names) or len(set(names)) < len(names):
+        raise ValueError(f"its other is {str(names)[:60]}")
+    return tuple(names)
+
+
+def _base_name(path: str) -> str:
+    # The path may have been written on Windows.
+    return re.split(r"[\\/]", path.rstrip("\\/"))[-1]
+
+
+def _require_same_driver_files(stored_settings: Mapping[str, Any], new_settings: Mapping[str, Any], path: Path) -> None:
+    """Raise `InputError` if the file of a driver has changed: a study holds runs of one version."""
+    if {**stored_settings, _DRIVERS_KEY: None} != {**new_settings, _DRIVERS_KEY: None}:
+        return
+    changes = list(iter_driver_changes(stored_settings.get(_DRIVERS_KEY), new_settings.get(_DRIVERS_KEY)))
+    for entity, stored, current, only_file in changes:
+        if only_file and all(change[-1] for change in changes):
+            raise InputError(
+                f"{path}: the file of the driver of {entity} has changed since ({escape_control_characters(stored)} there,"
+                f" {escape_control_characters(current)} here), and a study holds runs of one version; name another study with"
+                " `study`, or restore the file."
+            )
+
+
+def _describe_setting_differences(stored_settings: Mapping[str, Any], new_settings: Mapping[str, Any]) -> str:
+    """Settings that differ, with both values if these are short."""
+    texts = []
+    for name in sorted({*stored_settings, *new_settings}):
+        if name == _DRIVERS_KEY:
+            texts += [
+                f"driver of {entity}: {escape_control_characters(stored)} there, {escape_control_characters(current)} here"
+                for entity, stored, current, _ in iter_driver_changes(stored_settings.get(name), new_settings.get(name))
+            ]
+        elif stored_settings.get(name) != new_settings.get(name):
+            values = [
+                shorten(escape_control_characters(str(settings.get(name, "none"))), _MAX_SETTING_LENGTH)
+                for settings in (stored_settings, new_settings)
+            ]
+            texts.append(f"{name}: {values[0]} there, {values[1]} here")
+    return "; ".join(texts)

@@ -1,0 +1,1 @@
+"""Recovery of damaged studies: read intact rows, and rebuild the study from them."""

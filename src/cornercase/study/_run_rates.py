@@ -1,0 +1,37 @@
+"""How often runs of one scenario are critical, and whether more runs are needed to decide it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+
+from cornercase._common.clopper_pearson import clopper_pearson_interval
+from cornercase._common.typing import FloatArray
+
+_TAIL_PROBABILITY: Final = 0.05
+
+MIN_DECISIVE_RUNS: Final = 5
+"""Fewest runs that can tell on which side of the threshold a scenario is: all of them, or none, are critical."""
+
+
+def critical_run_rates(scores: Sequence[Sequence[float]], threshold: float) -> FloatArray:
+    """Fraction of critical runs of each scenario and its 90 % Clopper-Pearson interval, shape (n, 3).
+
+    `scores` are minimized scores of the runs of each scenario; a run is critical up to `threshold`.
+    """
+    rows = []
+    for run_scores in scores:
+        n_runs, n_critical = len(run_scores), sum(score <= threshold for score in run_scores)
+        rows.append((n_critical / n_runs, *clopper_pearson_interval(n_critical, n_runs, _TAIL_PROBABILITY)))
+    return np.array(rows, dtype=np.float64)
+
+
+def is_criticality_undecided(scores: Sequence[float], threshold: float) -> bool:
+    """Tell whether the 90 % interval of the probability that a run is critical contains 0.5.
+
+    `scores` are minimized scores of the runs of one scenario, at least one.
+    """
+    ((_, low, high),) = critical_run_rates([scores], threshold)
+    return bool(low <= 0.5 <= high)

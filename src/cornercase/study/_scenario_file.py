@@ -1,0 +1,56 @@
+"""Find the scenario file that a study explored."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from cornercase._common.errors import InputError
+from cornercase.scenario._file import ScenarioFile
+from cornercase.scenario._locate import find_scenario_file, read_if_fingerprint_matches
+from cornercase.scenario._road_choices import add_varied_roads
+from cornercase.study._import_recordings import IMPORTED_SIMULATOR
+from cornercase.study._stored_paths import resolve_stored_path
+from cornercase.study._study import Study
+
+
+def find_explored_scenario(
+    study: Study, scenario: Path | str | ScenarioFile | None = None, *, search_stored_path: bool = False
+) -> ScenarioFile | None:
+    """Find the scenario file that was explored, and refuse any other one.
+
+    By default it is looked for beside the study and in the current folder, and recognized by its fingerprint.
+    `search_stored_path` also looks at the path stored in the study; only use it if the command needs the file, since a
+    study may come from anywhere. Returns None for imported recordings, and the first file for a suite.
+    """
+    meta = study.meta
+    if meta.simulator == IMPORTED_SIMULATOR:
+        return None
+    # The study may come from anywhere: without the option, its stored path is not opened.
+    stored_file = (
+        resolve_stored_path(meta.scenario, study.path)
+        if search_stored_path and scenario is None and not meta.suite
+        else None
+    )
+    file = scenario
+    if stored_file is not None:
+        file = read_if_fingerprint_matches(stored_file, meta.fingerprint, meta.space)
+    if file is None:
+        file = (
+            find_scenario_file(meta.file_name, meta.fingerprint, (study.path.parent, Path()), meta.space) or stored_file
+        )
+    if file is None:
+        stored = f", or at {meta.scenario}" if search_stored_path and "/" in meta.scenario else ""
+        raise InputError(
+            f"{study.path}: its scenario file '{meta.file_name}' was not found beside it, in the current folder, up to"
+            f" two folders below{stored}; name it with `scenario`."
+        )
+    result = add_varied_roads(file if isinstance(file, ScenarioFile) else ScenarioFile.read(file), meta.space)
+    if result.fingerprint() != meta.fingerprint:
+        missing = result.describe_missing_road()
+        if missing:
+            raise InputError(f"{result.path}: differs from what {study.path} was explored with: {missing}.")
+        raise InputError(
+            f"{result.path}: it, its road or its catalogs have changed since {study.path} was explored; restore"
+            " them, name the file that was explored with `scenario`, or run `explore` again, into another study."
+        )
+    return result

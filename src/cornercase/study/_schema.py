@@ -1,0 +1,153 @@
+"""The tables of a study file, and which columns their checksums cover."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+SCHEMA_VERSION: Final = 1
+
+APPLICATION_ID: Final = 0x434F524E
+"""SQLite's application id of a study: "CORN"."""
+
+
+@dataclass(frozen=True)
+class StudyTable:
+    """A table of a study, whose rows have checksums; `columns` are without these, the blob last.
+
+    `n_key_columns` is the number of leading columns that identify a row, 0 if rows are identified by their order. The
+    blob has a checksum of its own, so that a row can be read without it. `float_column` is the index of the column of
+    floats. `has_totals` tables have their row count and XOR of checksums in `tallies`; `is_required` marks tables that
+    each study has.
+    """
+
+    create_statement: str
+    columns: tuple[str, ...]
+    n_key_columns: int
+    has_blob: bool = False
+    float_column: int | None = None
+    has_totals: bool = True
+    is_required: bool = True
+
+    @property
+    def columns_without_blob(self) -> tuple[str, ...]:
+        """Columns without the blob."""
+        return self.columns[:-1] if self.has_blob else self.columns
+
+    @property
+    def stored_columns(self) -> tuple[str, ...]:
+        """All columns in the order of the file: checksums come before a blob, which may fill many pages."""
+        last = self.columns[-1]
+        return (
+            (*self.columns_without_blob, f"{last}_checksum", "checksum", last)
+            if self.has_blob
+            else (*self.columns, "checksum")
+        )
+
+
+_SCENARIO_COLUMN: Final = "scenario INTEGER NOT NULL REFERENCES scenarios"
+
+TABLES: Final[dict[str, StudyTable]] = {
+    "meta": StudyTable(
+        "CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL, checksum INTEGER NOT NULL) WITHOUT ROWID",
+        ("key", "value"),
+        1,
+    ),
+    "scenarios": StudyTable(
+        "CREATE TABLE scenarios (id INTEGER PRIMARY KEY, round INTEGER NOT NULL, point BLOB NOT NULL,"
+        " parameters TEXT NOT NULL, state TEXT NOT NULL CHECK (state IN ('pending', 'done', 'failed')), error TEXT,"
+        " recording_checksum INTEGER, checksum INTEGER NOT NULL, recording BLOB)",
+        ("id", "round", "point", "parameters", "state", "error", "recording"),
+        1,
+        has_blob=True,
+    ),
+    "courses": StudyTable(
+        f"CREATE TABLE courses ({_SCENARIO_COLUMN}, metric TEXT NOT NULL, score REAL NOT NULL,"
+        " course_checksum INTEGER NOT NULL, checksum INTEGER NOT NULL, course BLOB NOT NULL,"
+        " PRIMARY KEY (scenario, metric)) WITHOUT ROWID",
+        ("scenario", "metric", "score", "course"),
+        2,
+        has_blob=True,
+        float_column=2,
+    ),
+    "repeats": StudyTable(
+        f"CREATE TABLE repeats ({_SCENARIO_COLUMN}, metric TEXT NOT NULL, scores TEXT NOT NULL,"
+        " checksum INTEGER NOT NULL, PRIMARY KEY (scenario, metric)) WITHOUT ROWID",
+        ("scenario", "metric", "scores"),
+        2,
+    ),
+    "outcomes": StudyTable(
+        "CREATE TABLE outcomes (scenario INTEGER PRIMARY KEY REFERENCES scenarios, outcome TEXT NOT NULL,"
+        " checksum INTEGER NOT NULL)",
+        ("scenario", "outcome"),
+        1,
+    ),
+    "notes": StudyTable(
+        "CREATE TABLE notes (scenario INTEGER PRIMARY KEY REFERENCES scenarios, note TEXT NOT NULL,"
+        " checksum INTEGER NOT NULL)",
+        ("scenario", "note"),
+        1,
+    ),
+    "analyses": StudyTable(
+        "CREATE TABLE analyses (name TEXT PRIMARY KEY, info TEXT NOT NULL, checksum INTEGER NOT NULL) WITHOUT ROWID",
+        ("name", "info"),
+        1,
+    ),
+    "arrays": StudyTable(
+        "CREATE TABLE arrays (analysis TEXT NOT NULL REFERENCES analyses, name TEXT NOT NULL, part INTEGER NOT NULL,"
+        " data_checksum INTEGER NOT NULL, checksum INTEGER NOT NULL, data BLOB NOT NULL,"
+        " UNIQUE (analysis, name, part))",
+        ("analysis", "name", "part", "data"),
+        3,
+        has_blob=True,
+    ),
+    "elapsed": StudyTable(
+        "CREATE TABLE elapsed (stage TEXT PRIMARY KEY, seconds REAL NOT NULL, checksum INTEGER NOT NULL) WITHOUT ROWID",
+        ("stage", "seconds"),
+        1,
+        float_column=1,
+        # Its rows depend on the clock, and no other table does.
+        has_totals=False,
+    ),
+    "against": StudyTable(
+        f"CREATE TABLE against ({_SCENARIO_COLUMN}, metric TEXT NOT NULL, other TEXT,"
+        " checksum INTEGER NOT NULL, PRIMARY KEY (scenario, metric)) WITHOUT ROWID",
+        ("scenario", "metric", "other"),
+        2,
+        is_required=False,
+    ),
+    "results": StudyTable(
+        "CREATE TABLE results (number INTEGER PRIMARY KEY, scenario INTEGER NOT NULL UNIQUE REFERENCES scenarios,"
+        " round INTEGER NOT NULL, checksum INTEGER NOT NULL)",
+        ("number", "scenario", "round"),
+        1,
+        is_required=False,
+    ),
+    "elsewhere": StudyTable(
+        "CREATE TABLE elsewhere (point BLOB NOT NULL, score REAL NOT NULL, checksum INTEGER NOT NULL)",
+        ("point", "score"),
+        0,
+        float_column=1,
+        is_required=False,
+    ),
+    "tallies": StudyTable(
+        "CREATE TABLE tallies (name TEXT PRIMARY KEY, rows INTEGER NOT NULL, checksums INTEGER NOT NULL,"
+        " checksum INTEGER NOT NULL) WITHOUT ROWID",
+        ("name", "rows", "checksums"),
+        1,
+        has_totals=False,
+    ),
+}
+"""Tables whose rows have checksums; those that refer to others come after them."""
+
+CREATE_LEASE: Final = (
+    "CREATE TABLE lease (token TEXT NOT NULL, host TEXT NOT NULL, machine TEXT NOT NULL, pid INTEGER NOT NULL,"
+    " began REAL NOT NULL, beat REAL NOT NULL)"
+)
+"""Creates the table with the process that may write to the study, if there is one."""
+
+CREATE_STATEMENTS: Final = {name: table.create_statement for name, table in TABLES.items()} | {"lease": CREATE_LEASE}
+"""SQL that creates each table, as SQLite stores it."""
+
+REQUIRED_TABLES: Final = (*(name for name, table in TABLES.items() if table.is_required), "lease")
+"""Tables that each study has."""

@@ -1,0 +1,71 @@
+"""Paths as a study stores them: relative to its folder, or the name alone if the path would reveal private folders."""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path, PurePosixPath
+from typing import Final
+
+from cornercase._common.io.files import MAX_FILE_SIZE
+
+# Largest number of `..` in a stored path.
+_MAX_PARENT_STEPS: Final = 3
+
+
+def stored_path(file: Path, study: Path) -> str:
+    """Path of a file or folder as a study stores it.
+
+    It is relative to the study's folder, with ``/`` between its parts, so that the same files in another place make the
+    same study. If it would lead up more than three folders, or down again from the root of the file system or from the
+    user's home or above, it would reveal the folders of a machine: then only the name is stored.
+
+    >>> stored_path(Path("/data/acc/scenarios/cut_in.xosc"), Path("/data/acc/results/s.db"))
+    '../scenarios/cut_in.xosc'
+    >>> stored_path(Path("/data/acc/cut_in.xosc"), Path("/tmp/s.db"))
+    'cut_in.xosc'
+    """
+    # Keep the name of a link; resolve `..`.
+    file = Path(os.path.abspath(file))
+    name, folder, start = file.name, file.parent.resolve(), study.parent.resolve()
+    try:
+        relative = Path(os.path.relpath(folder, start))
+    except ValueError:
+        # There is no relative path to another drive.
+        return name
+    n_up = relative.parts.count("..")
+    below = relative.parts[n_up:]
+    if n_up:
+        common = Path(os.path.commonpath([folder, start]))
+        if n_up > _MAX_PARENT_STEPS or (below and (common.parent == common or _contains_home(common))):
+            return name
+    return (PurePosixPath(*relative.parts) / name).as_posix()
+
+
+def resolve_stored_path(stored: str, study: Path) -> Path | None:
+    """Find the scenario file at a path that `stored_path` gave; None if there is none.
+
+    The study may come from anywhere: only paths that `stored_path` can give are followed, and only to OpenSCENARIO
+    files of an accepted size.
+    """
+    parts = stored.split("/")
+    n_up = parts.count("..")
+    is_plain = all(part not in ("", ".") and not re.search(r"[\\:\x00-\x1f]", part) for part in parts)
+    if not is_plain or n_up > _MAX_PARENT_STEPS or ".." in parts[n_up:] or not stored.lower().endswith(".xosc"):
+        return None
+    folders = (study.parent.resolve() / study.name).parents
+    if n_up >= len(folders):
+        return None
+    file = folders[n_up].joinpath(*parts[n_up:])
+    try:
+        # Virtual files of the system have size 0.
+        return file if file.is_file() and 0 < file.stat().st_size <= MAX_FILE_SIZE else None
+    except OSError:
+        return None
+
+
+def _contains_home(folder: Path) -> bool:
+    try:
+        return Path.home().resolve().is_relative_to(folder)
+    except (RuntimeError, OSError):
+        return False

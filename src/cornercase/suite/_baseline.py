@@ -1,0 +1,94 @@
+"""Compare the recordings of a suite with those that it was made from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Final
+
+from cornercase._common.errors import InputError
+from cornercase.study import ScenarioRecord, Study
+from cornercase.study._damage import reraise_as_damage
+from cornercase.suite._recording_difference import RecordingDifference, compare_recording_pair
+from cornercase.suite._suite import Suite
+
+# Largest number of bytes of a file name.
+_MAX_NAME_BYTES: Final = 255
+
+
+def find_baseline_study(suite: Suite, against: Path | None) -> tuple[Path | None, str]:
+    """Find the study to compare the recordings of a suite with.
+
+    By default it is looked for by name beside the manifest and in the folder above, and recognized by its fingerprint.
+    Returns None and the reason, a sentence without a period, if there is none. Raises `InputError` if the study
+    `against` is of something else, or cannot be used.
+    """
+    if against is not None:
+        with Study.open(against, readonly=True) as study, reraise_as_damage(against):
+            _read_baseline(suite, study)
+        return against, ""
+    if not suite.study:
+        return None, "the study that the files were made from is unknown"
+    # Only use the name, since the manifest may come from anywhere.
+    name = Path(suite.study.replace("\\", "/")).name
+    for folder in (suite.folder, suite.folder.resolve().parent):
+        path = folder / name
+        if name and len(name.encode(errors="replace")) <= _MAX_NAME_BYTES and path.is_file():
+            try:
+                with Study.open(path, readonly=True) as study, reraise_as_damage(path):
+                    _read_baseline(suite, study)
+            except InputError:
+                continue
+            return path, ""
+    return None, f"{name} was not found unchanged and readable beside the manifest or in the folder above"
+
+
+def compare_with_baseline(suite: Suite, baseline: Path, study: Study) -> dict[int, RecordingDifference]:
+    """Compare the recordings of a suite with those of an earlier study, by id of each scenario that ran in both."""
+    with Study.open(baseline, readonly=True) as earlier, reraise_as_damage(baseline):
+        sources = _match_baseline_rows(suite, earlier)
+        differences = {}
+        for row in study.finished_rows():
+            earlier_row = sources.get(row.id)
+            if earlier_row is not None and earlier_row.state == "done":
+                scores_now, scores_before = study.scenario_scores(row.id), earlier.scenario_scores(earlier_row.id)
+                scores = {name: (scores_before[name], scores_now[name]) for name in scores_now if name in scores_before}
+                differences[row.id] = compare_recording_pair(
+                    earlier.recording(earlier_row.id), study.recording(row.id), study.meta.ego, scores
+                )
+        return differences
+
+
+def _read_baseline(suite: Suite, study: Study) -> None:
+    """Read everything that is compared later, so that damage is reported before anything is run."""
+    for row in _match_baseline_rows(suite, study).values():
+        if row.state == "done":
+            study.recording(row.id)
+            study.scenario_scores(row.id)
+
+
+def _match_baseline_rows(suite: Suite, study: Study) -> Mapping[int, ScenarioRecord]:
+    """Scenario of the earlier study, by the id in that of the suite."""
+    rows = {row.id: row for row in study.rows()}
+    if study.meta.suite:
+        id_of = {file: k for k, file in enumerate(study.meta.files, start=1)}
+        matches = {k: id_of.get(scenario.file_name) for k, scenario in enumerate(suite.scenarios, start=1)}
+        sources = {k: rows[source] for k, source in matches.items() if source in rows}
+        if not sources:
+            raise InputError(f"`against` {study.path}: has none of the files of {suite.path}; name another study.")
+        return sources
+    if study.meta.fingerprint != suite.fingerprint:
+        raise InputError(
+            f"`against` {study.path}: is not the study that {suite.path} was made from; name the one that was reduced,"
+            " or an earlier run of the suite."
+        )
+    sources = {}
+    for k, scenario in enumerate(suite.scenarios, start=1):
+        row = rows.get(scenario.source_id or 0)
+        if row is None or dict(row.values) != dict(scenario.values):
+            raise InputError(
+                f"`against` {study.path}: has another scenario {scenario.source_id} than {suite.path} was made from; name"
+                " the study that was reduced."
+            )
+        sources[k] = row
+    return sources

@@ -1,0 +1,77 @@
+"""Requirements from the criteria for ScenarioRunner in scenario files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final
+
+from cornercase._common.errors import InputError
+from cornercase._common.io.support_table import issue_notice_warning
+from cornercase.scenario._runner_criteria import RunnerCriterion, read_runner_criteria
+from cornercase.scenario._scope import Scope
+from cornercase.suite._requirement import Requirement, requirement_prefix
+from cornercase.suite._suite import Suite, SuiteScenario
+
+# Criteria that a recording can answer; others need lanes, signals or routes of CARLA's map.
+_REQUIREMENT_TEMPLATES: Final[dict[str, Callable[[float | None], str | None]]] = {
+    "CollisionTest": lambda _: "no collision",
+    "DrivenDistanceTest": lambda least: None if least is None else f"drive {least:.15g}",
+    "MaxVelocityTest": lambda most: None if most is None else f"ego.speed <= {most:.15g} m/s",
+}
+
+
+def requirements_from_files(suite: Suite) -> list[Requirement]:
+    """Make requirements from the criteria in a suite's files; one that not all files have applies to those files.
+
+    Raises `InputError` if there is none; warns about criteria that a recording cannot answer.
+    """
+    files_of: dict[str, list[str]] = {}
+    ignored: dict[str, None] = {}
+    for scenario in suite.runnable_scenarios:
+        for criterion in _read_criteria(scenario):
+            template = _REQUIREMENT_TEMPLATES.get(criterion.name)
+            meaning = None if template is None else template(criterion.threshold)
+            if meaning is None:
+                ignored[criterion.name] = None
+            elif scenario.file_name not in files_of.setdefault(meaning, []):
+                files_of[meaning].append(scenario.file_name)
+    reason = "a recording cannot answer them, or they lack a bound"
+    if not files_of:
+        note = f" (not used: {', '.join(ignored)}; {reason})" if ignored else ""
+        raise InputError(
+            f"`require_from_file`: {suite.folder} has none of ScenarioRunner's criteria that can be used as"
+            f" requirements, which are {', '.join(_REQUIREMENT_TEMPLATES)}{note}; specify requirements yourself."
+        )
+    if ignored:
+        issue_notice_warning(
+            f"not used as requirements from {_describe_sources(suite)}: {', '.join(ignored)}; {reason}"
+        )
+    texts = []
+    for meaning, files in files_of.items():
+        if len(files) == len(suite.runnable_scenarios):
+            texts.append(meaning)
+        else:
+            texts += [f"{requirement_prefix(file)}{meaning}" for file in files]
+    return [_parse_requirement(text, suite) for text in texts]
+
+
+def _describe_sources(suite: Suite) -> str:
+    """Name the file or folder of the criteria."""
+    if len(suite.runnable_scenarios) == 1:
+        return suite.runnable_scenarios[0].file_name
+    return f"the scenarios of {suite.folder.resolve().name}"
+
+
+def _parse_requirement(text: str, suite: Suite) -> Requirement:
+    try:
+        return Requirement.parse(text)
+    except InputError as error:
+        reason = str(error).removeprefix("`require` ")
+        raise InputError(f"`require_from_file`: a criterion in {suite.folder} requires {reason}") from error
+
+
+def _read_criteria(scenario: SuiteScenario) -> tuple[RunnerCriterion, ...]:
+    root = scenario.scenario.root
+    return read_runner_criteria(
+        root, Scope.from_file(str(scenario.scenario.path), root, [{}], scenario.scenario.find_catalog_entry)
+    )

@@ -1,0 +1,213 @@
+"""Read the reduced set of a folder from the manifest that `reduce` wrote."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from cornercase._common.errors import InputError
+from cornercase._common.io.files import read_file
+from cornercase._common.text.sanitize import escape_control_characters, parse_json
+from cornercase.drivers._description import driver_command_option
+from cornercase.metrics import METRICS
+from cornercase.reduction._set_folder import MANIFEST, complete_replacement
+from cornercase.reduction._set_manifest import MANIFEST_FORMAT
+from cornercase.scenario import ParameterDeclaration, ParameterSpace, Value
+from cornercase.scenario._constraints import read_declarations
+from cornercase.scenario._file import ScenarioFile
+from cornercase.scenario._types import convert_to_type
+from cornercase.simulators import check_settings
+from cornercase.study._import_recordings import IMPORTED_SIMULATOR
+from cornercase.suite._suite import Suite, SuiteScenario
+
+# Errors that damaged values cause.
+_READ_ERRORS: Final = (ValueError, LookupError, TypeError, AttributeError, ArithmeticError, RecursionError)
+_DEFAULT_SETTINGS: Final[dict[str, Any]] = {"time_step": 0.05, "duration": 60.0, "on_collision": "continue"}
+
+
+def read_manifest(path: Path) -> Suite:
+    """Read a manifest and the files that it names, after completing a `reduce` that was interrupted.
+
+    Raises `InputError` if it is not a manifest or of another format, or if a file is missing or has changed since.
+    """
+    if path.name == MANIFEST:
+        complete_replacement(path.parent)
+    manifest = _load_manifest_json(path)
+    try:
+        return _build_suite(path, manifest)
+    except InputError as error:
+        if str(path.parent) in str(error):
+            raise
+        # The user did not give these values, so remove argument quotes.
+        raise InputError(f"{path}: {str(error).replace('`', '').removesuffix('.')}; run `reduce` again.") from error
+    except OSError as error:
+        raise InputError(f"{path}: names a file that cannot be read ({error.strerror}); run `reduce` again.") from error
+    except _READ_ERRORS as error:
+        raise InputError(
+            f"{path}: cannot be used as a manifest ({type(error).__name__}: {str(error)[:200]}); run `reduce` again."
+        ) from error
+
+
+def _load_manifest_json(path: Path) -> dict[str, Any]:
+    try:
+        manifest = parse_json(read_file(path).decode("utf-8"))
+    except (ValueError, RecursionError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(
+            f"{path}: is not valid JSON ({str(error)[:200]}); name the manifest.json that `reduce` wrote."
+        ) from error
+    if not isinstance(manifest, dict) or not isinstance(manifest.get("scenarios"), list):
+        raise InputError(
+            f"{path}: is not a manifest; name the manifest.json that `reduce` wrote, or a folder of files."
+        )
+    if manifest.get("simulator") == IMPORTED_SIMULATOR:
+        raise InputError(f"{path}: its recordings were imported, so there are no scenario files to run.")
+    if "format" not in manifest:
+        raise InputError(
+            f"{path}: an earlier version of cornercase wrote it, without what it takes to run it again; run `reduce`"
+            " again."
+        )
+    if manifest["format"] == 1:
+        # Format 1 had other keys.
+        manifest = manifest | {"format": MANIFEST_FORMAT, "critical_threshold": manifest.get("critical threshold")}
+    if manifest["format"] != MANIFEST_FORMAT:
+        raise InputError(
+            f"{path}: has the format {str(manifest['format'])[:20]}, and this version of cornercase reads"
+            f" {MANIFEST_FORMAT}; use the version that wrote it, or run `reduce` again."
+        )
+    return manifest
+
+
+def _build_suite(path: Path, manifest: Mapping[str, Any]) -> Suite:
+    folder = path.parent
+    digests = {str(name_): str(digest) for name_, digest in manifest["files"].items()}
+    for name_, digest in digests.items():
+        _require_unchanged_file(path, name_, digest)
+    space = ParameterSpace.from_json(manifest["space"])
+    if len({str(entry["file"]) for entry in manifest["scenarios"]}) < len(manifest["scenarios"]):
+        raise InputError(f"{path}: names a file twice; run `reduce` again.")
+    scenarios = []
+    for entry in manifest["scenarios"]:
+        if entry["file"] not in digests:
+            raise InputError(f"{path}: has no checksum of {str(entry['file'])[:100]}; run `reduce` again.")
+        file = folder / entry["file"]
+        scenarios.append(
+            SuiteScenario(
+                file_name=entry["file"],
+                scenario=ScenarioFile.read(file),
+                values={_require_text(name): _require_value(value) for name, value in entry["values"].items()},
+                cluster_name=_require_text(entry["kind"]),
+                role=_require_text(entry["role"]),
+                selection_reason=_require_text(entry["why"]),
+                source_id=int(entry["id"]),
+            )
+        )
+    if not scenarios:
+        raise InputError(f"{path}: has no scenario; run `reduce` again.")
+    _require_valid_values(path, space, scenarios)
+    settings = dict(manifest["settings"])
+    metrics = tuple(METRICS.create(_require_text(name)).name for name in manifest["metrics"])
+    time_step, duration, on_collision = (settings.get(name, default) for name, default in _DEFAULT_SETTINGS.items())
+    check_settings(time_step, duration, on_collision, None)
+    critical = manifest["critical_threshold"]
+    return Suite(
+        path=path,
+        scenarios=tuple(scenarios),
+        space=space,
+        ego=_require_text(manifest["ego"]),
+        other=tuple(map(_require_text, manifest["other"]))
+        if isinstance(manifest["other"], list)
+        else _require_text(manifest["other"]),
+        metrics=metrics,
+        critical=None if critical is None else _require_finite(critical),
+        simulator=_require_text(manifest["simulator"]),
+        settings={name: settings[name] for name in _DEFAULT_SETTINGS if name in settings},
+        # A file must not name code to run: custom drivers have to be given again.
+        custom_drivers={
+            _require_text(entity): driver_command_option(driver) or ""
+            for entity, driver in dict(settings.get("drivers", {})).items()
+            if not isinstance(driver, str)
+        },
+        study=_require_text(manifest["study"]),
+        fingerprint=_require_text(manifest["fingerprint"]),
+    )
+
+
+def _require_unchanged_file(path: Path, relative_path: str, digest: str) -> None:
+    # The manifest may come from anywhere: it must not name files outside of its folder.
+    parts = re.split(r"[\\/]", relative_path)
+    if any(part in ("", ".", "..") or ":" in part for part in parts):
+        raise InputError(f"{path}: names {relative_path[:100]}, which is not a file in its folder; run `reduce` again.")
+    file = path.parent / relative_path
+    if not file.is_file():
+        raise InputError(f"{file}: is named in {path.name}, but is not there; restore it, or run `reduce` again.")
+    if hashlib.sha256(read_file(file)).hexdigest() != digest:
+        raise InputError(
+            f"{file}: has changed since {path.name} was written; restore it, run `reduce` again, or take {path.name}"
+            " away to run the files as they are."
+        )
+
+
+def _require_valid_values(path: Path, space: ParameterSpace, scenarios: Sequence[SuiteScenario]) -> None:
+    """Raise `InputError` if values do not fit the parameters in the manifest, or differ from those of the file."""
+    for scenario in scenarios:
+        try:
+            points = space.points([scenario.values])
+            if set(scenario.values) != set(space.assigned_names) or not np.isfinite(points).all():
+                raise ValueError("not those of the space")
+        except _READ_ERRORS as error:
+            raise InputError(
+                f"{path}: the values of {scenario.file_name[:100]} do not fit its parameter space; run `reduce` again."
+            ) from error
+        _require_values_of_file(path, scenario)
+
+
+def _require_values_of_file(path: Path, scenario: SuiteScenario) -> None:
+    declared = {
+        declaration.name: declaration
+        for declaration in read_declarations(scenario.scenario.root, str(scenario.scenario.path))
+    }
+    scenario.scenario.require_declared(list(scenario.values))
+    # Paths in the copied file differ from those in the logical scenario.
+    path_names = scenario.scenario.path_parameters
+    for name, value in scenario.values.items():
+        if name not in path_names and _convert_to_type(value, declared[name]) != _convert_to_type(
+            declared[name].value, declared[name]
+        ):
+            raise InputError(
+                f"{path}: says that {escape_control_characters(name)} of {scenario.file_name[:100]} is {escape_control_characters(str(value))[:60]}, and the"
+                f" file says {escape_control_characters(declared[name].value)[:60]}; run `reduce` again."
+            )
+
+
+def _convert_to_type(value: Value, declaration: ParameterDeclaration) -> Value:
+    try:
+        return convert_to_type(value, declaration.type_name)
+    except ValueError:
+        # It may be an expression.
+        return str(value)
+
+
+def _require_text(value: object) -> str:
+    if not isinstance(value, str):
+        raise TypeError(f"{str(value)[:60]!r} is no text")
+    return value
+
+
+def _require_finite(value: object) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise TypeError(f"{str(value)[:60]!r} is no number")
+    return float(value)
+
+
+def _require_value(value: object) -> float | str:
+    if isinstance(value, str) or (isinstance(value, int) and not isinstance(value, bool)):
+        return value
+    return _require_finite(value)

@@ -1,0 +1,52 @@
+"""Write verdicts as a Markdown table, which GitHub shows on the page of a job."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Final
+
+from cornercase._common.io.files import atomic_write
+from cornercase._common.text.sanitize import escape_control_characters
+from cornercase.suite._suite_result import SuiteResult
+
+# Characters with a meaning in Markdown.
+_MARKDOWN_SPECIAL: Final = re.compile(r"([\\`*_\[\]<>|#~&$!@])")
+
+HEADING_START: Final = b"### "
+"""Start of each file."""
+
+
+def write_markdown_summary(result: SuiteResult, path: Path) -> None:
+    """Write a table with one row per scenario."""
+    head = ["scenario", "kind", "verdict", "why", "recording"]
+    rows = [
+        [
+            scenario.file,
+            scenario.kind,
+            "not run" if scenario.state == "error" else scenario.state,
+            scenario.reason,
+            "" if scenario.difference is None else scenario.difference.text,
+        ]
+        for scenario in result.scenarios
+    ]
+    used = [k for k in range(len(head)) if any(row[k] for row in rows)]
+    lines = [
+        f"{HEADING_START.decode()}{_escape_markdown(result.summary)}",
+        "",
+        _format_row([head[k] for k in used]),
+        _format_row(["---"] * len(used)),
+        *(_format_row([_escape_markdown(row[k]) for k in used]) for row in rows),
+        "",
+        f"{_escape_markdown(result.comparison_summary)}.",
+    ]
+    with atomic_write(path) as temporary:
+        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8", errors="backslashreplace", newline="\n")
+
+
+def _format_row(cells: list[str]) -> str:
+    return f"| {' | '.join(cells)} |"
+
+
+def _escape_markdown(text: str) -> str:
+    return _MARKDOWN_SPECIAL.sub(r"\\\1", " ".join(escape_control_characters(text).split()))

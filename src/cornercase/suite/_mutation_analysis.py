@@ -1,0 +1,280 @@
+"""Mutation testing: run scenarios of a study or suite with mutants of the ego's driver."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from cornercase._common.errors import InputError
+from cornercase._common.process.dask import open_connection
+from cornercase._common.process.signals import collect_interrupts
+from cornercase._common.progress import ProgressBar
+from cornercase._common.typing import BoolArray
+from cornercase._common.validation import check_bool, check_int, check_str_sequence
+from cornercase.drivers import Driver, Mutant, generate_mutants
+from cornercase.drivers._description import format_driver
+from cornercase.drivers._mutants import nearest_preset_name
+from cornercase.recordings import Recording
+from cornercase.reduction import KillMatrix
+from cornercase.scenario import ConcreteScenario
+from cornercase.scenario._file import ScenarioFile
+from cornercase.simulators import Simulator
+from cornercase.simulators._create import create_simulator
+from cornercase.simulators._results import run_scenarios
+from cornercase.study import Study
+from cornercase.study._scenario_file import find_explored_scenario
+from cornercase.study._study import open_study
+from cornercase.suite._judge import judge
+from cornercase.suite._requirement import Requirement
+from cornercase.suite._suite import Suite
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+MAX_CANDIDATES: Final = 2000
+"""Largest number of scenarios of a study that are run with mutants."""
+
+DEFAULT_REQUIREMENT: Final = "no collision"
+"""Requirement that a killed mutant violates by default."""
+
+_BUILTIN: Final = "builtin"
+_OPTIONS: Final = ("time_step", "duration", "on_collision")
+
+
+def analyze_mutants(
+    study: Study | Path | str,
+    mutants: int,
+    *,
+    require: Sequence[str] = (),
+    seed: int = 0,
+    scenario: Path | str | ScenarioFile | None = None,
+    workers: int = 1,
+    cluster: str | Client | None = None,
+    progress: bool = False,
+) -> KillMatrix:
+    """Find which scenarios of a study kill which mutants of the ego's driver.
+
+    If there are more than 2,000 scenarios, 2,000 of them are run with the mutants, at equal intervals.
+
+    Parameters
+    ----------
+    study : Study or path
+        Explored with the builtin simulator and a driver of cornercase in the ego.
+    mutants : int
+        Number of mutants for the selection; as many others evaluate it.
+    require : sequence of str
+        Requirements, at least one of which a killed mutant violates, as `cornercase.suite.Requirement.parse` reads
+        them; by default ``"no collision"``.
+    seed : int, default 0
+        The same seed gives the same mutants; see `cornercase.drivers.generate_mutants`.
+    scenario : path or Scenario, optional
+        File that was explored; by default it is looked for at the path stored in the study, beside the study and in the
+        current folder.
+    workers : int, default 1
+        Processes of a local cluster.
+    cluster : str or distributed.Client, optional
+        Dask cluster to run the mutants on: ``"local"`` for `workers` processes here, the address of a scheduler, the
+        scheduler file, or a client, which stays open.
+    progress : bool, default False
+        Show progress on standard error.
+
+    Returns
+    -------
+    KillMatrix
+        For `cornercase.reduce`.
+
+    Raises
+    ------
+    InputError
+        The ego has no driver that can be mutated, the study was not run with the builtin simulator, or an argument is
+        invalid.
+    """
+    n_mutants = check_int("mutants", mutants, 1)
+    parsed = _parse_requirements(check_str_sequence("require", require))
+    _require_no_reference(parsed)
+    for item in parsed:
+        if item.pattern:
+            raise InputError(
+                f"`require` {item}: applies to some files or clusters only; give requirements for all scenarios."
+            )
+    with open_study(study) as opened:
+        logical = find_explored_scenario(opened, scenario, search_stored_path=True)
+        meta = opened.meta
+        require_builtin_simulator(meta.simulator)
+        if logical is None or meta.suite:
+            raise InputError(f"{opened.path}: was not explored from a logical scenario, so mutants cannot be run.")
+        rows = opened.finished_rows()
+        if len(rows) > MAX_CANDIDATES:
+            indices = np.linspace(0, len(rows) - 1, MAX_CANDIDATES).round().astype(int)
+            rows = [rows[i] for i in indices.tolist()]
+        concretes = [ConcreteScenario(logical.path, dict(row.values), logical) for row in rows]
+        ids, settings, entities = [row.id for row in rows], dict(meta.settings), (meta.ego, meta.others)
+    drivers: dict[str, Any] = dict(settings.get("drivers", {}))
+    driver = find_ego_driver(entities[0], drivers, [logical])
+    mutants_ = generate_mutants(driver, 2 * n_mutants, seed)
+    options: dict[str, Any] = {name: settings[name] for name in _OPTIONS if name in settings}
+    options["drivers"] = {name: item for name, item in drivers.items() if name != entities[0]}
+    for name, item in options["drivers"].items():
+        if not isinstance(item, str):
+            raise InputError(
+                f"Mutants cannot be run: {format_driver(item)} drove {name}, and code from a study is not run."
+            )
+    with open_connection(cluster, workers, else_none=True) as client:
+        failed, killed = run_mutants(
+            concretes, entities, (driver, mutants_), [parsed] * len(rows), options, client=client, progress=progress
+        )
+    choosing, judging = slice(0, n_mutants), slice(n_mutants, None)
+
+    def build_kill_matrix(mutant_slice: slice, held_out: KillMatrix | None) -> KillMatrix:
+        required = tuple(requirement.text for requirement in parsed)
+        return KillMatrix(
+            driver, required, tuple(ids), failed, mutants_[mutant_slice], killed[:, mutant_slice], held_out
+        )
+
+    return build_kill_matrix(choosing, build_kill_matrix(judging, None))
+
+
+def draw_mutants(
+    suite: Suite,
+    ego: str,
+    drivers: Mapping[str, Any],
+    requirements: Sequence[Requirement],
+    count: int,
+    seed: int,
+) -> tuple[str, tuple[Mutant, ...]]:
+    """Draw mutants of the ego's driver in a suite; `drivers` override those in the files, by entity.
+
+    Returns the name of the driver and its mutants. Raises `InputError` if the ego has no driver that can be mutated, or
+    not the same in all files, or if a requirement needs a reference driver.
+    """
+    _require_no_reference(requirements)
+    driver = find_ego_driver(ego, drivers, [scenario.scenario for scenario in suite.runnable_scenarios])
+    return driver, generate_mutants(driver, check_int("mutants", count, 1), seed)
+
+
+def analyze_suite_mutants(
+    suite: Suite,
+    entities: tuple[str, Sequence[str]],
+    driver_and_mutants: tuple[str, tuple[Mutant, ...]],
+    requirements: Sequence[Requirement],
+    options: Mapping[str, Any],
+    *,
+    client: Client | None = None,
+    progress: bool = False,
+) -> KillMatrix:
+    """Find which scenarios of a suite kill which mutants of the ego's driver.
+
+    `who` are the names of the ego and the others, `drivers` the ego's driver and its mutants; `options` are those of
+    the builtin simulator. Without requirements it is ``"no collision"``. Ids are numbers of scenarios in the suite,
+    from 1 on.
+    """
+    parsed = list(requirements) or _parse_requirements(())
+    failed, killed = run_mutants(
+        [scenario.concrete_scenario for scenario in suite.runnable_scenarios],
+        entities,
+        driver_and_mutants,
+        [
+            [requirement for requirement in parsed if requirement.applies_to(scenario.file_name, scenario.cluster_name)]
+            for scenario in suite.runnable_scenarios
+        ],
+        options,
+        client=client,
+        progress=progress,
+    )
+    ids = tuple(k for k, scenario in enumerate(suite.scenarios, start=1) if not scenario.error)
+    return KillMatrix(
+        driver_and_mutants[0], tuple(scenario.text for scenario in parsed), ids, failed, driver_and_mutants[1], killed
+    )
+
+
+def require_builtin_simulator(simulator: str) -> None:
+    """Raise `InputError` unless it is the builtin simulator: others do not run drivers of cornercase."""
+    if simulator.partition(":")[0] != _BUILTIN:
+        raise InputError(f"Mutants need the builtin simulator, not '{simulator}'.")
+
+
+def find_ego_driver(ego: str, drivers: Mapping[str, Any], scenarios: Sequence[ScenarioFile]) -> str:
+    """Name of the ego's driver, which can be mutated; `drivers` override those in the files, by entity.
+
+    Raises `InputError` if there is none, if the files have different ones, or if it cannot be mutated.
+    """
+    if ego in drivers:
+        return nearest_preset_name(drivers[ego])
+    drivers_in_files = {scenario.drivers.get(ego) for scenario in scenarios}
+    if drivers_in_files == {None}:
+        raise InputError(f"Mutants need a driver of {ego}; name one with `drivers`.")
+    if len(drivers_in_files) > 1:
+        text = ", ".join(sorted(scenario or "nobody" for scenario in drivers_in_files))
+        raise InputError(
+            f"Mutants need one driver of {ego}, but the files name several ({text}); choose one with `drivers`."
+        )
+    (driver,) = drivers_in_files
+    assert driver is not None
+    return nearest_preset_name(driver)
+
+
+def run_mutants(
+    scenarios: Sequence[ConcreteScenario],
+    entities: tuple[str, Sequence[str]],
+    driver_and_mutants: tuple[str, Sequence[Mutant]],
+    requirements: Sequence[Sequence[Requirement]],
+    options: Mapping[str, Any],
+    *,
+    client: Client | None = None,
+    progress: bool = False,
+) -> tuple[BoolArray, BoolArray]:
+    """Run n scenarios with the ego's driver and with its m mutants.
+
+    `requirements` are those of each scenario. Returns a mask (n,) of scenarios in which the original violates a
+    requirement or could not run, and a mask (n, m) of those in which it does not and the mutant violates one.
+    """
+    original, mutants = driver_and_mutants
+    names = [original, *(mutant.driver for mutant in mutants)]
+    failed = np.zeros((len(names), len(scenarios)), dtype=np.bool_)
+    broken = np.zeros_like(failed)
+    bar = ProgressBar(len(names), "mutants", "drivers") if check_bool("progress", progress) else None
+    try:
+        with collect_interrupts() as raise_interrupt:
+            for k, name in enumerate(names):
+                assigned: dict[str, str | Driver] = {**options["drivers"], entities[0]: name}
+                with create_simulator(_BUILTIN, {**options, "drivers": assigned}, cluster=client) as simulator:
+                    for i, verdict in enumerate(_iter_violations(simulator, scenarios, entities, requirements)):
+                        broken[k, i], failed[k, i] = verdict is None, verdict is True
+                raise_interrupt()
+                if bar is not None:
+                    bar.update(k + 1, "")
+    finally:
+        if bar is not None:
+            bar.stop()
+    unusable = failed[0] | broken[0]
+    return unusable, (failed[1:] & ~unusable).T
+
+
+def _iter_violations(
+    simulator: Simulator,
+    scenarios: Sequence[ConcreteScenario],
+    entities: tuple[str, Sequence[str]],
+    requirements: Sequence[Sequence[Requirement]],
+) -> Iterator[bool | None]:
+    """Yield whether each scenario violates a requirement; None if it could not be run."""
+    for applicable, outcome in zip(requirements, run_scenarios(simulator, scenarios), strict=True):
+        if not isinstance(outcome, Recording):
+            yield None
+        else:
+            yield any(judge(requirement, outcome, *entities).state == "failed" for requirement in applicable)
+
+
+def _require_no_reference(requirements: Sequence[Requirement]) -> None:
+    for requirement in requirements:
+        if requirement.reference:
+            raise InputError(
+                f"`require` {requirement}: mutants cannot be judged with a reference driver; leave out this requirement"
+                " or the mutants."
+            )
+
+
+def _parse_requirements(texts: Sequence[str]) -> list[Requirement]:
+    return [Requirement.parse(text) for text in dict.fromkeys(texts or (DEFAULT_REQUIREMENT,))]

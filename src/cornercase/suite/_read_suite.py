@@ -1,0 +1,130 @@
+"""Read a suite from a folder or a manifest."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Container, Mapping, Sequence
+from pathlib import Path
+from typing import Final
+
+from cornercase._common.errors import InputError, NoticeWarning
+from cornercase._common.text.sanitize import escape_control_characters
+from cornercase._common.validation import check_path as path_argument
+from cornercase.reduction._set_folder import MANIFEST
+from cornercase.scenario import Parameter, ParameterDeclaration, ParameterSpace, Value
+from cornercase.scenario._constraints import read_declarations
+from cornercase.scenario._file import ScenarioFile
+from cornercase.scenario._types import convert_to_type
+from cornercase.simulators._results import describe_file_error
+from cornercase.suite._manifest import read_manifest
+from cornercase.suite._suite import Suite, SuiteScenario
+
+_FILE_PARAMETER: Final = "file"
+
+
+def read_suite(source: Path | str) -> Suite:
+    """Read a suite from a manifest that `cornercase.reduce` wrote, its folder, any folder of scenarios, or one file.
+
+    Without a manifest, all ``.xosc`` files of the folder are run. Distributions of parameters and catalogs among them
+    are left out with a warning. Raises `InputError` if there is nothing to run, or if a file cannot be used, is missing
+    or has changed since the manifest was written.
+    """
+    path = path_argument("suite", source)
+    if path.is_dir():
+        manifest = path / MANIFEST
+        return read_manifest(manifest) if manifest.is_file() else _suite_from_files(path, sorted(path.glob("*.xosc")))
+    if not path.exists():
+        raise InputError(
+            f"{path}: does not exist; name a folder of scenarios, or the manifest.json that `reduce` wrote."
+        )
+    return _suite_from_files(path, [path]) if path.suffix.lower() == ".xosc" else read_manifest(path)
+
+
+def _suite_from_files(folder: Path, files: Sequence[Path]) -> Suite:
+    for file in files:
+        # Names are stored as UTF-8.
+        if (
+            readable := escape_control_characters(file.name).replace("\n", "\\n").encode(errors="replace").decode()
+        ) != file.name:
+            raise InputError(f"{folder}: the name of its file '{readable}' is not plain text; rename the file.")
+    scenarios, errors = list[ScenarioFile](), dict[Path, InputError]()
+    ignored = []
+    for file in files:
+        try:
+            if _is_not_scenario(ScenarioFile(file)):
+                ignored.append(file.name)
+                continue
+            scenarios.append(ScenarioFile.read(file))
+        except InputError as error:
+            errors[file] = error
+            scenarios.append(ScenarioFile(file))
+    if ignored:
+        warnings.warn(f"not run, because they are not scenarios: {', '.join(ignored)}", NoticeWarning, stacklevel=3)
+    if not scenarios:
+        raise InputError(f"{folder}: has no scenarios; name a folder with .xosc files, or with a manifest.json.")
+    if len(errors) == len(scenarios):
+        raise next(iter(errors.values()))
+    values, space = _find_varied_parameters(scenarios, errors)
+    reasons = {path: describe_file_error(path, error) for path, error in errors.items()}
+    return Suite(
+        path=folder,
+        scenarios=tuple(
+            SuiteScenario(scenario.path.name, scenario, parameters, error=reasons.get(scenario.path, ""))
+            for scenario, parameters in zip(scenarios, values, strict=True)
+        ),
+        space=space,
+    )
+
+
+def _is_not_scenario(scenario: ScenarioFile) -> bool:
+    root = scenario.root
+    return root.find("ParameterValueDistribution") is not None or root.find("Catalog") is not None
+
+
+def _find_varied_parameters(
+    scenarios: Sequence[ScenarioFile], unreadable: Container[Path]
+) -> tuple[list[dict[str, Value]], ParameterSpace]:
+    """Parameters that all files declare and that differ; the file name too if these do not distinguish all files."""
+    declarations = [
+        {}
+        if scenario.path in unreadable
+        else {declaration.name: declaration for declaration in read_declarations(scenario.root, str(scenario.path))}
+        for scenario in scenarios
+    ]
+    names = [
+        name
+        for name, declaration in declarations[0].items()
+        if all(name in scenario and scenario[name].type_name == declaration.type_name for scenario in declarations)
+    ]
+    columns = {name: [_parse_declared_value(scenario[name]) for scenario in declarations] for name in names}
+    columns = {name: values for name, values in columns.items() if len(set(values)) > 1}
+    parameters = [_make_parameter(name, values) for name, values in columns.items()]
+    if len(set(zip(*columns.values(), strict=True))) < len(scenarios):
+        files = [declaration.path.name for declaration in scenarios]
+        name = _FILE_PARAMETER if _FILE_PARAMETER not in columns else "scenario file"
+        columns[name] = list(files)
+        parameters.append(Parameter(name, 0.0, len(files) - 1.0, None, tuple(files)))
+    rows: list[dict[str, Value]] = [
+        {name: values[k] for name, values in columns.items()} for k in range(len(scenarios))
+    ]
+    # Declarations distinguish integers and booleans.
+    first_declared: Mapping[str, ParameterDeclaration] = declarations[0]
+    return rows, ParameterSpace(parameters).with_types(
+        [first_declared[name] for name in columns if name in first_declared], str(scenarios[0].path)
+    )
+
+
+def _parse_declared_value(declaration: ParameterDeclaration) -> Value:
+    try:
+        return convert_to_type(declaration.value, declaration.type_name)
+    except ValueError:
+        # It may be an expression.
+        return declaration.value
+
+
+def _make_parameter(name: str, values: Sequence[Value]) -> Parameter:
+    if all(isinstance(value, int | float) for value in values):
+        numbers = [float(value) for value in values]
+        return Parameter(name, min(numbers), max(numbers))
+    choices = tuple(sorted({str(value) for value in values}))
+    return Parameter(name, 0.0, len(choices) - 1.0, None, choices)

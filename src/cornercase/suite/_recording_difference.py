@@ -1,0 +1,79 @@
+"""Differences between two recordings of the same scenario."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from cornercase._common.typing import FloatArray
+from cornercase.recordings import Recording
+from cornercase.recordings._compare import are_bitwise_equal
+
+DISTANCE_TOLERANCE: Final = 1e-6
+"""Smallest distance in m that counts as a difference."""
+
+
+@dataclass(frozen=True)
+class RecordingDifference:
+    """Difference between a recording and an earlier one of the same scenario.
+
+    Attributes
+    ----------
+    same : bool
+        Whether all numbers are equal bit by bit.
+    distance : float or None
+        Largest distance of the ego's reference point between both at the same time, in m; None if it is never present
+        in both.
+    time : float or None
+        First time at which the distance is more than 1e-6 m, in s; None if it never is.
+    duration : tuple of float
+        Duration of the earlier one and of this one, in s.
+    scores : mapping of str to tuple of float
+        Score of the earlier one and of this one, by metric that both have.
+    """
+
+    same: bool
+    distance: float | None
+    time: float | None
+    duration: tuple[float, float]
+    scores: Mapping[str, tuple[float, float]]
+
+    @property
+    def text(self) -> str:
+        """The difference in a few words."""
+        if self.same:
+            return "the same"
+        if self.distance is None:
+            return "another"
+        since = "" if self.time is None else f" from {self.time:.4g} s"
+        return f"up to {self.distance:.3g} m elsewhere{since}"
+
+
+def compare_recording_pair(
+    earlier: Recording, later: Recording, ego: str, scores: Mapping[str, tuple[float, float]] | None = None
+) -> RecordingDifference:
+    """Compare two recordings of one scenario; the earlier path of the ego is interpolated if the times differ."""
+    distances = _ego_distances(earlier, later, ego)
+    is_known = np.isfinite(distances)
+    exceeding = np.flatnonzero(is_known & (distances > DISTANCE_TOLERANCE))
+    return RecordingDifference(
+        same=are_bitwise_equal(earlier, later),
+        distance=float(distances[is_known].max()) if is_known.any() else None,
+        time=float(later.time[exceeding[0]]) if len(exceeding) else None,
+        duration=(float(earlier.time[-1] - earlier.time[0]), float(later.time[-1] - later.time[0])),
+        scores=dict(scores or {}),
+    )
+
+
+def _ego_distances(earlier: Recording, later: Recording, ego: str) -> FloatArray:
+    """Distances of the ego in m at the times of the second recording, NaN if it is absent in one, shape (T,)."""
+    i, j = earlier.entity_index(ego), later.entity_index(ego)
+    # NaN beyond its ends, and between a time with the ego and one without.
+    x, y = (
+        np.interp(later.time, earlier.time, values, left=np.nan, right=np.nan)
+        for values in (earlier.x[i], earlier.y[i])
+    )
+    return np.asarray(np.hypot(later.x[j] - x, later.y[j] - y))

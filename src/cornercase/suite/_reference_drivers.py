@@ -1,0 +1,40 @@
+"""Run scenarios of a suite again with reference drivers, if a requirement compares the ego with one."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from cornercase._common.errors import SimulationError
+from cornercase.drivers.references.r157._preventability import assess_preventability
+from cornercase.simulators import Simulator
+from cornercase.simulators._results import run_scenarios
+from cornercase.study import ScenarioRecord, Study
+from cornercase.suite._requirement import Requirement
+from cornercase.suite._suite import Suite
+
+
+def run_reference_drivers(
+    suite: Suite, study: Study, requirements: Sequence[Requirement], simulators_by_driver: Mapping[str, Simulator]
+) -> None:
+    """Run each scenario in which the ego collides again with the reference drivers, and store the outcomes.
+
+    `study` is open for writing; outcomes that it holds already are not run again. `references` are simulators with the
+    driver of that name in the ego.
+    """
+    ego, others = study.meta.ego, study.meta.others
+    for name, simulator in simulators_by_driver.items():
+        applicable = [requirement for requirement in requirements if requirement.reference == name]
+        rows = [row for row in study.finished_rows() if _needs_reference_run(suite, study, row, applicable)]
+        outcomes = run_scenarios(simulator, [suite.scenarios[row.id - 1].concrete_scenario for row in rows])
+        for row, run in zip(rows, outcomes, strict=False):
+            if not isinstance(run, SimulationError):
+                outcome = assess_preventability(name, run, study.recording(row.id), ego, others)
+                study.writer.save_reference_outcome(row.id, name, outcome)
+
+
+def _needs_reference_run(suite: Suite, study: Study, row: ScenarioRecord, requirements: Sequence[Requirement]) -> bool:
+    scenario = suite.scenarios[row.id - 1]
+    applies = any(requirement.applies_to(scenario.file_name, scenario.cluster_name) for requirement in requirements)
+    if not applies or study.reference_outcome(row.id, requirements[0].reference) is not None:
+        return False
+    return any(study.meta.ego in collision.entities for collision in study.recording(row.id).collisions)

@@ -1,0 +1,85 @@
+"""Read requirements from a TOML or YAML file."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Any, Final
+
+from cornercase._common.errors import InputError, suggest_name
+from cornercase._common.io.files import read_file
+from cornercase.suite._requirement import Requirement, requirement_prefix
+
+_LIST_KEY: Final = "require"
+# Tables of further lists, and the names their patterns are for.
+_PATTERN_TABLES: Final = {"for": "file names", "kind": "names of kinds"}
+_MAX_FILE_BYTES: Final = 1_000_000
+
+
+def read_requirements(path: Path) -> list[Requirement]:
+    """Read requirements from a TOML file, or from a YAML file if it ends in ``.yaml`` or ``.yml``.
+
+    It has a list ``require``, and tables ``for`` and ``kind`` of further lists by the pattern of file names, or of
+    names of clusters, that they apply to. Raises `InputError` if the file cannot be used.
+    """
+    content = _load_file(path)
+    if not isinstance(content, dict):
+        raise InputError(f"{path}: holds no list called '{_LIST_KEY}'; write {_LIST_KEY} = [\"no collision\"].")
+    for name in content:
+        if name not in (_LIST_KEY, *_PATTERN_TABLES):
+            advice = suggest_name(str(name), (_LIST_KEY, *_PATTERN_TABLES))
+            raise InputError(f"{path}: has '{str(name)[:60]}', which is unknown; {advice}")
+    lines = _require_text_list(path, _LIST_KEY, content.get(_LIST_KEY, []))
+    for name, subject in _PATTERN_TABLES.items():
+        patterns = content.get(name, {})
+        if not isinstance(patterns, dict):
+            raise InputError(f"{path}: '{name}' is not a table of lists by patterns of {subject}.")
+        for pattern, requirements in patterns.items():
+            if not isinstance(pattern, str) or not pattern.strip():
+                raise InputError(f"{path}: '{str(pattern)[:60]}' in '{name}' is not a pattern of {subject}.")
+            prefix = requirement_prefix(pattern, is_for_clusters=name == "kind")
+            lines += [f"{prefix}{line}" for line in _require_text_list(path, pattern, requirements)]
+    if not lines:
+        raise InputError(f'{path}: holds no requirement; write {_LIST_KEY} = ["no collision"].')
+    return [_parse_requirement(path, line) for line in lines]
+
+
+def _parse_requirement(path: Path, text: str) -> Requirement:
+    try:
+        return Requirement.parse(text)
+    except InputError as error:
+        raise InputError(f"{path}: {str(error).removeprefix('`require` ')}") from error
+
+
+def _require_text_list(path: Path, name: str, value: object) -> list[str]:
+    if not isinstance(value, list) or not all(isinstance(item, str) and item.strip() for item in value):
+        raise InputError(f"{path}: '{name[:60]}' is not a list of texts, such as [\"no collision\"].")
+    return value
+
+
+def _load_file(path: Path) -> Any:
+    content = read_file(path, _MAX_FILE_BYTES)
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: is not UTF-8 text ({error.reason}).") from error
+    if path.suffix.lower() in (".yaml", ".yml"):
+        return _load_yaml(path, text)
+    try:
+        return tomllib.loads(text)
+    except (ValueError, RecursionError) as error:
+        # Also raised for integers that are too long for Python.
+        raise InputError(f"{path}: is not valid TOML ({str(error)[:200]}).") from error
+
+
+def _load_yaml(path: Path, text: str) -> Any:
+    try:
+        import yaml
+    except ImportError as error:
+        raise InputError(
+            f"{path}: YAML needs PyYAML; install it with pip install pyyaml, or write the file as TOML."
+        ) from error
+    try:
+        return yaml.safe_load(text)
+    except (yaml.YAMLError, RecursionError, ValueError) as error:
+        raise InputError(f"{path}: is not valid YAML ({' '.join(str(error).split())[:200]}).") from error

@@ -1,0 +1,143 @@
+"""Run, measure and store the scenarios of a suite."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Final
+
+from cornercase._common.errors import InputError, SimulationError
+from cornercase._common.io.support_table import deduplicate_notices, warn_notices
+from cornercase._common.process.signals import collect_interrupts
+from cornercase._common.progress import ProgressBar
+from cornercase.exploration._repeatability import check_repeatability
+from cornercase.metrics import METRICS, Metric
+from cornercase.metrics._measure import evaluate_metrics
+from cornercase.recordings import Recording
+from cornercase.simulators import SIMULATORS, Simulator
+from cornercase.simulators._results import find_refusals, list_ignored_content, run_scenarios
+from cornercase.simulators._run_notices import RunNotices, warn_if_ego_has_no_driver
+from cornercase.study import ScenarioRecord, Study, StudyMeta
+from cornercase.study._study import open_or_create_study
+from cornercase.suite._suite import Suite, SuiteScenario
+
+_NONDETERMINISM_ADVICE: Final = (
+    "a driver or the simulator draws random numbers, or keeps state between runs: fix it, or verdicts may change from"
+    " run to run"
+)
+
+
+def mark_unsupported(suite: Suite, simulator: Simulator) -> Suite:
+    """Mark the scenarios of a suite that a simulator cannot run; raises `InputError` if these are all."""
+    usable = suite.runnable_scenarios
+    refused = find_refusals(simulator, [scenario.concrete_scenario for scenario in usable])
+    reasons = {usable[k].file_name: reason for k, reason in refused.items()}
+    return replace(
+        suite,
+        scenarios=tuple(
+            replace(scenario, error=reasons.get(scenario.file_name, scenario.error)) for scenario in suite.scenarios
+        ),
+    )
+
+
+def run_scenarios(
+    suite: Suite, meta: StudyMeta, simulator: Simulator, study_path: Path, workers: int | None, progress: bool
+) -> int:
+    """Run the scenarios that a study does not hold yet, and store each one when it has ended.
+
+    `workers` is the number of parallel simulators, None for as many as a cluster has. Returns the number of scenarios
+    that had ended before. Raises `InputError` if no scenario can be run, or the study is of something else, and leaves
+    it as it was.
+    """
+    _warn_about_files(suite, simulator, meta.ego)
+    metrics = [METRICS.create(name) for name in meta.metrics]
+    with open_or_create_study(study_path, meta) as study:
+        study.writer.resume(meta)
+        values = [dict(scenario.values) for scenario in suite.scenarios]
+        rows = study.rows() or study.writer.add_pending(1, meta.space.points(values), values)
+        n_before = sum(row.state != "pending" for row in rows)
+        notices = RunNotices(simulator)
+        bar = ProgressBar(len(rows), "testing", "scenarios") if progress else None
+        try:
+            with collect_interrupts() as raise_interrupt:
+                for n_done in _run_pending(study, rows, suite.scenarios, simulator, metrics, workers, notices):
+                    raise_interrupt()
+                    if bar is not None:
+                        bar.update(n_done, "")
+                check_repeatability(study, partial(_run_again, suite, simulator), _NONDETERMINISM_ADVICE)
+        finally:
+            if bar is not None:
+                bar.stop()
+            notices.issue_warnings()
+        failed = study.failed_rows()
+        if not study.finished_rows():
+            # Clear the study, so that the corrected command can use it.
+            reason = failed[0].error if failed else "there is none"
+            study.writer.remove_scenarios()
+            raise InputError(f"None of the {len(rows)} scenarios of {suite.path} could be run; the first: {reason}.")
+        return n_before
+
+
+def _run_again(suite: Suite, simulator: Simulator, row: ScenarioRecord) -> Recording | SimulationError:
+    (outcome,) = run_scenarios(simulator, [suite.scenarios[row.id - 1].concrete_scenario])
+    return outcome
+
+
+def _warn_about_files(suite: Suite, simulator: Simulator, ego: str) -> None:
+    """Warn about everything in the files that has no effect, each once, and if no driver drives the ego."""
+    warn_notices(
+        deduplicate_notices(
+            notice
+            for scenario in suite.runnable_scenarios
+            for notice in list_ignored_content(simulator.name, scenario.scenario)
+        )
+    )
+    warn_if_ego_has_no_driver(simulator, (scenario.scenario for scenario in suite.runnable_scenarios), ego)
+
+
+def _run_pending(
+    study: Study,
+    rows: Sequence[ScenarioRecord],
+    scenarios: Sequence[SuiteScenario],
+    simulator: Simulator,
+    metrics: Sequence[Metric],
+    workers: int | None,
+    notices: RunNotices,
+) -> Iterator[int]:
+    """Run the pending scenarios, and yield the number of those that have ended."""
+    pending = [row for row in rows if row.state == "pending"]
+    done = len(rows) - len(pending)
+    yield done
+    for row in pending:
+        if reason := scenarios[row.id - 1].error:
+            study.writer.record_failure(row.id, SimulationError(reason))
+            done += 1
+            yield done
+    pending = [row for row in pending if not scenarios[row.id - 1].error]
+    # A batch gives no results before its last scenario has ended.
+    takes_batches = SIMULATORS.get_class(simulator.name).batched
+    batch_size = workers if workers is not None and takes_batches else max(len(pending), 1)
+    for first in range(0, len(pending), batch_size):
+        batch = pending[first : first + batch_size]
+        outcomes = run_scenarios(simulator, [scenarios[row.id - 1].concrete_scenario for row in batch])
+        for row in batch:
+            start = time.monotonic()
+            outcome = next(outcomes)
+            end = time.monotonic()
+            try:
+                if isinstance(outcome, SimulationError):
+                    raise outcome
+                courses = evaluate_metrics(metrics, outcome, study.meta.ego, study.meta.others)
+            except SimulationError as error:
+                study.writer.record_failure(row.id, error)
+            else:
+                study.writer.record_result(row.id, outcome, courses)
+                notices.add_run(outcome, partial(getattr, scenarios[row.id - 1], "scenario"))
+            study.writer.add_elapsed_times({"simulate": end - start, "store": time.monotonic() - end})
+            done += 1
+            yield done
+        # Let the simulator clean up.
+        next(outcomes, None)

@@ -1,0 +1,462 @@
+"""Run a suite and judge its scenarios."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from cornercase._common.errors import InputError
+from cornercase._common.io.files import check_output_differs_from_source, check_output_is_not_study, check_writable_file
+from cornercase._common.process.dask import open_connection
+from cornercase._common.text.sanitize import escape_control_characters, remove_folders
+from cornercase._common.validation import (
+    check_bool,
+    check_int,
+    check_mapping,
+    check_str,
+    check_str_sequence,
+    repr_short,
+)
+from cornercase._common.validation import check_path as path_argument
+from cornercase.drivers import Driver
+from cornercase.drivers._resolve import is_driver, resolve_driver
+from cornercase.metrics import METRICS
+from cornercase.metrics._other_entities import ALL_OTHERS, resolve_others
+from cornercase.metrics.formulas._critical_if import find_critical_if_condition
+from cornercase.simulators import Simulator
+from cornercase.simulators._create import create_simulator
+from cornercase.simulators._results import describe_file_error
+from cornercase.simulators.pool._simulator import DEFAULT_MAX_FAILURES, MAX_WORKERS
+from cornercase.study import Study, StudyMeta
+from cornercase.study._stored_paths import stored_path
+from cornercase.suite._baseline import compare_with_baseline, find_baseline_study
+from cornercase.suite._criteria_requirements import requirements_from_files
+from cornercase.suite._judge import judge_scenario
+from cornercase.suite._junit import JUNIT_START, write_junit
+from cornercase.suite._markdown import HEADING_START, write_markdown_summary
+from cornercase.suite._mutation_analysis import analyze_suite_mutants, draw_mutants, require_builtin_simulator
+from cornercase.suite._read_suite import read_suite
+from cornercase.suite._reference_drivers import run_reference_drivers
+from cornercase.suite._requirement import Requirement
+from cornercase.suite._requirement_files import read_requirements
+from cornercase.suite._run_scenarios import mark_unsupported, run_scenarios
+from cornercase.suite._suite import Suite
+from cornercase.suite._suite_result import ScenarioResult, SuiteResult
+from cornercase.suite._verdict import Verdict, worst_state
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+_DEFAULT_SETTINGS: Final[dict[str, Any]] = {"time_step": 0.05, "duration": 60.0, "on_collision": "continue"}
+_BUILTIN: Final = "builtin"
+_RAN_REQUIREMENT: Final = "runs"
+
+
+# The parameters are the options of the command.
+def run_suite(
+    suite: Path | str,
+    study: Path | str,
+    *,
+    require: Sequence[str] = (),
+    requirements: Path | str | None = None,
+    require_from_file: bool = False,
+    ego: str | None = None,
+    other: str | Sequence[str] | None = None,
+    metrics: Sequence[str] = (),
+    simulator: str | None = None,
+    workers: int = 1,
+    cluster: str | Client | None = None,
+    timeout: float | None = None,
+    retries: int = 1,
+    max_failures: int = DEFAULT_MAX_FAILURES,
+    time_step: float | None = None,
+    duration: float | None = None,
+    on_collision: str | None = None,
+    drivers: Mapping[str, str | Driver] | None = None,
+    against: Path | str | None = None,
+    junit: Path | str | None = None,
+    summary: Path | str | None = None,
+    mutants: int | None = None,
+    seed: int = 0,
+    progress: bool = False,
+) -> SuiteResult:
+    """Run the scenarios of a suite again, judge them, and compare them with those that they were selected from.
+
+    Each scenario is stored when it has ended. The same call again resumes an interrupted run; with other requirements
+    it judges what has run.
+
+    Parameters
+    ----------
+    suite : path
+        Folder of a reduced set or its manifest, or any folder of concrete scenarios.
+    study : path
+        Study to create or continue.
+    require : sequence of str
+        Requirements on each scenario, as `cornercase.suite.Requirement.parse` reads them.
+    requirements : path, optional
+        TOML or YAML file with further requirements.
+    require_from_file : bool, default False
+        Use the criteria for ScenarioRunner in the files as requirements, if a recording can answer them; a notice names
+        the others.
+    ego : str, optional
+        Name of the entity under test; by default that of the manifest.
+    other : str or sequence of str, optional
+        Entity that the ego is measured against. With several, the most critical one counts; ``"*"`` stands for all
+        others in the files. By default that of the manifest.
+    metrics : sequence of str
+        Criticality metrics to store; by default those of the manifest, without one those in the requirements, or else
+        ``clearance``.
+    simulator : str, optional
+        By default that of the manifest; without one the builtin simulator.
+    workers : int, default 1
+        Number of parallel simulators.
+    cluster : str or distributed.Client, optional
+        Dask cluster to run on: ``"local"`` for `workers` processes here, the address of a scheduler, the scheduler
+        file, or a client, which stays open.
+    timeout : float, optional
+        Time in s after which a scenario is stopped.
+    retries : int, default 1
+        How often a scenario is run again after the simulator crashed or hung.
+    max_failures : int, default 5
+        Number of consecutive scenarios in which the simulator crashes or hangs, after which the run stops; 0 for no
+        limit.
+    time_step, duration : float, optional
+        s; by default those of the manifest, without one 0.05 s and 60 s.
+    on_collision : {"continue", "stop"}, optional
+        Effect of a collision on the run; by default as in the manifest, without one ``"continue"``.
+    drivers : mapping of str to str or Driver, optional
+        Drivers by entity: a preset or ``package.module:Class``, either with options after a colon, or an instance. By
+        default those in the files.
+    against : path, optional
+        Study with earlier recordings: the one that was reduced, or another run of the suite. By default the former, if
+        it is beside the manifest or in the folder above.
+    junit : path, optional
+        JUnit file to write. An existing one is removed before anything is run; any other file is refused.
+    summary : path, optional
+        Markdown file with a table to write, replacing an existing one like `junit`.
+    mutants : int, optional
+        Also run the scenarios with this number of mutants of the ego's driver in the builtin simulator, and count those
+        that are killed: they violate a requirement, or collide if there is none, in a scenario in which the driver does
+        not. They are not stored, but run again each time.
+    seed : int, default 0
+        The same seed gives the same mutants; see `cornercase.drivers.generate_mutants`.
+    progress : bool, default False
+        Show progress on standard error.
+
+    Returns
+    -------
+    SuiteResult
+
+    Raises
+    ------
+    InputError
+        An argument or file cannot be used, a file of the manifest is missing or has changed, no scenario can be run, or
+        the study is of something else.
+
+    Warns
+    -----
+    NoticeWarning
+        Something in the files has no effect in the simulator.
+    """
+    path = path_argument("study", study)
+    parsed = _parse_requirements(require, requirements)
+    contents = read_suite(suite)
+    if check_bool("require_from_file", require_from_file):
+        parsed = _remove_duplicates([*parsed, *requirements_from_files(contents)])
+    source, why = find_baseline_study(contents, None if against is None else path_argument("against", against))
+    requirements_file = None if requirements is None else path_argument("requirements", requirements)
+    read = [*contents.files, *(item for item in (source, requirements_file) if item is not None)]
+    for item in read:
+        check_output_differs_from_source(path, item)
+    outputs = _prepare_outputs(junit, summary, path, read)
+    contents, entities = _resolve_entities(contents, ego, other, parsed, drivers or {})
+    workers = check_int("workers", workers, 1, MAX_WORKERS)
+    options = {name: contents.settings.get(name, default) for name, default in _DEFAULT_SETTINGS.items()}
+    overrides = {"time_step": time_step, "duration": duration, "on_collision": on_collision}
+    options |= {name: value for name, value in overrides.items() if value is not None}
+    name = _choose_simulator(contents, simulator)
+    options["drivers"] = _resolve_drivers(contents, drivers)
+    if mutants is not None:
+        # Check before anything is run.
+        require_builtin_simulator(name)
+        driver_and_mutants = draw_mutants(contents, entities[0], options["drivers"], parsed, mutants, seed)
+    reference_names = dict.fromkeys(item.reference for item in parsed if item.reference)
+    with open_connection(cluster, workers) as client:
+        start: Callable[..., Simulator] = partial(
+            create_simulator, name, ego=entities[0], timeout=timeout, retries=retries
+        )
+        start = partial(start, max_failures=max_failures)
+        start = partial(start, workers=workers) if client is None else partial(start, cluster=client)
+        with start(options) as started, ExitStack() as stack:
+            contents = mark_unsupported(contents, started)
+            references = {
+                item: stack.enter_context(_start_with_reference(start, options, entities[0], item))
+                for item in reference_names
+            }
+            meta = _build_meta(
+                contents, entities, _choose_metrics(contents, metrics, parsed), parsed, name, started.settings, path
+            )
+            n_parallel = workers if client is None else None
+            n_before = run_scenarios(contents, meta, started, path, n_parallel, check_bool("progress", progress))
+            if references:
+                with Study.open(path, readonly=False) as opened:
+                    run_reference_drivers(contents, opened, parsed, references)
+        with Study.open(path, readonly=True) as opened:
+            result = replace(_build_result(contents, opened, parsed, source, why), ran_before=n_before)
+        for write, target in outputs:
+            write(result, target)
+        if mutants is not None:
+            kills = analyze_suite_mutants(
+                contents, entities, driver_and_mutants, parsed, options, client=client, progress=progress
+            )
+            result = replace(result, kill_matrix=kills)
+    return result
+
+
+def _start_with_reference(
+    factory: Callable[..., Simulator], options: dict[str, Any], ego: str, reference: str
+) -> Simulator:
+    try:
+        return factory(options | {"drivers": {**options["drivers"], ego: resolve_driver(reference)}})
+    except InputError as error:
+        raise InputError(f"`require` no collision unless {reference} collides: {error}") from error
+
+
+def _prepare_outputs(
+    junit: Path | str | None, summary: Path | str | None, study: Path, inputs: Sequence[Path]
+) -> list[tuple[Callable[[SuiteResult, Path], None], Path]]:
+    """Writers and paths of the outputs besides the study, after removing those of an earlier run."""
+    targets: list[tuple[Callable[[SuiteResult, Path], None], Path]] = []
+    outputs = (("junit", junit, write_junit, JUNIT_START), ("summary", summary, write_markdown_summary, HEADING_START))
+    for name, target, write, first_bytes in outputs:
+        if target is not None:
+            file = path_argument(name, target)
+            for source in inputs:
+                check_output_differs_from_source(file, source, name)
+            # Check before hours of simulations.
+            check_writable_file(name, file)
+            check_output_is_not_study(file, study, name)
+            _require_own_output(name, file, first_bytes)
+            if any(file.resolve() == other.resolve() for _, other in targets):
+                raise InputError(f"`{name}` {file}: is the JUnit file too; choose another name.")
+            targets.append((write, file))
+    for _, file in targets:
+        # Remove outputs of earlier runs, which would remain if no scenario can be run.
+        file.unlink(missing_ok=True)
+    return targets
+
+
+def _require_own_output(name: str, path: Path, first_bytes: bytes) -> None:
+    """Raise `InputError` if the file is not from an earlier run, as it may be the only copy of something."""
+    if path.exists():
+        with path.open("rb") as file:
+            content = file.read(len(first_bytes))
+        if content and content != first_bytes:
+            raise InputError(f"`{name}` {path}: exists and has other content; choose another name, or remove it.")
+
+
+def _parse_requirements(require: Sequence[str], requirements: Path | str | None) -> list[Requirement]:
+    parsed = [Requirement.parse(item) for item in check_str_sequence("require", require)]
+    if requirements is not None:
+        parsed += read_requirements(path_argument("requirements", requirements))
+    return _remove_duplicates(parsed)
+
+
+def _remove_duplicates(requirements: Sequence[Requirement]) -> list[Requirement]:
+    """Requirements without duplicates."""
+    return list({requirement.text: requirement for requirement in requirements}.values())
+
+
+def _resolve_entities(
+    suite: Suite,
+    ego: str | None,
+    other: str | Sequence[str] | None,
+    requirements: Sequence[Requirement],
+    drivers: Mapping[str, object],
+) -> tuple[Suite, tuple[str, tuple[str, ...]]]:
+    """Resolve the names of the ego and the others; mark files that lack an entity, unless all do."""
+    for role, given, own in (("ego", ego, suite.ego), ("other", other, suite.other)):
+        if given is None and not own:
+            raise InputError(f"`{role}`: {suite.path} does not define it; name an entity.")
+    ego_name = suite.ego if ego is None else check_str("ego", ego)
+    suite = _mark_lacking_entity(suite, {})
+    names = dict.fromkeys(name for item in suite.runnable_scenarios for name in item.scenario.entities)
+    others = resolve_others(suite.other if other is None else other, ego_name, list(names))
+    roles = {ego_name: "ego"} | dict.fromkeys(others, "other")
+    if other is not None and ALL_OTHERS in check_str_sequence("other", other):
+        # Not every file needs to have all of them.
+        roles = {ego_name: "ego"}
+    roles |= {item.entity: "entity to avoid" for item in requirements if item.entity}
+    roles |= dict.fromkeys(check_mapping("drivers", drivers), "driven entity")
+    suite = _mark_lacking_entity(suite, roles)
+    for required in requirements:
+        if required.entity == ego_name:
+            raise InputError(f"`require` {required}: is the ego itself; name another entity.")
+        if not any(required.applies_to(item.file_name, item.cluster_name) for item in suite.scenarios):
+            raise InputError(f"`require` {required}: {_describe_no_match(suite, required)}.")
+    return suite, (ego_name, others)
+
+
+def _mark_lacking_entity(suite: Suite, role_by_entity: Mapping[str, str]) -> Suite:
+    """Mark the scenarios that lack an entity (name to role); raises `InputError` if all do."""
+    lacking: dict[str, InputError] = {}
+    for scenario in suite.runnable_scenarios:
+        try:
+            _ = scenario.scenario.entities
+            for name, role in role_by_entity.items():
+                scenario.scenario.require_entity(name, role)
+        except InputError as error:
+            lacking[scenario.file_name] = error
+    if lacking and len(lacking) == len(suite.runnable_scenarios):
+        raise next(iter(lacking.values()))
+    scenarios = tuple(
+        replace(scenario, error=describe_file_error(scenario.scenario.path, lacking[scenario.file_name]))
+        if scenario.file_name in lacking
+        else scenario
+        for scenario in suite.scenarios
+    )
+    return replace(suite, scenarios=scenarios)
+
+
+def _describe_no_match(suite: Suite, requirement: Requirement) -> str:
+    if not requirement.is_for_clusters:
+        return f"no file of {suite.path} has such a name"
+    kinds = dict.fromkeys(scenario.cluster_name for scenario in suite.scenarios if scenario.cluster_name)
+    if not kinds:
+        return f"{suite.path} does not name the clusters of its scenarios"
+    return f"no scenario of {suite.path} belongs to such a cluster; there are {'; '.join(kinds)}"
+
+
+def _choose_metrics(suite: Suite, requested: Sequence[str], requirements: Sequence[Requirement]) -> tuple[str, ...]:
+    # A condition would need further runs with reference drivers.
+    names = list(check_str_sequence("metrics", requested)) or [
+        name for name in suite.metrics if not find_critical_if_condition([name])
+    ]
+    formula_metrics = [
+        name for requirement in requirements if requirement.formula is not None for name in requirement.formula.metrics
+    ]
+    instances = [METRICS.create(name) for name in dict.fromkeys(names or formula_metrics or ["clearance"])]
+    # Check before the study is created.
+    for metric in [*instances, *map(METRICS.create, formula_metrics)]:
+        metric.check_installed()
+    for requirement in requirements:
+        if requirement.formula is not None:
+            requirement.formula.check_installed()
+    return tuple(metric.name for metric in instances)
+
+
+def _choose_simulator(suite: Suite, requested: str | None) -> str:
+    if requested is not None:
+        return check_str("simulator", requested)
+    name, colon, _ = suite.simulator.partition(":")
+    # Options may name files and programs; the manifest may come from anywhere.
+    if colon:
+        raise InputError(
+            f"`simulator`: {suite.path} names '{suite.simulator[:100]}', with options; specify the simulator yourself."
+        )
+    return name or _BUILTIN
+
+
+def _resolve_drivers(suite: Suite, requested: Mapping[str, str | Driver] | None) -> dict[str, str | Driver]:
+    drivers: dict[str, str | Driver] = {}
+    for entity, driver in check_mapping("drivers", requested or {}).items():
+        if (isinstance(driver, str) and driver) or is_driver(driver):
+            drivers[entity] = resolve_driver(driver)
+        else:
+            raise InputError(f"`drivers` {entity}={repr_short(driver)}: give the name of a driver, or an instance.")
+    for entity, command in suite.custom_drivers.items():
+        if entity not in drivers:
+            name = escape_control_characters(command) or "an object that Python code made"
+            raise InputError(
+                f"`drivers`: {name} drove {entity} when {suite.path} was made, and code named in a file is not run;"
+                f" give a driver, as {entity}={escape_control_characters(command) or 'normal'}."
+            )
+    return drivers
+
+
+def _build_meta(
+    suite: Suite,
+    entities: tuple[str, tuple[str, ...]],
+    metrics: tuple[str, ...],
+    requirements: Sequence[Requirement],
+    simulator: str,
+    settings: Mapping[str, object],
+    study: Path,
+) -> StudyMeta:
+    kinds = tuple(item.cluster_name for item in suite.scenarios)
+    # The threshold belongs to the first metric.
+    critical = suite.critical if suite.metrics[:1] == metrics[:1] else METRICS.create(metrics[0]).default_threshold
+    return StudyMeta(
+        scenario=stored_path(suite.folder, study),
+        fingerprint=suite.runnable_scenarios[0].scenario.fingerprint(),
+        space=suite.space,
+        ego=entities[0],
+        other=entities[1][0] if len(entities[1]) == 1 else entities[1],
+        metrics=metrics,
+        optimizer="none",
+        simulator=remove_folders(simulator),
+        settings=settings,
+        critical=critical,
+        budget=len(suite.scenarios),
+        batch=len(suite.scenarios),
+        files=tuple(item.file_name for item in suite.scenarios),
+        kinds=kinds if any(kinds) else (),
+        requirements=tuple(item.text for item in requirements),
+        suite=suite.content_hash,
+        origin=suite.fingerprint,
+    )
+
+
+def _build_result(
+    suite: Suite, study: Study, requirements: list[Requirement], baseline: Path | None, no_baseline_reason: str
+) -> SuiteResult:
+    differences = {} if baseline is None else compare_with_baseline(suite, baseline, study)
+    against = {name: study.score_sources(name) for name in study.meta.metrics if len(study.meta.others) > 1}
+    scenarios = []
+    for row, scenario in zip(study.rows(), suite.scenarios, strict=True):
+        verdicts = judge_scenario(study, row, requirements)
+        failed = row.state == "failed"
+        duration = None
+        if not failed:
+            time = study.recording(row.id).time
+            duration = float(time[-1] - time[0])
+        if not requirements:
+            verdicts = [_ran_verdict(row.error if failed else None, duration)]
+        scenarios.append(
+            ScenarioResult(
+                id=row.id,
+                file=scenario.file_name,
+                state="error" if failed else worst_state(verdicts),
+                values=dict(row.values),
+                scores=study.scenario_scores(row.id),
+                duration=duration,
+                verdicts=tuple(verdicts),
+                kind=scenario.cluster_name,
+                role=scenario.role,
+                why=scenario.selection_reason,
+                origin=scenario.source_id,
+                difference=differences.get(row.id),
+                others={
+                    name: entity for name, entities in against.items() if (entity := entities.get(row.id)) is not None
+                },
+            )
+        )
+    return SuiteResult(
+        study=study.path,
+        suite=suite.path,
+        simulator=study.meta.simulator,
+        requirements=study.meta.requirements,
+        scenarios=tuple(scenarios),
+        against=baseline,
+        no_comparison_reason=no_baseline_reason,
+    )
+
+
+def _ran_verdict(error: str | None, duration: float | None) -> Verdict:
+    if duration is None:
+        return Verdict("inconclusive", _RAN_REQUIREMENT, f"it failed: {error}")
+    return Verdict("passed", _RAN_REQUIREMENT, f"it ran for {duration:.6g} s", value=duration)

@@ -1,0 +1,176 @@
+"""Results of a suite."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from cornercase.reduction import KillMatrix
+from cornercase.scenario import Value
+from cornercase.suite._recording_difference import RecordingDifference
+from cornercase.suite._verdict import Verdict, VerdictState, worst_state
+
+
+@dataclass(frozen=True)
+class ScenarioResult:
+    """Result of one scenario of a suite.
+
+    Attributes
+    ----------
+    id : int
+        Id in the study of the suite.
+    file : str
+    state : {"passed", "failed", "inconclusive", "error"}
+        The worst of all verdicts; an error if the simulator failed.
+    values : mapping of str to float or str
+        Parameter values.
+    scores : mapping of str to float
+        By metric; empty if the simulator failed.
+    duration : float or None
+        Duration of the recording in s; None if the simulator failed.
+    verdicts : tuple of Verdict
+        By requirement. Without requirements there is one that says whether the scenario ran.
+    kind, role, why : str
+        The cluster that it represents, its role, and why it was selected; empty if unknown.
+    origin : int or None
+        Id in the study that it was selected from.
+    difference : Difference or None
+        Difference from the earlier recording; None if there is none.
+    others : mapping of str to str
+        With several others, the entity that each score is against, by metric; metrics against none of them are left
+        out.
+    """
+
+    id: int
+    file: str
+    state: VerdictState | Literal["error"]
+    values: Mapping[str, Value]
+    scores: Mapping[str, float]
+    duration: float | None
+    verdicts: tuple[Verdict, ...]
+    kind: str = ""
+    role: str = ""
+    why: str = ""
+    origin: int | None = None
+    difference: RecordingDifference | None = None
+    others: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def reason(self) -> str:
+        """Reason for its state, from the first verdict with that state."""
+        worst = worst_state(self.verdicts)
+        return next((verdict.reason for verdict in self.verdicts if verdict.state == worst), "no requirement applies")
+
+
+@dataclass(frozen=True, repr=False)
+class SuiteResult:
+    """Result of a suite.
+
+    Attributes
+    ----------
+    study : Path
+        Study of the suite.
+    suite : Path
+        The manifest, or the folder.
+    simulator : str
+    requirements : tuple of str
+    scenarios : tuple of ScenarioResult
+        In the order of the suite.
+    against : Path or None
+        Study that the recordings were compared with.
+    why_not_compared : str
+        Why there is none, as a sentence without a period.
+    ran_before : int
+        Number of scenarios that the study held already, and that were judged without running them again.
+    exposure : KillMatrix or None
+        Which scenarios, by id, kill which mutants of the ego's driver; None if none were run.
+    """
+
+    study: Path
+    suite: Path
+    simulator: str
+    requirements: tuple[str, ...]
+    scenarios: tuple[ScenarioResult, ...]
+    against: Path | None = None
+    no_comparison_reason: str = ""
+    n_ran_before: int = 0
+    kill_matrix: KillMatrix | None = None
+
+    def count_scenarios(self, state: str) -> int:
+        """Count the scenarios in a state.
+
+        Parameters
+        ----------
+        state : {"passed", "failed", "inconclusive", "error"}
+
+        Returns
+        -------
+        int
+        """
+        return sum(scenario.state == state for scenario in self.scenarios)
+
+    def has_passed(self, *, strict: bool = False) -> bool:
+        """Tell whether the suite passed: no requirement was violated, and no simulation failed.
+
+        Parameters
+        ----------
+        strict : bool, default False
+            Whether inconclusive verdicts count as failed.
+
+        Returns
+        -------
+        bool
+        """
+        refused = ("failed", "error", "inconclusive") if strict else ("failed", "error")
+        return not any(scenario.state in refused for scenario in self.scenarios)
+
+    @property
+    def summary(self) -> str:
+        """Summary in a sentence without a period."""
+        names = {"error": "not run"}
+        counts = Counter(scenario.state for scenario in self.scenarios)
+        parts = [
+            f"{counts[state]} {names.get(state, state)}"
+            for state in ("passed", "failed", "inconclusive", "error")
+            if counts[state]
+        ]
+        return f"{', '.join(parts)} of {len(self.scenarios)} scenario{'' if len(self.scenarios) == 1 else 's'}"
+
+    @property
+    def comparison_summary(self) -> str:
+        """How the recordings compare with the earlier ones, in a sentence without a period."""
+        if self.against is None:
+            return f"Not compared: {self.no_comparison_reason}"
+        compared = [item.difference for item in self.scenarios if item.difference is not None]
+        n_same = sum(item.same for item in compared)
+        distances = [item.distance for item in compared if item.distance is not None and not item.same]
+        note = f"; the ego is up to {max(distances):.3g} m away" if distances else ""
+        return f"{n_same} of {len(compared)} recordings are identical to those in {self.against.name}{note}"
+
+    def __repr__(self) -> str:
+        return f"<SuiteResult: {self.summary}, in {str(self.study)!r}>"
+
+    def to_json(self) -> dict[str, Any]:
+        """Return plain values.
+
+        Returns
+        -------
+        dict of str to object
+            The output of ``cornercase test --json``.
+        """
+        return {
+            "study": str(self.study),
+            "suite": str(self.suite),
+            "simulator": self.simulator,
+            "requirements": list(self.requirements),
+            "passed": self.count_scenarios("passed"),
+            "failed": self.count_scenarios("failed"),
+            "inconclusive": self.count_scenarios("inconclusive"),
+            "errors": self.count_scenarios("error"),
+            "ran_before": self.n_ran_before,
+            "against": None if self.against is None else str(self.against),
+            "scenarios": [asdict(scenario) | {"reason": scenario.reason} for scenario in self.scenarios],
+        } | ({} if self.kill_matrix is None else {"mutants": self.kill_matrix.to_json()})

@@ -1,0 +1,243 @@
+"""Decide whether a new version is better or worse than the old one, within tolerances."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Final, Literal, TypeAlias
+
+import numpy as np
+
+from cornercase._common import validation
+from cornercase._common.errors import InputError, suggest_name
+from cornercase.metrics import METRICS
+from cornercase.suite._requirement import Requirement
+from cornercase.suite.compare._comparison import (
+    ALPHA,
+    ChangeDirection,
+    ChangeTest,
+    ComparisonVerdict,
+    Finding,
+    ScenarioPair,
+    describe_findings,
+)
+from cornercase.suite.compare._significance import score_difference
+
+DEFAULT_TOLERANCES: Final = MappingProxyType(
+    {"s": 0.1, "m": 0.1, "m/s": 0.1, "m/s²": 0.1, "s²": 0.1, "rad": 0.01, "1": 0.01}
+)
+"""Change of a score that counts as the same, by its unit; 0 for other units."""
+
+_FindingKind: TypeAlias = Literal["collision", "requirement", "run", "critical", "score"]
+# From the most to the least important.
+_KINDS_BY_IMPORTANCE: Final[tuple[_FindingKind, ...]] = ("collision", "requirement", "run", "critical", "score")
+_KIND_OF_TEST: Final[Mapping[str, _FindingKind]] = MappingProxyType(
+    {"collision": "collision", "failed verdict": "requirement", "not run": "run", "critical": "critical"}
+)
+
+
+@dataclass(frozen=True)
+class PairChange:
+    """One change of a pair for the worse or the better; `size` is the change of a score, in its unit."""
+
+    kind: _FindingKind
+    about: str
+    direction: ChangeDirection
+    ids: tuple[int, int]
+    exceeds_tolerance: bool = True
+    size: float | None = None
+
+
+def resolve_tolerances(
+    metrics: Iterable[str], requirements: Iterable[str], overrides: Mapping[str, float] | None
+) -> dict[str, float]:
+    """Tolerance of each compared metric and of the metrics in the requirements of both studies.
+
+    `given` overrides the defaults by metric; raises `InputError` if one is negative or for a metric that is not
+    compared.
+    """
+    formulas = (Requirement.parse(item).formula for item in requirements)
+    formula_metrics = [name for item in formulas if item is not None for name in item.metrics]
+    limits = {name: _default_tolerance(METRICS.create(name).unit) for name in (*metrics, *formula_metrics)}
+    for name, value in validation.check_mapping("tolerances", overrides or {}).items():
+        if name not in limits:
+            raise InputError(f"`tolerances` {name}: is not a compared metric; {suggest_name(name, limits)}")
+        try:
+            limits[name] = validation.check_float("tolerances", value, minimum=0.0)
+        except InputError as error:
+            raise InputError(
+                f"`tolerances` {name}={validation.repr_short(value)}: give a number of 0 or more."
+            ) from error
+    return limits
+
+
+def _default_tolerance(unit: str) -> float:
+    return DEFAULT_TOLERANCES.get(unit, 0.0)
+
+
+def find_findings(
+    pairs: Sequence[ScenarioPair], tests: Sequence[ChangeTest], tolerances: Mapping[str, float], deterministic: bool
+) -> tuple[tuple[Finding, ...], tuple[Finding, ...], tuple[Finding, ...]]:
+    """Find what is worse and better with the new version, and what was crossed within the tolerances only.
+
+    If both simulators are deterministic, each pair is evidence. Otherwise a single pair is not: then only significant
+    tests count, each of them if more scenarios changed in its direction, by more than the tolerances, than in the
+    other. Tests of unpaired scenarios always count. The most important findings come first.
+    """
+    steps = [
+        step
+        for pair in pairs
+        if deterministic or pair.is_score_independent
+        for step in _iter_pair_changes(pair, tolerances)
+    ]
+    counted, within = (
+        [change for change in steps if change.exceeds_tolerance],
+        [change for change in steps if not change.exceeds_tolerance],
+    )
+    findings = list(_group_into_findings(counted, tolerances)) if deterministic else []
+    for test in tests:
+        if test.corrected <= ALPHA and test.direction is not None and (not deterministic or test.differ is None):
+            findings += _finding_of_test(test, test.direction, counted, tolerances)
+    worse, better = (
+        tuple(change for change in findings if change.direction == direction) for direction in ("worse", "better")
+    )
+    return worse, better, tuple(_group_into_findings(within, tolerances))
+
+
+def _iter_pair_changes(pair: ScenarioPair, tolerances: Mapping[str, float]) -> Iterator[PairChange]:
+    """Yield the changes of a pair for the worse and the better."""
+    if pair.run == "not in one":
+        yield PairChange("run", "", "worse" if pair.errors[0] is None else "better", pair.ids)
+    # Rounding may still cross a bound; that is listed but does not count.
+    otherwise = pair.run == "otherwise"
+    if pair.collides[0] != pair.collides[1]:
+        yield PairChange("collision", "", "worse" if pair.collides[1] else "better", pair.ids)
+    for old, new in pair.changed_verdicts:
+        is_failed = [verdict.state == "failed" for verdict in (old, new)]
+        if is_failed[0] != is_failed[1]:
+            margins = pair.margins.get(old.requirement)
+            tolerance = _margin_tolerance(old.requirement, tolerances)
+            counts = margins is None or (otherwise and _exceeds_tolerance(*margins, tolerance))
+            yield PairChange("requirement", old.requirement, "worse" if is_failed[1] else "better", pair.ids, counts)
+    if pair.is_critical is not None and pair.is_critical[0] != pair.is_critical[1]:
+        # If several metrics define criticality, one that changed is enough.
+        counts = otherwise and any(
+            _exceeds_tolerance(*scores, tolerances[name]) for name, scores in pair.criticality_scores.items()
+        )
+        yield PairChange("critical", "", "worse" if pair.is_critical[1] else "better", pair.ids, counts)
+    for name, (before, after) in pair.scores.items():
+        if otherwise and _exceeds_tolerance(before, after, tolerances[name]):
+            metric = METRICS.create(name)
+            worse = metric.to_minimize(after) < metric.to_minimize(before)
+            yield PairChange("score", name, "worse" if worse else "better", pair.ids, size=after - before)
+
+
+def _exceeds_tolerance(before: float, after: float, tolerance: float) -> bool:
+    """Tell whether a number changed by more than a tolerance and more than rounding."""
+    if not (np.isfinite(before) and np.isfinite(after)):
+        return before != after
+    size = abs(float(score_difference(np.array([before]), np.array([after]))[0]))
+    # A change equal to the tolerance up to rounding does not exceed it.
+    return bool(score_difference(np.array([tolerance]), np.array([size]))[0] > 0.0)
+
+
+def _margin_tolerance(requirement: str, tolerances: Mapping[str, float]) -> float:
+    """Tolerance of the margin of a requirement: the smallest one of its signals."""
+    formula = Requirement.parse(requirement).formula
+    if formula is None:
+        # The margin of a position or a distance is in m.
+        return DEFAULT_TOLERANCES["m"]
+    signals = [signal.left for signal in formula.comparisons]
+    return min(
+        tolerances[signal.name] if signal.name in tolerances else _default_tolerance(signal.unit) for signal in signals
+    )
+
+
+def _group_into_findings(changes: Iterable[PairChange], metrics: Iterable[str]) -> Iterator[Finding]:
+    """Combine the changes of one kind and direction into findings; scores in the order of the metrics."""
+    order = {name: k for k, name in enumerate(metrics)}
+    groups: dict[tuple[_FindingKind, str, ChangeDirection], list[PairChange]] = {}
+    for step in changes:
+        groups.setdefault((step.kind, step.about, step.direction), []).append(step)
+
+    def sort_key(group: tuple[_FindingKind, str, ChangeDirection]) -> tuple[int, int, str, bool]:
+        kind, about, direction = group
+        return _KINDS_BY_IMPORTANCE.index(kind), order.get(about, 0), about, direction == "better"
+
+    for kind, about, direction in sorted(groups, key=sort_key):
+        yield _build_finding(kind, about, direction, groups[kind, about, direction])
+
+
+def _build_finding(
+    kind: _FindingKind,
+    about: str,
+    direction: ChangeDirection,
+    changes: Sequence[PairChange],
+    n_opposite: int = 0,
+    test: ChangeTest | None = None,
+) -> Finding:
+    unit = METRICS.create(about).unit if kind == "score" else ""
+    largest = max((step.size for step in changes if step.size is not None), key=abs, default=None)
+    ids = tuple(dict.fromkeys(step.ids for step in changes))
+    return Finding(kind, about, direction, ids, n_opposite, largest, unit, test)
+
+
+def _finding_of_test(
+    test: ChangeTest, direction: ChangeDirection, changes: Sequence[PairChange], tolerances: Mapping[str, float]
+) -> Iterator[Finding]:
+    """Yield the finding of a significant test, unless it is within the tolerances."""
+    kind = _KIND_OF_TEST.get(test.about, "score")
+    about = test.about if kind == "score" else ""
+    if test.differ is None:
+        # The test uses ranks; a shift of the mean in the opposite direction would contradict it.
+        oriented = METRICS.create(about).to_minimize(test.shift) if about else -test.shift
+        agrees = oriented < 0.0 if direction == "worse" else oriented > 0.0
+        if agrees and (not about or _exceeds_tolerance(0.0, test.shift, tolerances[about])):
+            yield _build_finding(kind, about, direction, (), test=test)
+        return
+    relevant = [step for step in changes if step.kind == kind and (not about or step.about == about)]
+    confirming = [step for step in relevant if step.direction == direction]
+    against = len({step.ids for step in relevant if step.direction != direction})
+    if len({step.ids for step in confirming}) > against:
+        yield _build_finding(kind, about, direction, confirming, against, test)
+
+
+def decide_verdict(
+    findings: tuple[Sequence[Finding], Sequence[Finding]],
+    pairs: Sequence[ScenarioPair],
+    tests: Sequence[ChangeTest],
+    changed: tuple[bool, str],
+    deterministic: bool,
+) -> tuple[ComparisonVerdict, str]:
+    """Verdict on the new version, and its reason without a period.
+
+    `findings` are those for the worse and for the better; `changed` says whether the versions differ at all, and why.
+    """
+    worse, better = (describe_findings(item) for item in findings)
+    if worse and better:
+        return "mixed", f"Worse: {worse}; better: {better}"
+    if worse or better:
+        return ("worse", worse) if worse else ("better", better)
+    n_ran, n_different = sum(item.both_ran for item in pairs), sum(item.run == "otherwise" for item in pairs)
+    if all(item.run in ("the same", "in neither") for item in pairs) and n_ran and not changed[0]:
+        return "the same", changed[1]
+    if deterministic and n_different:
+        return "the same", f"{n_different} of {n_ran} scenarios that ran with both differ, within the tolerances"
+    if changed[0]:
+        return "the same", "no significant change exceeds the tolerances"
+    if deterministic and n_ran:
+        return "the same", changed[1]
+    if not tests:
+        return "cannot say", f"{changed[1]}; explore both with audits"
+    if not any(_can_be_significant(item, len(tests)) for item in tests):
+        count, n_needed = max(item.old for item in tests), math.ceil(math.log2(2.0 * len(tests) / ALPHA))
+        return "cannot say", f"{count} scenarios are too few for {len(tests)} tests, which need {n_needed}"
+    return "the same", changed[1]
+
+
+def _can_be_significant(test: ChangeTest, n_tests: int) -> bool:
+    """Tell whether a test could be significant among `n_tests` tests if all scenarios changed in one direction."""
+    # Unpaired samples have at least 20 scenarios, enough for any number of tests.
+    return test.differ is None or n_tests * 2.0 * 0.5**test.old <= ALPHA

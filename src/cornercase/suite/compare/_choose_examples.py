@@ -1,0 +1,142 @@
+"""Choose example scenarios that show what changed between two versions."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Final, TypeAlias
+
+import numpy as np
+
+from cornercase._common.typing import FloatArray
+from cornercase.metrics import METRICS
+from cornercase.suite.compare._comparison import Example, ScenarioPair
+from cornercase.suite.compare._significance import score_difference
+
+MAX_EXAMPLES: Final = 5
+"""Largest number of example scenarios."""
+
+# Smallest change of a score that is considered, relative to the largest one of its tier.
+_MIN_RELATIVE_SIZE: Final = 0.5
+# RMS difference of the parameters in the unit cube, below which an example would be redundant.
+_MIN_DISTANCE: Final = 0.05
+# Importance of a change, 0 is most important, and whether it is for the better.
+_ChangeTier: TypeAlias = tuple[int, bool]
+
+
+def choose_examples(
+    pairs: Sequence[ScenarioPair], metrics: Sequence[str], objective_metric: str = ""
+) -> tuple[Example, ...]:
+    """Choose at most `MAX_EXAMPLES` scenarios that show what changed, spread over the space.
+
+    In this order: another verdict, or a run that failed with one version only; a collision with one version only;
+    another outcome; critical or not; a score, in units of the spread of its old scores. Within each of these, changes
+    for the worse come first. Among equal changes, the largest one is chosen first, then the one farthest from all
+    chosen so far, among those at least half as large. `searched` is the metric that defines criticality; empty if
+    several do.
+    """
+    spreads = _score_spreads(pairs, metrics)
+    tiers: dict[_ChangeTier, list[tuple[float, ScenarioPair, str]]] = {}
+    for pair in pairs:
+        tier, size, reason = _classify_change(pair, spreads, objective_metric)
+        if reason:
+            tiers.setdefault(tier, []).append((size, pair, reason))
+    chosen: list[Example] = []
+    for tier in sorted(tiers):
+        candidates = sorted(tiers[tier], key=lambda item: (-item[0], item[1].ids))
+        candidates = [candidate for candidate in candidates if candidate[0] >= _MIN_RELATIVE_SIZE * candidates[0][0]]
+        while candidates and len(chosen) < MAX_EXAMPLES:
+            distances = [_distance_to_chosen(candidate[1], chosen) for candidate in candidates]
+            # The first of a tier is its largest change, unless that is redundant.
+            index = (
+                0
+                if not chosen or (candidates[0][0] > 0.0 and _is_first_of_tier(tier, tiers, chosen))
+                else int(np.argmax(distances))
+            )
+            if chosen and distances[index] < _MIN_DISTANCE:
+                index = int(np.argmax(distances))
+                if distances[index] < _MIN_DISTANCE:
+                    break
+            _, pair, reason = candidates.pop(index)
+            chosen.append(Example(pair, reason))
+        if len(chosen) >= MAX_EXAMPLES:
+            break
+    return tuple(chosen)
+
+
+def _is_first_of_tier(
+    tier: _ChangeTier, tiers: Mapping[_ChangeTier, list[tuple[float, ScenarioPair, str]]], chosen: Sequence[Example]
+) -> bool:
+    """Tell whether no example of this tier was chosen yet."""
+    of_tier = {id(pair) for _, pair, _ in tiers[tier]}
+    return not any(id(example.pair) in of_tier for example in chosen)
+
+
+def _distance_to_chosen(pair: ScenarioPair, chosen: Sequence[Example]) -> float:
+    """RMS difference of parameters, in the unit cube, to the nearest chosen example."""
+    point = np.array(pair.point)
+    return min(
+        (float(np.sqrt(np.mean((point - np.array(example.pair.point)) ** 2))) for example in chosen), default=np.inf
+    )
+
+
+def _score_spreads(pairs: Sequence[ScenarioPair], metrics: Sequence[str]) -> dict[str, float]:
+    """Half the range of the middle 90 % of the old scores; their whole range if that is 0."""
+    both_ran = [pair for pair in pairs if pair.both_ran]
+    spreads = {}
+    for name in metrics if both_ran else ():
+        scores: FloatArray = np.array([pair.scores[name][0] for pair in both_ran])
+        scores = scores[np.isfinite(scores)]
+        low, high = np.quantile(scores, (0.05, 0.95)).tolist() if len(scores) else (0.0, 0.0)
+        spreads[name] = (high - low) / 2.0 or float(np.ptp(scores) if len(scores) else 0.0) or 1.0
+    return spreads
+
+
+def _classify_change(
+    pair: ScenarioPair, spreads: Mapping[str, float], objective_metric: str
+) -> tuple[_ChangeTier, float, str]:
+    """Tier, size and description of the change of a pair; no description if nothing changed."""
+    if pair.run == "not in one":
+        failing = "old" if pair.errors[0] is not None else "new"
+        return (0, failing == "old"), 0.0, f"failed with the {failing} version"
+    if not pair.both_ran:
+        return (9, True), 0.0, ""
+    size, description, worse = _largest_score_change(pair, spreads)
+    if pair.changed_verdicts:
+        # Prefer one that newly fails.
+        old, new = min(pair.changed_verdicts, key=lambda verdicts: verdicts[1].state != "failed")
+        return (0, new.state != "failed"), size, f"{old.requirement}: {old.state}, now {new.state}"
+    ending = f"{pair.outcomes[0]}; now {pair.outcomes[1]}"
+    if pair.collides[0] != pair.collides[1]:
+        return (1, pair.collides[0]), size, ending
+    if pair.outcomes[0] != pair.outcomes[1]:
+        return (2, not worse), size, ending
+    if pair.is_critical is not None and pair.is_critical[0] != pair.is_critical[1]:
+        reason = (
+            _describe_score_change(objective_metric, *pair.scores[objective_metric])
+            if objective_metric
+            else description
+        )
+        return (
+            (3, pair.is_critical[0]),
+            size,
+            f"{'critical now' if pair.is_critical[1] else 'no longer critical'}, {reason}",
+        )
+    return (4, not worse), size, description
+
+
+def _largest_score_change(pair: ScenarioPair, spreads: Mapping[str, float]) -> tuple[float, str, bool]:
+    """Largest change of a score in units of its spread, its description, and whether it is for the worse."""
+    largest, description, worse = 0.0, "", False
+    for name, spread in spreads.items():
+        old, new = pair.scores[name]
+        (change,) = np.abs(score_difference(np.array([old]), np.array([new]))).tolist()
+        if change / spread > largest:
+            largest, description = change / spread, _describe_score_change(name, old, new)
+            metric = METRICS.create(name)
+            worse = metric.to_minimize(new) < metric.to_minimize(old)
+    return largest, description, worse
+
+
+def _describe_score_change(name: str, old: float, new: float) -> str:
+    unit = METRICS.create(name).unit
+    return f"{name} {old:.4g} → {new:.4g} {'' if unit == '1' else unit}".rstrip()

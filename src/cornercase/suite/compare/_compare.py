@@ -1,0 +1,337 @@
+"""Compare two versions of the system under test."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from cornercase._common.errors import InputError
+from cornercase._common.validation import check_str_sequence
+from cornercase.clustering import read_analyses
+from cornercase.clustering._assign import assign_to_clusters
+from cornercase.drivers import DRIVERS
+from cornercase.drivers._description import driver_command_option, format_driver
+from cornercase.metrics import METRICS
+from cornercase.simulators import SIMULATORS
+from cornercase.study import Study, StudyMeta
+from cornercase.study._study import open_study
+from cornercase.suite._judge import judge_study
+from cornercase.suite.compare._change_verdict import decide_verdict, find_findings, resolve_tolerances
+from cornercase.suite.compare._choose_examples import choose_examples
+from cornercase.suite.compare._comparison import ALPHA, ChangeTest, ClusterChange, Comparison, ScenarioPair, ScoreChange
+from cornercase.suite.compare._match import (
+    StudySide,
+    choose_compared_metrics,
+    criticality_metrics,
+    match_pairs,
+    space_filling_scores,
+)
+from cornercase.suite.compare._significance import (
+    MIN_SAMPLE_SIZE,
+    holm_correct,
+    score_difference,
+    test_pairs,
+    test_unpaired_samples,
+)
+from cornercase.suite.compare._space_change import estimate_space_change
+
+_DRIVER_PREFIX: Final = "drivers "
+# Fields listed as differences; seed and optimizer only determine which scenarios were run.
+_SETTING_LABELS: Final = {
+    "simulator": "simulator",
+    "version": "version of cornercase",
+    "runs_of_each": "runs of each scenario",
+}
+
+
+def compare(
+    old: Study | Path | str,
+    new: Study | Path | str,
+    *,
+    metrics: str | Sequence[str] | None = None,
+    critical: float | None = None,
+    tolerances: Mapping[str, float] | None = None,
+) -> Comparison:
+    """Compare two versions of the system under test, and tell whether the new one is better or worse.
+
+    Each version was run into a study. Scenarios with the same parameters are compared one by one; if both studies were
+    explored, their critical sets are compared too. Only scenarios chosen independently of scores are used in the tests,
+    unless both simulators are deterministic: then any two recordings that differ show a change.
+
+    Parameters
+    ----------
+    old, new : Study or path
+        Studies of the same scenario, parameter space and entities; drivers, simulators, versions and time steps may
+        differ.
+    metrics : str or sequence of str, optional
+        Metrics to compare by; by default all, which have to be the same in both.
+    critical : float, optional
+        Threshold for both studies, which keep their own; by default their own, which have to be equal.
+    tolerances : mapping of str to float, optional
+        By metric, in its unit: how much a score may change and still count as the same. By default 0.1 for s, m, m/s,
+        m/s² and s², 0.01 for rad and for metrics without unit, and 0 for other units.
+
+    Returns
+    -------
+    Comparison
+        `verdict` says whether the new version is better, worse, mixed or the same, or that nothing can be said. As a
+        bool it is true if the versions differ at all. If simulators are not deterministic, the false positive rate of
+        better or worse is at most 5 %, over all tests together.
+
+    Raises
+    ------
+    InputError
+        The studies have different scenarios, parameters, entities, metrics or thresholds; or they have nothing in
+        common: no scenario, and fewer than 20 each that were chosen independently of scores; or one is of a suite that
+        has not run completely; or a tolerance is negative, or for a metric that is not compared.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> cc.compare("missing_a.db", "missing_b.db")
+    Traceback (most recent call last):
+        ...
+    cornercase._common.errors.InputError: missing_a.db: there is no such study; make one with `explore`.
+    """
+    with (
+        open_study(old, readonly=True, critical=critical) as before,
+        open_study(new, readonly=True, critical=critical) as after,
+    ):
+        compared = choose_compared_metrics(
+            before, after, None if metrics is None else check_str_sequence("metrics", metrics)
+        )
+        for study in (before, after):
+            _require_complete_suite(study)
+        shared = set(before.meta.requirements) & set(after.meta.requirements)
+        measured = tuple(
+            dict.fromkeys((*compared, *(criticality_metrics(before) if criticality_metrics(after) else ())))
+        )
+        limits = resolve_tolerances(measured, sorted(shared), tolerances)
+        sides = [StudySide.from_study(study, measured, judge_study(study)) for study in (before, after)]
+        pairs = match_pairs(sides[0], sides[1], compared)
+        deterministic = all(_is_deterministic(study.meta) for study in (before, after))
+        tests = _run_tests(sides[0], sides[1], pairs, compared, deterministic)
+        changed, reason = _decide_whether_changed(pairs, tests, deterministic)
+        worse, better, within = find_findings(pairs, tests, limits, deterministic)
+        verdict, verdict_reason = decide_verdict((worse, better), pairs, tests, (changed, reason), deterministic)
+        return Comparison(
+            names=(before.path.name, after.path.name),
+            title=before.meta.title,
+            differences=(
+                *_describe_setting_differences(before.meta, after.meta),
+                *_describe_nondeterminism(before, after),
+            ),
+            changed=changed,
+            reason=reason,
+            verdict=verdict,
+            verdict_reason=verdict_reason,
+            worse=worse,
+            better=better,
+            within_tolerance=within,
+            tolerances=limits,
+            is_deterministic=deterministic,
+            pairs=pairs,
+            n_unmatched=(len(sides[0].rows) - len(pairs), len(sides[1].rows) - len(pairs)),
+            scores=tuple(
+                _compute_score_change(pairs, name) for name in compared if any(pair.both_ran for pair in pairs)
+            ),
+            tests=tests,
+            outcomes=Counter(pair.outcomes for pair in pairs if pair.both_ran),
+            verdicts=Counter(
+                (a.requirement, a.state, b.state) for pair in pairs for a, b in zip(*pair.verdicts, strict=True)
+            ),
+            clusters=_count_cluster_changes(before, after, pairs),
+            space=estimate_space_change(sides[0], sides[1], pairs),
+            examples=choose_examples(pairs, compared, _objective_metric(before.meta, compared)),
+            critical=critical,
+        )
+
+
+def _require_complete_suite(study: Study) -> None:
+    """Raise `InputError` if a suite was interrupted, since a few unchanged scenarios would look like all."""
+    n_pending = sum(row.state == "pending" for row in study.rows())
+    if study.meta.suite and n_pending:
+        raise InputError(
+            f"{study.path}: {n_pending} of its {study.meta.budget} scenarios have not been run yet; run `test` again,"
+            " which goes on with it."
+        )
+
+
+def _objective_metric(meta: StudyMeta, metrics: Sequence[str]) -> str:
+    """The metric that defines criticality; empty for a weighted sum, a Pareto front, or if it is not compared."""
+    return "" if meta.weights or meta.pareto or meta.metrics[0] not in metrics else meta.metrics[0]
+
+
+def _is_deterministic(meta: StudyMeta) -> bool:
+    """Tell whether runs of a study are deterministic: as was tried, or as cornercase's own parts declare."""
+    declared: bool | None = None
+    is_own_code = False
+    with suppress(InputError):
+        simulator = SIMULATORS.get_class(meta.simulator)
+        declared = simulator.deterministic
+        is_own_code = simulator.__module__.startswith("cornercase.") and not any(
+            map(_is_custom_driver, meta.drivers.values())
+        )
+    observed = meta.repeatability.get("same")
+    return declared is not False and bool(observed) if observed is not None else is_own_code and declared is True
+
+
+def _run_tests(
+    old: StudySide, new: StudySide, pairs: Sequence[ScenarioPair], metrics: Sequence[str], deterministic: bool
+) -> tuple[ChangeTest, ...]:
+    """Test the pairs that were chosen independently of scores, or both initial designs if these pairs are too few."""
+    tested = [pair for pair in pairs if deterministic or pair.is_score_independent]
+    tests_ = test_pairs(tested, metrics) if any(pair.run != "in neither" for pair in tested) else []
+    n_filling = len(old.space_filling_ids()), len(new.space_filling_ids())
+    # If both designs are mostly the same scenarios, pairs are more powerful.
+    if sum(pair.is_score_independent for pair in pairs) < MIN_SAMPLE_SIZE <= min(n_filling):
+        (old_scores, old_facts), (new_scores, new_facts) = (
+            space_filling_scores(old, metrics),
+            space_filling_scores(new, metrics),
+        )
+        shared = {name: fact for name, fact in old_facts.items() if name in new_facts}
+        tests_ += test_unpaired_samples((old_scores, new_scores), (shared, new_facts))
+    if not tests_ and all(pair.run == "in neither" for pair in pairs):
+        raise InputError(
+            f"{old.study.path} and {new.study.path}: no scenario was run with both, and only {n_filling[0]} and"
+            f" {n_filling[1]} scenarios were chosen without looking at scores, where {MIN_SAMPLE_SIZE} are needed; explore"
+            " both with the same `seed`, or with `audit`."
+        )
+    return holm_correct(tests_)
+
+
+def _decide_whether_changed(
+    pairs: Sequence[ScenarioPair], tests: Sequence[ChangeTest], deterministic: bool
+) -> tuple[bool, str]:
+    """Tell whether the versions differ, and why."""
+    runs = Counter(test.run for test in pairs)
+    n_ran = sum(test.both_ran for test in pairs)
+    significant = [test for test in tests if test.corrected <= ALPHA]
+    if n_different := deterministic and runs["otherwise"]:
+        return (
+            True,
+            f"{n_different} of {n_ran} scenarios that ran with both differ, and both simulators are deterministic",
+        )
+    if deterministic and runs["not in one"]:
+        return True, f"{runs['not in one']} of {len(pairs)} scenarios could be run with one version only"
+    if significant:
+        first = min(significant, key=lambda test: test.corrected)
+        rest = f" and {len(significant) - 1} more" if len(significant) > 1 else ""
+        return True, (
+            f"{first.about} differs ({first.method}, p = {first.corrected:.2g} corrected for {len(tests)} tests){rest}"
+        )
+    if n_ran and runs["the same"] == len(pairs) - runs["in neither"]:
+        return False, f"all {n_ran} scenarios that both ran are the same bytes"
+    if deterministic and n_ran:
+        return False, f"the {n_ran} scenarios that both ran are the same up to rounding"
+    if not tests:
+        return False, "none of the scenarios that both ran can be tested: a search chose them by their scores"
+    return False, f"none of {len(tests)} tests shows a change, at {ALPHA:.0%} over all of them"
+
+
+def _compute_score_change(pairs: Sequence[ScenarioPair], metric_name: str) -> ScoreChange:
+    metric = METRICS.create(metric_name)
+    both_ran = [pair for pair in pairs if pair.both_ran]
+    scores = np.array([pair.scores[metric_name] for pair in both_ran])
+    changes = score_difference(scores[:, 0], scores[:, 1])
+    moved = changes[changes != 0.0]
+    worse = int((np.asarray(metric.to_minimize(moved)) < 0.0).sum())
+    k = int(np.abs(changes).argmax())
+    return ScoreChange(
+        metric=metric_name,
+        unit=metric.unit,
+        pairs=len(both_ran),
+        moved=len(moved),
+        worse=worse,
+        better=len(moved) - worse,
+        median=float(np.median(moved)) if len(moved) else 0.0,
+        largest=float(changes[k]),
+        ids=both_ran[k].ids if len(moved) else None,
+    )
+
+
+def _describe_setting_differences(old: StudyMeta, new: StudyMeta) -> Iterator[str]:
+    """Yield differences between the settings of both studies, in words."""
+    if bool(old.suite) != bool(new.suite):
+        yield f"scenarios: {' → '.join('of a suite' if meta.suite else 'explored' for meta in (old, new))}"
+    for name, label in _SETTING_LABELS.items():
+        if getattr(old, name) != getattr(new, name):
+            yield f"{label}: {getattr(old, name)} → {getattr(new, name)}"
+    yield from _describe_value_difference("", old.settings, new.settings)
+
+
+def _describe_nondeterminism(*studies: Study) -> Iterator[str]:
+    """Yield which of the studies are not deterministic, in words."""
+    for study in studies:
+        if study.meta.nondeterminism_text:
+            yield f"runs of {study.path.name} differ: {study.meta.nondeterminism_text}"
+
+
+def _describe_value_difference(name: str, old: Any, new: Any) -> Iterator[str]:
+    """Yield differences between two values of a setting, in words."""
+    if old == new:
+        return
+    if name.startswith(_DRIVER_PREFIX) and (_is_custom_driver(old) or _is_custom_driver(new)):
+        texts = format_driver(old), format_driver(new)
+        if texts[0] != texts[1]:
+            yield f"driver {name.removeprefix(_DRIVER_PREFIX)}: {texts[0]} → {texts[1]}"
+            return
+    if isinstance(old, str) != isinstance(new, str):
+        old, new = _expand_driver_name(old), _expand_driver_name(new)
+    if isinstance(old, Mapping) and isinstance(new, Mapping) and old.get("driver") == new.get("driver"):
+        for key in [*old, *(key_ for key_ in new if key_ not in old)]:
+            yield from _describe_value_difference(f"{name} {key}".lstrip(), old.get(key), new.get(key))
+    else:
+        yield f"{name.replace('_', ' ')}: {_format_setting(old)} → {_format_setting(new)}"
+
+
+def _is_custom_driver(driver: Any) -> bool:
+    """Tell whether a driver is neither registered nor described by parameters alone."""
+    if not isinstance(driver, Mapping):
+        return False
+    return driver_command_option(driver) is None or not {"options", "sha256", "settings"}.isdisjoint(driver)
+
+
+def _expand_driver_name(driver: Any) -> Any:
+    """Settings of a driver that is stored by its name."""
+    return DRIVERS.create(driver).settings if isinstance(driver, str) and driver in DRIVERS else driver
+
+
+def _format_setting(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return str(value.get("driver", "others"))
+    return "as the file says" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _count_cluster_changes(
+    old: Study, new: Study, pairs: Sequence[ScenarioPair]
+) -> dict[str, tuple[ClusterChange, ...]]:
+    """Count the pairs in each cluster of the old study, with each version; new scenarios are assigned to them."""
+    clusters = {}
+    for by, analysis in read_analyses(old).items():
+        if by in old.meta.metrics and by not in new.meta.metrics:
+            continue
+        label_of = dict(zip(analysis.ids.tolist(), analysis.labels.tolist(), strict=True))
+        ran = [pair for pair in pairs if pair.both_ran and pair.ids[0] in label_of]
+        # Unchanged scenarios keep their cluster, also at its edge.
+        changed = [pair for pair in ran if pair.run != "the same"]
+        assigned = assign_to_clusters(old, analysis, new, [pair.ids[1] for pair in changed]).tolist()
+        after = {pair.ids: label_of[pair.ids[0]] for pair in ran}
+        after |= {pair.ids: cluster for pair, cluster in zip(changed, assigned, strict=True)}
+        names = {pair.cluster: pair.label for pair in analysis.profiles} | {-1: "noise"}
+        counts = Counter(label_of[pair.ids[0]] for pair in ran), Counter(after.values())
+        clusters[by] = tuple(
+            ClusterChange(
+                cluster,
+                "noise" if cluster < 0 else names.get(cluster, f"cluster {cluster}"),
+                counts[0][cluster],
+                counts[1][cluster],
+            )
+            for cluster in sorted({*counts[0], *counts[1]}, key=lambda number: (number < 0, number))
+        )
+    return clusters

@@ -1,0 +1,499 @@
+"""Result of a comparison of two versions."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any, Final, Literal
+
+from cornercase.evidence import Estimate, SetDifference
+from cornercase.scenario import Value
+from cornercase.suite._verdict import Verdict
+
+ALPHA: Final = 0.05
+"""Significance level: the probability that any test finds a difference between two runs of one version."""
+
+RunComparison = Literal["the same", "within rounding", "otherwise", "not in one", "in neither"]
+
+ComparisonVerdict = Literal["better", "worse", "mixed", "the same", "cannot say"]
+"""Verdict of a comparison."""
+
+ChangeDirection = Literal["worse", "better"]
+"""Direction of a change."""
+
+# Limits of scenarios named in a finding, and of findings in a sentence.
+_MAX_NAMED_SCENARIOS: Final = 5
+_MAX_LISTED_FINDINGS: Final = 4
+
+
+@dataclass(frozen=True)
+class ScenarioPair:
+    """One concrete scenario that ran with both versions; in each pair of values the old one comes first.
+
+    Attributes
+    ----------
+    ids : tuple of (int, int)
+        Id in each study.
+    values : mapping of str to float or str
+        Parameter values.
+    point : tuple of float, length d
+        Point in the unit cube.
+    run : {"the same", "within rounding", "otherwise", "not in one", "in neither"}
+        Whether both recordings have the same bytes, differ by at most 1e-6 of a unit, or by more; or whether the
+        scenario failed in one study, or in both.
+    unselected : bool
+        Whether both studies chose the scenario independently of scores.
+    errors : tuple of (str or None, str or None)
+        Why it failed.
+    scores : mapping of str to tuple of (float, float)
+        By metric, in its unit; empty if a run failed, as all following attributes.
+    outcomes : tuple of (str, str)
+        How the scenario ended, in words.
+    collides : tuple of (bool, bool)
+        Whether the ego collides with any entity.
+    critical : tuple of (bool, bool) or None
+        None without a threshold.
+    verdicts : tuple of (tuple of Verdict, tuple of Verdict)
+        On the requirements that both studies have; empty without any.
+    margins : mapping of str to tuple of (float, float)
+        Margin of each requirement that changed between passed and failed, negative if it is violated. Only for bounds,
+        formulas and positions; a collision has no margin.
+    deciding : mapping of str to tuple of (float, float)
+        Scores that define whether the scenario is critical, by metric; empty without a threshold.
+    """
+
+    ids: tuple[int, int]
+    values: Mapping[str, Value]
+    point: tuple[float, ...]
+    run: RunComparison
+    is_score_independent: bool
+    errors: tuple[str | None, str | None] = (None, None)
+    scores: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    outcomes: tuple[str, str] = ("", "")
+    collides: tuple[bool, bool] = (False, False)
+    is_critical: tuple[bool, bool] | None = None
+    verdicts: tuple[tuple[Verdict, ...], tuple[Verdict, ...]] = ((), ())
+    margins: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    criticality_scores: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+    @property
+    def both_ran(self) -> bool:
+        """Whether it ran in both studies."""
+        return bool(self.scores)
+
+    @property
+    def changed_verdicts(self) -> tuple[tuple[Verdict, Verdict], ...]:
+        """Verdicts whose state changed, old and new."""
+        return tuple(
+            (before, after) for before, after in zip(*self.verdicts, strict=True) if before.state != after.state
+        )
+
+
+@dataclass(frozen=True)
+class ScoreChange:
+    """Changes of the score of one metric between the versions.
+
+    Attributes
+    ----------
+    metric, unit : str
+    pairs, moved : int
+        Pairs that ran in both studies, and those whose score changed.
+    worse, better : int
+        Pairs whose score became more critical, and less.
+    median : float
+        Median change of those that changed, new minus old, in the unit; 0 if none did.
+    largest : float
+        Largest change, with its sign.
+    ids : tuple of (int, int) or None
+        Pair of the largest change.
+    """
+
+    metric: str
+    unit: str
+    pairs: int
+    moved: int
+    worse: int
+    better: int
+    median: float
+    largest: float
+    ids: tuple[int, int] | None
+
+
+@dataclass(frozen=True)
+class ChangeTest:
+    """One test of whether the versions differ.
+
+    Attributes
+    ----------
+    about : str
+        What is tested: ``"wttc"``, ``"critical"``, ``"collision"``, ``"failed verdict"`` or ``"not run"``.
+    method : str
+        ``"Wilcoxon signed-rank"``, ``"exact McNemar"``, ``"Mann-Whitney"`` or ``"exact Fisher"``.
+    old, new : int
+        Number of scenarios of each study; the same number for pairs.
+    differ : int or None
+        Pairs that differ; None without pairs.
+    p, corrected : float
+        p-value, and p-value with Holm's correction for all tests.
+    direction : {"worse", "better"} or None
+        Direction of the new version, whether or not the test is significant; None for a tie.
+    shift : float
+        Mean score of the new version minus that of the old one, in the metric's unit; for yes/no facts the difference
+        of the proportions.
+    """
+
+    about: str
+    method: str
+    old: int
+    new: int
+    differ: int | None
+    p: float
+    corrected: float
+    direction: ChangeDirection | None
+    shift: float
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One aspect in which the new version is worse or better, or changed within the tolerances.
+
+    Attributes
+    ----------
+    kind : {"collision", "requirement", "run", "critical", "score"}
+    about : str
+        The requirement, or the metric of the score; empty for other kinds, and for a test of all requirements together.
+    direction : {"worse", "better"}
+    ids : tuple of (int, int)
+        Scenarios with this change, in the old and in the new study; empty if a test of unpaired scenarios found it.
+    against : int, default 0
+        Number of scenarios with the opposite change; only counted for tests.
+    largest : float or None, default None
+        Largest change of a score, with its sign.
+    unit : str, default ""
+        Unit of the score.
+    test : ChangeTest or None, default None
+        The test that found it; None if the scenarios themselves show it.
+    """
+
+    kind: Literal["collision", "requirement", "run", "critical", "score"]
+    about: str
+    direction: ChangeDirection
+    ids: tuple[tuple[int, int], ...]
+    n_opposite: int = 0
+    largest_change: float | None = None
+    unit: str = ""
+    test: ChangeTest | None = None
+
+    @property
+    def change_text(self) -> str:
+        """The change in words, with the number of scenarios."""
+        count, worse = len(self.ids), self.direction == "worse"
+        if self.test is not None and not self.ids:
+            return f"{self._describe_trend(worse)} among the space-filling scenarios"
+        scenarios = f"{count} scenario{'' if count == 1 else 's'}"
+        if self.kind == "collision":
+            collisions = f"collision{'' if count == 1 else 's'}"
+            return f"{count} new {collisions}" if worse else f"{count} {collisions} gone"
+        if self.kind == "run":
+            return f"{scenarios} can {'no longer be run' if worse else 'be run now'}"
+        if self.kind == "critical":
+            return f"{scenarios} {'newly' if worse else 'no longer'} critical"
+        if self.kind == "requirement":
+            requirement = f"'{self.about}'" if self.about else "a requirement"
+            return f"{scenarios} {'newly' if worse else 'no longer'} fail{'s' if count == 1 else ''} {requirement}"
+        size = "" if self.largest_change is None else f", by up to {abs(self.largest_change):.3g}"
+        unit = f" {self.unit}" if size and self.unit not in ("", "1") else ""
+        return f"{scenarios} {'more' if worse else 'less'} critical by {self.about}{size}{unit}"
+
+    def _describe_trend(self, is_worse: bool) -> str:
+        if self.kind == "score":
+            return f"scores by {self.about} {'more' if is_worse else 'less'} critical"
+        subject = {"collision": "collisions", "critical": "critical scenarios"}[self.kind]
+        return f"{'more' if is_worse else 'fewer'} {subject}"
+
+    def format_scenario_ids(self, limit: int = _MAX_NAMED_SCENARIOS) -> str:
+        """Name the scenarios.
+
+        Parameters
+        ----------
+        most : int, default 5
+            Limit of named scenarios; the others are counted.
+
+        Returns
+        -------
+        str
+            ``"4, 9 and 3 more"``; a scenario with another id in the new study as ``"4→7"``.
+        """
+        n_more = len(self.ids) - limit
+        return ", ".join(map(format_pair_ids, self.ids[:limit])) + (f" and {n_more} more" if n_more > 0 else "")
+
+    def describe_test(self) -> str:
+        """Describe the test that found it, and how many scenarios have the opposite change.
+
+        Returns
+        -------
+        str
+            Empty if the scenarios themselves show it.
+        """
+        if self.test is None:
+            return ""
+        opposing = f"{self.n_opposite} the other way, " if self.ids else ""
+        return f"{opposing}{self.test.method}, p = {self.test.corrected:.2g} corrected"
+
+    @property
+    def text(self) -> str:
+        """The change in words, with the ids of the first scenarios."""
+        details = "; ".join(filter(None, (self.format_scenario_ids(), self.describe_test())))
+        return f"{self.change_text} ({details})" if details else self.change_text
+
+
+@dataclass(frozen=True)
+class ClusterChange:
+    """How many pairs belong to one cluster with each version.
+
+    Attributes
+    ----------
+    cluster : int
+        Number in the old study; -1 for noise.
+    label : str
+        Its name.
+    old, new : int
+        Number of pairs with each version.
+    """
+
+    cluster: int
+    label: str
+    old: int
+    new: int
+
+
+@dataclass(frozen=True)
+class SpaceChange:
+    """How the critical part of the space changed.
+
+    Attributes
+    ----------
+    pairs : int
+        Pairs that fill the space independently of scores.
+    gained, lost : Estimate or None
+        Fractions of the space that are critical with the new version only, and with the old one only, estimated from
+        those pairs alone; None if there are fewer than 20.
+    pairs_doubt : str
+        Why these are unavailable; empty if they are available.
+    sets : SetDifference or None
+        Estimate from all scenarios of both studies; None if there is no interval.
+    sets_doubt : str
+        Why there is none; empty if there is one.
+    parameters, units : tuple of str
+        Names and units of the coordinates of `sets.middles`.
+    """
+
+    pairs: int
+    gained: Estimate | None
+    lost: Estimate | None
+    pairs_doubt: str
+    sets: SetDifference | None
+    sets_doubt: str
+    parameters: tuple[str, ...]
+    units: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Example:
+    """An example scenario that shows a change.
+
+    Attributes
+    ----------
+    pair : Pair
+    why : str
+        What changed, in one sentence without a period.
+    """
+
+    pair: ScenarioPair
+    reason: str
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Result of a comparison of two versions; as a bool it says whether anything changed.
+
+    Attributes
+    ----------
+    names : tuple of (str, str)
+        File names of the old and the new study.
+    title : str
+        Name of the scenario.
+    differences : tuple of str
+        Differences between the settings of both studies, in words.
+    changed : bool
+        Whether the versions differ.
+    reason : str
+        Reason for `changed`, in one sentence.
+    verdict : {"better", "worse", "mixed", "the same", "cannot say"}
+        Verdict on the new version; mixed if some findings are worse and some better, the same if there are none.
+    verdict_reason : str
+        Reason for the verdict.
+    worse, better : tuple of Finding
+        Findings for each direction, the most important first.
+    within : tuple of Finding
+        Requirements and thresholds that were crossed within the tolerances, so that they do not count.
+    tolerances : mapping of str to float
+        By metric: how much its score may change and still count as the same.
+    certain : bool
+        Whether both simulators are deterministic, so that every difference of a pair shows a change.
+    pairs : tuple of Pair
+        Scenarios with the same parameters, in the order of the old study.
+    alone : tuple of (int, int)
+        Number of scenarios of each study without a partner.
+    scores : tuple of ScoreChange
+        One for each metric; empty without pairs.
+    tests : tuple of ChangeTest
+    outcomes : mapping of tuple of (str, str) to int
+        Number of pairs by old and new outcome.
+    verdicts : mapping of tuple of (str, str, str) to int
+        Number of pairs by requirement, old and new state.
+    kinds : mapping of str to tuple of KindChange
+        By aspect that the old study was analyzed by.
+    space : SpaceChange or None
+        None without a threshold.
+    telling : tuple of Telling
+        At most five examples.
+    critical : float or None
+        Threshold that was given for the comparison; None if the studies' own is used.
+    """
+
+    names: tuple[str, str]
+    title: str
+    differences: tuple[str, ...]
+    changed: bool
+    reason: str
+    verdict: ComparisonVerdict
+    verdict_reason: str
+    worse: tuple[Finding, ...]
+    better: tuple[Finding, ...]
+    within_tolerance: tuple[Finding, ...]
+    tolerances: Mapping[str, float]
+    is_deterministic: bool
+    pairs: tuple[ScenarioPair, ...]
+    n_unmatched: tuple[int, int]
+    scores: tuple[ScoreChange, ...]
+    tests: tuple[ChangeTest, ...]
+    outcomes: Mapping[tuple[str, str], int]
+    verdicts: Mapping[tuple[str, str, str], int]
+    clusters: Mapping[str, tuple[ClusterChange, ...]]
+    space: SpaceChange | None
+    examples: tuple[Example, ...]
+    critical: float | None = None
+
+    def __bool__(self) -> bool:
+        return self.changed
+
+    def __repr__(self) -> str:
+        return f"<Comparison of {self.names[0]} and {self.names[1]}: {self.headline}>"
+
+    @property
+    def headline(self) -> str:
+        """The verdict and its reason, without a period."""
+        return f"{self.verdict.capitalize()}{'.' if self.verdict == 'mixed' else ':'} {self.verdict_reason}"
+
+    def count_pairs(self, run_comparison: RunComparison) -> int:
+        """Count pairs by `Pair.run`.
+
+        Parameters
+        ----------
+        run : {"the same", "within rounding", "otherwise", "not in one", "in neither"}
+
+        Returns
+        -------
+        int
+        """
+        return sum(pair.run == run_comparison for pair in self.pairs)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return plain values.
+
+        Returns
+        -------
+        dict of str to object
+            Of the pairs only those that are not the same.
+        """
+        space = self.space
+        return {
+            "format": 1,
+            "old": self.names[0],
+            "new": self.names[1],
+            "scenario": self.title,
+            "verdict": self.verdict,
+            "verdict_reason": self.verdict_reason,
+            "worse": [_finding_to_json(item) for item in self.worse],
+            "better": [_finding_to_json(item) for item in self.better],
+            "within_tolerance": [_finding_to_json(item) for item in self.within_tolerance],
+            "tolerances": dict(self.tolerances),
+            "changed": self.changed,
+            "reason": self.reason,
+            "level": ALPHA,
+            "repeatable": self.is_deterministic,
+            "differences": list(self.differences),
+            "critical": self.critical,
+            "pairs": {
+                "count": len(self.pairs),
+                "same": self.count_pairs("the same"),
+                "within_rounding": self.count_pairs("within rounding"),
+                "otherwise": self.count_pairs("otherwise"),
+                "not_in_one": self.count_pairs("not in one"),
+                "in_neither": self.count_pairs("in neither"),
+                "old_alone": self.n_unmatched[0],
+                "new_alone": self.n_unmatched[1],
+            },
+            "scores": [asdict(item) for item in self.scores],
+            "tests": [asdict(item) for item in self.tests],
+            "outcomes": [{"old": a, "new": b, "count": n} for (a, b), n in sorted(self.outcomes.items())],
+            "verdicts": [
+                {"requirement": name, "old": a, "new": b, "count": n}
+                for (name, a, b), n in sorted(self.verdicts.items())
+            ],
+            "kinds": {by: [asdict(item) for item in kinds] for by, kinds in self.clusters.items()},
+            "space": None if space is None else asdict(space),
+            "telling": [_pair_to_json(item.pair) | {"why": item.reason} for item in self.examples],
+            "changed_pairs": [_pair_to_json(item) for item in self.pairs if item.run != "the same"],
+        }
+
+
+def format_pair_ids(ids: tuple[int, int]) -> str:
+    """Name a scenario by its ids in both studies: `"4"`, or `"4→7"` if they differ."""
+    return str(ids[0]) if ids[0] == ids[1] else f"{ids[0]}→{ids[1]}"
+
+
+def describe_findings(findings: Sequence[Finding]) -> str:
+    """Describe the first four findings in one line; the others are counted."""
+    n_more = len(findings) - _MAX_LISTED_FINDINGS
+    return ", ".join(finding.text for finding in findings[:_MAX_LISTED_FINDINGS]) + (
+        f", and {n_more} more" if n_more > 0 else ""
+    )
+
+
+def _finding_to_json(finding: Finding) -> dict[str, Any]:
+    return {
+        "kind": finding.kind,
+        "about": finding.about,
+        "direction": finding.direction,
+        "count": len(finding.ids),
+        "against": finding.n_opposite,
+        "largest": finding.largest_change,
+        "text": finding.text,
+        "pairs": [list(ids) for ids in finding.ids],
+    }
+
+
+def _pair_to_json(pair: ScenarioPair) -> dict[str, Any]:
+    return {
+        "old": pair.ids[0],
+        "new": pair.ids[1],
+        "values": dict(pair.values),
+        "run": pair.run,
+        "scores": {name: list(values) for name, values in pair.scores.items()},
+        "outcomes": list(pair.outcomes),
+        "critical": None if pair.is_critical is None else list(pair.is_critical),
+        "verdicts": [[old.requirement, old.state, new.state] for old, new in pair.changed_verdicts],
+        "errors": list(pair.errors),
+    }

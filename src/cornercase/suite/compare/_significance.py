@@ -1,0 +1,148 @@
+"""Significance tests of whether two versions differ, for scores with caps and ties, and for yes/no facts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from cornercase._common.typing import BoolArray, FloatArray
+from cornercase.metrics import METRICS
+from cornercase.suite._verdict import Verdict
+from cornercase.suite.compare._comparison import ChangeDirection, ChangeTest, ScenarioPair
+
+MIN_SAMPLE_SIZE: Final = 20
+"""Smallest number of space-filling scenarios for estimates and tests."""
+
+# Relative change of a score that counts as rounding.
+_RELATIVE_ROUNDING: Final = 1e-9
+
+
+def score_difference(before: FloatArray, after: FloatArray) -> FloatArray:
+    """Differences of finite scores, shape (n,); 0 if they are equal up to rounding."""
+    change = after - before
+    size = np.maximum(np.maximum(np.abs(before), np.abs(after)), 1.0)
+    return np.where(np.abs(change) <= _RELATIVE_ROUNDING * size, 0.0, change)
+
+
+def wilcoxon_p_value(differences: FloatArray) -> float:
+    """Two-sided p of Wilcoxon's signed-rank test of whether differences of pairs, shape (n,), are centered on 0.
+
+    Pairs that did not change are left out, as Wilcoxon did: scores that stay at a cap or at 0 say nothing about which
+    version scores lower. Ties get their mean rank. A cap makes a difference smaller and keeps its sign. p is 1 if no
+    pair changed.
+
+    F. Wilcoxon, "Individual comparisons by ranking methods", Biometrics Bulletin 1 (1945); `scipy.stats.wilcoxon` is
+    exact for few pairs, by enumerating all signs if there are ties.
+    """
+    moved = differences[differences != 0.0]
+    if not len(moved):
+        return 1.0
+    from scipy.stats import wilcoxon
+
+    return float(wilcoxon(moved).pvalue)
+
+
+def mcnemar_p_value(before: BoolArray, after: BoolArray) -> float:
+    """Two-sided p of McNemar's exact test of paired facts, shape (n,); 1 if no pair changed.
+
+    Q. McNemar, "Note on the sampling error of the difference between correlated proportions or percentages",
+    Psychometrika 12 (1947), with the binomial distribution instead of its limit.
+    """
+    from scipy.stats import binomtest
+
+    gained, lost = int((after & ~before).sum()), int((before & ~after).sum())
+    return float(binomtest(gained, gained + lost).pvalue) if gained + lost else 1.0
+
+
+def holm_correct(tests: Sequence[ChangeTest]) -> tuple[ChangeTest, ...]:
+    """Correct the p-values for the number of tests by Holm's method, in the same order.
+
+    S. Holm, "A simple sequentially rejective multiple test procedure", Scandinavian Journal of Statistics 6 (1979).
+    """
+    order = np.argsort([test.p for test in tests], kind="stable").tolist()
+    corrected, smallest = list(tests), 0.0
+    for rank, k in enumerate(order):
+        smallest = max(smallest, min((len(tests) - rank) * tests[k].p, 1.0))
+        corrected[k] = replace(tests[k], corrected=smallest)
+    return tuple(corrected)
+
+
+def test_pairs(pairs: Sequence[ScenarioPair], metrics: Sequence[str]) -> list[ChangeTest]:
+    """Test at least one pair of scenarios; p-values are not corrected yet."""
+    both_ran = [pair for pair in pairs if pair.both_ran]
+    results = []
+    for name in metrics if both_ran else ():
+        scores = np.array([pair.scores[name] for pair in both_ran])
+        differences = score_difference(scores[:, 0], scores[:, 1])
+        differ = int((differences != 0.0).sum())
+        p, direction = wilcoxon_p_value(differences), _change_direction(name, _signed_rank_sum(differences))
+        method, shift = "Wilcoxon signed-rank", float(differences.mean())
+        results.append(ChangeTest(name, method, len(both_ran), len(both_ran), differ, p, p, direction, shift))
+    facts: dict[str, list[tuple[bool, bool]]] = {"collision": [pair.collides for pair in both_ran]}
+    facts["critical"] = [pair.is_critical for pair in both_ran if pair.is_critical is not None]
+    verdicts = [pair.verdicts for pair in both_ran if pair.verdicts[0]]
+    facts["failed verdict"] = [(_has_failed_verdict(old), _has_failed_verdict(new)) for old, new in verdicts]
+    if len(both_ran) < len(pairs):
+        facts["not run"] = [(pair.errors[0] is not None, pair.errors[1] is not None) for pair in pairs]
+    for about, states in facts.items():
+        if states:
+            before, after = np.array(states, dtype=np.bool_).T
+            p = mcnemar_p_value(before, after)
+            differ, shift = int((before != after).sum()), float(after.mean() - before.mean())
+            count, direction = len(states), _change_direction("", -shift)
+            results.append(ChangeTest(about, "exact McNemar", count, count, differ, p, p, direction, shift))
+    return results
+
+
+def _signed_rank_sum(differences: FloatArray) -> float:
+    """Sum of the ranks of increases minus that of decreases, the statistic of Wilcoxon's test."""
+    from scipy.stats import rankdata
+
+    moved = differences[differences != 0.0]
+    return float((np.sign(moved) * rankdata(np.abs(moved))).sum()) if len(moved) else 0.0
+
+
+def _change_direction(metric: str, change: float) -> ChangeDirection | None:
+    """Tell whether a change of scores is for the worse; without a metric, a decrease is worse."""
+    oriented = METRICS.create(metric).to_minimize(change) if metric else change
+    return "worse" if oriented < 0.0 else "better" if oriented > 0.0 else None
+
+
+def _has_failed_verdict(verdicts: Sequence[Verdict]) -> bool:
+    return any(verdict.state == "failed" for verdict in verdicts)
+
+
+def test_unpaired_samples(
+    scores: tuple[dict[str, FloatArray], dict[str, FloatArray]],
+    facts: tuple[dict[str, BoolArray], dict[str, BoolArray]],
+) -> list[ChangeTest]:
+    """Test unpaired scenarios of each study that fill the space: scores by metric and facts by name, shape (n,).
+
+    Points of a Sobol' sequence are more even than random ones, so the tests are conservative. p-values are not
+    corrected yet.
+
+    H. B. Mann, D. R. Whitney, "On a test of whether one of two random variables is stochastically larger than the
+    other", Annals of Mathematical Statistics 18 (1947); R. A. Fisher, "The design of experiments" (1935).
+    """
+    from scipy.stats import fisher_exact, mannwhitneyu
+
+    results = []
+    for name, old in scores[0].items():
+        new = scores[1][name]
+        is_constant = len(np.unique(np.concatenate([old, new]))) < 2
+        result = None if is_constant else mannwhitneyu(old, new)
+        p = 1.0 if result is None else float(result.pvalue)
+        # Number of (old, new) pairs with a higher new score, minus half of all.
+        lead = 0.0 if result is None else len(old) * len(new) / 2.0 - float(result.statistic)
+        direction, shift = _change_direction(name, lead), float(new.mean() - old.mean())
+        results.append(ChangeTest(name, "Mann-Whitney", len(old), len(new), None, p, p, direction, shift))
+    for name, before in facts[0].items():
+        after = facts[1][name]
+        table = np.array([[facts_.sum(), (~facts_).sum()] for facts_ in (before, after)], dtype=np.int64)
+        p, shift = float(fisher_exact(table).pvalue), float(after.mean() - before.mean())
+        direction = _change_direction("", -shift)
+        results.append(ChangeTest(name, "exact Fisher", len(before), len(after), None, p, p, direction, shift))
+    return results

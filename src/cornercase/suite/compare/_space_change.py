@@ -1,0 +1,73 @@
+"""Estimate how the critical part of the space changed between two studies."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cornercase._common.errors import InputError
+from cornercase.evidence import SetDifference
+from cornercase.evidence._critical_set_estimate import CriticalSet
+from cornercase.evidence._proportions import proportion_interval
+from cornercase.exploration._objective import Objective
+from cornercase.exploration._study_critical_set import estimate_critical_set
+from cornercase.study import Study
+from cornercase.suite.compare._comparison import ScenarioPair, SpaceChange
+from cornercase.suite.compare._match import StudySide
+from cornercase.suite.compare._significance import MIN_SAMPLE_SIZE
+
+# Seed for both studies.
+_DRAW_SEED = 0
+
+
+def estimate_space_change(old: StudySide, new: StudySide, pairs: tuple[ScenarioPair, ...]) -> SpaceChange | None:
+    """Estimate how the critical part of the space changed; None without a threshold or if a study was not explored.
+
+    Scenarios that an optimizer chose by scores lie where it expected critical ones, so they say nothing about fractions
+    of the space. Pairs of both initial designs and audits do, without any model: the number of those that are critical
+    with one version only gives the Clopper-Pearson interval of that part of the space.
+    """
+    if not (old.is_critical and new.is_critical and old.is_explored and new.is_explored):
+        return None
+    independent = [
+        pair
+        for pair in pairs
+        if pair.is_critical is not None and old.fills_space[pair.ids[0]] and new.fills_space[pair.ids[1]]
+    ]
+    critical = np.array([pair.is_critical for pair in independent], dtype=np.bool_).reshape(-1, 2)
+    gained = lost = None
+    reason = f"only {len(independent)} scenarios ran with both and were chosen independently of scores; {MIN_SAMPLE_SIZE} are needed"
+    if len(independent) >= MIN_SAMPLE_SIZE:
+        reason = ""
+        gained = proportion_interval(int((critical[:, 1] & ~critical[:, 0]).sum()), len(independent))
+        lost = proportion_interval(int((critical[:, 0] & ~critical[:, 1]).sum()), len(independent))
+    if len(pairs) == len(old.rows) == len(new.rows) and all(pair.run == "the same" for pair in pairs):
+        sets, sets_reason = None, "both studies hold the same scenarios with the same results"
+    else:
+        sets, sets_reason = _compare_critical_sets(old.study, new.study)
+    parameters = old.study.space.parameters
+    names, units = tuple(pair.name for pair in parameters), tuple(pair.unit for pair in parameters)
+    return SpaceChange(len(independent), gained, lost, reason, sets, sets_reason, names, units)
+
+
+def _compare_critical_sets(old: Study, new: Study) -> tuple[SetDifference | None, str]:
+    sets = []
+    for study in (old, new):
+        try:
+            critical_set = _estimate_critical_set(study)
+        except InputError:
+            # A damaged study is not a lack of scores.
+            raise
+        except ValueError:
+            return None, f"{study.path.name} has fewer than 10 scores besides audits, or all are equal"
+        if critical_set.missed_interval_unavailable is not None:
+            return None, f"of {study.path.name}, {critical_set.missed_interval_unavailable}"
+        if not (critical_set.has_both_classes or critical_set.is_exhausted):
+            return None, f"all scenarios of {study.path.name} are critical, so there is no boundary"
+        sets.append(critical_set)
+    return SetDifference.from_critical_sets(*sets), ""
+
+
+def _estimate_critical_set(study: Study) -> CriticalSet:
+    objective = Objective.from_study_meta(study.meta)
+    threshold = objective.convert_orientation(float(study.critical or 0.0))
+    return estimate_critical_set(study, objective.minimized_scores(study), threshold, seed=_DRAW_SEED)

@@ -1,0 +1,44 @@
+"""Pages of the reference that are made from the program."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import sys
+from pathlib import Path
+
+import pytest
+
+DOCS = Path(__file__).parents[2] / "docs"
+
+
+@pytest.fixture
+def pages(monkeypatch):
+    monkeypatch.syspath_prepend(str(DOCS))
+    yield importlib.import_module("generated_pages")
+    sys.modules.pop("generated_pages", None)
+
+
+def test_every_public_name_is_on_the_page_of_its_room_and_every_value_is_described(pages, tmp_path):
+    pages.write_names(tmp_path / "api.rst", tmp_path / "api")
+    described = 0
+    for room in pages.ROOMS:
+        text = (tmp_path / "api" / f"{room}.rst").read_text("utf-8")
+        module = importlib.import_module(f"cornercase.{room}")
+        for name in dir(module):
+            shown = getattr(module, name)
+            if inspect.isclass(shown) or inspect.isfunction(shown):
+                assert f"\n   {name}\n" in text, name
+            elif f".. py:data:: {name}\n" in text:
+                described += 1
+    assert described > 20
+    # What `help` says of any text or union is nothing about it.
+    made = "".join(page.read_text("utf-8") for page in tmp_path.rglob("*.rst"))
+    assert "str(object" not in made
+    assert "Criticality metrics by name." in made
+
+
+def test_the_page_of_commands_has_each_with_its_help(pages, tmp_path):
+    pages.write_commands(tmp_path / "commands.md")
+    text = (tmp_path / "commands.md").read_text("utf-8")
+    assert text.count("\nUsage: cornercase ") == text.count("\n## ") > 15

@@ -1,0 +1,64 @@
+"""The public names fit one screen, and each of them is there."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+import cornercase
+
+FUNCTIONS = (
+    "analyze", "check", "compare", "convert", "estimate", "explore", "import_recordings", "measure", "read_recording", "reduce", "replay", "simulate",
+    "simulate_many", "summarize", "test", "watch", "write_report",
+)  # fmt: skip
+TYPES = (
+    "Analysis", "Check", "Comparison", "ConcreteScenario", "Conversion", "Driver", "Estimation", "ExplorationResult", "ImportResult", "LogicalScenario",
+    "Measurement", "Metric", "Optimizer", "Parameter", "ParameterSpace", "Recording", "ReducedSet", "ScenarioClustering",
+    "SimulatedFolder", "Simulator", "Study", "SuiteResult", "Summary",
+)  # fmt: skip
+REGISTRIES = ("DRIVERS", "METRICS", "OPTIMIZERS", "SIMULATORS")
+ERRORS = ("InputError", "NoticeWarning", "SimulationError", "SimulatorError")
+
+
+def names() -> list[str]:
+    """The names that the package shows; the stub that it reads them from has no list of its own."""
+    shown: list[str] = vars(cornercase)["__all__"]
+    return shown
+
+
+def test_the_public_names_are_these():
+    assert sorted(names()) == sorted((*FUNCTIONS, *TYPES, *REGISTRIES, *ERRORS, "__version__"))
+
+
+def test_dir_shows_them_and_each_is_there():
+    assert set(names()) <= set(dir(cornercase))
+    for name in names():
+        assert getattr(cornercase, name) is not None
+    assert all(callable(getattr(cornercase, name)) for name in (*FUNCTIONS, *TYPES))
+
+
+@pytest.mark.slow
+def test_a_function_stays_a_function_whatever_is_imported_before():
+    program = """
+import pkgutil, importlib, cornercase
+for module in pkgutil.walk_packages(cornercase.__path__, "cornercase."):
+    if not module.name.endswith(("cornercase_driver", "cornercase_trajectory")):
+        importlib.import_module(module.name)
+print([name for name in cornercase.__all__ if type(getattr(cornercase, name)).__name__ == "module"])
+"""
+    found = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert found.stdout.strip() == "[]"
+
+
+def test_importing_the_package_loads_nothing_heavy():
+    program = "import sys, cornercase; print([m for m in ('numpy', 'numba', 'scipy', 'pandas') if m in sys.modules])"
+    found = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert found.stdout.strip() == "[]"
+
+
+def test_who_searches_or_looks_does_not_wait_for_scikit_learn():
+    program = "import sys, cornercase.exploration._explore, cornercase.report._page; print('sklearn' in sys.modules)"
+    found = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert found.stdout.strip() == "False"

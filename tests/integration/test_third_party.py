@@ -1,0 +1,136 @@
+"""Parts of another package are found by its entry points, and every command takes them."""
+
+from __future__ import annotations
+
+import pytest
+
+from cornercase.clustering import read_analysis
+from cornercase.study import Study
+from helpers.command_line import SPACE, X, process_of_all
+
+PARTS = '''
+import numpy as np
+
+from cornercase.clustering import Aspect
+from cornercase.drivers import Driver
+from cornercase.metrics import Feature, FeatureGroup, Metric
+from cornercase.optimizers import Optimizer
+from cornercase.simulators import BuiltinSimulator
+
+
+class SpeedDifference(Metric):
+    """Difference of the speeds of both."""
+
+    name, unit, source = "speed-difference", "m/s", "an example"
+    lower_is_critical, cap = False, 0.0
+
+    def course(self, recording, ego, other):
+        return np.abs(recording.speed[recording.index(ego)] - recording.speed[recording.index(other)])
+
+
+class Pace(Aspect):
+    """The ego's acceleration."""
+
+    name, unit = "pace", "m/s^2"
+
+    def series(self, recording, ego, other):
+        return recording.acceleration[recording.index(ego)][:, None]
+
+
+class Vigour(FeatureGroup):
+    """The ego's highest acceleration."""
+
+    name, features = "vigour", (Feature("highest-acceleration", "m/s²"),)
+
+    def values(self, meeting):
+        return np.array([np.nanmax(meeting.recording.acceleration[meeting.ego_row], initial=0.0)])
+
+
+class Diagonal(Optimizer):
+    """Goes along the diagonal of the space, as long as it is told how vigorous the ego is."""
+
+    name, needs = "diagonal", frozenset({"budget", "features"})
+
+    def __init__(self, space, seed, budget, features, begin=0.0):
+        self.points = np.linspace(begin, 1.0, budget)[:, None] * np.ones(space.dimension)
+        self.column = [one.name for one in features].index("highest-acceleration")
+
+    def ask(self, n):
+        return self.points[:n]
+
+    def tell(self, points, scores, features):
+        assert (features[:, self.column] >= 0.0).all()
+        self.points = self.points[len(points) :]
+
+
+class Steady(Driver):
+    """Keeps the speed that is asked for and sees nobody."""
+
+    def acceleration(self, situation):
+        return np.clip(situation.target_speed - situation.speed, -3.0, 2.0)
+
+
+class Short(BuiltinSimulator):
+    """The builtin simulator, for 5 s at most."""
+
+    name = "short"
+
+    def __init__(self, **options):
+        super().__init__(**{**options, "duration": 5.0})
+'''
+ENTRY_POINTS = """
+[cornercase.metrics]
+speed-difference = of_another:SpeedDifference
+[cornercase.features]
+vigour = of_another:Vigour
+[cornercase.aspects]
+pace = of_another:Pace
+[cornercase.optimizers]
+diagonal = of_another:Diagonal
+[cornercase.drivers]
+steady = of_another:Steady
+[cornercase.simulators]
+short = of_another:Short
+"""
+
+
+@pytest.fixture
+def site(tmp_path):
+    """A folder in which a package with these parts is installed."""
+    site = tmp_path / "site"
+    (site / "of_another-1.0.dist-info").mkdir(parents=True)
+    (site / "of_another.py").write_text(PARTS)
+    (site / "of_another-1.0.dist-info" / "METADATA").write_text(
+        "Metadata-Version: 2.1\nName: of-another\nVersion: 1.0\n"
+    )
+    (site / "of_another-1.0.dist-info" / "entry_points.txt").write_text(ENTRY_POINTS)
+    return site
+
+
+def test_every_command_takes_the_parts_of_another_package(site, tmp_path):
+    explore = "explore", X, "--space", SPACE, "--ego", "Ego", "--other", "Pedestrian"
+    commands = (
+        ("metrics",),
+        ("simulators",),
+        (
+            *explore, "--metric", "speed-difference", "--optimizer", "diagonal:begin=0.5", "--simulator", "short",
+            "--driver", "Ego=steady", "--budget", 4, "--critical", 5, "--workers", 2, "-o", "study.db",
+        ),
+        ("analyze", "study.db", "--by", "pace"),
+        (*explore, "--metric", "speed-diference", "-o", "other.db"),
+    )  # fmt: skip
+    ended = process_of_all(commands, cwd=tmp_path, environment={"PYTHONPATH": str(site)})
+    metrics, simulators, explored, analyzed, wrong = ended
+    assert "speed-difference" in metrics.stdout
+    assert "short" in simulators.stdout
+    assert explored.returncode == 0, explored.stderr
+    with Study.open(tmp_path / "study.db", readonly=True) as study:
+        points = [row.point.tolist() for row in study.finished_rows()]
+        assert points[0] == pytest.approx([0.5] * 3, abs=0.05)
+        assert points[-1] == pytest.approx([1.0] * 3, abs=0.05)
+        assert study.recording(1).time[-1] == pytest.approx(5.0, abs=0.051)
+        assert analyzed.returncode == 0, analyzed.stderr
+        # Here no such package is installed.
+        assert read_analysis(study, "pace").unit == "m/s^2"
+    # What it does not know is refused in one sentence, with what it knows.
+    assert (wrong.returncode, "did you mean 'speed-difference'" in wrong.stderr) == (2, True)
