@@ -32,7 +32,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from cornercase._common.process.platform import count_available_cpus
+from cornercase._common.platform import count_available_cpus
 from cornercase.dtw import _disk as disk
 from cornercase.dtw import distance_matrix
 
@@ -73,8 +73,8 @@ def peers(threads: int) -> dict[str, Call]:
             many = threads > 1
             if series[0].shape[1] == 1:
                 flat = [one[:, 0].copy() for one in series]
-                return np.asarray(dtw.distance_matrix(flat, use_c=True, min_sine=many, use_mp=False))
-            return np.asarray(dtw_ndim.distance_matrix(series, use_c=True, min_sine=many, use_mp=False))
+                return np.asarray(dtw.distance_matrix(flat, use_c=True, parallel=many, use_mp=False))
+            return np.asarray(dtw_ndim.distance_matrix(series, use_c=True, parallel=many, use_mp=False))
 
         found["dtaidistance"] = dtaidistance
     except ImportError:

@@ -40,7 +40,7 @@ from cornercase.optimizers import RandomOptimizer
 from cornercase.simulators import BuiltinSimulator, EsminiSimulator
 from cornercase.simulators.esmini._library import (
     PARAMETER_CALLBACK,
-    encode_path,
+    encode_esmini_path,
     find_library_path,
     load_library,
     set_parameter,
@@ -155,7 +155,7 @@ def esmini_rate(case: Case, patience: float) -> Rate:
 
         callback = PARAMETER_CALLBACK(declare)
         lib.SE_RegisterParameterDeclarationCallback(callback, None)
-        if lib.SE_Init(encode_path(concrete.path), 1, 0, 0, 0) != 0:
+        if lib.SE_Init(encode_esmini_path(concrete.path), 1, 0, 0, 0) != 0:
             failed += 1
         else:
             for _ in range(steps):

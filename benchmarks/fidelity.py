@@ -97,7 +97,7 @@ class Grid:
         with SIMULATORS.create(
             "sumo", time_step=about.time_step, on_collision=about.on_collision, drivers={"Ego": driver}
         ) as simulator:
-            runs = simulator.run([scenario.concrete(one) for one in space.values(lattice[some])])
+            runs = simulator.run([scenario.concrete_scenario(one) for one in space.values(lattice[some])])
             scores = [
                 metric.score(metric.course(run, "Ego", about.other)) for run in runs if isinstance(run, Recording)
             ]

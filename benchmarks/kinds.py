@@ -2,7 +2,8 @@
 
     python benchmarks/kinds.py [--quick] [--first SEED] [--draws N] [--many N] [--methods A,B] [--json FILE]
 
-Sets are drawn afresh by ``tests/helpers/synthetic_clusters.py`` with even seeds; constants of the method were chosen with odd ones, and the
+Sets are drawn afresh by ``tests/helpers/synthetic_clusters.py`` with even seeds; constants of the method were chosen
+with odd ones, and the
 sets marked with * were not made then. Each is compared in aspects in which its kinds differ. Figures are the adjusted
 Rand index with the true kinds, median and worst of all draws; for sets without structure, the share of draws that come
 out as one kind. Peers get the same distances: HDBSCAN of scikit-learn with its default settings, k-medoids, which is

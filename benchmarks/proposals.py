@@ -75,7 +75,7 @@ def of_physbo(told: int) -> float:
 
     def ask() -> None:
         with contextlib.redirect_stdout(io.StringIO()):
-            policy = physbo.search.is_discrete.Policy(test_X=candidates)
+            policy = physbo.search.discrete.Policy(test_X=candidates)
             policy.bayes_search(
                 training=physbo.Variable(X=points, t=-scores(points)), max_num_probes=0, interval=0,
                 num_rand_basis=500, is_disp=False,

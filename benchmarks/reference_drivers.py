@@ -112,7 +112,7 @@ def compared(folder: Path, sample: int, seed: int, time_steps: tuple[float, ...]
     """One row of figures for each file and model."""
     found = []
     for file in FILES:
-        table = pd.read_recording_csv(folder / f"{file}.csv")
+        table = pd.read_csv(folder / f"{file}.csv")
         for model, rows in table.groupby("model"):
             name, crash = NAMES[str(model)], rows.crash.to_numpy() > 0
             outcome = by_itself(file, name, rows)

@@ -25,7 +25,7 @@ SHARED_CLASSES: dict[str, str] = {}
 # Objects of other packages, whose versions differ in what they have; and drivers, which need no base class.
 OF_OTHERS: tuple[str, ...] = ()
 OPTIONS_OF_OTHERS = {"--csv_logger"}
-PLATFORM = "_common/process/platform.py"
+PLATFORM = "_common/platform.py"
 
 
 def check() -> Iterator[str]:

@@ -47,7 +47,7 @@ with cc.Study.open(study) as opened:
     table = opened.table()
 critical = table["wttc"] <= 0.2
 
-figure, axes = plt.subplots(layout_revision="constrained")
+figure, axes = plt.subplots(layout="constrained")
 axes.scatter(table["ego_start"][critical], table["pedestrian_wait"][critical], color="#D55E00", label="critical")
 axes.scatter(
     table["ego_start"][~critical],
@@ -66,8 +66,10 @@ plt.show()
 
 known = cc.summarize(study).estimates.critical.critical_set
 print(
-    f"critical share of the space: {known.critical_fraction.value:.3f} ({known.critical_fraction.low:.3f} to {known.critical_fraction.high:.3f})"
+    f"critical share of the space: {known.critical_fraction.value:.3f}"
+    f" ({known.critical_fraction.low:.3f} to {known.critical_fraction.high:.3f})"
 )
 print(
-    f"missed of the critical set: {known.missed_fraction.value:.3f} ({known.missed_fraction.low:.3f} to {known.missed_fraction.high:.3f})"
+    f"missed of the critical set: {known.missed_fraction.value:.3f}"
+    f" ({known.missed_fraction.low:.3f} to {known.missed_fraction.high:.3f})"
 )

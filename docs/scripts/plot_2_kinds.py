@@ -34,7 +34,7 @@ for profile in kinds.profiles:
 
 colours = ["#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#F0E442", "#000000"]
 markers = "osD^vP*X"
-figure, (places, courses) = plt.subplots(1, 2, figsize=(10, 4.2), layout_revision="constrained")
+figure, (places, courses) = plt.subplots(1, 2, figsize=(10, 4.2), layout="constrained")
 with cc.Study.open(path) as study:
     for number, profile in enumerate(kinds.profiles):
         look = {"color": colours[number % 8], "marker": markers[number % 8]}

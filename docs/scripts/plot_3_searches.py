@@ -33,7 +33,7 @@ for search in ("sobol", "level-set", "committee"):
 # %%
 # How many critical scenarios each has found after so many runs:
 
-figure, axes = plt.subplots(layout_revision="constrained")
+figure, axes = plt.subplots(layout="constrained")
 looks = {"sobol": ("#0072B2", ":"), "level-set": ("#009E73", "--"), "committee": ("#D55E00", "-")}
 for search, numbers in found.items():
     colour, dashes = looks[search]

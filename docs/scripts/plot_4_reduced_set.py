@@ -38,7 +38,7 @@ with cc.Study.open(path) as study:
     table = study.table()
 chosen = table["id"].isin(reduced.ids)
 
-figure, axes = plt.subplots(layout_revision="constrained")
+figure, axes = plt.subplots(layout="constrained")
 axes.scatter(table["ego_start"], table["pedestrian_wait"], s=12, color="#999999", label="run")
 axes.scatter(
     table["ego_start"][chosen], table["pedestrian_wait"][chosen], s=70, marker="D", color="#D55E00", label="kept"

@@ -32,7 +32,7 @@ METRICS.register("speed-nearby", SpeedNearby)
 # Two drivers go through the same concrete scenario.
 
 scenario = examples_folder() / "x_intersection" / "x_intersection.xosc"
-figure, axes = plt.subplots(layout_revision="constrained")
+figure, axes = plt.subplots(layout="constrained")
 for driver, look in (("cautious", "-"), ("aggressive", "--")):
     recording = cc.simulate(scenario, {"ego_start": 40.0, "pedestrian_wait": 5.0}, drivers={"Ego": driver})
     measured = cc.measure(recording, "Ego", "Pedestrian", ["speed-nearby"])

@@ -45,7 +45,7 @@ for name, driver in (("steady", Steady()), ("cautious", "cautious")):
 # %%
 # Points above the diagonal went better with the attentive driver.
 
-figure, axes = plt.subplots(layout_revision="constrained")
+figure, axes = plt.subplots(layout="constrained")
 axes.axline((0, 0), slope=1, color="#999999", linestyle=":")
 axes.scatter(tables["steady"]["wttc"], tables["cautious"]["wttc"], color="#0072B2")
 axes.set(

@@ -26,7 +26,7 @@ for hardness in (1.0, 3.0, 6.0):
 plain = np.array([[np.abs(one - other).sum() for other in speeds] for one in speeds])
 warped = distance_matrix(speeds)
 
-figure, panels = plt.subplots(1, 3, figsize=(11, 3.6), layout_revision="constrained")
+figure, panels = plt.subplots(1, 3, figsize=(11, 3.6), layout="constrained")
 for number, colour in enumerate(("#0072B2", "#009E73", "#D55E00")):
     for speed in speeds[10 * number : 10 * number + 10]:
         panels[0].plot(time, speed, color=colour, linewidth=0.8)

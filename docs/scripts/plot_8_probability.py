@@ -34,7 +34,7 @@ print(estimates[1200])
 # %%
 # More scenarios narrow the interval.
 
-figure, axes = plt.subplots(layout_revision="constrained")
+figure, axes = plt.subplots(layout="constrained")
 for budget, estimate in estimates.items():
     value = estimate.critical
     axes.errorbar(

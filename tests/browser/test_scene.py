@@ -36,7 +36,7 @@ def recorded(path, scenario):
 
 def box_at(recording, name, k):
     """Middle of an entity's box, its heading, and half its length and width."""
-    one = recording.index(name)
+    one = recording.entity_index(name)
     heading = recording.heading[one, k]
     ahead = np.array([np.cos(heading), np.sin(heading)])
     middle = np.array([recording.x[one, k], recording.y[one, k]]) + recording.center_x[one] * ahead
@@ -85,7 +85,7 @@ def require_drawn(page, slot, recording, k):
 
 def instants(recording, first):
     """A few, some time before and until the ego and the other are nearest to each other."""
-    ego, other = (recording.index(name) for name in ("Ego", "Pedestrian"))
+    ego, other = (recording.entity_index(name) for name in ("Ego", "Pedestrian"))
     apart = np.hypot(recording.x[ego] - recording.x[other], recording.y[ego] - recording.y[other])
     near = int(np.nanargmin(apart))
     return [max(0, near - back) for back in first]

@@ -66,7 +66,7 @@ def test_where_the_time_went_is_told_by_stage_and_by_function(demo, tmp_path):
     for _ in range(2):
         found = cornercase("analyze", demo / "study.db", "--by", "wttc", "--profile", profile)
         assert found.returncode == 0, found.stderr
-        assert "analyzing.py" in profile.read_text()
+        assert "_analyze.py" in profile.read_text()
     before = (demo / "report.html").read_bytes()
     refused = cornercase("analyze", demo / "study.db", "--profile", demo / "report.html")
     assert refused.returncode == 2

@@ -36,7 +36,7 @@ DRIVERS = '''
 import ctypes, sys
 import numpy as np
 from cornercase.cli.config_file import read_study_file
-from cornercase.drivers import Driver, told_driver
+from cornercase.drivers import Driver
 
 
 class Steady(Driver):
@@ -204,11 +204,11 @@ def test_42_8_a_driver_object_that_cannot_be_sent_is_named_with_what_it_holds(tm
 )
 def test_42_8_a_script_is_not_begun_anew_by_a_driver_of_its_own(folder, guard, kind):
     lines = (
-        "from cornercase.drivers import told_driver",
+        "from cornercase.drivers._resolve import resolve_driver",
         "from cornercase.scenario import ConcreteScenario",
-        "from cornercase.simulators import start_simulator",
-        "options = {'duration': 1.0, 'drivers': {'Ego': told_driver('faulty:Steady')}}",
-        "with start_simulator('builtin', options) as simulator:",
+        "from cornercase.simulators._create import create_simulator",
+        "options = {'duration': 1.0, 'drivers': {'Ego': resolve_driver('faulty:Steady')}}",
+        "with create_simulator('builtin', options) as simulator:",
         f"    (found,) = simulator.run([ConcreteScenario({str(X)!r})])",
         "    print(type(simulator).__name__, type(found).__name__)",
     )
@@ -423,5 +423,5 @@ def test_42_s5_no_command_ends_well_by_an_exception_that_nobody_expected(monkeyp
     monkeypatch.setattr(METRICS, "names", lambda: sys.exit(0))
     done = cornercase("metrics")
     assert done.returncode == 2
-    assert done.stderr.startswith("cornercase: the command was ended by SystemExit: 0 (")
+    assert done.stderr.startswith("cornercase: user code ended the command with SystemExit: 0 (")
     assert "; test_failing_parts.py line" in done.stderr

@@ -39,7 +39,7 @@ FAULTS = {
 @pytest.mark.parametrize("name", FAULTS)
 def test_it_is_one_sentence_with_the_file(monkeypatch, name):
     error, words = FAULTS[name]
-    monkeypatch.setattr(simulators, "raise_if_interrupted", failing(error))
+    monkeypatch.setattr(simulators, "check", failing(error))
     monkeypatch.delenv("CORNERCASE_DEBUG", raising=False)
     result = cornercase("check", X)
     assert (result.returncode, result.stdout) == (2, "")
@@ -52,7 +52,7 @@ def test_it_is_one_sentence_with_the_file(monkeypatch, name):
 
 
 def test_the_traceback_is_for_who_asks_for_it(monkeypatch):
-    monkeypatch.setattr(simulators, "raise_if_interrupted", failing(ZeroDivisionError("no")))
+    monkeypatch.setattr(simulators, "check", failing(ZeroDivisionError("no")))
     monkeypatch.delenv("CORNERCASE_DEBUG", raising=False)
     asked = cornercase("--debug", "check", X)
     assert asked.returncode == 2
@@ -65,13 +65,13 @@ def test_the_traceback_is_for_who_asks_for_it(monkeypatch):
 
 
 def test_an_exception_stays_one_in_python(monkeypatch):
-    monkeypatch.setattr(simulators, "raise_if_interrupted", failing(ZeroDivisionError("no")))
+    monkeypatch.setattr(simulators, "check", failing(ZeroDivisionError("no")))
     with pytest.raises(ZeroDivisionError):
         simulators.check(X, None, strict=False)
 
 
 def test_ctrl_c_is_no_failure(monkeypatch):
-    monkeypatch.setattr(simulators, "raise_if_interrupted", failing(KeyboardInterrupt()))
+    monkeypatch.setattr(simulators, "check", failing(KeyboardInterrupt()))
     result = cornercase("check", X)
     assert (result.returncode, "Traceback" in result.stderr) == (130, False)
 

@@ -230,7 +230,7 @@ def test_stumble_12_columns_have_no_spaces_and_parquet_holds_courses_and_recordi
     assert list(rows["scenarios"]) == head.split(",")
     for name in ("recordings", "courses"):
         for scenario, part in rows[name].groupby("scenario"):
-            plain = pd.read_recording_csv(tmp_path / "csv" / name / f"{scenario:05}.csv", keep_default_na=False)
+            plain = pd.read_csv(tmp_path / "csv" / name / f"{scenario:05}.csv", keep_default_na=False)
             pd.testing.assert_frame_equal(
                 part.drop(columns="scenario").reset_index(drop=True), plain, check_dtype=False
             )

@@ -20,8 +20,8 @@ from numba.core import config
 
 import cornercase as cc
 from conftest import at_night
-from cornercase._common.process import platform
-from cornercase._common.process.current_folder import import_from_current_folder
+from cornercase._common import platform
+from cornercase._common.current_folder import import_from_current_folder
 from cornercase.cli import warm_up
 from helpers.command_line import SPACE, X, cornercase
 from helpers.hostile_folder import HostileFolder
@@ -268,7 +268,7 @@ def test_42_s1_what_compiles_beside_a_demo_takes_nothing_from_the_folder(clean, 
     monkeypatch.setattr(platform, "count_available_cpus", lambda: 2)
     monkeypatch.setattr("subprocess.Popen", starting)
     starts: list[Any] = []
-    monkeypatch.setattr("cornercase._common.numba.kernel._WATCH.start_callbacks", starts)
+    monkeypatch.setattr("cornercase._common.numba.kernel._COMPILATION_LISTENER.start_callbacks", starts)
     with warm_up.compile_in_parallel("import cornercase.clustering, cornercase.dtw; print('done')"):
         starts[0]()
         (one,) = started

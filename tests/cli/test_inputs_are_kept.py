@@ -65,7 +65,7 @@ def test_clusters_that_are_kept_take_no_settings(tmp_path):
     with opened(tmp_path / "s.db") as study:
         explorer(study, metrics=("distance", "wttc"), budget=10).run()
     cc.analyze(tmp_path / "s.db", "distance")
-    with pytest.raises(cc.InputError, match="`keep`"):
+    with pytest.raises(cc.InputError, match="`keep_clusters`"):
         cc.analyze(tmp_path / "s.db", "distance", gamma=4.0, keep_clusters=True)
 
 

@@ -80,10 +80,10 @@ def asked(number, place, *command, cwd):
 @pytest.mark.parametrize(
     ("number", "place", "command", "words"),
     [
-        (signal.SIGINT, "cornercase.clustering._analyze:_clustered", ("analyze",), "Interrupted;"),
+        (signal.SIGINT, "cornercase.clustering._analyze:_cluster_by_aspect", ("analyze",), "Interrupted;"),
         pytest.param(
             signal.SIGTERM,
-            "cornercase.report._page:written_whole",
+            "cornercase.report._page:atomic_write",
             ("report", "-o", "page.html"),
             "by SIGTERM;",
             marks=pytest.mark.slow,

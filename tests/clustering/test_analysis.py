@@ -86,8 +86,8 @@ def test_the_distances_are_those_of_the_aspect(path):
 
 
 def test_landmarks_are_read_back_and_are_still_those_after_others_joined(path, monkeypatch):
-    monkeypatch.setattr("cornercase.clustering._scenario_clustering.MOST_EXACT", 20)
-    monkeypatch.setattr("cornercase.clustering._scenario_clustering.LANDMARKS", 15)
+    monkeypatch.setattr("cornercase.clustering._scenario_clustering.MAX_WITHOUT_LANDMARKS", 20)
+    monkeypatch.setattr("cornercase.clustering._scenario_clustering.N_KERNEL_LANDMARKS", 15)
     with opened(path) as study:
         before = analyze(study, "distance")["distance"]
         explorer(study, metrics=("distance", "wttc"), optimizer="sobol", budget=60).run()

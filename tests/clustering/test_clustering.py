@@ -149,8 +149,8 @@ def test_landmarks_find_the_same_and_say_what_they_lose():
 
 
 def test_many_scenarios_take_landmarks_by_themselves(monkeypatch):
-    monkeypatch.setattr("cornercase.clustering._scenario_clustering.MOST_EXACT", 500)
-    monkeypatch.setattr("cornercase.clustering._scenario_clustering.LANDMARKS", 300)
+    monkeypatch.setattr("cornercase.clustering._scenario_clustering.MAX_WITHOUT_LANDMARKS", 500)
+    monkeypatch.setattr("cornercase.clustering._scenario_clustering.N_KERNEL_LANDMARKS", 300)
     points, truth = make_circles(700, noise=0.04, factor=0.4, random_state=1)
     distances = between(points)
     model = ScenarioClustering().fit(distances)

@@ -98,7 +98,9 @@ def test_scenarios_alike_but_for_the_last_digits_are_no_kinds():
 def test_clusters_that_are_not_found_again_are_not_told(monkeypatch):
     distances, _ = apart(3, 20, 0)
     assert cluster(distances).n_clusters == 3
-    monkeypatch.setattr("cornercase.clustering._stability.Stability.of", lambda self, one, labels: 0.12)
+    monkeypatch.setattr(
+        "cornercase.clustering._stability.StabilityScorer.mean_rand_index", lambda self, one, labels: 0.12
+    )
     assert cluster(distances).n_clusters == 1
 
 

@@ -36,7 +36,7 @@ def courses(count, rng):
 @pytest.fixture
 def many(monkeypatch):
     monkeypatch.setattr(analyze_module, "MAX_ALL_PAIRS", 30)
-    monkeypatch.setattr(landmarks, "LANDMARKS", 24)
+    monkeypatch.setattr(landmarks, "N_LANDMARKS", 24)
 
 
 @pytest.fixture
@@ -145,7 +145,7 @@ def test_clusters_of_all_pairs_are_kept_when_there_are_many(path, monkeypatch):
 
 
 def test_what_does_not_fit_is_refused_ahead(path, many, monkeypatch):
-    monkeypatch.setattr(analyze_module, "_LOOKED_AT", 10)
+    monkeypatch.setattr(analyze_module, "_SAMPLED_RECORDINGS", 10)
     monkeypatch.setattr(analyze_module, "_BYTES_PER_SCENARIO", 10**9)
     with pytest.raises(InputError, match=r"scenarios need .* more than `memory` 1 GB"):
         analyze(path, memory="1 GB")

@@ -80,7 +80,9 @@ def simulated(logical, other, on_collision="stop", drivers=None):
     )
     values = logical.space.values(points)
     simulator = BuiltinSimulator(on_collision=on_collision, drivers=drivers or {})
-    return Told.of(ran(simulator, [logical.concrete(one) for one in values]), "Ego", other, logical.space, values)
+    return Told.of(
+        ran(simulator, [logical.concrete_scenario(one) for one in values]), "Ego", other, logical.space, values
+    )
 
 
 STUDIED = ["x_intersection", "t_intersection", "CPNCO", "CBFA", "CCCscp", "CBNA", "CPNA"]
@@ -108,7 +110,7 @@ def test_names_are_true_whatever_is_clustered_and_however_many_kinds_there_are(t
         require_true(told, fcluster(tree, kinds, "maxclust") - 1)
     # By a single column, as by an aspect; with noise; and by nothing.
     for name in ("nearest", "lowest speed", "duration"):
-        column = np.nan_to_num(told.account.traits[name], nan=-1.0)[:, None]
+        column = np.nan_to_num(told.account.features[name], nan=-1.0)[:, None]
         require_true(told, fcluster(linkage(pdist(column), "average"), 4, "maxclust") - 1)
     drawn = np.random.default_rng(0)
     require_true(told, np.where(drawn.random(SIZE) < 0.2, -1, fcluster(tree, 3, "maxclust") - 1))

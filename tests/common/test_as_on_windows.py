@@ -25,7 +25,7 @@ except ImportError:
 else:
     raise AssertionError("fcntl is there")
 
-from cornercase.simulators import start_simulator
+from cornercase.simulators._create import create_simulator
 from helpers import fake_simulators as fake_simulators
 from helpers.fake_simulators import Plan
 from cornercase.scenario import ConcreteScenario
@@ -34,7 +34,7 @@ from cornercase.scenario import ConcreteScenario
 def run(folder):
     plan = Plan(folder, {1: ["child"], 2: ["crash", "well"]})
     concretes = [ConcreteScenario(Path("none.xosc"), {"k": float(k)}) for k in range(4)]
-    with start_simulator("failing", {"plan": plan}, workers=2, timeout=2.0, retries=1) as simulator:
+    with create_simulator("failing", {"plan": plan}, workers=2, timeout=2.0, retries=1) as simulator:
         return [str(one) if isinstance(one, Exception) else int(one.x[0, 0]) for one in simulator.run(concretes)]
 
 

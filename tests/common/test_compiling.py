@@ -232,7 +232,7 @@ def test_a_full_disk_keeps_nobody_from_what_is_compiled(caplog, monkeypatch):
 
 
 COMPANION = """
-from cornercase._common.numba.kernel import companion, kernel
+from cornercase._common.numba.kernel import call_on_first_compilation, kernel
 @kernel()
 def one(x):
     return x + 1
@@ -240,7 +240,7 @@ def one(x):
 def two(x):
     return x + 2
 started = []
-with companion(lambda: started.append(1)):
+with call_on_first_compilation(lambda: started.append(1)):
     one(1), two(1)
 two(1.0)
 print(len(started))

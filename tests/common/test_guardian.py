@@ -17,15 +17,15 @@ from helpers.waiting import lives, until
 # Makes a folder, starts a child and a grandchild, and waits.
 PROGRAM = """
 import os, subprocess, sys, time
-from cornercase._common.process.reaper import Guardian
+from cornercase._common.process.reaper import Reaper
 
-guardian = Guardian()
-folder = guardian.new_folder()
+guardian = Reaper()
+folder = guardian.make_temporary_folder()
 (folder / "file").write_text("x")
 wait = [sys.executable, "-c", "import time; time.sleep(600)"]
 one = subprocess.Popen([sys.executable, "-c", f"import subprocess; subprocess.run({wait})"])
-guardian.watch(one.pid)
-with guardian.watch_all():
+guardian.watch_process(one.pid)
+with guardian.watch_new_processes():
     other = subprocess.Popen(wait, start_new_session=True)
 print(folder, one.pid, other.pid, flush=True)
 time.sleep(600)

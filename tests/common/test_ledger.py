@@ -122,7 +122,7 @@ def test_what_was_read_is_kept_however_the_elements_are_reached(read):
         room.get("size")
     del room
     assert _notices(root, path) == []
-    assert files.root(path) is root
+    assert files.get_root(path) is root
 
 
 def test_warnings_are_of_who_called(read):

@@ -15,8 +15,8 @@ from cornercase._common.io.locks import lock, try_lock
 HOLDER = """
 import sys, time
 from pathlib import Path
-from cornercase._common.io.locks import taken_lock
-lock = taken_lock(Path(sys.argv[1]))
+from cornercase._common.io.locks import try_lock
+lock = try_lock(Path(sys.argv[1]))
 print(lock is not None, flush=True)
 time.sleep(600)
 """
@@ -74,7 +74,7 @@ def test_a_thread_that_holds_a_lock_goes_on_and_others_wait(tmp_path):
 
 
 def test_a_holder_that_does_not_come_back_is_waited_for_once(tmp_path, monkeypatch):
-    monkeypatch.setattr(locks, "_LONGEST", 0.4)
+    monkeypatch.setattr(locks, "_TIMEOUT", 0.4)
     path, waited = tmp_path / "cornercase.lock", []
     stopped = try_lock(path)
     assert stopped is not None

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
+from cornercase._common import platform
 from cornercase._common.errors import InputError
 from cornercase._common.io.atomic import atomic_write_group
 from cornercase._common.io.files import atomic_write, portable_name
-from cornercase._common.process import platform
 from helpers.waiting import lives, until
 
 
@@ -86,7 +86,7 @@ def test_a_file_that_is_looked_at_for_a_moment_is_replaced_all_the_same(monkeypa
         replace(source, target)
 
     monkeypatch.setattr(platform, "_WINDOWS", True)
-    monkeypatch.setattr(platform, "_PAUSE", 0.0)
+    monkeypatch.setattr(platform, "_RETRY_DELAY", 0.0)
     monkeypatch.setattr(os, "replace", held)
     with atomic_write(tmp_path / "file.txt") as temporary:
         temporary.write_text("new")
@@ -135,8 +135,8 @@ def test_files_that_are_written_together_appear_together_or_not_at_all(tmp_path)
 
 KILLED_WRITER = """
 import os, sys
-from cornercase._common.io.files import written_whole
-with written_whole(sys.argv[1]) as temporary:
+from cornercase._common.io.files import atomic_write
+with atomic_write(sys.argv[1]) as temporary:
     temporary.with_name(temporary.name + "-journal").write_text("of SQLite")
     os.kill(os.getpid(), 9)
 """
@@ -197,8 +197,8 @@ def test_names_of_files_are_such_as_every_platform_takes(text, name):
 
 def test_output_in_a_narrow_encoding_loses_a_character_rather_than_the_program():
     program = """
-from cornercase._common.process.platform import forgive_narrow_output
-forgive_narrow_output()
+from cornercase._common.platform import replace_unencodable_output
+replace_unencodable_output()
 print("m/s² ≥ π")
 """
     done = subprocess.run(
@@ -211,8 +211,8 @@ print("m/s² ≥ π")
 def test_a_worker_is_not_ended_by_the_ctrl_c_of_the_terminal():
     program = """
 import os, signal
-from cornercase._common.process.platform import leave_terminal
-leave_terminal()
+from cornercase._common.platform import detach_from_terminal
+detach_from_terminal()
 signal.raise_signal(signal.SIGINT)
 print("still here", os.getsid(0) == os.getpid() if hasattr(os, "setsid") else True)
 """

@@ -42,11 +42,11 @@ CHEAP = ("check", "convert", "measure", "metrics", "simulate", "simulators")
 # Options of other programs, and names that are no module's: files, and a property in OpenSCENARIO.
 EXTERNAL = {"--frameRate", "--csv_logger", "--dashboard-address", "--fcd-output", "--nthreads", "--resources"}
 NO_MODULES = {
-    "cornercase.n_aspects",
+    "cornercase.aspects",
     "cornercase.db",
     "cornercase.displays",
     "cornercase.driver",
-    "cornercase.random_features",
+    "cornercase.features",
     "cornercase.lock",
     "cornercase.log",
     "cornercase.xosc",
@@ -244,7 +244,7 @@ def test_the_names_that_are_named_exist():
 
 def own_names(registry: Any) -> list[str]:
     """Names of what is cornercase's own; other tests register parts of theirs."""
-    factories = {name: registry.factory(name) for name in registry.names()}
+    factories = {name: registry.get_factory(name) for name in registry.names()}
     return [name for name, one in factories.items() if getattr(one, "func", one).__module__.startswith("cornercase.")]
 
 

@@ -26,7 +26,7 @@ CASES = [(file, name) for file in FILES for name in NAMES.values() if file == "c
 
 
 def rows_of(file, name):
-    rows = pd.read_recording_csv(ROOT / "tests" / "data" / "r157" / f"{file}.csv")
+    rows = pd.read_csv(ROOT / "tests" / "data" / "r157" / f"{file}.csv")
     return rows[rows.model.map(NAMES) == name].reset_index(drop=True)
 
 

@@ -51,7 +51,7 @@ def sets_of_series(draw, dims):
 
 
 costs = st.sampled_from(["euclidean", "squared"])
-windows = st.require_one_of(st.none(), st.integers(1, 12))
+windows = st.one_of(st.none(), st.integers(1, 12))
 
 
 def check(series, found, local_cost, window, **tolerance):
@@ -132,9 +132,11 @@ def test_a_process_that_finds_the_compiled_kernels_gives_the_same(tmp_path):
     options, rng = ALL, np.random.default_rng(1)
     series = [rng.integers(-5, 6, size=rng.integers(1, 9)).tolist() for _ in range(9)]
     program = (
-        "import json, sys; from cornercase.dtw import cpu, distance_matrix; series, options = json.load(sys.stdin); "
+        "import json, sys; from cornercase.dtw import _cpu as cpu, distance_matrix; "
+        "series, options = json.load(sys.stdin); "
         "m = [distance_matrix(series, local_cost=c, window=w).tolist() for c, w in options + options]; "
-        "hits = sum(sum(cpu._kernel(1, c == 'squared', w is not None, 8).stats.cache_hits.values()) for c, w in options); "
+        "kernels = [cpu._tile_kernel(1, c == 'squared', w is not None, 8) for c, w in options]; "
+        "hits = sum(sum(one.stats.cache_hits.values()) for one in kernels); "
         "print(json.dumps([hits, m]))"
     )
     ended = [
@@ -289,7 +291,7 @@ def cells_computed(monkeypatch):
         counted.append(pairs.count_cells(rows, columns))
         return run(rows, columns, **options)
 
-    monkeypatch.setattr(cpu, "distances", counting)
+    monkeypatch.setattr(cpu, "compute_distances_on_cpu", counting)
     return counted
 
 
@@ -365,7 +367,7 @@ def test_narrow_registers_give_the_same_bits(tmp_path):
     rng = np.random.default_rng(8)
     series = [rng.normal(size=(length, 2)).tolist() for length in (13, 1, 8, 20, 5)]
     program = (
-        "import json, sys; from cornercase.dtw import simd; simd._INTEGER_MINIMUM = False; "
+        "import json, sys; from cornercase.dtw import _simd as simd; simd._INTEGER_MINIMUM = False; "
         "from cornercase.dtw import distance_matrix; "
         "print(json.dumps(distance_matrix(json.load(sys.stdin), window=6).tolist()))"
     )

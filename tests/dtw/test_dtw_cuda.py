@@ -17,7 +17,7 @@ from cornercase.dtw import distance_matrix, distances_to
 SIMULATED = """
 import json, sys
 import numpy as np
-from cornercase.dtw import cuda, distance_matrix, distances_to
+from cornercase.dtw import _cuda as cuda, distance_matrix, distances_to
 cuda.THREADS = 4
 cuda.ROW_BYTES = 2000  # so that one matrix takes several launches
 rng = np.random.default_rng(0)

@@ -61,7 +61,7 @@ def test_goes_on_after_being_killed(tmp_path, monkeypatch):
     path = tmp_path / "matrix.npy"
     np.savez(tmp_path / "series.npz", *series)
     program = (
-        "import itertools, sys, time, numpy as np; from cornercase.dtw import disk, distance_matrix, pairs; "
+        "import itertools, sys, time, numpy as np; from cornercase.dtw import _disk as disk, distance_matrix; "
         f"disk.SIDE = {SIDE}; stored = np.load(sys.argv[1]); number, check = itertools.count(), disk._checksum; "
         # It waits to be killed before it records the eighth square.
         "disk._checksum = lambda square: (time.sleep(600 * (next(number) == 7)), check(square))[1]; "
@@ -92,7 +92,7 @@ def test_goes_on_after_being_killed(tmp_path, monkeypatch):
         computed.append(1)
         return alone(*given)
 
-    monkeypatch.setattr(pairs, "distances", counted)
+    monkeypatch.setattr(pairs, "compute_distances", counted)
     resumed = distance_matrix(series, out=path, resume=True)
     assert len(computed) == 32 * 33 // 2 - len(set(squares))
     assert np.array_equal(resumed, whole)
@@ -207,7 +207,7 @@ def test_space_is_taken_before_it_is_written_into(tmp_path, monkeypatch):
         return computed(*given)
 
     computed = pairs.compute_distances
-    monkeypatch.setattr(pairs, "distances", distances)
+    monkeypatch.setattr(pairs, "compute_distances", distances)
     distance_matrix(random_walks(200), out=path)
     assert taken[0] >= path.stat().st_size
 

@@ -19,7 +19,7 @@ def sets_of_series(draw):
     return [np.cumsum(rng.normal(size=(length, dims)), axis=0) for length in lengths]
 
 
-windows = st.require_one_of(st.none(), st.integers(1, 12))
+windows = st.one_of(st.none(), st.integers(1, 12))
 
 
 @settings(max_examples=examples(60), deadline=None)
@@ -49,7 +49,9 @@ def test_tslearn(series, window):
 def scenarios(t_intersection):
     """Ego trajectories and metric courses of simulated scenarios."""
     points = t_intersection.space.snap(np.random.default_rng(2).random((6, 3)))
-    recordings = ran(BuiltinSimulator(), [t_intersection.concrete(one) for one in t_intersection.space.values(points)])
+    recordings = ran(
+        BuiltinSimulator(), [t_intersection.concrete_scenario(one) for one in t_intersection.space.values(points)]
+    )
     metric = METRICS.create("distance")
     return [(one.box_center("Ego"), metric.clip_course(metric.course(one, "Ego", "C"))[:, None]) for one in recordings]
 

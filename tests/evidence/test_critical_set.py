@@ -19,7 +19,12 @@ TRUE = two_regions(EVERYWHERE) <= THRESHOLD
 
 
 def estimates(known):
-    return known.share, known.missed, known.overlooked(), known.unvisited()
+    return (
+        known.critical_fraction,
+        known.missed_fraction,
+        known.p_overlooked_region(),
+        known.unexplored_fraction(),
+    )
 
 
 def slab(points):

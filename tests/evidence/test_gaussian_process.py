@@ -34,7 +34,7 @@ def drawn(count: int, seed: int):
 def told(kernel: MaternKernel, known, places):
     """Mean and variance at points."""
     cross = kernel.covariance(places, known.points)
-    return cross @ known.weights, kernel.signal**2 - ((cross @ known.inverse.T) ** 2).sum(axis=1)
+    return cross @ known.weights, kernel.signal**2 - ((cross @ known.inverse_factor.T) ** 2).sum(axis=1)
 
 
 def same(kernel, a, b, places):
@@ -60,7 +60,7 @@ def test_taking_values_in_step_by_step_is_taking_them_all_at_once(kernel, first,
 def test_so_it_is_where_some_points_stand_for_all(kernel, first, second, third, seed):
     points, values = drawn(first + second + third, seed)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(posterior_module, "MOST_EXACT", 64)
+        patch.setattr(posterior_module, "MAX_EXACT_VALUES", 64)
         start = SparsePosterior(kernel, points[:first], values[:first])
     middle = first + second
     steps = start.with_more_values(points[first:middle], values[first:middle]).with_more_values(
@@ -76,7 +76,7 @@ def test_points_that_stand_for_all_make_the_process_of_the_equations(kernel, cou
     """Snelson and Ghahramani's, with matrices as large as there are values."""
     points, values = drawn(count, seed)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(posterior_module, "MOST_EXACT", 64)
+        patch.setattr(posterior_module, "MAX_EXACT_VALUES", 64)
         found = SparsePosterior(kernel, points, values)
     places = EVERYWHERE[:50, :2]
     prior = kernel.covariance(found.points, found.points) + 1e-7 * kernel.signal**2 * np.eye(64)
@@ -97,7 +97,7 @@ def test_points_that_stand_for_all_make_the_process_of_the_equations(kernel, cou
 def test_points_that_stand_for_all_tell_nearly_as_much(monkeypatch):
     points = qmc.Sobol(3, seed=4).random(1024)
     few = CriticalSet(CUBE, points, two_regions(points), THRESHOLD)
-    monkeypatch.setattr(posterior_module, "MOST_EXACT", 2000)
+    monkeypatch.setattr(posterior_module, "MAX_EXACT_VALUES", 2000)
     every = CriticalSet(CUBE, points, two_regions(points), THRESHOLD)
     true = two_regions(EVERYWHERE) <= THRESHOLD
     wrong = [(known.predict(EVERYWHERE) != true).mean() for known in (few, every)]

@@ -101,15 +101,19 @@ def fresh(one):
 def explored(path, one, simulator=None, optimizer=None):
     """Start or resume an exploration without rounds."""
     objective = Objective([METRICS.create("distance")])
-    with Study.open(path, readonly=False) if path.exists() else Study.create(path, one.meta(objective, {})) as study:
-        study.writer.resume(one.meta(objective, {}))
+    with (
+        Study.open(path, readonly=False)
+        if path.exists()
+        else Study.create(path, one.make_study_meta(objective, {})) as study
+    ):
+        study.writer.resume(one.make_study_meta(objective, {}))
         searching = fresh(one) if optimizer is None else optimizer
         return AsynchronousExplorer(one, simulator or Synthetic(), searching, study, objective).run()
 
 
 def proposed_again(path, one):
     objective = Objective([METRICS.create("distance")])
-    return verify_proposals(path, one.meta(objective, {}), objective, fresh(one))
+    return verify_proposals(path, one.make_study_meta(objective, {}), objective, fresh(one))
 
 
 def contents(path):
@@ -283,7 +287,7 @@ def test_a_study_of_rounds_stays_one_and_is_proposed_again_too(tmp_path):
     with sqlite3.connect(path) as connection:
         assert not connection.execute("SELECT * FROM meta WHERE key = 'asynchronous'").fetchall()
         assert not connection.execute("SELECT * FROM sqlite_master WHERE name = 'results'").fetchall()
-    with pytest.raises(InputError, match="another kind of search, in rounds or asynchronous"):
+    with pytest.raises(InputError, match=r"another mode of search \(in rounds or asynchronous\)"):
         explore_config(replace(one, asynchronous=True), path)
     options: dict[str, Any] = {"ego": one.ego, "other": one.other, "metrics": one.metrics, "budget": 24, "seed": 1}
     options["critical"] = one.critical

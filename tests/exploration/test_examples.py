@@ -29,14 +29,14 @@ def test_examples_are_valid_openscenario(name):
 
 def sample(logical, simulator, size):
     points = logical.space.snap(qmc.Sobol(3, rng=np.random.default_rng(1)).random(size))
-    return points, ran(simulator, [logical.concrete(one) for one in logical.space.values(points)])
+    return points, ran(simulator, [logical.concrete_scenario(one) for one in logical.space.values(points)])
 
 
 def outcome(recording, other):
     """Return who is first where their paths cross: the ego, the other, or a collision."""
     if recording.first_collision("Ego", other) is not None:
         return "collision"
-    a, b = recording.center("Ego"), recording.center(other)
+    a, b = recording.box_center("Ego"), recording.box_center(other)
     gaps = np.hypot(*(a[:, None] - b[None]).transpose(2, 0, 1))
     i, j = np.unravel_index(np.argmin(gaps), gaps.shape)
     return "ego first" if i < j else "other first"
@@ -56,7 +56,7 @@ def test_speed_of_the_car_has_next_to_no_influence_on_the_x_intersection(x_inter
     a, b = base[:, :3], base[:, 3:]
     mixed = [np.where(np.arange(3) == j, b, a) for j in range(3)]
     points = np.concatenate([a, *mixed])
-    concretes = [x_intersection.concrete(one) for one in x_intersection.space.values(points)]
+    concretes = [x_intersection.concrete_scenario(one) for one in x_intersection.space.values(points)]
     courses = [metric.course(one, "Ego", "Pedestrian") for one in ran(BuiltinSimulator(), concretes)]
     scores = np.array([metric.score(course) for course in courses])
     f, others = scores[:size], scores[size:].reshape(3, size)

@@ -86,7 +86,7 @@ WRONG = {
     "timeout": ("4", NAN, 0),
     "retries": ("4", 1.5),
     "repeats": ("4", 1.5),
-    "most_repeats": ("4", 1.5, 0, True),
+    "max_repeats": ("4", 1.5, 0, True),
     "time_step": ("4", None, NAN),
     "duration": ("4", None, NAN),
     "on_collision": (None, 3, "stopp"),

@@ -105,7 +105,7 @@ def test_a_study_that_is_being_written_is_replayed_as_it_is_at_one_moment(tmp_pa
     searched(tmp_path / "growing.db")
     oriented_of = Objective.minimized_scores
     monkeypatch.setattr(Objective, "minimized_scores", go_on)
-    found = searched(tmp_path / "growing.db", replay=True)
+    found = searched(tmp_path / "growing.db", check_proposals=True)
     assert (found.reproducible, found.done) == (True, 20)
 
 
@@ -144,12 +144,12 @@ def test_what_cannot_be_begun_from_is_refused_and_leaves_nothing(tmp_path, other
         "was not searched for the condition 'collision'; use a study with the same `critical_if`": {
             "critical_if": "collision"
         },
-        "there is no such study": {"from_study": tmp_path / "missing.db"},
+        "there is no such study": {"warm_start": tmp_path / "missing.db"},
         "10 with different scores are needed": {"logical": LogicalScenario.read(X, SPACE, ["ego_start=80:90"])},
     }
     for words, more in cases.items():
         with pytest.raises(InputError, match=words):
-            searched(new, **{"critical": None if "critical_if" in more else 0.5, "from_study": other} | more)
+            searched(new, **{"critical": None if "critical_if" in more else 0.5, "warm_start": other} | more)
         assert not new.exists()
     with pytest.raises(InputError, match="has no parameter"):
         searched(new, warm_start=_of(fewer, tmp_path))
@@ -166,7 +166,7 @@ def test_another_study_to_begin_from_is_another_search(tmp_path, other):
     with pytest.raises(InputError, match="another warm start"):
         searched(tmp_path / "new.db", warm_start=tmp_path / "third.db", budget=30)
     with pytest.raises(InputError, match="another warm start"):
-        searched(tmp_path / "new.db", warm_start=tmp_path / "third.db", replay=True)
+        searched(tmp_path / "new.db", warm_start=tmp_path / "third.db", check_proposals=True)
     with Study.open(tmp_path / "new.db", readonly=False) as study:
         assert len(study.finished_rows()) == 20
 
@@ -204,8 +204,8 @@ def test_on_the_command_line(tmp_path, other):
 
 def test_it_is_replayed_and_goes_without_rounds(tmp_path, other):
     searched(tmp_path / "new.db", warm_start=other, budget=16, batch=8, asynchronous=True)
-    found = searched(tmp_path / "new.db", budget=16, batch=8, asynchronous=True, replay=True)
+    found = searched(tmp_path / "new.db", budget=16, batch=8, asynchronous=True, check_proposals=True)
     assert found.reproducible
     assert searched(
-        tmp_path / "new.db", warm_start=other, budget=16, batch=8, asynchronous=True, replay=True
+        tmp_path / "new.db", warm_start=other, budget=16, batch=8, asynchronous=True, check_proposals=True
     ).reproducible

@@ -85,14 +85,14 @@ class Wavering(Simulator):
 
 
 def about(**more):
-    given = {"critical": THRESHOLD, "budget": 24, "batch": 8, "repeats": REPEATS, "most_repeats": MOST} | more
+    given = {"critical": THRESHOLD, "budget": 24, "batch": 8, "repeats": REPEATS, "max_repeats": MOST} | more
     return ExplorationConfig(
         LOGICAL, "Ego", "B", ("distance",), optimizer="sobol", simulator="wavering", seed=3, **given
     )
 
 
 def explored(path, one, simulator):
-    meta = one.meta(one.objective(), {})
+    meta = one.make_study_meta(one.make_objective(), {})
     optimizer = create_optimizer("sobol", SPACE, 3, threshold=THRESHOLD, budget=one.budget)
     kind = AsynchronousExplorer if one.asynchronous else ScenarioExplorer
     with Study.open(path, readonly=False) if path.exists() else Study.create(path, meta) as study:
@@ -212,7 +212,7 @@ def test_without_rounds_each_scenario_is_run_as_often(study, tmp_path):
 
 
 def test_as_many_as_each_is_run_is_as_if_nothing_was_given(tmp_path):
-    plain, same = about(most_repeats=None), about(most_repeats=REPEATS)
+    plain, same = about(max_repeats=None), about(max_repeats=REPEATS)
     assert plain == same
     explored(tmp_path / "s.db", same, Wavering())
     with Study.open(tmp_path / "s.db") as opened:
@@ -239,7 +239,7 @@ def test_it_is_said_wherever_the_repeats_are(study, tmp_path):
 
 def test_a_study_is_run_again_as_it_was(tmp_path):
     one = replace(
-        paper_experiment_config("t-intersection", budget=2, seed=1), optimizer="sobol", repeats=2, most_repeats=5
+        paper_experiment_config("t-intersection", budget=2, seed=1), optimizer="sobol", repeats=2, max_repeats=5
     )
     path = tmp_path / "s.db"
     given: dict[str, Any] = {
@@ -260,11 +260,11 @@ def test_a_study_is_run_again_as_it_was(tmp_path):
 @pytest.mark.parametrize(
     ("given", "words"),
     [
-        ({"most_repeats": 3}, "`most_repeats` 3: is less than `repeats` 5"),
-        ({"repeats": 1}, "`most_repeats` 17: .* set `repeats` to 2 or more"),
-        ({"repeats": 3, "most_repeats": 4}, "`most_repeats` 4: fewer than 5 runs never decide a scenario"),
+        ({"max_repeats": 3}, "`max_repeats` 3: is less than `repeats` 5"),
+        ({"repeats": 1}, "`max_repeats` 17: .* set `repeats` to 2 or more"),
+        ({"repeats": 3, "max_repeats": 4}, "`max_repeats` 4: fewer than 5 runs never decide a scenario"),
         ({"critical": None}, "no default threshold; give one with `critical`"),
-        ({"critical": None, "critical_if": "collision", "repeats": 1}, "leave `most_repeats` out"),
+        ({"critical": None, "critical_if": "collision", "repeats": 1}, "leave `max_repeats` out"),
         ({"critical": None, "weights": {"distance": 1.0}}, "leave out `weights`"),
         ({"critical": None, "metrics": ("distance", "wttc"), "pareto": True}, "leave out `pareto`"),
     ],
@@ -278,7 +278,7 @@ def test_what_makes_no_sense_is_refused_before_there_is_a_study(tmp_path, given,
         "optimizer": "evolutionary",
         "budget": 2,
     }
-    options |= {"critical": THRESHOLD, "repeats": REPEATS, "most_repeats": MOST} | given
+    options |= {"critical": THRESHOLD, "repeats": REPEATS, "max_repeats": MOST} | given
     with pytest.raises(InputError, match=words):
         explore(one.logical, tmp_path / "s.db", **options)
     assert not list(tmp_path.iterdir())
@@ -290,4 +290,4 @@ def test_the_command_names_its_options():
     words += ["--metric", "wttc", "--max-repeats", "9", "-o", "never.db"]
     ended = CliRunner().invoke(app, [str(one) for one in words])
     assert isinstance(ended.exception, InputError)
-    assert "`most_repeats` 9" in str(ended.exception)
+    assert "`max_repeats` 9" in str(ended.exception)

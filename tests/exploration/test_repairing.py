@@ -105,7 +105,7 @@ def test_what_does_not_fit_into_memory_is_said_before(damaged, monkeypatch):
 def meanwhile(monkeypatch):
     """Run an action while scenarios are run again, or before another step of the repair."""
 
-    def let(action, step="configured_simulator"):
+    def let(action, step="simulator_from_config"):
         plain = getattr(repair, step)
 
         def after_action(*given):
@@ -114,7 +114,7 @@ def meanwhile(monkeypatch):
 
         monkeypatch.setattr(repair, step, after_action)
 
-    for patience in ("database._PATIENCE_BESIDE", "held_file._PATIENCE"):
+    for patience in ("_database._NOTE_TIMEOUT", "_recovery.file_lock._LOCK_TIMEOUT"):
         monkeypatch.setattr(f"cornercase.study.{patience}", 0.1)
     return let
 
@@ -146,12 +146,12 @@ def test_42_s3_nobody_writes_to_a_study_while_it_is_repaired(whole, damaged, mea
     assert sorted(one.name for one in damaged.parent.iterdir()) == ["s.db", "s.db.damaged"]
 
 
-@pytest.mark.parametrize("step", ["rebuild", "_require_runnable"])
+@pytest.mark.parametrize("step", ["rebuild_study", "_require_repeatable_search"])
 def test_42_s3_a_note_that_is_written_while_a_damaged_study_is_read_stays(damaged, meanwhile, step):
     written = []
 
     def write():
-        if step == "rebuild":
+        if step == "rebuild_study":
             write_note(damaged, 1, "brakes late")
         else:
             with pytest.raises(InputError):
@@ -161,7 +161,7 @@ def test_42_s3_a_note_that_is_written_while_a_damaged_study_is_read_stays(damage
     meanwhile(write, step)
     result = repaired(damaged)
     assert written
-    if step == "rebuild":
+    if step == "rebuild_study":
         assert result.returncode == 2
         assert f"{damaged}: was written to during the repair, so nothing was replaced" in result.stderr
         with Study.open(damaged) as study:
@@ -220,7 +220,7 @@ def test_42_s3_what_is_put_in_place_of_a_study_while_it_is_repaired_stays(whole,
         assert contents(damaged) == contents(whole)
 
 
-@pytest.mark.parametrize("step", ["configured_simulator", "_still_other", "_keep"])
+@pytest.mark.parametrize("step", ["simulator_from_config", "_describe_changed_tables", "_keep_damaged_file"])
 def test_42_s3_an_interrupted_repair_leaves_the_study_as_it_was(damaged, meanwhile, step):
     before = damaged.read_bytes()
 
@@ -245,7 +245,7 @@ def test_42_s3_who_waited_for_a_study_that_was_replaced_does_not_write_to_the_ea
         os.replace(other, damaged)
         return plain(path, connection)
 
-    monkeypatch.setattr(Lease, "take", replaced_before)
+    monkeypatch.setattr(Lease, "acquire", replaced_before)
     with pytest.raises(InputError, match="was replaced by another file just now"):
         Study.open(damaged, readonly=False)
     with closing(sqlite3.connect(damaged.with_name("s.db.damaged"))) as connection:

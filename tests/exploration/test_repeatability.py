@@ -205,7 +205,7 @@ def test_42_6_a_second_run_that_fails_is_told(explore, monkeypatch):
 
 def test_42_6_it_is_tried_once_and_also_when_a_search_goes_on(explore, monkeypatch):
     runs = []
-    monkeypatch.setattr(Steady, "max_spacing", lambda simulator: runs.append(simulator.runs))
+    monkeypatch.setattr(Steady, "close", lambda simulator: runs.append(simulator.runs))
     path = explore("s.db", simulator="steady-simulator", budget=4)
     explore("s.db", simulator="steady-simulator", budget=6)
     assert runs == [5, 2]
@@ -236,7 +236,7 @@ def test_42_6_any_number_of_workers_gives_the_same_study(explore):
 def test_42_6_runs_of_suites_are_tried_too(explore, tmp_path, x_intersection):
     path = explore("s.db", drivers={"Ego": "normal"})
     cc.analyze(path)
-    cc.reduce(path, tmp_path / "set", scenario=x_intersection.scenario)
+    cc.reduce(path, tmp_path / "set", scenario=x_intersection.scenario_file)
     cc.run_suite(tmp_path / "set", tmp_path / "a.db", drivers={"Ego": Seeded()})
     cc.run_suite(tmp_path / "set", tmp_path / "b.db", drivers={"Ego": Dice()})
     assert tried(tmp_path / "a.db")["same"]

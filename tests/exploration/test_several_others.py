@@ -54,7 +54,7 @@ def study(scenario, tmp_path_factory):
 
 
 def touched(study, name):
-    recordings = [study.recording(row.id) for row in study.done()]
+    recordings = [study.recording(row.id) for row in study.finished_rows()]
     return [one.first_collision("Ego", name) is not None for one in recordings]
 
 

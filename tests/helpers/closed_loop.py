@@ -96,8 +96,8 @@ class Run:
             self.touched |= boxes_overlap(ego[:, None], boxes)
             a = driver.acceleration(situation)
             rows.append((s, v, a))
-            known.append(getattr(driver, "known", np.zeros((scenarios, len(others)), bool)).copy())
-            yielding.append(getattr(driver, "yielding", known[-1]).copy())
+            known.append(getattr(driver, "known_mask", np.zeros((scenarios, len(others)), bool)).copy())
+            yielding.append(getattr(driver, "yielding_mask", known[-1]).copy())
             v = v + a * DT
             s = s + v * DT
         # Each (instants, scenarios).

@@ -67,7 +67,7 @@ from cornercase.cli import main
 from cornercase.study._writer import StudyWriter
 
 flag, count, sys.argv[1:] = pathlib.Path(sys.argv[1]), int(sys.argv[2]), sys.argv[3:]
-number, finish = itertools.count(1), StudyWriter.finish
+number, finish = itertools.count(1), StudyWriter.record_result
 
 def finish_and_wait(*given, **more):
     finish(*given, **more)
@@ -75,7 +75,7 @@ def finish_and_wait(*given, **more):
         flag.touch()
         time.sleep(600)
 
-StudyWriter.finish = finish_and_wait
+StudyWriter.record_result = finish_and_wait
 # As a job in the background the process would inherit that the signal is ignored.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 main()

@@ -89,7 +89,7 @@ def _drive(network: RoadNetwork, r: int, section: int, lane: int) -> DrivenLane:
     middle = 0.5 * (start + end)
     path = network.lane_path_from(r, lane, middle, network.is_traffic_forward(r, lane, middle))
     assert path is not None
-    for name in ("x", "y", "heading", "reference"):
+    for name in ("x", "y", "heading", "reference_distance"):
         assert np.isfinite(getattr(path, name)).all(), f"{name} is not finite"
     track = LaneTrack(path)
     begin, until = path.lane_span

@@ -11,7 +11,7 @@ import cornercase
 
 FUNCTIONS = (
     "analyze", "check", "compare", "convert", "estimate", "explore", "import_recordings", "measure", "read_recording", "reduce", "replay", "simulate",
-    "simulate_many", "summarize", "test", "watch", "write_report",
+    "run_suite", "simulate_many", "summarize", "watch", "write_report",
 )  # fmt: skip
 TYPES = (
     "Analysis", "Check", "Comparison", "ConcreteScenario", "Conversion", "Driver", "Estimation", "ExplorationResult", "ImportResult", "LogicalScenario",

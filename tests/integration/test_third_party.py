@@ -25,7 +25,7 @@ class SpeedDifference(Metric):
     lower_is_critical, cap = False, 0.0
 
     def course(self, recording, ego, other):
-        return np.abs(recording.speed[recording.index(ego)] - recording.speed[recording.index(other)])
+        return np.abs(recording.speed[recording.entity_index(ego)] - recording.speed[recording.entity_index(other)])
 
 
 class Pace(Aspect):
@@ -34,7 +34,7 @@ class Pace(Aspect):
     name, unit = "pace", "m/s^2"
 
     def series(self, recording, ego, other):
-        return recording.acceleration[recording.index(ego)][:, None]
+        return recording.acceleration[recording.entity_index(ego)][:, None]
 
 
 class Vigour(FeatureGroup):
@@ -42,14 +42,14 @@ class Vigour(FeatureGroup):
 
     name, features = "vigour", (Feature("highest-acceleration", "m/s²"),)
 
-    def values(self, meeting):
-        return np.array([np.nanmax(meeting.recording.acceleration[meeting.ego_row], initial=0.0)])
+    def values(self, encounter):
+        return np.array([np.nanmax(encounter.recording.acceleration[encounter.ego_row], initial=0.0)])
 
 
 class Diagonal(Optimizer):
     """Goes along the diagonal of the space, as long as it is told how vigorous the ego is."""
 
-    name, needs = "diagonal", frozenset({"budget", "features"})
+    name, requires = "diagonal", frozenset({"budget", "features"})
 
     def __init__(self, space, seed, budget, features, begin=0.0):
         self.points = np.linspace(begin, 1.0, budget)[:, None] * np.ones(space.dimension)

@@ -193,7 +193,7 @@ class Broken(FeatureGroup):
 
 
 def test_a_group_that_gives_something_else_is_refused(monkeypatch):
-    monkeypatch.setattr(FEATURES, "_factories", {**FEATURES._factories, "find_violations": (Broken, {})})
+    monkeypatch.setattr(FEATURES, "_factories", {**FEATURES._factories, "broken": (Broken, {})})
     with pytest.raises(InputError, match=r"'broken' returned \[1\.0\]"):
         compute_features([meeting()], "Ego", "B")
     with pytest.raises(InputError, match="no entity 'C'"):

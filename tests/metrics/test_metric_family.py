@@ -268,7 +268,7 @@ def test_at_contact_no_braking_or_steering_is_enough_and_beside_none_is_asked_fo
     assert math.isnan(now(metric, FOLLOWER, BESIDE))
     assert math.isnan(now(metric, FOLLOWER, BEHIND))
     course = metric.course(recorded([FOLLOWER, TOUCHING], [0.0]), "0", "1")
-    assert metric.capped(course)[0] == metric.most_critical == metric.score(course)
+    assert metric.clip_course(course)[0] == metric.bound == metric.score(course)
 
 
 def test_deceleration_to_safety_time_is_infinite_where_the_time_gap_is_gone():
@@ -343,7 +343,7 @@ def test_closest_encounter_is_the_smallest_gap_on_the_way(scene):
     gaps, times = Dce().course(scene, "0", "1"), Ttce().course(scene, "0", "1")
     same(np.isfinite(Ttc().course(scene, "0", "1")), gaps == 0.0)
     for t in (0, 11):
-        centers = [scene.center(name)[t] for name in ("0", "1")]
+        centers = [scene.box_center(name)[t] for name in ("0", "1")]
         heading, speed = scene.heading[:, t], scene.speed[:, t]
         way = np.stack([speed * np.cos(heading), speed * np.sin(heading)], -1)
 

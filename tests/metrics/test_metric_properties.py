@@ -50,10 +50,10 @@ def test_the_order_in_the_recording_does_not_matter(scene):
     turned = replace(
         scene,
         names=scene.names[::-1],
-        kinds=scene.kinds[::-1],
+        object_types=scene.object_types[::-1],
         **{k: getattr(scene, k)[::-1].copy() for k in columns},
     )
-    assert turned.index("0") == n - 1
+    assert turned.entity_index("0") == n - 1
     for metric in (
         *PAIRWISE,
         TrafficQuality("all"),
@@ -108,7 +108,7 @@ def test_worst_time_to_collision_is_the_shorter_one_and_zero_where_circles_touch
 def test_ttc_is_zero_at_contact_and_takes_at_least_the_gap_over_the_relative_speed(scene):
     boxes = [
         box_corners(x, y, scene.heading[i], scene.length[i], scene.width[i])
-        for i, (x, y) in enumerate(scene.center(name).T for name in scene.names)
+        for i, (x, y) in enumerate(scene.box_center(name).T for name in scene.names)
     ]
     gap, ttc = box_distance(boxes[0], boxes[1]), Ttc().course(scene, "0", "1")
     forward = scene.speed[:2, :, None] * np.stack([np.cos(scene.heading[:2]), np.sin(scene.heading[:2])], -1)
@@ -134,7 +134,7 @@ def test_trajectory_distance_falls_by_the_ways_driven_and_ends_when_one_has_pass
     course = TrajectoryDistance().course(scene, "0", "1")
     known = ~np.isnan(course)
     assert (course[known] >= Distance().course(scene, "0", "1")[known] - 1e-5).all()
-    driven = sum(np.linalg.norm(np.diff(scene.center(name), axis=0), axis=-1) for name in ("0", "1"))
+    driven = sum(np.linalg.norm(np.diff(scene.box_center(name), axis=0), axis=-1) for name in ("0", "1"))
     left = np.diff(course)
     together = ~np.isnan(left)
     # Passing one of several crossings makes the value jump up to the next, never further down.

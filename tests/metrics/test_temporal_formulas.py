@@ -75,7 +75,7 @@ comparisons = st.builds(
     lambda name, relation, bound: f"({name} {relation} {bound})",
     st.sampled_from(sorted(SIGNALS)), st.sampled_from(["<", "<=", ">", ">="]), numbers,
 )  # fmt: skip
-intervals = st.require_one_of(
+intervals = st.one_of(
     st.just(""), st.tuples(st.integers(0, 14), st.integers(0, 14)).map(lambda p: f"[{100 * min(p)}ms:{100 * max(p)}ms]")
 )
 
@@ -84,7 +84,7 @@ def nested(inner):
     one = st.tuples(st.sampled_from(["always", "eventually"]), intervals, inner).map(lambda p: f"({p[0]}{p[1]} {p[2]})")
     two = st.tuples(inner, st.sampled_from(["and", "or", "->"]), inner).map(lambda p: f"({p[0]} {p[1]} {p[2]})")
     lasting = st.tuples(inner, intervals, inner).map(lambda p: f"({p[0]} until{p[1]} {p[2]})")
-    return st.require_one_of(one, two, lasting, inner.map(lambda text: f"(not {text})"))
+    return st.one_of(one, two, lasting, inner.map(lambda text: f"(not {text})"))
 
 
 formulas = st.recursive(comparisons, nested, max_leaves=6).map(lambda text: f"always[0:0]({text})")

@@ -257,7 +257,7 @@ def test_what_is_asked_for_hangs_on_what_was_told_not_on_what_was_asked_or_on_th
 def test_a_model_is_learned_anew_with_ten_more_scores_or_a_share(name, most, monkeypatch):
     learned: list[int] = []
     optimizer = MODELS[name]()
-    original = optimizer._learn
+    original = optimizer._fit_model
 
     def learn(points, scores, seed):
         learned.append(len(points))

@@ -9,7 +9,7 @@ from cornercase.optimizers._random_features import RandomFeatureProcess
 
 def posterior(process, points):
     """Mean and variance at points, by the textbook formula of a linear model (Rasmussen and Williams, 2.11)."""
-    noise, at = process._noise, process.features(points)
+    noise, at = process._noise, process.random_features(points)
     covariance = np.linalg.inv(process._gram / noise**2 + np.eye(len(process._moment)))
     return at @ covariance @ process._moment / noise**2, np.einsum("ij,jk,ik->i", at, covariance, at)
 

@@ -201,7 +201,7 @@ def test_collisions_are_kept_where_the_simulators_clock_differs_in_the_last_digi
 def test_a_table_has_the_rows_and_columns_of_the_csv(tmp_path):
     one = recording()
     one.to_csv(tmp_path / "one.csv")
-    written = pandas.read_recording_csv(
+    written = pandas.read_csv(
         tmp_path / "one.csv", keep_default_na=False, na_values="nan", float_precision="round_trip"
     )
     table = one.to_dataframe()

@@ -12,8 +12,8 @@ from cornercase._common.errors import InputError
 from cornercase.reduction._coverage import measure_coverage
 from cornercase.reduction._hulls import find_convex_hull, find_hull_archetypes
 from cornercase.reduction._medoids import find_prototype
+from cornercase.reduction._selection_state import Selected
 from cornercase.reduction.selection._per_cluster import select_per_cluster
-from cornercase.reduction.selection._state import Selected
 
 
 def is_mixture(point, others):

@@ -100,7 +100,7 @@ def test_medoids_of_places_are_about_as_good_as_those_of_a_matrix(scenarios):
 
 def test_a_study_of_many_is_reduced_within_a_memory(tmp_path, monkeypatch):
     monkeypatch.setattr(analyze_module, "MAX_ALL_PAIRS", 30)
-    monkeypatch.setattr(landmarks, "LANDMARKS", 24)
+    monkeypatch.setattr(landmarks, "N_LANDMARKS", 24)
     path = tmp_path / "s.db"
     with opened(path) as study:
         explorer(study, metrics=("distance", "wttc"), optimizer="sobol", budget=60).run()

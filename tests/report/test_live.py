@@ -189,7 +189,7 @@ def test_notes_are_all_that_is_written(client, whole):
         assert answer.status_code == 400
         assert len(answer.text.strip().splitlines()) == 1
     assert client.put("/notes/2", content=b"").status_code == 204
-    for method in ("post", "delete", "patch", "insert_rows"):
+    for method in ("post", "delete", "patch", "put"):
         for path in ("/contents", "/", "/recordings/1", "/scenarios/1.xosc"):
             assert getattr(client, method)(path).status_code == 405
     with Study.open(whole, readonly=True) as study:

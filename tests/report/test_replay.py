@@ -58,7 +58,7 @@ def recording(**changes):
     values: dict[str, Any] = {
         "time": np.array([0.0, 0.5, 1.0]),
         "names": ("Ego", "P"),
-        "kinds": ("car", "pedestrian"),
+        "object_types": ("car", "pedestrian"),
         "x": np.array([[0.0, 4.0, 8.0], [gone, 20.0, 20.0]]),
         "y": np.array([[0.0, 0.0, 0.0], [gone, 3.0, 3.0]]),
         "heading": np.array([[3.0, 3.0, -3.0], [gone, 0.0, 0.0]]),

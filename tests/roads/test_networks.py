@@ -40,7 +40,7 @@ def test_who_goes_straight_on_takes_no_notice_of_whole_turns_in_headings(tmp_pat
 
 
 def way(roads, road, s, along, goal, goal_s) -> float:
-    (found,) = roads.way(*(np.array([one]) for one in (road, s, along, goal, goal_s)))
+    (found,) = roads.driving_distance(*(np.array([one]) for one in (road, s, along, goal, goal_s)))
     return float(found)
 
 

@@ -146,7 +146,10 @@ def test_43_7_workers_find_what_the_command_finds(tmp_path, maps):
     path = town(tmp_path / "s")
     with search_maps_in([maps]):
         one = simulate(path, {}, duration=1.0)
-        asked = "from cornercase.scenario import Scenario; import sys; print(Scenario(sys.argv[1]).road_file())"
+        asked = (
+            "from cornercase.scenario._file import ScenarioFile; import sys; "
+            "print(ScenarioFile(sys.argv[1]).road_path_for())"
+        )
         told = subprocess.run([sys.executable, "-c", asked, str(path)], capture_output=True, text=True, check=True)
     assert told.stdout.strip() == str(maps / "Town01.xodr")
     assert one.names == ("Ego", "B")

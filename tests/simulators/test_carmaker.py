@@ -157,8 +157,8 @@ def project(tmp_path):
 @pytest.fixture
 def quick(monkeypatch):
     """Short time-outs, since the awaited event never comes."""
-    monkeypatch.setattr(TclTestRun, "__init__", partialmethod(TclTestRun.__init__, waiting=0.3))
-    monkeypatch.setattr("cornercase.simulators.carmaker._simulator.WAITING", -59.5)
+    monkeypatch.setattr(TclTestRun, "__init__", partialmethod(TclTestRun.__init__, start_timeout=0.3))
+    monkeypatch.setattr("cornercase.simulators.carmaker._simulator.START_TIMEOUT", -59.5)
 
 
 def run(project, port, values=None, **options):
@@ -558,7 +558,7 @@ def test_a_run_of_somebody_else_is_stopped_before_ours_is_configured(cmapi, proj
 
 
 def test_a_carmaker_that_does_not_come_to_rest_is_left(cmapi, project, monkeypatch):
-    monkeypatch.setattr("cornercase.simulators.carmaker._cmapi_client._ENDING", 0.3)
+    monkeypatch.setattr("cornercase.simulators.carmaker._cmapi_client._END_TIMEOUT", 0.3)
     cmapi("restless")
     control = CmapiClient(project, "Crossing", 60.0)
     with pytest.raises(SimulatorError, match="is not idle within"):
@@ -585,7 +585,7 @@ def test_a_testrun_that_is_not_there_is_said(cmapi, project):
 
 
 def test_a_carmaker_that_does_not_end_is_ended_by_force(cmapi, project, monkeypatch):
-    monkeypatch.setattr("cornercase.simulators.carmaker._cmapi_client._ENDING", 0.3)
+    monkeypatch.setattr("cornercase.simulators.carmaker._cmapi_client._END_TIMEOUT", 0.3)
     cmapi("stays")
     control = CmapiClient(project, "Crossing", 60.0)
     process = control._master.process

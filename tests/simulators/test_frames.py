@@ -41,7 +41,7 @@ def look_in_each_frame(monkeypatch) -> None:
 
     def init(self, *arguments) -> None:
         plain(self, *arguments)
-        self._by_hand = True
+        self._python_step = True
 
     monkeypatch.setattr(stepper.Stepper, "__init__", init)
 
@@ -108,7 +108,7 @@ def test_who_interrupts_batches_beside_each_other_does_not_wait_for_their_end(mo
         halted.set()
 
     look_in_each_frame(monkeypatch)
-    monkeypatch.setattr(Storyboard, "look", look)
+    monkeypatch.setattr(Storyboard, "evaluate_triggers", look)
     monkeypatch.setattr(Batch, "cancel", halt)
     monkeypatch.setattr(simulator, "count_available_cpus", lambda: 2)
     monkeypatch.setattr(simulator, "_MIN_SCENARIOS_PER_BATCH", 2)
@@ -125,7 +125,7 @@ def test_a_scenario_looks_only_where_something_happens(monkeypatch):
         looks.append(int(self._world.running.sum()))
         plain(self, dt)
 
-    monkeypatch.setattr(Storyboard, "look", look)
+    monkeypatch.setattr(Storyboard, "evaluate_triggers", look)
     (recording,) = recordings(drawn("x_intersection", 1))
     assert isinstance(recording, Recording)
     assert len(recording.time) > 300

@@ -88,7 +88,7 @@ def test_42_s4_nobody_else_can_connect_to_a_local_cluster(client):
         return [(await server.identity())["type"] for server in servers]
 
     # Make sure that only the stranger is refused.
-    assert sorted(client.sync(each)) == sorted(["LocalScheduler", *2 * ["GuardedNanny", "LocalWorker"]])
+    assert sorted(client.sync(each)) == sorted(["LocalScheduler", *2 * ["ReapedNanny", "LocalWorker"]])
     assert client.submit(os.getpid).result() != os.getpid()
 
 

@@ -166,7 +166,7 @@ def test_one_failure_leaves_the_others_alone(tmp_path):
 
 def test_a_scenario_alone_is_bit_for_bit_the_same_within_a_batch(x_intersection, builtin):
     rng = np.random.default_rng(5)
-    concretes = [x_intersection.concrete(v) for v in x_intersection.space.values(rng.random((40, 3)))]
+    concretes = [x_intersection.concrete_scenario(v) for v in x_intersection.space.values(rng.random((40, 3)))]
     together = list(builtin.run(concretes))
     for i in (0, 7, 39):
         (alone,) = builtin.run([concretes[i]])
@@ -175,7 +175,7 @@ def test_a_scenario_alone_is_bit_for_bit_the_same_within_a_batch(x_intersection,
 
 def test_a_written_concrete_scenario_runs_by_itself(x_intersection, builtin, tmp_path):
     values = x_intersection.space.values(np.array([[0.3, 0.6, 0.2]]))[0]
-    (original,) = builtin.run([x_intersection.concrete(values)])
+    (original,) = builtin.run([x_intersection.concrete_scenario(values)])
     target = tmp_path / "kept" / "one.xosc"
     write_concrete_file(ScenarioFile.read(x_intersection.path), values, target, drivers={"Ego": "normal"})
     (again,) = builtin.run([ConcreteScenario(target)])

@@ -8,8 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from conftest import examples
-from cornercase.simulators.builtin.kernels import _clothoid_track as clothoid_track
-from cornercase.simulators.builtin.kernels import _track_dispatch as kernels
+from cornercase.simulators.builtin.track_kernels import _clothoid_track as clothoid_track
+from cornercase.simulators.builtin.track_kernels import _track_dispatch as kernels
+from cornercase.simulators.builtin.track_kernels import _track_layout as track_layout
 from cornercase.simulators.builtin.tracks import _track_pool as track_pool
 from cornercase.simulators.builtin.tracks._clothoid_spline import ClothoidSpline
 
@@ -58,7 +59,7 @@ def _check(tracks: track_pool.TrackTable, spline: ClothoidSpline, offset: float)
 @settings(max_examples=examples(60), deadline=None)
 def test_splines_are_the_same_compiled(spline: ClothoidSpline, offset: float) -> None:
     tracks = track_pool.TrackPool().update([[spline]])
-    assert tracks.kind.tolist() == [track_pool.CLOTHOID_TRACK]
+    assert tracks.kind.tolist() == [track_layout.CLOTHOID_TRACK]
     assert tracks.has_times.tolist() == [spline.times is not None]
     _check(tracks, spline, offset)
 

@@ -32,7 +32,7 @@ def runs(scenario, simulator):
 def taken(stream, count):
     found = {}
     for _ in range(count):
-        key, (outcome,) = stream.take(lambda: None)
+        key, (outcome,) = stream.wait_for_result(lambda: None)
         found[key] = str(outcome) if isinstance(outcome, SimulationError) else int(outcome.x[0, 0])
     return found
 

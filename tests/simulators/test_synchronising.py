@@ -63,7 +63,7 @@ def recordings(path, values, monkeypatch=None):
     run = Stepper.run
 
     def by_hand(stepper, *how):
-        stepper._by_hand = True
+        stepper._python_step = True
         run(stepper, *how)
 
     with monkeypatch.context() as patched:
@@ -110,7 +110,7 @@ def test_who_is_synchronised_moves_as_the_storyboard_says(tmp_path, monkeypatch,
 
 @pytest.mark.parametrize("track", ["line", "spline"])
 def test_who_is_beside_the_lanes_is_looked_up_and_acts_compiled(tmp_path, monkeypatch, track):
-    calls = {"look_up": 0, "step": 0}
+    calls = {"look_up_positions": 0, "step": 0}
 
     def counted(name, plain):
         def called(*given):
@@ -126,7 +126,7 @@ def test_who_is_beside_the_lanes_is_looked_up_and_acts_compiled(tmp_path, monkey
     path = scenario_file(tmp_path, init=init, story=story, entities=car("Ego") + car("Lead"), parameters=PARAMETERS)
     recordings(path, [{"speed": 11.3, "final": 9.7}])
     # Only the frame in which it ends would need the storyboard.
-    assert calls["look_up"] > 0
+    assert calls["look_up_positions"] > 0
     assert calls["step"] <= 1
 
 

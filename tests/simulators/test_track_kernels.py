@@ -14,17 +14,17 @@ from cornercase._common.typing import FloatArray
 from cornercase.roads._kernels.heading import build_road_tables, reference_heading
 from cornercase.roads._lane_path import LanePath
 from cornercase.roads._network import RoadNetwork
-from cornercase.simulators.builtin.kernels import _lane_track as lane_track
-from cornercase.simulators.builtin.kernels import _polyline_track as polyline_track
-from cornercase.simulators.builtin.kernels._track_dispatch import pose_on_track
-from cornercase.simulators.builtin.tracks import _track_layout as track_layout
+from cornercase.simulators.builtin.track_kernels import _lane_track as lane_track
+from cornercase.simulators.builtin.track_kernels import _polyline_track as polyline_track
+from cornercase.simulators.builtin.track_kernels import _track_layout as track_layout
+from cornercase.simulators.builtin.track_kernels._track_dispatch import pose_on_track
 from cornercase.simulators.builtin.tracks import _track_pool as track_pool
 from cornercase.simulators.builtin.tracks._lane import LaneTrack
 from cornercase.simulators.builtin.tracks._polyline import Polyline
 from cornercase.simulators.builtin.tracks._track import ALONG_SEGMENTS, AT_CORNERS, AT_VERTICES
 from helpers import road_networks as rn
 
-_coordinate = st.require_one_of(st.integers(-5, 5).map(float), st.floats(-200.0, 200.0))
+_coordinate = st.one_of(st.integers(-5, 5).map(float), st.floats(-200.0, 200.0))
 
 
 @st.composite
@@ -36,8 +36,8 @@ def _lines(draw: st.DrawFn) -> Polyline:
             scenarios, vertices
         )
 
-    time = np.sort(table(st.require_one_of(st.integers(0, 4).map(float), st.floats(0.0, 20.0))), axis=1)
-    heading = table(st.require_one_of(st.just(np.nan), st.floats(-7.0, 7.0)))
+    time = np.sort(table(st.one_of(st.integers(0, 4).map(float), st.floats(0.0, 20.0))), axis=1)
+    heading = table(st.one_of(st.just(np.nan), st.floats(-7.0, 7.0)))
     begin = np.full(scenarios, draw(st.floats(0.0, 20.0))) if draw(st.booleans()) else None
     timed = draw(st.booleans())
     turning = draw(st.sampled_from([ALONG_SEGMENTS, AT_CORNERS, AT_VERTICES]))
@@ -49,7 +49,7 @@ def _lines(draw: st.DrawFn) -> Polyline:
 @settings(max_examples=examples(200), deadline=None)
 def test_lines_are_the_same_compiled(line: Polyline, shares: list[float], offset: float) -> None:
     tracks = track_pool.TrackPool().update([[line]])
-    assert tracks.kind.tolist() == [track_pool.POLYLINE_TRACK]
+    assert tracks.kind.tolist() == [track_layout.POLYLINE_TRACK]
     rows = np.arange(len(line.x))
     length = line.distance[:, -1]
     vertices = [line.distance[:, k] + d for k in range(line.x.shape[1]) for d in (-1e-6, 0.0, 5e-7, 1e-6, 3.0)]
@@ -170,8 +170,8 @@ def test_the_columns_of_a_path_are_where_kernels_look_for_them(tmp_path: Path) -
     path = _tracks_of(rn.network(tmp_path, rn.road("one", 30.0)))[0].path
     named = {
         track_layout.DISTANCE: "distance", track_layout.X: "x", track_layout.Y: "y", track_layout.HEADING: "heading", track_layout.CURVATURE: "curvature",
-        track_layout.S: "s", track_layout.ROAD: "road", track_layout.LANE_NUMBER: "lane", track_layout.RUNS_ALONG_S: "along", track_layout.REFERENCE_DISTANCE: "reference",
-        track_layout.CENTER_OFFSET: "center", track_layout.CURVATURE_DISTANCE: "bend_at", track_layout.REFERENCE_CURVATURE: "bend",
+        track_layout.S: "s", track_layout.ROAD: "road", track_layout.LANE_NUMBER: "lane", track_layout.RUNS_ALONG_S: "forward", track_layout.REFERENCE_DISTANCE: "reference_distance",
+        track_layout.CENTER_OFFSET: "center_offset", track_layout.CURVATURE_DISTANCE: "curvature_distance", track_layout.REFERENCE_CURVATURE: "reference_curvature",
     }  # fmt: skip
     assert len(path.arrays) == track_pool.TrackPool().tracks.addresses.shape[1]
     for column, name in named.items():

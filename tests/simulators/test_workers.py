@@ -181,7 +181,7 @@ def test_a_batch_may_take_as_long_as_its_scenarios_one_after_the_other(tmp_path)
 @pytest.mark.parametrize("workers", at_night([1, 2], {1}))
 def test_builtin_batches_give_the_same_bytes_in_any_number_of_workers(x_intersection, builtin, workers):
     rng = np.random.default_rng(3)
-    wanted = [x_intersection.concrete(v) for v in x_intersection.space.values(rng.random((7, 3)))]
+    wanted = [x_intersection.concrete_scenario(v) for v in x_intersection.space.values(rng.random((7, 3)))]
     alone = list(builtin.run(wanted))
     with WorkerSimulator("builtin", {}, workers, timeout=120.0) as simulator:
         assert all(map(same_recording, alone, simulator.run(wanted)))

@@ -46,7 +46,7 @@ def test_a_note_is_kept_changed_and_removed(explored):
     write_note(explored.path, 1, " ")
     write_note(explored.path, 2, "")
     assert notes(explored.path) == {3: "brakes"}
-    explored.writer.clear()
+    explored.writer.remove_scenarios()
     assert notes(explored.path) == {}
 
 
@@ -94,7 +94,7 @@ def test_notes_and_the_scenarios_of_an_explorer_do_not_disturb_each_other(explor
     taking.join()
     assert not failures
     assert notes(explored.path) == {k + 1: f"{50 + k}" for k in range(10)}
-    assert len(explored.done()) == 10
+    assert len(explored.finished_rows()) == 10
 
 
 @pytest.fixture

@@ -45,7 +45,7 @@ sys.addaudithook(_watch)
 @pytest.fixture
 def opened_files(monkeypatch):
     _OPENED.clear()
-    monkeypatch.setattr(sys.modules[__name__], "_n_watch_blocks", True)
+    monkeypatch.setattr(sys.modules[__name__], "_watching", True)
     return _OPENED
 
 
@@ -460,7 +460,7 @@ def test_names_are_no_formulas_in_tables(oddly_named, tmp_path):
             again.object_types,
             again.collisions,
         )
-        table, read = study.table(), pd.read_recording_csv(tmp_path / "scenarios.csv")
+        table, read = study.table(), pd.read_csv(tmp_path / "scenarios.csv")
     assert read["distance"].dtype == np.float64
     assert list(read["id"]) == list(table["id"])
     assert read["round"].dtype.kind == "i"

@@ -99,22 +99,22 @@ def test_the_disk_is_waited_for_once_a_second(study):
         return study._database.connection.execute("PRAGMA synchronous").fetchone()[0]
 
     full, normal = 2, 1
-    study._database._forced = -np.inf
+    study._database._last_sync = -np.inf
     study.writer.add_elapsed_time("simulate", 1.0)
     assert level() == full
     study.writer.add_elapsed_time("simulate", 1.0)
     assert level() == normal
-    study._database._forced -= 2.0
+    study._database._last_sync -= 2.0
     study.writer.add_elapsed_time("simulate", 1.0)
     assert level() == full
 
 
 def test_a_transaction_that_an_interrupt_left_open_does_not_end_the_study(study):
-    before = len(study.done())
+    before = len(study.finished_rows())
     # As where Ctrl-C comes between the begin of a transaction and its block.
     study._database.connection.execute("BEGIN IMMEDIATE")
     study.writer.record_result(3, recording(1), courses(1))
-    assert len(study.done()) == before + 1
+    assert len(study.finished_rows()) == before + 1
     with Study.open(study.path, readonly=True) as reader:
         assert len(reader.finished_rows()) == before + 1
 
@@ -142,13 +142,13 @@ def test_analyses_keep_types_and_the_last_one_counts(study):
         arrays = {"ids": np.array([1, 2, 3]), "distances": gamma * apart, "labels": np.array([0, -1, 0])}
         study.writer.save_analysis("wttc", arrays, {"gamma": gamma, "candidates": [{"eps": 0.1}]})
     study.writer.save_analysis("ego-trajectory", {}, {})
-    loaded, info = study.analysis("wttc")
+    loaded, info = study.read_analysis("wttc")
     assert loaded["distances"].dtype == np.float32
     np.testing.assert_array_equal(loaded["distances"], 2.0 * apart)
     assert info == {"gamma": 2.0, "candidates": [{"eps": 0.1}]}
-    assert study.analyses() == ["ego-trajectory", "wttc"]
+    assert study.analyzed_aspects() == ["ego-trajectory", "wttc"]
     with pytest.raises(InputError, match="no analysis by distance"):
-        study.analysis("distance")
+        study.read_analysis("distance")
 
 
 def test_no_value_in_the_file_grows_with_the_number_of_pairs(tmp_path):
@@ -175,13 +175,13 @@ def test_no_value_in_the_file_grows_with_the_number_of_pairs(tmp_path):
 def test_half_of_the_distances_gives_back_all(study, count, kind, monkeypatch):
     monkeypatch.setattr(stored_arrays, "_PIECE_BYTES", 10_000)
     points = np.random.default_rng(count).random((count, 2))
-    study.writer.propose(2, points, SPACE.values(points))
+    study.writer.add_pending(2, points, SPACE.values(points))
     distances = cdist(points, points).astype(kind)
     study.writer.save_analysis("wttc", {"ids": np.arange(count), "distances": distances}, {})
-    found = study.analysis("wttc", "distances")[0]["distances"]
+    found = study.read_analysis("wttc", "distances")[0]["distances"]
     assert found.dtype == distances.dtype
     np.testing.assert_array_equal(found, distances)
-    packed = [one for (one,) in study._database.found("SELECT data FROM arrays WHERE name = 'distances' ORDER BY part")]
+    packed = [one for (one,) in study._database.query("SELECT data FROM arrays WHERE name = 'distances' ORDER BY part")]
     condensed = np.concatenate([np.load(io.BytesIO(one))["distances"] for one in packed])
     np.testing.assert_array_equal(condensed, squareform(distances, checks=False))
 
@@ -190,7 +190,7 @@ def test_time_spent_adds_up(study):
     study.writer.add_elapsed_time("simulate", 1.5)
     study.writer.add_elapsed_time("simulate", 0.25)
     study.writer.add_elapsed_time("optimize", 1.0)
-    assert study.elapsed() == {"optimize": 1.0, "simulate": 1.75}
+    assert study.elapsed_by_stage() == {"optimize": 1.0, "simulate": 1.75}
 
 
 def test_making_a_study_leaves_the_one_that_is_there(study, tmp_path):
@@ -343,7 +343,7 @@ def test_a_table_reads_no_distances(study):
         connection.execute("UPDATE arrays SET data = x'00' WHERE name = 'distances'")
     assert study.table()["cluster by wttc"].tolist() == [0, pd.NA, pd.NA]
     with pytest.raises(InputError, match=r"is damaged: .* 'distances', part '0'; `verify` lists"):
-        study.analysis("wttc")
+        study.read_analysis("wttc")
 
 
 def test_a_parameter_that_is_called_like_a_metric_has_a_column_of_its_own(tmp_path):
@@ -429,7 +429,7 @@ def test_what_is_no_id_of_a_scenario_is_said(study, number):
 
 def test_a_study_that_is_closed_says_so(study):
     study.close()
-    asks = (study.table, study.rows, lambda: study.writer.fail(3, SimulationError("the road ends")))
+    asks = (study.table, study.rows, lambda: study.writer.record_failure(3, SimulationError("the road ends")))
     for ask in asks:
         with pytest.raises(InputError, match="is closed; open it again"):
             ask()

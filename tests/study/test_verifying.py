@@ -95,7 +95,7 @@ def test_nobody_writes_where_sqlite_finds_something_wrong_in_what_is_not_read(pa
 @pytest.mark.parametrize("repair", [(), ("--repair",)])
 def test_a_study_that_another_program_keeps_to_itself_is_not_damaged(path, repair, monkeypatch):
     # Do not wait half a minute.
-    monkeypatch.setattr("cornercase.study._connection.connected.__defaults__", (0.1,))
+    monkeypatch.setattr("cornercase.study._connection.open_connection.__defaults__", (0.1,))
     with closing(sqlite3.connect(path, isolation_level=None)) as other:
         other.execute("PRAGMA locking_mode = EXCLUSIVE")
         other.execute("PRAGMA user_version = 1")

@@ -80,8 +80,8 @@ def test_a_study_compared_with_itself_shows_no_change(tmp_path):
     found = compared(path, path)
     assert not found
     assert found.reason == "all 36 scenarios that both ran are the same bytes"
-    assert found.count("the same") == 36
-    assert found.telling == ()
+    assert found.count_pairs("the same") == 36
+    assert found.examples == ()
     assert [one.p for one in found.tests] == [1.0] * len(found.tests)
     assert all(before == after for before, after in found.outcomes)
     result = ran("compare", path, path)
@@ -95,13 +95,13 @@ def test_scenarios_are_paired_by_their_values_whatever_their_order(tmp_path):
     new = written(tmp_path / "new.db", GAPS[order], GRID[order])
     found = compared(old, new)
     assert not found
-    assert (len(found.pairs), found.alone) == (30, (6, 0))
+    assert (len(found.pairs), found.n_unmatched) == (30, (6, 0))
     assert {one.ids for one in found.pairs} == {(int(k) + 1, place + 1) for place, k in enumerate(order)}
     # The next number there is is another value.
     moved = GRID.copy()
     moved[3, 1] = np.nextafter(moved[3, 1], 1.0)
     found = compared(old, written(tmp_path / "moved.db", GAPS, moved))
-    assert (len(found.pairs), found.alone) == (35, (1, 1))
+    assert (len(found.pairs), found.n_unmatched) == (35, (1, 1))
 
 
 def test_how_far_scores_moved_is_told_in_their_unit(tmp_path):
@@ -121,14 +121,14 @@ def test_where_simulators_repeat_themselves_one_scenario_that_went_otherwise_is_
     changed[4] -= 0.01
     found = compared(old, written(tmp_path / "new.db", changed))
     assert found
-    assert found.certain
-    assert found.count("otherwise") == 1
-    assert [one.pair.ids for one in found.telling] == [(5, 5)]
+    assert found.is_deterministic
+    assert found.count_pairs("otherwise") == 1
+    assert [one.pair.ids for one in found.examples] == [(5, 5)]
     # What another processor makes of the same motion is none.
     close = compared(old, written(tmp_path / "close.db", GAPS + 1e-12))
     assert not close
-    assert close.count("within rounding") == 36
-    assert (close.scores[0].moved, close.telling) == (0, ())
+    assert close.count_pairs("within rounding") == 36
+    assert (close.scores[0].moved, close.examples) == (0, ())
 
 
 def test_where_they_do_not_the_tests_decide(tmp_path):
@@ -136,7 +136,7 @@ def test_where_they_do_not_the_tests_decide(tmp_path):
     old = written(tmp_path / "old.db", GAPS + noise[0], simulator="synthetic")
     same = compared(old, written(tmp_path / "same.db", GAPS + noise[1], simulator="synthetic"))
     assert not same
-    assert same.count("otherwise") == 36
+    assert same.count_pairs("otherwise") == 36
     nearer = compared(old, written(tmp_path / "new.db", GAPS + noise[1] - 0.1, simulator="synthetic"))
     assert nearer
     assert nearer.reason.startswith("distance differs (Wilcoxon signed-rank")
@@ -164,7 +164,7 @@ def test_searches_that_share_nothing_are_compared_by_what_fills_the_space(tmp_pa
         path = tmp_path / f"{seed}-{nearer}.db"
         studies.append(written(path, gaps, points, optimizer="sobol", seed=seed))
     same, other = compared(*studies[:2]), compared(studies[0], studies[2])
-    assert (len(same.pairs), same.alone) == (0, (64, 64))
+    assert (len(same.pairs), same.n_unmatched) == (0, (64, 64))
     assert not same
     assert {one.method for one in same.tests} == {"Mann-Whitney", "exact Fisher"}
     assert other
@@ -213,13 +213,17 @@ def test_a_scenario_that_one_version_could_not_run_is_a_change(tmp_path):
     new = written(tmp_path / "new.db", GAPS, failed={7, 8})
     found = compared(old, new)
     assert found
-    assert (found.count("not in one"), found.count("in neither"), found.count("the same")) == (1, 1, 34)
+    assert (found.count_pairs("not in one"), found.count_pairs("in neither"), found.count_pairs("the same")) == (
+        1,
+        1,
+        34,
+    )
     assert found.reason == "1 of 36 scenarios could be run with one version only"
     assert compared(old, old).reason == "all 35 scenarios that both ran are the same bytes"
     broken = written(tmp_path / "broken.db", GAPS, failed=range(36))
     with pytest.raises(InputError, match="no scenario was run with both"):
         compared(broken, broken)
-    assert [(one.pair.ids, one.why) for one in found.telling] == [((9, 9), "failed with the new version")]
+    assert [(one.pair.ids, one.reason) for one in found.examples] == [((9, 9), "failed with the new version")]
     assert next(one for one in found.tests if one.about == "not run").differ == 1
 
 
@@ -232,8 +236,8 @@ def test_outcomes_and_collisions_that_changed_are_counted(tmp_path):
     collision = next(one for one in found.tests if one.about == "collision")
     # Both tails of 9 throws of a coin: 0, 1, 8 and 9 heads.
     assert collision.p == pytest.approx(2 * (1 + 9) / 2**9)
-    assert len(found.telling) == 5
-    assert all("collide" in one.why for one in found.telling)
+    assert len(found.examples) == 5
+    assert all("collide" in one.reason for one in found.examples)
 
 
 def test_verdicts_on_the_requirements_of_both_are_compared_first(tmp_path):
@@ -244,8 +248,8 @@ def test_verdicts_on_the_requirements_of_both_are_compared_first(tmp_path):
     new = written(tmp_path / "new.db", changed, requirements=("no collision with B", "distance > 1.5"))
     found = compared(old, new)
     assert found.verdicts == {("distance > 1.5", "passed", "passed"): 35, ("distance > 1.5", "passed", "failed"): 1}
-    assert [one.pair.ids for one in found.telling] == [(4, 4), (9, 9)]
-    assert found.telling[0].why == "distance > 1.5: passed, now failed"
+    assert [one.pair.ids for one in found.examples] == [(4, 4), (9, 9)]
+    assert found.examples[0].reason == "distance > 1.5: passed, now failed"
     assert next(one for one in found.tests if one.about == "failed verdict").differ == 1
     assert "distance > 1.5 passed failed 1" in told(found)
     without = written(tmp_path / "without.db", changed)
@@ -264,8 +268,8 @@ def test_a_suite_is_compared_with_the_study_that_it_was_reduced_from_alone(tmp_p
     run = written(tmp_path / "run.db", GAPS[:5], GRID[:5], origin="explored", **suite)
     for found in (compared(explored, run), compared(run, explored)):
         assert not found
-        assert len(found.pairs) == found.count("the same") == 5
-        assert sorted(found.alone) == [0, 31]
+        assert len(found.pairs) == found.count_pairs("the same") == 5
+        assert sorted(found.n_unmatched) == [0, 31]
         assert found.differences[0] in ("scenarios: explored → of a suite", "scenarios: of a suite → explored")
         assert found.space is None
     for origin in ("", "another", "first file"):
@@ -305,7 +309,7 @@ def test_one_threshold_for_both_takes_the_place_of_their_own(tmp_path):
     new = written(tmp_path / "new.db", GAPS, critical=2.0)
     between = float(np.median(GAPS))
     found = compared(old, new, critical=between)
-    critical = [pair.critical for pair in found.pairs]
+    critical = [pair.is_critical for pair in found.pairs]
     assert critical == [(gap <= between,) * 2 for gap in GAPS]
     assert found.to_json()["critical"] == between
     assert f"Threshold of criticality: {between:g}" in describe_comparison(found)[0].sentences[-1]
@@ -391,7 +395,7 @@ def test_a_version_is_rarely_told_from_itself_with_caps_and_ties():
     for _ in range(300):
         scores = np.minimum(np.round(random.gamma(2.0, 1.0, (40, 1)) + random.normal(0, 0.5, (40, 2)), 1), 2.0)
         pairs = [
-            plain_pair(k, new, old, critical=(old < 0.5, new < 0.5), collides=(old < 0.2, new < 0.2))
+            plain_pair(k, new, old, is_critical=(old < 0.5, new < 0.5), collides=(old < 0.2, new < 0.2))
             for k, (old, new) in enumerate(scores.tolist())
         ]
         told_apart += min(one.corrected for one in holm_correct(changes_of(pairs, ["distance"]))) <= 0.05
@@ -455,8 +459,8 @@ def test_new_scenarios_join_the_kinds_of_the_old_study(versions):
     old, new = versions
     cc.analyze(old, by="interaction")
     itself, found = compared(old, old), compared(old, new)
-    assert all(one.old == one.new for one in itself.kinds["interaction"])
-    kinds = found.kinds["interaction"]
+    assert all(one.old == one.new for one in itself.clusters["interaction"])
+    kinds = found.clusters["interaction"]
     assert sum(one.old for one in kinds) == sum(one.new for one in kinds) == 40
     with Study.open(old, readonly=True) as study:
         labels = study.read_analysis("interaction", "labels")[0]["labels"]

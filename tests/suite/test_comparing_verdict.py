@@ -143,9 +143,9 @@ def test_a_threshold_that_is_crossed_within_the_tolerance_does_not_count(tmp_pat
     changed[[4, 9]] = 1.0 - 1e-7, 1.0 + 1e-4
     old, new = written(tmp_path / "old.db", gaps), written(tmp_path / "new.db", changed)
     found = compared(old, new)
-    assert [one.critical for one in found.pairs if one.ids[0] in (5, 10)] == [(False, True), (True, False)]
+    assert [one.is_critical for one in found.pairs if one.ids[0] in (5, 10)] == [(False, True), (True, False)]
     assert (found.verdict, found.worse, found.better) == ("the same", (), ())
-    assert [(one.kind, one.direction, one.ids) for one in found.within] == [
+    assert [(one.kind, one.direction, one.ids) for one in found.within_tolerance] == [
         ("critical", "worse", ((5, 5),)), ("critical", "better", ((10, 10),)),
     ]  # fmt: skip
     code, out, _ = run("compare", old, new)
@@ -168,7 +168,7 @@ def test_what_is_critical_counts_by_the_metrics_that_decide_it_whichever_are_com
     found = compared(old, new, metrics="distance")
     assert found.tolerances == {"distance": 0.1, "ttc": 0.1}
     assert [(one.kind, one.ids) for one in found.worse] == [("critical", ((10, 10),)), ("score", ((10, 10),))]
-    assert [(one.kind, one.ids) for one in found.within] == [("critical", ((5, 5),))]
+    assert [(one.kind, one.ids) for one in found.within_tolerance] == [("critical", ((5, 5),))]
     assert compared(old, new, metrics="distance", tolerances={"ttc": 0.01, "distance": 9.0}).worse[0].ids == (
         (5, 5), (10, 10),
     )  # fmt: skip
@@ -190,11 +190,13 @@ def test_a_requirement_that_turns_within_the_tolerance_does_not_count(tmp_path):
         ("requirement", "no collision", ((13, 13),)),
         ("score", "distance", ((10, 10),)),
     ]
-    assert [(one.kind, one.about, one.ids) for one in found.within] == [("requirement", "distance > 1.97", ((5, 5),))]
+    assert [(one.kind, one.about, one.ids) for one in found.within_tolerance] == [
+        ("requirement", "distance > 1.97", ((5, 5),))
+    ]
     # A collision is no matter of degree, whatever the tolerance is; the bound is one.
     wide = compared(old, new, tolerances={"distance": 3.0})
     assert [(one.kind, one.about) for one in wide.worse] == [("collision", ""), ("requirement", "no collision")]
-    assert wide.within[0].ids == ((5, 5), (10, 10), (13, 13))
+    assert wide.within_tolerance[0].ids == ((5, 5), (10, 10), (13, 13))
 
 
 def test_a_place_that_is_missed_by_less_than_the_tolerance_is_the_same(tmp_path):
@@ -214,7 +216,7 @@ def test_a_place_that_is_missed_by_less_than_the_tolerance_is_the_same(tmp_path)
     place = "reach 20,0,2 within 2"
     assert found.verdicts[place, "passed", "failed"] == 2
     assert [(one.about, one.ids) for one in found.worse] == [(place, ((3, 3),))]
-    assert [(one.about, one.ids) for one in found.within] == [(place, ((2, 2),))]
+    assert [(one.about, one.ids) for one in found.within_tolerance] == [(place, ((2, 2),))]
 
 
 @pytest.mark.parametrize(
@@ -338,8 +340,11 @@ def naive(pairs, tolerances):
             more = round(pair.scores[name][1] - pair.scores[name][0], 6) * (1 if high_is_critical else -1)
             if abs(more) > tolerances[name]:
                 (worse if more > 0 else better).add((name, pair.ids))
-        if pair.critical[0] != pair.critical[1] and round(abs(np.diff(pair.scores["ttc"])[0]), 6) > tolerances["ttc"]:
-            (worse if pair.critical[1] else better).add(("critical", pair.ids))
+        if (
+            pair.is_critical[0] != pair.is_critical[1]
+            and round(abs(np.diff(pair.scores["ttc"])[0]), 6) > tolerances["ttc"]
+        ):
+            (worse if pair.is_critical[1] else better).add(("critical", pair.ids))
     return worse, better
 
 
@@ -353,7 +358,7 @@ def mirror(pair):
 
     return replace(
         pair, ids=pair.ids[::-1], errors=pair.errors[::-1], scores=turn(pair.scores), criticality_scores=turn(pair.criticality_scores),
-        collides=pair.collides[::-1], critical=pair.critical and pair.critical[::-1],
+        collides=pair.collides[::-1], is_critical=pair.is_critical and pair.is_critical[::-1],
     )  # fmt: skip
 
 

@@ -39,14 +39,14 @@ def test_a_mutant_is_exposed_where_it_collides_and_its_driver_does_not(study, ex
     assert exposure.driver == "normal"
     assert exposure.mutants == generate_mutants("normal", 15)
     assert not set(exposure.mutants) & set(exposure.held_out.mutants)
-    assert 0 < exposure.exposed.sum() < exposure.exposed.size
+    assert 0 < exposure.kills.sum() < exposure.kills.size
     with cc.Study.open(study, readonly=True) as opened:
         values = {row.id: row.values for row in opened.finished_rows()}
         collided = [bool(opened.recording(i).collisions) for i in exposure.scenarios]
     assert exposure.failed.tolist() == collided
-    assert not exposure.exposed[exposure.failed].any()
+    assert not exposure.kills[exposure.failed].any()
     rng = np.random.default_rng(0)
-    exposed, not_exposed = np.argwhere(exposure.exposed), np.argwhere(~exposure.exposed & ~exposure.failed[:, None])
+    exposed, not_exposed = np.argwhere(exposure.kills), np.argwhere(~exposure.kills & ~exposure.failed[:, None])
     for pairs, hits in ((exposed, True), (not_exposed, False)):
         for i, j in rng.choice(pairs, 3, replace=False):
             run = cc.simulate(T, values[exposure.scenarios[i]], drivers={"Ego": exposure.mutants[j].driver})
@@ -66,12 +66,12 @@ def test_mutants_choose_the_reduced_set_and_others_judge_it(study, exposure, tmp
     choice, judges = reduced.exposing, exposure.held_out
     assert choice is not None
     assert choice.held_out is not None
-    assert choice.chosen_by == exposure.grade(reduced.ids)
-    assert choice.held_out == judges.grade(reduced.ids)
-    assert choice.without == judges.grade(plain.ids)
-    assert choice.chosen_by.killed >= exposure.grade(plain.ids).exposed
+    assert choice.chosen_by == exposure.mutation_score(reduced.ids)
+    assert choice.held_out == judges.mutation_score(reduced.ids)
+    assert choice.without == judges.mutation_score(plain.ids)
+    assert choice.chosen_by.killed >= exposure.mutation_score(plain.ids).killed
     first = reduced.scenarios[0]
-    count = int(exposure.rows_of([first.id]).sum())
+    count = int(exposure.kills_of([first.id]).sum())
     assert (first.role, first.why[:30]) == ("exposing", f"exposes {count} of 15 mutants of normal"[:30])
     manifest = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
     assert manifest["exposing"]["held_out"]["exposed"] == choice.held_out.killed
@@ -81,11 +81,11 @@ def test_mutants_choose_the_reduced_set_and_others_judge_it(study, exposure, tmp
     # The suite exposes what its scenarios exposed in the study.
     result = cc.run_suite(folder, tmp_path / "run.db", mutants=15)
     assert result.kill_matrix is not None
-    assert result.kill_matrix.kills.tolist() == exposure.rows_of(reduced.ids).tolist()
+    assert result.kill_matrix.kills.tolist() == exposure.kills_of(reduced.ids).tolist()
     assert result.to_json()["mutants"]["exposed"] == choice.chosen_by.killed
     # Where nothing is exposed, the set is that without mutants.
     rows = exposure.scenarios
-    nothing = type(exposure)("normal", (), rows, exposure.failed, exposure.mutants, np.zeros_like(exposure.exposed))
+    nothing = type(exposure)("normal", (), rows, exposure.failed, exposure.mutants, np.zeros_like(exposure.kills))
     assert cc.reduce(study, tmp_path / "same", size=3, kill_matrix=nothing, scenario=T).ids == plain.ids
 
 
@@ -111,7 +111,7 @@ def test_where_there_can_be_no_mutants_one_sentence_says_so(study, tmp_path):
     with pytest.raises(InputError, match="mutants cannot be judged with a reference driver"):
         cc.run_suite(tmp_path / "reduced", tmp_path / "run.db", require=["no collision unless rss collides"], mutants=5)
     assert not (tmp_path / "run.db").exists()
-    with pytest.raises(InputError, match="`exposure`, `cover`: give one of them"):
+    with pytest.raises(InputError, match="`kill_matrix`, `cover`: give one of them"):
         cc.reduce(study, tmp_path / "none", cover=0.2, kill_matrix=analyze_mutants(study, 1, scenario=T), scenario=T)
     refused = cornercase("reduce", study, "--require", "ttc > 1", "-o", tmp_path / "none")
     assert (refused.returncode, refused.stdout) == (2, "")

@@ -173,7 +173,7 @@ def go_through(logical, folder, ego, other, size=6):
     cc.explore(logical, old, drivers={ego: DRIVER}, **about)
     cc.explore(logical, new, drivers={ego: SLOWER}, **about)
     cc.analyze(old)
-    kept = cc.reduce(old, folder / "set", size=size, scenario=logical.scenario)
+    kept = cc.reduce(old, folder / "set", size=size, scenario=logical.scenario_file)
     tested = cc.run_suite(folder / "set", run, require=REQUIRED)
     slower = cc.run_suite(folder / "set", slow, require=REQUIRED, drivers={ego: SLOWER})
     with Study.open(old, readonly=True) as study:
@@ -262,7 +262,7 @@ def test_42_2_values_that_no_value_set_has_are_refused(value_sets, tmp_path):
     for wrong in ({"Light": "Dusk"}, {"Lane": "1"}, {"another": 1.0}):
         first["values"] = own | wrong
         place.write_text(json.dumps(manifest))
-        with pytest.raises(cc.InputError, match=r"manifest\.json: the values of scenario-0000\d\.xosc do not fit the"):
+        with pytest.raises(cc.InputError, match=r"manifest\.json: the values of scenario-0000\d\.xosc do not fit its"):
             cc.run_suite(tmp_path / "set", tmp_path / "run.db")
 
 

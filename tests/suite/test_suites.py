@@ -61,14 +61,14 @@ def test_the_suite_of_a_study_gives_its_recordings_byte_for_byte(explored, ran):
         assert {one.id: list(one.verdicts) for one in ran.scenarios} == judge_study(again)
     assert 0 < len(collide) < 6
     assert {one.id for one in ran.scenarios if one.state == "failed"} == collide
-    assert "6 of 6 recordings are identical" in ran.comparison
+    assert "6 of 6 recordings are identical" in ran.comparison_summary
 
 
 def test_the_command_fails_with_those_that_collide_and_passes_a_cautious_ego(reduced, ran, tmp_path):
     options = ("--require", "no collision", "--junit", tmp_path / "out.xml", "-o")
     daring = cornercase("test", reduced, "--driver", "Ego=aggressive", *options, tmp_path / "run.db")
     assert daring.returncode == 1, daring.stderr
-    assert ran.text in daring.stdout
+    assert ran.summary in daring.stdout
     document = etree.parse(str(tmp_path / "out.xml"))
     SCHEMA.assertValid(document)
     failed = {case.get("name") for case in document.iter("testcase") if case.find("failure") is not None}

@@ -45,7 +45,7 @@ def noting():
     class Noting(base):  # type: ignore[misc]
         name = "noting"
         # Else the first scenario would be run once more.
-        repeats_itself = False
+        deterministic = False
 
         def run(self, concretes):
             given.extend(dict(one.values) for one in concretes)

@@ -31,8 +31,8 @@ _SIZE_PATTERN: Final = re.compile(r"\s*(\d+(?:\.\d+)?|\.\d+)\s*([a-z]*)\s*", re.
 class MemoryLimit:
     """Limit on the memory of the process, in bytes.
 
-    >>> limit = MemoryLimit.of("4 GB")
-    >>> limit.rows(8 * 50_000, share=0.25)
+    >>> limit = MemoryLimit.from_value("4 GB")
+    >>> limit.max_rows(8 * 50_000, share=0.25)
     2250
     """
 
@@ -77,7 +77,7 @@ class MemoryLimit:
 def format_size(size: float) -> str:
     """Format a size in bytes, rounded up to two significant digits.
 
-    >>> size_in_words(3_350_000_000), size_in_words(512_000_000)
+    >>> format_size(3_350_000_000), format_size(512_000_000)
     ('3.4 GB', '520 MB')
     """
     for unit, name in ((10**12, "TB"), (10**9, "GB"), (10**6, "MB"), (10**3, "kB")):

@@ -17,7 +17,7 @@ _MAX_REPR_LENGTH: Final = 60
 def check_int(name: str, value: object, minimum: int = 0, maximum: int | None = None) -> int:
     """Return an int, also from a NumPy integer; `InputError` if it is none or out of bounds.
 
-    >>> whole_number("budget", 200, least=1)
+    >>> check_int("budget", 200, minimum=1)
     200
     """
     # bool is an Integral in Python, but nobody means a number by it.

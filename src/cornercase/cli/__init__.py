@@ -7,7 +7,7 @@ import gc
 import sys
 from typing import Final
 
-from cornercase._common.process.platform import replace_unencodable_output
+from cornercase._common.platform import replace_unencodable_output
 from cornercase._common.process.signals import install_signal_handlers
 
 # Their order is that of the commands in the help.
@@ -32,10 +32,8 @@ _OBJECTS_BETWEEN_COLLECTIONS: Final = 10_000
 __all__ = [
     "app",
     "compare",
-    "comparing",
     "demo",
     "estimate",
-    "estimating",
     "explore",
     "listing",
     "main",
@@ -43,16 +41,11 @@ __all__ = [
     "report",
     "scenario",
     "simulate",
-    "simulating",
     "study",
     "test",
-    "testing",
     "vary",
-    "varying",
     "verify",
-    "verifying",
     "warm_up",
-    "warming",
 ]  # fmt: skip
 
 

@@ -62,6 +62,7 @@ def compare(
       cornercase compare last-night.db tonight.db --tolerance ttc=0.2 -o compare.html
     """
     from cornercase import suite
+    from cornercase.suite.compare._describe_comparison import describe_comparison
 
     comparison = suite.compare(
         old, new, metrics=metric, critical=critical, tolerances=parsing.parse_numbers(tolerance or (), "--tolerance")
@@ -74,7 +75,7 @@ def compare(
     if as_json:
         sys.stdout.write(format_json(comparison.to_json()) + "\n")
     else:
-        for section in suite.describe_comparison(comparison):
+        for section in describe_comparison(comparison):
             _print_section(section)
     if comparison.verdict == "cannot say":
         reason = comparison.verdict_reason

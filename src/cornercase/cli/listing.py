@@ -66,7 +66,12 @@ def simulators(*, as_json: opt.Json = False) -> None:
 
     available = list_simulators()
     if as_json:
-        sys.stdout.write(format_json({name: asdict(simulator) for name, simulator in available.items()}) + "\n")
+        keys = {"problem": "missing", "features": "abilities"}
+        rows = {
+            name: {keys.get(field, field): value for field, value in asdict(simulator).items()}
+            for name, simulator in available.items()
+        }
+        sys.stdout.write(format_json(rows) + "\n")
         return
     # Addresses are printed whole even on a narrow terminal.
     missing = Column("what is missing", overflow="fold")

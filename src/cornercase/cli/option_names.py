@@ -13,9 +13,10 @@ from cornercase.cli.options import err, show_tracebacks
 MAX_LINE_LENGTH: Final = 1400
 """Longest line that is printed about an input, however long the names in it are."""
 _PARAMETERS_WITH_OPTION: Final = (
-    "against", "archetypes", "archetypes_by", "asynchronous", "audit", "batch", "beside", "budget", "by", "cluster",
+    "against", "archetypes", "archetypes_by", "asynchronous", "audit", "batch", "beside", "budget", "by",
+    "check_proposals", "cluster",
     "continuous", "cover", "critical", "critical_if", "duration",
-    "ego", "encounter", "eps", "fps", "gamma", "host", "junit", "keep_clusters", "maps", "max_failures",
+    "ego", "encounter", "eps", "fps", "gamma", "host", "junit", "keep_clusters", "kill_mutants", "maps", "max_failures",
     "max_repeats",
     "max_seconds", "memory", "method", "min_samples", "on_collision", "optimizer", "other", "pareto",
     "patience", "port", "profile", "repair", "repeats", "require", "require_from_file", "requirements", "retries",
@@ -27,10 +28,8 @@ _OPTION_BY_PARAMETER: Final = {
     "client": "--cluster",
     "drivers": "--driver",
     "folder": "-o",
-    "from_study": "--warm-start",
-    "keep": "--keep-clusters",
+    "kill_matrix": "--kill-mutants",
     "metrics": "--metric",
-    "most_repeats": "--max-repeats",
     "output": "-o",
     "path": "-o",
     "ranges": "--range",

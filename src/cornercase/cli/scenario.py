@@ -70,20 +70,24 @@ def _print_check(report: Any) -> None:
         out.print(f"variables: {', '.join(report.variables)}")
     for notice in report.notices:
         # With --strict, adaptations are printed below with their rules.
-        if not (report.adapted and notice.label == "adapted"):
+        if not (report.standard_violations and notice.label == "adapted"):
             out.print(shorten(notice.sentence, MAX_LINE_LENGTH))
     if report.schema is None:
         out.print("schema: not checked; install it with pip install 'cornercase[validate]'")
     else:
         except_adapted = ", except for what is adapted" if any(x.label == "adapted" for x in report.notices) else ""
-        out.print(f"schema {report.schema}: {f'valid{except_adapted}' if not report.invalid else 'not valid'}")
-    for line in (*report.invalid, *(f"refused: {text}" for text in report.adapted), *report.trouble):
+        out.print(f"schema {report.schema}: {f'valid{except_adapted}' if not report.schema_errors else 'not valid'}")
+    for line in (
+        *report.schema_errors,
+        *(f"refused: {text}" for text in report.standard_violations),
+        *report.run_errors,
+    ):
         out.print(shorten(f"  {line}", MAX_LINE_LENGTH))
     if report.space is not None:
         for parameter in report.space.parameters:
             out.print(f"varied: {_format_parameter(parameter)}")
         out.print(f"concrete scenarios: {'infinitely many' if report.space.size is None else report.space.size}")
-    out.print("can be run" if not report.trouble else "cannot be run")
+    out.print("can be run" if not report.run_errors else "cannot be run")
 
 
 def _format_parameter(parameter: Any) -> str:

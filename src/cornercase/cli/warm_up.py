@@ -28,8 +28,8 @@ _N_SCENARIOS, _DURATION = 12, 3.0
 # Too many scenarios for all pairwise distances.
 _LARGE_SET: Final = 2100
 # Modules that contain one of these texts define kernels.
-_KERNEL_IMPORTS: Final = ("compiling import kernel", "compiling.kernel")
-_LATE_PROGRAM: Final = "from cornercase.cli.warm_up import compile_later; compile_later()"
+_KERNEL_IMPORTS: Final = ("numba.kernel import", "numba.kernel.")
+_LATE_PROGRAM: Final = "from cornercase.cli.warm_up import compile_late_kernels; compile_late_kernels()"
 
 
 @app.command(name="warm-up")
@@ -86,7 +86,7 @@ def compile_in_parallel(program: str = _LATE_PROGRAM) -> Iterator[None]:
     Both share the cache, so that the kernels of the other process are ready when they are needed.
     """
     from cornercase._common.numba.kernel import call_on_first_compilation
-    from cornercase._common.process.platform import count_available_cpus
+    from cornercase._common.platform import count_available_cpus
 
     processes: list[subprocess.Popen[bytes]] = []
 
@@ -118,6 +118,7 @@ def compile_late_kernels() -> None:
 
     from cornercase import clustering, dtw, metrics
     from cornercase._common.process.parent_death import exit_when_stdin_closes
+    from cornercase.clustering._ending import find_outcome
 
     exit_when_stdin_closes()
     _call_driver()
@@ -125,7 +126,7 @@ def compile_late_kernels() -> None:
     metrics.measure(crossing, "Ego", "Other", ["wttc"])
     for dimensions in (2, 4, 1):
         dtw.distance_matrix([np.zeros((2, dimensions)), np.ones((2, dimensions))], dtype="float32", n_jobs=1)
-    clustering.find_outcome(crossing, "Ego", "Other")
+    find_outcome(crossing, "Ego", "Other")
     clustering.cluster(_two_group_distances())
 
 
@@ -134,10 +135,11 @@ def _call_driver() -> None:
     import numpy as np
 
     from cornercase import drivers
+    from cornercase.drivers._resolve import driver_by_name
 
     distance, ones = np.arange(0.0, 50.0, 0.5), np.ones(1)
     path = drivers.DrivenPath(distance, distance, *np.zeros((3, len(distance))))
-    driver = drivers.driver_by_name("normal")
+    driver = driver_by_name("normal")
     driver.start(1, 1)
     driver.acceleration(
         drivers.Situation(
@@ -160,14 +162,18 @@ def _import_kernels() -> None:
 
 def _runs_by_room(folder: Path) -> Iterator[tuple[str, Callable[[], Any]]]:
     """Yield the room and a small run of everything that compiles: running it shows what it needs."""
-    from cornercase import clustering, drivers, exploration, metrics, optimizers, reduction, report, simulators
+    from cornercase import clustering, drivers, metrics, optimizers, reduction, report, simulators
     from cornercase._common.errors import InputError
+    from cornercase.clustering._ending import find_outcome
+    from cornercase.exploration._config import ExplorationConfig
+    from cornercase.exploration._explore import explore_config
+    from cornercase.exploration._paper_examples import paper_experiment_config
 
     for name in ("x-intersection", "t-intersection"):
-        config = replace(exploration.paper_experiment_config(name, budget=_N_SCENARIOS), duration=_DURATION)
+        config = replace(paper_experiment_config(name, budget=_N_SCENARIOS), duration=_DURATION)
         study = folder / name / "study.db"
         reduced, scenario = study.parent / "reduced", config.logical.scenario_file
-        yield "simulators", partial(exploration.explore_config, config, study)
+        yield "simulators", partial(explore_config, config, study)
         yield "clustering", partial(clustering.analyze, study)
         yield "reduction", partial(reduction.reduce, study, reduced, scenario=scenario)
         yield "evidence", partial(report.summarize, study)
@@ -176,7 +182,7 @@ def _runs_by_room(folder: Path) -> Iterator[tuple[str, Callable[[], Any]]]:
     # With few scenarios all pairwise distances are computed.
     yield "reduction", _reduce_large_set
     # Short runs never reach a crossing.
-    yield "clustering", partial(clustering.find_outcome, _crossing_recording(), "Ego", "Other")
+    yield "clustering", partial(find_outcome, _crossing_recording(), "Ego", "Other")
     simulate = partial(simulators.simulate, scenario, duration=_DURATION)
     for plugin in drivers.DRIVERS.names():
         yield "drivers", partial(simulate, drivers={"Ego": plugin})
@@ -184,9 +190,9 @@ def _runs_by_room(folder: Path) -> Iterator[tuple[str, Callable[[], Any]]]:
     for plugin in optimizers.OPTIMIZERS.names():
         changed = replace(config, optimizer=plugin, critical=1.0, metrics=config.metrics[:1])
 
-        def explore(searched: exploration.ExplorationConfig = changed, study: Path = folder / f"{plugin}.db") -> None:
+        def explore(searched: ExplorationConfig = changed, study: Path = folder / f"{plugin}.db") -> None:
             try:
-                exploration.explore_config(searched, study)
+                explore_config(searched, study)
             except InputError:
                 # Its extra is not installed.
                 return
@@ -198,12 +204,14 @@ def _reduce_large_set() -> None:
     """Reduce a set that is too large for all pairwise distances."""
     import numpy as np
 
-    from cornercase import clustering, reduction
+    from cornercase.clustering._embedding import EmbeddedDistances
+    from cornercase.reduction._coverage import measure_nearest_distances
+    from cornercase.reduction.selection._greedy import select_scenarios
 
     points = np.linspace(0.0, 1.0, _LARGE_SET)[:, None]
-    distances = clustering.EmbeddedDistances(points)
-    selected = reduction.select_scenarios(points, [distances], np.zeros(len(points), dtype=np.int64), size=2)
-    reduction.measure_nearest_distances(
+    distances = EmbeddedDistances(points)
+    selected = select_scenarios(points, [distances], np.zeros(len(points), dtype=np.int64), size=2)
+    measure_nearest_distances(
         distances, [scenario.index for scenario in selected] + list(range(0, _LARGE_SET, 10)), draws=1
     )
 

@@ -152,10 +152,10 @@ def analyze(
             and ({gamma, eps, min_samples} != {"auto"} or method is not None or window is not None)
         ):
             raise InputError(
-                "`keep`: the settings of kept clusters cannot change;"
+                "`keep_clusters`: the settings of kept clusters cannot change;"
                 " leave out `gamma`, `eps`, `min_samples`, `method` and `window`."
             )
-        with show_bars(progress), open_connection(cluster, workers, else_none=True) as client:
+        with show_bars(progress), open_connection(cluster, workers, workers_need_cluster=True) as client:
             return _analyze_by_aspects(opened, aspects, model, window, keep_clusters, limit, client, progress)
 
 

@@ -45,7 +45,7 @@ class Aspect(ABC):
     ...     name, unit = "ego-acceleration", "m/s^2"
     ...
     ...     def series(self, recording, ego, other):
-    ...         return recording.acceleration[recording.index(ego)][:, None]
+    ...         return recording.acceleration[recording.entity_index(ego)][:, None]
     """
 
     name: str
@@ -158,7 +158,7 @@ class Behaviour(Aspect):
         return np.column_stack((np.r_[0.0, np.cumsum(steps)], _SLOW_SPEED * (recording.time - recording.time[0])))
 
 
-ASPECTS: Final[Registry[Aspect]] = Registry("aspect", "cornercase.n_aspects", Aspect)
+ASPECTS: Final[Registry[Aspect]] = Registry("aspect", "cornercase.aspects", Aspect)
 """Aspects by name; the course of each metric of a study can be compared, too."""
 
 for _class in (EgoTrajectory, EgoSpeed, EgoMotion, Interaction, Relative, Bearing, Behaviour):

@@ -18,7 +18,7 @@ from cornercase.clustering._clustering import Clustering, ClusteringMethod
 from cornercase.clustering._density import assign_to_nearest_cluster, renumber_by_size
 from cornercase.clustering._kernel_pca import KernelPca
 
-# With more than MOST_EXACT scenarios, LANDMARKS of them span the kernel space.
+# With more than MAX_WITHOUT_LANDMARKS scenarios, N_KERNEL_LANDMARKS of them span the kernel space.
 MAX_WITHOUT_LANDMARKS: Final = 5000
 N_KERNEL_LANDMARKS: Final = 2000
 # Singular values below this share of the largest are rounding errors of single-precision distances.

@@ -105,8 +105,8 @@ def generate_mutants(driver: str, count: int, seed: int = 0) -> tuple[Mutant, ..
 
     Examples
     --------
-    >>> from cornercase.drivers import mutants_of
-    >>> [mutant.driver for mutant in mutants_of("normal:horizon=4", 2)]
+    >>> from cornercase.drivers import generate_mutants
+    >>> [mutant.driver for mutant in generate_mutants("normal:horizon=4", 2)]
     ['normal:horizon=4,field_of_view=2.86', 'normal:horizon=4,min_gap=0.338']
     """
     count = check_int("count", count, 1, MAX_MUTANTS)
@@ -127,7 +127,7 @@ def generate_mutants(driver: str, count: int, seed: int = 0) -> tuple[Mutant, ..
             value = float(f"{_mutate_value(mutation, parameters[mutation.parameter], severity):.3g}")
             name = _set_driver_option(driver, mutation.parameter, value)
             if value != parameters[mutation.parameter] and name not in mutants:
-                mutants[name] = Mutant(name, mutation.words)
+                mutants[name] = Mutant(name, mutation.description)
             if len(mutants) == count:
                 return tuple(mutants.values())
     return tuple(mutants.values())

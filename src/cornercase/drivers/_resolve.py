@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Protocol, TypeGuard, runtime_checkable
 
+from cornercase._common.current_folder import import_from_current_folder
 from cornercase._common.errors import InputError, suggest_name
 from cornercase._common.plugin_errors import reraise_termination_request
-from cornercase._common.process.current_folder import import_from_current_folder
 from cornercase._common.process.signals import collect_interrupts, count_requests
 from cornercase._common.registry import check_options, parse_options
 from cornercase._common.text.sanitize import format_exception

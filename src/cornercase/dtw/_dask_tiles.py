@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from cornercase._common.errors import InputError
+from cornercase._common.platform import count_available_cpus
 from cornercase._common.process.dask import (
     describe_cluster,
     pop_result,
@@ -20,7 +21,6 @@ from cornercase._common.process.dask import (
     wait_any,
     wait_for_workers,
 )
-from cornercase._common.process.platform import count_available_cpus
 from cornercase._common.version import __version__
 from cornercase.dtw import _pairs as pairs
 from cornercase.dtw._pairs import DtwSettings, Floats
@@ -114,7 +114,8 @@ class ClusterTiles:
             return error
         words = " ".join(f"{type(error).__name__}: {error}".split())[:300]
         return InputError(
-            f"`client` {describe_cluster(self._client)}: its workers cannot compute distances ({words}); install the same"
+            f"`client` {describe_cluster(self._client)}: its workers cannot compute distances"
+            f" ({words}); install the same"
             " package versions there as here, and run the same call again to resume."
         )
 

@@ -23,7 +23,7 @@ import numpy.typing as npt
 
 from cornercase._common.errors import InputError
 from cornercase._common.memory import format_size
-from cornercase._common.process.platform import allocate_file, count_unallocated_bytes
+from cornercase._common.platform import allocate_file, count_unallocated_bytes
 from cornercase.dtw import _pairs as pairs
 from cornercase.dtw._dask_tiles import ClusterTiles
 from cornercase.dtw._pairs import DtwSettings

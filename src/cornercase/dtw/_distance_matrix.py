@@ -16,8 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from cornercase._common.errors import InputError
+from cornercase._common.platform import count_available_cpus
 from cornercase._common.process.dask import check_client
-from cornercase._common.process.platform import count_available_cpus
 from cornercase._common.progress import progress_step, show_bars
 from cornercase.dtw import _dask_tiles as dask_tiles
 from cornercase.dtw import _disk as disk

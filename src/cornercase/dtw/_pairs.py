@@ -95,7 +95,8 @@ def require_finite_distances(
     if not np.isfinite(distances).all():
         i, j = np.argwhere(~np.isfinite(distances))[0] + (first_row, first_column)
         raise InputError(
-            f"The distance of series {i} and {column_label}{j} is too large for {distances.dtype}; scale the values down."
+            f"The distance of series {i} and {column_label}{j} is too large for {distances.dtype};"
+            f" scale the values down."
         )
 
 
@@ -105,8 +106,9 @@ def require_gpu() -> None:
         return
     if find_spec("numba_cuda") is None:
         raise InputError("device 'cuda' needs the extra 'gpu'; install cornercase[gpu] or choose device 'cpu'.")
+    from numba import cuda
 
-    if not cuda_module.is_available():
+    if not cuda.is_available():
         raise InputError("device 'cuda' needs an NVIDIA GPU and its driver, but none was found; choose device 'cpu'.")
 
 

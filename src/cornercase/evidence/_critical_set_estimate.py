@@ -228,7 +228,10 @@ class CriticalSet:
         count = int(self._is_initial_design.sum()) + len(self._audit_points)
         if count >= _MIN_SCENARIOS or self.is_exhausted:
             return None
-        return f"only {count} scenarios were chosen without looking at scores; {_MIN_SCENARIOS} are needed, audits are such"
+        return (
+            f"only {count} scenarios were chosen without looking at scores; {_MIN_SCENARIOS} are"
+            f" needed, audits are such"
+        )
 
     @property
     def missed_interval_unavailable(self) -> str | None:

@@ -42,8 +42,12 @@ class TMixture:
     def from_parts(cls, parts: list[tuple[float, TMixture]]) -> Self:
         """Mixture of mixtures, from pairs of weight and mixture."""
         shares = np.concatenate([weight * part.weights for weight, part in parts])
-        rest = [np.concatenate([getattr(part, name) for _, part in parts]) for name in ("means", "roots", "freedoms")]
-        return cls(shares / shares.sum(), *rest)
+        return cls(
+            shares / shares.sum(),
+            np.concatenate([part.means for _, part in parts]),
+            np.concatenate([part.scale_roots for _, part in parts]),
+            np.concatenate([part.degrees_of_freedom for _, part in parts]),
+        )
 
     @classmethod
     def fit(cls, points: FloatArray, weights: FloatArray, rng: np.random.Generator) -> Self:

@@ -58,7 +58,7 @@ _MINIMUM_OF_SETTING: Final = {
 class ExplorationConfig:
     """Validated settings of an exploration; the fields are the parameters of `explore`.
 
-    `other` becomes a tuple if it has several names, and ``"*"`` becomes the names of all others. `most_repeats` becomes
+    `other` becomes a tuple if it has several names, and ``"*"`` becomes the names of all others. `max_repeats` becomes
     None if it equals `repeats`. Without rounds, `patience` and the stop criteria are evaluated after every `batch`
     results. `patience` counts rounds without a score at least as critical as the best so far; a score at the metric's
     cap is an improvement only once. Raises `InputError` for a wrong type, a value out of range or an invalid criterion.
@@ -124,7 +124,7 @@ class ExplorationConfig:
         if self.critical is not None:
             checked["critical"] = check_float("critical", self.critical)
         if self.warm_start is not None:
-            checked["from_study"] = check_path("from_study", self.warm_start)
+            checked["warm_start"] = check_path("warm_start", self.warm_start)
         if self.cluster is not None:
             checked["cluster"] = check_cluster(self.cluster)
         if self.max_seconds is not None:
@@ -151,7 +151,7 @@ class ExplorationConfig:
         conflicts = {"critical": self.critical is not None, "weights": self.weights, "pareto": self.pareto}
         for name in filter(conflicts.get, conflicts):
             raise InputError(f"`critical_if` already defines what is critical and searched; leave `{name}` out.")
-        for name, value in {"repeats": self.repeats, "most_repeats": self.max_repeats}.items():
+        for name, value in {"repeats": self.repeats, "max_repeats": self.max_repeats}.items():
             if value not in (None, 1):
                 raise InputError(f"`critical_if` is evaluated on one run of each scenario; leave `{name}` out.")
 
@@ -159,23 +159,23 @@ class ExplorationConfig:
         """Return the checked upper limit of runs per scenario; None if it equals `repeats`."""
         if self.max_repeats is None:
             return None
-        limit = check_int("most_repeats", self.max_repeats, 1)
+        limit = check_int("max_repeats", self.max_repeats, 1)
         if limit == self.repeats:
             return None
         if self.pareto or self.weights:
             other = "pareto" if self.pareto else "weights"
             raise InputError(
-                f"`most_repeats` {limit}: needs a single metric to decide if a run is critical; leave out `{other}`."
+                f"`max_repeats` {limit}: needs a single metric to decide if a run is critical; leave out `{other}`."
             )
         if self.repeats == 1:
             raise InputError(
-                f"`most_repeats` {limit}: only applies if scenarios are repeated; set `repeats` to 2 or more."
+                f"`max_repeats` {limit}: only applies if scenarios are repeated; set `repeats` to 2 or more."
             )
         if limit < self.repeats:
-            raise InputError(f"`most_repeats` {limit}: is less than `repeats` {self.repeats}; give a larger number.")
+            raise InputError(f"`max_repeats` {limit}: is less than `repeats` {self.repeats}; give a larger number.")
         if limit < MIN_DECISIVE_RUNS:
             raise InputError(
-                f"`most_repeats` {limit}: fewer than {MIN_DECISIVE_RUNS} runs never decide a scenario; give"
+                f"`max_repeats` {limit}: fewer than {MIN_DECISIVE_RUNS} runs never decide a scenario; give"
                 f" {MIN_DECISIVE_RUNS} or more, or only `repeats` {limit}."
             )
         return limit
@@ -211,7 +211,7 @@ class ExplorationConfig:
     def minimized_threshold(self, objective: Objective) -> float | None:
         """Return the threshold as a minimized score; None if it is unknown and nothing needs it.
 
-        Raises `InputError` if it is unknown but the optimizer, a stop criterion or `most_repeats` needs it.
+        Raises `InputError` if it is unknown but the optimizer, a stop criterion or `max_repeats` needs it.
         """
         if self.stop_when or self.max_repeats is not None or "threshold" in optimizer_requirements(self.optimizer):
             return objective.minimized_threshold(self.critical)

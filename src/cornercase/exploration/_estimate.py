@@ -144,8 +144,8 @@ def estimate(
         name = f"importance-sampling:learn={learn},known={n_known}-{_hash_scores(points, scores)}"
         meta = replace(meta, critical=objective.convert_orientation(threshold), optimizer=name)
         require_same_settings(study_file, source.meta, running)
-        initial_proposal = initial_proposal(config.logical.space, points, scores, threshold, seed)
-        sampling = ImportanceSampling(config.logical.space, _N_EVENTS, learn, seed, initial_proposal)
+        start_proposal = initial_proposal(config.logical.space, points, scores, threshold, seed)
+        sampling = ImportanceSampling(config.logical.space, _N_EVENTS, learn, seed, start_proposal)
         with open_or_create_study(output_file, meta) as opened:
             opened.writer.resume(meta)
             opened.writer.add_elapsed_time("files", time.monotonic() - start)

@@ -43,7 +43,7 @@ class EventOutcomes:
     @classmethod
     def concatenate(cls, parts: list[EventOutcomes]) -> EventOutcomes:
         """Concatenate outcomes."""
-        names = ("scores", "critical", "collision", "encounter")
+        names = ("scores", "is_critical", "has_collision", "has_encounter")
         dtypes = (np.float64, np.bool_, np.bool_, np.bool_)
         return cls(
             *(
@@ -136,13 +136,15 @@ def describe_doubts(event: str, estimate: Probability, direct_estimate: Probabil
         return []
     if not estimate.met:
         return [
-            f"No {event} occurred. The {direct_estimate.scenarios} scenarios that were drawn from the distributions themselves"
+            f"No {event} occurred. The {direct_estimate.scenarios} scenarios that were drawn from"
+            f" the distributions themselves"
             f" bound its probability by {direct_estimate.high:.3g} (95 %)."
         ]
     sentences = []
     if estimate.effective < _MIN_EFFECTIVE_SAMPLES:
         sentences.append(
-            f"The probability of a {event} is based on {estimate.effective:.0f} effective scenarios; its interval may be"
+            f"The probability of a {event} is based on {estimate.effective:.0f} effective"
+            f" scenarios; its interval may be"
             " too narrow. Use a larger budget."
         )
     elif estimate.largest > _MAX_SINGLE_SHARE:
@@ -152,7 +154,8 @@ def describe_doubts(event: str, estimate: Probability, direct_estimate: Probabil
         )
     if estimate.high < direct_estimate.low or estimate.low > direct_estimate.high:
         sentences.append(
-            f"The estimates of the probability of a {event} differ: {direct_estimate} from the {direct_estimate.scenarios} scenarios drawn"
+            f"The estimates of the probability of a {event} differ: {direct_estimate} from the"
+            f" {direct_estimate.scenarios} scenarios drawn"
             f" from the distributions themselves, {estimate} from the others. A region may have been missed."
         )
     return sentences

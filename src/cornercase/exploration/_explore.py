@@ -103,8 +103,8 @@ def explore(
         ``NAME=LOW:HIGH[:STEP]``; they add parameters to the space or replace them.
     vary : sequence of str
         ``NAME=LOW:HIGH[:STEP]`` or ``NAME`` for numbers in the file, under the names that
-        `cornercase.scenario.variables` gives them. A copy of the scenario with parameters in their place is written
-        next to the study as ``STUDY.varied.xosc`` and explored.
+        `cornercase.scenario.list_variables` gives them. A copy of the scenario with parameters in their place is
+        written next to the study as ``STUDY.varied.xosc`` and explored.
     continuous : bool, default False
         Search ranges with steps as continuous intervals.
     optimizer : str, default "bayes"
@@ -149,7 +149,7 @@ def explore(
         gave a result.
     repeats : int, default 1
         How often each scenario is run; the median score counts.
-    most_repeats : int, optional
+    max_repeats : int, optional
         Upper limit of runs per scenario. A scenario gets `repeats` further runs as long as it is undecided on which
         side of the threshold it is: while the 90 % interval of the probability that a run is critical
         (`cornercase.study.Study.critical_run_rates`) contains 0.5. Default: each scenario is run `repeats` times.
@@ -161,9 +161,9 @@ def explore(
         Whether a run goes on after a collision.
     drivers : mapping of str to str or Driver, optional
         By entity: a preset or ``package.module:Class``, both with options after a colon, or a driver object.
-    replay : bool, default False
+    check_proposals : bool, default False
         Simulate nothing; check that the stored results lead to the same proposals.
-    from_study : path, optional
+    warm_start : path, optional
         Study with the same parameters but another driver, simulator or time step, whose scores warm-start the search.
         They are copied; a search that is resumed does not need that study.
     retry_failed : bool, default False
@@ -229,7 +229,7 @@ def explore(
             drivers={} if drivers is None else drivers,
             warm_start=warm_start,
         )
-        if check_bool("replay", check_proposals):
+        if check_bool("check_proposals", check_proposals):
             return _verify_proposals_of_study(config, file)
         return explore_config(config, file, progress, retry_failed=retry_failed)
 

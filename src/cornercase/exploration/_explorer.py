@@ -51,7 +51,7 @@ class ExplorationResult:
         The same for metrics that are not searched, unless this was reported before for this study.
     same : bool or None
         Whether the stored results led to the same proposals again; None if this was not checked.
-    reasons : mapping of str to int
+    failure_counts : mapping of str to int
         Number of failed scenarios by reason, the most frequent first.
     """
 
@@ -103,7 +103,7 @@ class ExplorationResult:
             interrupted,
             tuple(searched),
             notes,
-            reasons=reasons,
+            failure_counts=reasons,
         )
 
     @property

@@ -19,7 +19,7 @@ from cornercase._common.errors import InputError
 from cornercase._common.io.atomic import SQLITE_SUFFIXES
 from cornercase._common.io.files import atomic_write
 from cornercase._common.memory import DEFAULT_MEMORY, MemoryLimit, format_size, report_memory_need
-from cornercase._common.process.platform import fsync_file, lock_folder
+from cornercase._common.platform import fsync_file, lock_folder
 from cornercase._common.validation import check_int, check_path
 from cornercase.drivers import Driver
 from cornercase.exploration._asynchronous import AsynchronousExplorer

@@ -35,9 +35,9 @@ class RepeatedRun:
 class RepeatPolicy:
     """Decides how often scenarios are run.
 
-    Each is run `repeats` times. With `most_repeats`, a scenario gets `repeats` further runs, up to `most_repeats`,
-    while its runs do not tell on which side of the threshold it is (`is_criticality_undecided`). If all runs failed, there are no more.
-    Raises `InputError` if `most_repeats` needs a threshold and there is none.
+    Each is run `repeats` times. With `max_repeats`, a scenario gets `repeats` further runs, up to `max_repeats`,
+    while its runs do not tell on which side of the threshold it is (`is_criticality_undecided`). If all runs failed,
+    there are no more. Raises `InputError` if `max_repeats` needs a threshold and there is none.
     """
 
     def __init__(self, config: ExplorationConfig, objective: Objective) -> None:

@@ -210,7 +210,8 @@ class ScenarioRunner:
         """Raise `InputError` if `max_failures` scenarios failed by exceptions before any gave a result."""
         if 0 < self._config.max_failures <= self._n_exceptions and not self._study.finished_rows():
             raise InputError(
-                f"None of {self._n_exceptions} scenarios gave a result (`max_failures`); in the last one {self._last_error}. Fix"
+                f"None of {self._n_exceptions} scenarios gave a result (`max_failures`); in the"
+                f" last one {self._last_error}. Fix"
                 " it, and run the same command again."
             )
 

@@ -63,7 +63,8 @@ class Metric(ABC):
     ...     lower_is_critical, cap = False, 0.0
     ...
     ...     def course(self, recording, ego, other):
-    ...         return np.abs(recording.speed[recording.index(ego)] - recording.speed[recording.index(other)])
+    ...         i, j = recording.entity_index(ego), recording.entity_index(other)
+    ...         return np.abs(recording.speed[i] - recording.speed[j])
     >>> SpeedDifference().score(np.array([2.0, np.nan, 7.0]))
     7.0
     """

@@ -66,8 +66,8 @@ class FeatureGroup(ABC):
     ...     name = "hard-braking"
     ...     features = (Feature("strongest-braking", "m/s²"),)
     ...
-    ...     def values(self, meeting):
-    ...         course = meeting.recording.acceleration[meeting.recording.index(meeting.ego)]
+    ...     def values(self, encounter):
+    ...         course = encounter.recording.acceleration[encounter.recording.entity_index(encounter.ego)]
     ...         return np.array([np.nanmin(course, initial=0.0)])
     """
 
@@ -286,7 +286,7 @@ def _angles_between(headings: FloatArray, others: FloatArray | float) -> FloatAr
     return np.asarray(np.minimum(angle, np.abs(2.0 * np.pi - angle)))
 
 
-FEATURES: Final[Registry[FeatureGroup]] = Registry("group of features", "cornercase.random_features", FeatureGroup)
+FEATURES: Final[Registry[FeatureGroup]] = Registry("group of features", "cornercase.features", FeatureGroup)
 """Groups of features by name; other packages add subclasses of `FeatureGroup` through this entry-point group."""
 
 for _group in (

@@ -122,7 +122,7 @@ def measure(
     >>> from cornercase.recordings import Recording
     >>> still = np.zeros((2, 3))
     >>> recording = Recording(
-    ...     time=np.array([0.0, 0.1, 0.2]), names=("Ego", "Other"), kinds=("car", "car"),
+    ...     time=np.array([0.0, 0.1, 0.2]), names=("Ego", "Other"), object_types=("car", "car"),
     ...     x=np.array([[0.0, 1.0, 2.0], [20.0, 20.0, 20.0]]), y=still, heading=still,
     ...     speed=np.array([[10.0] * 3, [0.0] * 3]), acceleration=still,
     ...     length=np.full(2, 4.0), width=np.full(2, 2.0), center_x=np.zeros(2),

@@ -23,7 +23,7 @@ def resolve_others(other: object, ego: str, entity_names: Sequence[str]) -> tupl
 
     Examples
     --------
-    >>> name_others("*", "Ego", ["A", "Ego", "B"])
+    >>> resolve_others("*", "Ego", ["A", "Ego", "B"])
     ('A', 'B')
     """
     given = check_str_sequence("other", other)

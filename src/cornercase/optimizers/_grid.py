@@ -50,7 +50,8 @@ class GridOptimizer(Optimizer):
             steps[grown] += 1
             if math.prod(steps) > _MAX_POINTS:
                 raise InputError(
-                    f"`budget` {budget}: its grid has more than {_MAX_POINTS} points, which would take gigabytes of memory;"
+                    f"`budget` {budget}: its grid has more than {_MAX_POINTS} points, which would"
+                    f" take gigabytes of memory;"
                     " give less, or search with 'sobol'."
                 )
         grid = space.full_factorial(steps)

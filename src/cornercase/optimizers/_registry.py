@@ -14,14 +14,14 @@ OPTIMIZERS: Final[Registry[Optimizer]] = Registry("optimizer", "cornercase.optim
 """Optimizers by name; other packages add subclasses of `Optimizer` through this entry-point group."""
 
 for _name, _target in (
-    ("bayes", "bayes:BayesOptimizer"),
-    ("committee", "committee:CommitteeOptimizer"),
-    ("evolutionary", "evolutionary:EvolutionaryOptimizer"),
-    ("grid", "grid:GridOptimizer"),
-    ("level-set", "level_set:LevelSetOptimizer"),
-    ("optuna", "optuna_sampler:OptunaOptimizer"),
-    ("random", "sequences:RandomOptimizer"),
-    ("sobol", "sequences:SobolOptimizer"),
+    ("bayes", "_bayes:BayesOptimizer"),
+    ("committee", "_committee_search:CommitteeOptimizer"),
+    ("evolutionary", "_evolutionary:EvolutionaryOptimizer"),
+    ("grid", "_grid:GridOptimizer"),
+    ("level-set", "_level_set:LevelSetOptimizer"),
+    ("optuna", "_optuna:OptunaOptimizer"),
+    ("random", "_qmc:RandomOptimizer"),
+    ("sobol", "_qmc:SobolOptimizer"),
 ):
     OPTIMIZERS.register(_name, f"cornercase.optimizers.{_target}")
 

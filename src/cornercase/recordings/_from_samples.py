@@ -56,7 +56,8 @@ def require_loadable_size(path: Path, n_entities: int, n_instants: int) -> None:
     """Raise `InputError` if a recording would take too much memory."""
     if n_entities * n_instants > _MAX_SAMPLES:
         raise InputError(
-            f"{path}: has {n_entities} entities and {n_instants} instants; at most {_MAX_SAMPLES} pairs of both are read."
+            f"{path}: has {n_entities} entities and {n_instants} instants; at most {_MAX_SAMPLES}"
+            f" pairs of both are read."
         )
 
 
@@ -64,7 +65,8 @@ def require_valid_box(path: Path, name: str, length: float, width: float, center
     """Raise `InputError` for an impossible bounding box."""
     if not (0.0 <= length <= _MAX_BOX_SIZE and 0.0 <= width <= _MAX_BOX_SIZE and abs(center_x) <= _MAX_BOX_SIZE):
         raise InputError(
-            f"{path}: entity {name} has a box of {length} m x {width} m; lengths from 0 to {_MAX_BOX_SIZE:g} m are read."
+            f"{path}: entity {name} has a box of {length} m x {width} m; lengths from 0 to"
+            f" {_MAX_BOX_SIZE:g} m are read."
         )
 
 

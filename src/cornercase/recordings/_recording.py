@@ -85,7 +85,7 @@ class Recording:
     >>> from cornercase.recordings import Recording
     >>> still, one = np.zeros((1, 3)), np.ones(1)
     >>> Recording(
-    ...     time=np.array([0.0, 0.1, 0.2]), names=("Ego",), kinds=("car",),
+    ...     time=np.array([0.0, 0.1, 0.2]), names=("Ego",), object_types=("car",),
     ...     x=np.array([[0.0, 1.0, 2.0]]), y=still, heading=still, speed=still + 10.0, acceleration=still,
     ...     length=4.5 * one, width=1.8 * one, center_x=1.4 * one,
     ... )
@@ -184,7 +184,7 @@ class Recording:
 
         Parameters
         ----------
-        one, other : str
+        name, other_name : str
             Names of the entities, in any order.
 
         Returns

@@ -11,7 +11,7 @@ import numpy as np
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.clustering._embedding import Distances, EmbeddedDistances
 from cornercase.reduction._coverage_cells import CellCoverageSums
-from cornercase.reduction.selection._state import SIMILAR_SHARE, Selection
+from cornercase.reduction._selection_state import SIMILAR_SHARE, Selection
 
 # Largest number of scenarios for which all costs are kept in memory.
 _MAX_IN_MEMORY: Final = 2000

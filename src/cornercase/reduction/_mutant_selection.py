@@ -11,7 +11,7 @@ import numpy as np
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.reduction._kill_matrix import KillMatrix, MutantSelection
 from cornercase.reduction._reduced_set import ReducedSet
-from cornercase.reduction.selection._state import SIMILAR_SHARE
+from cornercase.reduction._selection_state import SIMILAR_SHARE
 
 # Factor of a mutant's weight for each selected scenario that kills it.
 _REPEATED_KILL_WEIGHT: Final = 0.5

@@ -33,11 +33,11 @@ from cornercase.reduction._hulls import find_convex_hull
 from cornercase.reduction._kill_matrix import KillMatrix
 from cornercase.reduction._mutant_selection import add_mutant_selection
 from cornercase.reduction._reduced_set import ReducedSet, SelectedScenario
+from cornercase.reduction._selection_state import Selected
 from cornercase.reduction._set_folder import replace_set
 from cornercase.reduction._set_manifest import make_manifest, save_reduction
 from cornercase.reduction.selection._per_cluster import SCENARIOS_PER_SELECTED
 from cornercase.reduction.selection._select import SelectionInput, SelectionRequest, cross_validate, select
-from cornercase.reduction.selection._state import Selected
 from cornercase.scenario._concrete_file import build_concrete_file, read_companion_file
 from cornercase.scenario._file import ScenarioFile
 from cornercase.study import Study
@@ -115,8 +115,8 @@ def reduce(
         Score from which a scenario is critical, to select and to evaluate by; by default that of the study, which is
         not changed.
     kill_matrix : KillMatrix, optional
-        Which scenarios kill which mutants of the driver, from `cornercase.suite.analyze_mutants`: scenarios that kill as
-        many as possible come first, then those that are selected without.
+        Which scenarios kill which mutants of the driver, from `cornercase.suite.analyze_mutants`: scenarios that
+        kill as many as possible come first, then those that are selected without.
     scenario : path or Scenario, optional
         File that was explored, from which the files are made. By default it is searched at the path in the study, next
         to the study and in the current folder, and recognised by its fingerprint.
@@ -148,7 +148,7 @@ def reduce(
     if sum(option is not None for option in (size, share, cover, archetypes)) > 1:
         raise InputError("`size`, `share`, `cover`, `archetypes`: give one of them.")
     if kill_matrix is not None and (cover is not None or archetypes is not None):
-        raise InputError(f"`exposure`, `{'cover' if archetypes is None else 'archetypes'}`: give one of them.")
+        raise InputError(f"`kill_matrix`, `{'cover' if archetypes is None else 'archetypes'}`: give one of them.")
     size_requested = size is not None or share is not None
     size = None if size is None else check_int("size", size, minimum=1)
     share = None if share is None else check_float("share", share, above=0.0)

@@ -11,7 +11,7 @@ from cornercase.reduction._cluster_shapes import ClusterShape
 from cornercase.reduction._coverage import Coverage
 from cornercase.reduction._critical_coverage import CriticalCoverage
 from cornercase.reduction._kill_matrix import MutantSelection
-from cornercase.reduction.selection._state import Role
+from cornercase.reduction._selection_state import Role
 from cornercase.scenario import Value
 
 

@@ -20,7 +20,7 @@ from typing import Any, Final
 from cornercase._common.errors import InputError
 from cornercase._common.io.atomic import fsync_all, make_folders, write_error
 from cornercase._common.io.files import read_file
-from cornercase._common.process.platform import fsync_folder, new_file_mode, replace_file
+from cornercase._common.platform import fsync_folder, new_file_mode, replace_file
 
 MANIFEST: Final = "manifest.json"
 """Name of the file that lists the selected scenarios."""

@@ -17,7 +17,7 @@ from cornercase.reduction._critical_coverage import CriticalCoverage
 from cornercase.reduction._held_out_coverage import HeldOut, HeldOutCritical
 from cornercase.reduction._kill_matrix import MutantSelection, MutationScore
 from cornercase.reduction._reduced_set import ReducedSet, SelectedScenario
-from cornercase.reduction.selection._state import Role
+from cornercase.reduction._selection_state import Role
 from cornercase.study import Study
 from cornercase.study._damage import dataclass_from_json, require_value, reraise_as_damage
 

@@ -101,7 +101,10 @@ def describe_limits(meta: StudyMeta, n_ended: int) -> Iterator[str]:
         yield from describe_unnamed_drivers(meta)
     elif meta.simulator != IMPORTED_SIMULATOR:
         if not all(map(_is_expressible_as_range, meta.space.parameters)):
-            yield f"{_SPACE_PLACEHOLDER} stands for the file that says what varies: the study holds its content, but not its name."
+            yield (
+                f"{_SPACE_PLACEHOLDER} stands for the file that says what varies: the study holds"
+                f" its content, but not its name."
+            )
         yield from describe_unnamed_drivers(meta)
         if n_ended < meta.budget:
             yield f"The study holds {n_ended} scenarios of {meta.budget}: the search was ended before, or goes on."

@@ -10,8 +10,8 @@ from cornercase.clustering import Analysis
 from cornercase.exploration._objective import Objective
 from cornercase.metrics import METRICS
 from cornercase.report._chart_data import coverage_charts, hull_edges, search_chart, sensitivity_chart
+from cornercase.report._courses import encode_courses
 from cornercase.report._report_data import ReportData
-from cornercase.report.encode._courses import encode_courses
 from cornercase.report.text._answers import describe_study, find_default_aspect, page_answers
 from cornercase.report.text._captions import describe_views
 from cornercase.report.text._phrases import describe_aspect, describe_informativeness, format_cluster_title

@@ -15,10 +15,10 @@ from cornercase.exploration._objective import Objective
 from cornercase.metrics import METRICS, Metric
 from cornercase.recordings import Recording
 from cornercase.reduction._coverage import NearestDistances, measure_nearest_distances
+from cornercase.report._courses import COURSE_POINTS, resample_course
 from cornercase.report._estimates import MissedFractionAfter, estimate_missed_fractions
 from cornercase.report._road_drawing import recorded_bounds
 from cornercase.report._summary import Summary, entities_hit_by_ego, summarize_with_collisions
-from cornercase.report.encode._courses import COURSE_POINTS, resample_course
 from cornercase.roads._outline import Region
 from cornercase.scenario import Parameter
 from cornercase.study import ScenarioRecord, Study

@@ -30,9 +30,26 @@ _DRIVABLE_TYPES: Final = (
 )  # fmt: skip
 
 _LANE_TYPES: Final = (
-    *_DRIVABLE_TYPES, "none", "stop", "shoulder", "biking", "sidewalk", "border", "restricted", "parking", "median", "curb",
-    "walking", "shared", "special1", "special2", "special3", "roadWorks", "tram", "rail",
-)  # fmt: skip
+    *_DRIVABLE_TYPES,
+    "none",
+    "stop",
+    "shoulder",
+    "biking",
+    "sidewalk",
+    "border",
+    "restricted",
+    "parking",
+    "median",
+    "curb",
+    "walking",
+    "shared",
+    "special1",
+    "special2",
+    "special3",
+    "roadWorks",
+    "tram",
+    "rail",
+)
 
 PERMANENT_LAYER: Final = "permanent"
 """Layer of lanes outside of roadworks."""
@@ -135,10 +152,10 @@ def _side_lanes_at(
 
     They are linked to themselves where the file starts no section.
     """
-    index = bisect_right(side_starts, starts[index]) - 1
-    if index < 0:
+    section_index = bisect_right(side_starts, starts[index]) - 1
+    if section_index < 0:
         return {}
-    current = side_sections[index]
+    current = side_sections[section_index]
     next_index = bisect_left(side_starts, starts[index + 1]) if index + 1 < len(starts) else len(side_starts)
     goes_on = index + 1 < len(starts) and side_starts[next_index : next_index + 1] != [starts[index + 1]]
     if current.start == starts[index] and not goes_on:
@@ -238,7 +255,8 @@ def read_lane_number(element: etree._Element, location: str, attribute: str = "i
         )
     if abs(number) > _MAX_LANE_NUMBER:
         raise InputError(
-            f"{replace_line(location, element)}: {attribute} of <{element.tag}> is '{element.get(attribute)}'; at most {_MAX_LANE_NUMBER}"
+            f"{replace_line(location, element)}: {attribute} of <{element.tag}> is"
+            f" '{element.get(attribute)}'; at most {_MAX_LANE_NUMBER}"
             " lanes are read on each side of a road."
         )
     if not (text := element.get(attribute, "").strip()).lstrip("+-").isdigit():

@@ -71,8 +71,8 @@ class LaneGraph:
         behind = int(bool(goals) and goals[0] == start.road)
         stretches, passed, length, seen = [start], [behind], 0.0, {start}
         for k in range(_MAX_STRETCHES):
-            start, end = self.s_interval(start)
-            length += end - start if k else 0.0
+            first, last = self.s_interval(start)
+            length += last - first if k else 0.0
             options = self.find_exits(start)
             if not options:
                 return LaneWalk(stretches, passed, is_dead_end=True)
@@ -162,8 +162,10 @@ class LaneGraph:
     def _linked_lanes(self, lane: DirectedLane) -> list[DirectedLane]:
         """Return the directed lanes that are linked to the end of one, whether they meet or not."""
         road = self._roads[lane.road]
-        lane = road.sections[lane.section][1].get(lane.lane)
-        linked = () if lane is None else (lane.successors if lane.forward else lane.predecessors)
+        section_lane = road.sections[lane.section][1].get(lane.lane)
+        linked = (
+            () if section_lane is None else (section_lane.successors if lane.forward else section_lane.predecessors)
+        )
         following = lane.section + (1 if lane.forward else -1)
         if 0 <= following < len(road.sections):
             lanes = road.sections[following][1]

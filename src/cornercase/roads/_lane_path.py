@@ -34,8 +34,8 @@ class LanePath:
     `reference_distance` is measured along the reference lines, `center_offset` to the left of them. Their curvature,
     positive to the left, is given at K distances along them, piecewise linear with jumps at equal distances. `lane_s`,
     `lane_span` and `lane_reference_distance` are start and end of the requested lane by s and by distance along the
-    path, and the distance along the reference lines of its start. Without `has_pending_stop` or `has_start` the path was cut
-    there. At `jumps`, distances along the reference lines, it jumps sideways.
+    path, and the distance along the reference lines of its start. Without `has_pending_stop` or `has_start` the path
+    was cut there. At `jumps`, distances along the reference lines, it jumps sideways.
     """
 
     distance: FloatArray
@@ -226,7 +226,7 @@ def _arc_offset_from_chord(curvature: FloatArray, fraction: FloatArray, chord_le
 def join_paths(pieces: Sequence[LanePath], requested: int = 0) -> LanePath:
     """Join pieces, each of which starts where the one before ends; `requested` is the piece of the requested lane."""
     offsets = np.cumsum([0.0, *(piece.reference_distance[-1] for piece in pieces[:-1])])
-    requested = pieces[requested]
+    requested_piece = pieces[requested]
     pieces = [
         replace(
             piece,
@@ -237,14 +237,26 @@ def join_paths(pieces: Sequence[LanePath], requested: int = 0) -> LanePath:
     ]
     # Pieces of minimal length have no direction of their own.
     indices = [k for k, piece in enumerate(pieces) if piece.distance[-1] > 2.0 * MIN_PATH_LENGTH] or [requested]
-    names = ("x", "y", "s", "road", "lane", "along", "passed", "reference", "center", "bend_at", "bend")
+    names = (
+        "x",
+        "y",
+        "s",
+        "road",
+        "lane",
+        "forward",
+        "goals_passed",
+        "reference_distance",
+        "center_offset",
+        "curvature_distance",
+        "reference_curvature",
+    )
     arrays: list[Any] = [np.concatenate([getattr(pieces[k], name) for k in indices]) for name in names]
     jumps = [float(offsets[k]) + jump for k in indices for jump in pieces[k].jumps]
     jumped = find_first_after_jumps(arrays[7], jumps)
     # Count small gaps between pieces, too.
     travelled = _distances_along_line(arrays[0], arrays[1], arrays[7], jumped)
     begin = sum(len(pieces[k].x) for k in indices if k < requested)
-    end = begin + len(requested.x) - 1 if requested in indices else begin
+    end = begin + len(requested_piece.x) - 1 if requested in indices else begin
     span = travelled[np.minimum([begin, end], len(travelled) - 1)].tolist()
     path = LanePath.from_points(*[*arrays, jumped])
     # Gaps between pieces must not change the heading.
@@ -254,5 +266,8 @@ def join_paths(pieces: Sequence[LanePath], requested: int = 0) -> LanePath:
     headings = np.unwrap(np.concatenate([pieces[k].heading for k in indices]))
     path = path.with_jump_headings(jumps, np.interp(path.distance, travelled, headings))
     return replace(
-        path, lane_s=requested.lane_s, lane_span=(span[0], span[1]), lane_reference_distance=float(offsets[requested])
+        path,
+        lane_s=requested_piece.lane_s,
+        lane_span=(span[0], span[1]),
+        lane_reference_distance=float(offsets[requested]),
     )

@@ -32,7 +32,7 @@ def resolve_links(
         for end, link in (("predecessor", road.predecessor), ("successor", road.successor)):
             ends[end] = None if link is None else _resolve_link(road, end, link, elements, by_name, junctions)
         resolved.append(replace(road, predecessor=ends["predecessor"], successor=ends["successor"]))
-    _record_missing_lanes({road.name: road for road in resolved}, elements)
+    _record_missing_lanes({road.road_id: road for road in resolved}, elements)
     return tuple(resolved)
 
 

@@ -42,7 +42,7 @@ class LaneCoordinates(NamedTuple):
 class _LaneSamples(NamedTuple):
     """Samples of the center lines of all lanes; `spacing` is their largest distance in m."""
 
-    index: NearestPointIndex
+    point_index: NearestPointIndex
     points: FloatArray
     heading: FloatArray
     road: IntArray
@@ -83,7 +83,7 @@ class RoadLocator:
         # NaN is not valid either.
         valid = (np.abs(x) < _MAX_COORDINATE) & (np.abs(y) < _MAX_COORDINATE)
         points = np.stack([np.where(valid, x, 0.0), np.where(valid, y, 0.0)], axis=1)
-        near = samples.index.find_nearest(points, _N_CANDIDATES)
+        near = samples.point_index.find_nearest(points, _N_CANDIDATES)
         wide = samples.spacing > _SAMPLE_DISTANCE
         gap = (
             _distances_to_lanes(points, samples, near) if wide else _distances_to_samples(points, samples.points, near)
@@ -93,7 +93,7 @@ class RoadLocator:
         for r, ln in sorted({*zip(located.road.tolist(), located.lane.tolist(), strict=True)}):
             rows, road = (located.road == r) & (located.lane == ln), self._roads[r]
             for _ in range(2):
-                cx, cy, heading = road.at_lane(ln, located.s[rows])
+                cx, cy, heading = road.lane_pose_at(ln, located.s[rows])
                 dx, dy = points[rows, 0] - cx, points[rows, 1] - cy
                 step = dx * np.cos(heading) + dy * np.sin(heading)
                 located.s[rows] = np.clip(located.s[rows] + step, 0.0, road.length)
@@ -141,13 +141,13 @@ class RoadLocator:
             rows = np.flatnonzero((road == r) & np.isfinite(x))
             candidate, along = self._roads[r], s[rows]
             for _ in range(n_projections):
-                px, py, heading = candidate.reference(np.clip(along, 0.0, candidate.length))
+                px, py, heading = candidate.reference_pose(np.clip(along, 0.0, candidate.length))
                 dx, dy, cos, sin = x[rows] - px, y[rows] - py, np.cos(heading), np.sin(heading)
                 along = np.clip(along, 0.0, candidate.length) + dx * cos + dy * sin
             t = dy * cos - dx * sin
             within = (along >= 0.0) & (along <= candidate.length)
             along = np.clip(along, 0.0, candidate.length)
-            right, left = candidate.margins(along)
+            right, left = candidate.road_edge_offsets(along)
             good = within & (t >= right - tolerance) & (t <= left + tolerance)
             inside[rows] = good
             s[rows[good]] = along[good]
@@ -186,9 +186,16 @@ class RoadLocator:
             bad.append(np.full(len(s), not current.sections[k][1][number].is_drivable))
         all_points = np.concatenate(points)
         return _LaneSamples(
-            NearestPointIndex(all_points), all_points, np.concatenate(headings), np.concatenate(road), np.concatenate(lane),
-            np.concatenate(positions), np.concatenate(half), np.concatenate(bad), spacing,
-        )  # fmt: skip
+            NearestPointIndex(all_points),
+            all_points,
+            np.concatenate(headings),
+            np.concatenate(road),
+            np.concatenate(lane),
+            np.concatenate(positions),
+            np.concatenate(half),
+            np.concatenate(bad),
+            spacing,
+        )
 
 
 @kernel(error_model="numpy")
@@ -209,9 +216,9 @@ def _choose_candidate(distances, candidates, half_width, is_undrivable):
     for i in range(candidates.shape[0]):
         lowest = math.inf
         for k in range(candidates.shape[1]):
-            distance, half_width = distances[i, k], half_width[candidates[i, k]]
-            cost = max(distance - half_width, 0.0) + 1e-3 * distance
-            if distance <= half_width and is_undrivable[candidates[i, k]]:
+            distance, half = distances[i, k], half_width[candidates[i, k]]
+            cost = max(distance - half, 0.0) + 1e-3 * distance
+            if distance <= half and is_undrivable[candidates[i, k]]:
                 cost += 0.01
             if cost < lowest:
                 best[i], lowest = k, cost

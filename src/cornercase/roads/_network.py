@@ -254,7 +254,8 @@ class RoadNetwork:
     def _locator(self) -> RoadLocator:
         if not any(lanes for road in self.roads for _, lanes in road.sections):
             raise InputError(
-                f"{self.path}, line {self.first_line}: <road>: none of the roads has a lane, so nothing can be placed on"
+                f"{self.path}, line {self.first_line}: <road>: none of the roads has a lane, so"
+                f" nothing can be placed on"
                 " them; give one of them a <lane>."
             )
         return RoadLocator(self.roads)

@@ -267,13 +267,15 @@ def find_permanent_lanes(road: etree._Element, location: str) -> etree._Element 
     permanent = [element for element in layers if element.attrib.get("layer", PERMANENT_LAYER) == PERMANENT_LAYER]
     if len(permanent) > 1:
         raise InputError(
-            f"{replace_line(location, permanent[1])}: has a second <lanes> of the layer '{PERMANENT_LAYER}'; keep one of them,"
+            f"{replace_line(location, permanent[1])}: has a second <lanes> of the layer"
+            f" '{PERMANENT_LAYER}'; keep one of them,"
             " or name the layer of the other."
         )
     if layers and not permanent:
         layer = layers[0].attrib.get("layer")
         raise InputError(
-            f"{replace_line(location, layers[0])}: has only <lanes> of the layer '{layer}'; give it <lanes> of the layer"
+            f"{replace_line(location, layers[0])}: has only <lanes> of the layer '{layer}'; give it"
+            f" <lanes> of the layer"
             f" '{PERMANENT_LAYER}'."
         )
     return next((element for element in permanent if is_in_permanent_layer(element)), None)

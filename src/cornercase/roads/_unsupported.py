@@ -36,9 +36,11 @@ def list_unsupported(
         e for e in elements if tag_without_namespace(e) == "lane" and e.attrib.get("type") in _RESERVED_LANE_TYPES
     ]
     notices = [
-        _make_notice("elevation of roads", "vehicles drive in the plane, also on roads that climb or bank by more than 2 %",
+        _make_notice("elevation of roads", "vehicles drive in the plane, also on roads that climb"
+            " or bank by more than 2 %",
                 file, _roads_with_slope(root)),
-        _make_notice("lanes for buses, taxis, trams or full cars", "vehicles of all kinds may drive on every lane", file,
+        _make_notice("lanes for buses, taxis, trams or full cars", "vehicles of all kinds may drive"
+            " on every lane", file,
                 reserved),
     ]  # fmt: skip
     if network is not None:

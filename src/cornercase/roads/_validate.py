@@ -40,7 +40,8 @@ def require_drivable_road(road: Road, element: etree._Element, location: str) ->
         distance = float(np.hypot(x[0] - following.x, y[0] - following.y))
         if distance > _MAX_GAP:
             raise InputError(
-                f"{location}: the <geometry> at s = {following.s:g} m begins {distance:.3g} m away from the end of the one"
+                f"{location}: the <geometry> at s = {following.s:g} m begins {distance:.3g} m away"
+                f" from the end of the one"
                 " before; make them meet."
             )
         if distance > _MAX_UNREPORTED_GAP:
@@ -88,7 +89,8 @@ def _require_valid_geometry(geometry: ReferenceGeometry, end: float, location: s
         raise InputError(f"{location} lies more than {_MAX_COORDINATE / 1000:g} km from the origin; move it nearer.")
     if geometry.kind == "paramPoly3" and not 1 / _MAX_LENGTH_RATIO <= length / geometry.length <= _MAX_LENGTH_RATIO:
         raise InputError(
-            f"{location} is a <paramPoly3> that is {length:.3g} m long, but its length says {geometry.length:g} m; correct"
+            f"{location} is a <paramPoly3> that is {length:.3g} m long, but its length says"
+            f" {geometry.length:g} m; correct"
             " its coefficients, or its pRange."
         )
 

@@ -47,10 +47,10 @@ class ScenarioBundle:
         except ValueError as error:
             raise InputError(f"{scenario.path}: names files of several drives; put them on one.") from error
         return cls(
-            folder=folder,
+            common_folder=folder,
             files={_relative_posix_path(folder, path): content for path, content in packed.items()},
-            main=_relative_posix_path(folder, os.path.abspath(scenario.path)),
-            roads=scenario.varied_roads,
+            scenario_path=_relative_posix_path(folder, os.path.abspath(scenario.path)),
+            varied_roads=scenario.varied_roads,
             fingerprint=scenario.fingerprint(),
         )
 

@@ -56,7 +56,8 @@ class Catalogs:
         """
         if catalog_name not in self._by_name:
             raise InputError(
-                f"{self._scenario_path}: there is no catalog '{catalog_name}'; {suggest_name(catalog_name, self._by_name)}"
+                f"{self._scenario_path}: there is no catalog '{catalog_name}';"
+                f" {suggest_name(catalog_name, self._by_name)}"
             )
         matches: list[tuple[Path, etree._Element]] = []
         names: list[str] = []
@@ -66,7 +67,8 @@ class Catalogs:
             matches += [(file, entries[entry_name])] if entry_name in entries else []
         if not matches:
             raise InputError(
-                f"{self._scenario_path}: the catalog '{catalog_name}' has no entry '{entry_name}'; {suggest_name(entry_name, names)}"
+                f"{self._scenario_path}: the catalog '{catalog_name}' has no entry '{entry_name}';"
+                f" {suggest_name(entry_name, names)}"
             )
         preferred = [holder for holder in matches if holder[0].stem == catalog_name] or matches
         if len({etree.tostring(element, method="c14n").strip() for _, element in preferred}) > 1:

@@ -27,7 +27,8 @@ _CONTROLLER_ACTIONS: Final = ("ControllerAction", "AssignControllerAction", "Act
 class ConcreteFile:
     """Content of a concrete scenario file (XML in UTF-8), and the files that have to be next to it.
 
-    `start_callbacks` has for each: its path, its path relative to the concrete file's folder, the tag of its root element.
+    `start_callbacks` has for each: its path, its path relative to the concrete file's folder, the tag of its root
+    element.
     """
 
     content: bytes

@@ -89,7 +89,7 @@ class ParameterDeclaration:
         ----------
         element : lxml element
             ``ParameterDeclaration``.
-        source : str
+        file_name : str
             Name of the file, for messages.
 
         Returns
@@ -170,7 +170,8 @@ def find_constraint_violations(
                     holds &= _apply_rule(constraint.rule, value, reference, declaration.type_name)
                 except ValueError:
                     raise InputError(
-                        f"The constraint {format_constraints([constraint])} of the parameter {declaration.name} has no value of"
+                        f"The constraint {format_constraints([constraint])} of the parameter"
+                        f" {declaration.name} has no value of"
                         f" the type {declaration.type_name}."
                     ) from None
             fulfilled |= holds

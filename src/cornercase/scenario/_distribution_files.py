@@ -29,7 +29,7 @@ def read_distribution_file(path: Path | str, cache: XmlFileCache | None = None) 
     with locate_input_errors(distribution, str(path)):
         if not parameters:
             raise InputError(f"{path}: varies no parameter.")
-        require_unique_names([name for p in parameters for name in p.assigns], str(path))
+        require_unique_names([name for p in parameters for name in p.assigned_names], str(path))
     return [_add_unit(parameter, distribution) for parameter in parameters]
 
 

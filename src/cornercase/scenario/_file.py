@@ -131,7 +131,8 @@ class ScenarioFile:
             raise InputError(f"{format_location(root, str(self.path))}: {description}.")
         if root.tag != "OpenSCENARIO":
             raise InputError(
-                f"{format_location(root, str(self.path))}: the root element is <{root.tag}>; an OpenSCENARIO file starts with"
+                f"{format_location(root, str(self.path))}: the root element is <{root.tag}>; an"
+                f" OpenSCENARIO file starts with"
                 " <OpenSCENARIO>."
             )
         header = root.find("FileHeader")
@@ -149,7 +150,8 @@ class ScenarioFile:
         for needed in ("Entities", "Storyboard"):
             if root.find(needed) is None:
                 raise InputError(
-                    f"{format_location(root, str(self.path))}: <{root.tag}> has no <{needed}>, so there is nothing to run."
+                    f"{format_location(root, str(self.path))}: <{root.tag}> has no <{needed}>, so"
+                    f" there is nothing to run."
                 )
         # Raises if names are not unique.
         _ = self.entities
@@ -304,7 +306,8 @@ class ScenarioFile:
         models = vehicle_models_of_profile(profiles, profile)
         if models is None:
             raise InputError(
-                f"{profiles_path}: has no agent profile '{profile}'; {suggest_name(profile, agent_profile_names(profiles))}"
+                f"{profiles_path}: has no agent profile '{profile}';"
+                f" {suggest_name(profile, agent_profile_names(profiles))}"
             )
         if not models:
             raise InputError(f"{self.path}: {description}, but has no vehicle model; {hint}.")

@@ -50,8 +50,8 @@ def _candidate_files(file_name: str, folder: Path) -> Iterator[Path]:
     level = [folder]
     for depth in range(_MAX_DEPTH + 1):
         subfolders = []
-        for folder in level:
-            for entry in _list_folder(folder):
+        for current in level:
+            for entry in _list_folder(current):
                 if entry.is_dir():
                     # Do not follow links.
                     subfolders += [] if entry.is_symlink() else [entry]

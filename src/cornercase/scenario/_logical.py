@@ -49,7 +49,7 @@ class ConcreteScenario:
 
         Parameters
         ----------
-        known : Scenario, optional
+        reusable : Scenario, optional
             Returned instead if it is the same file with the same content, so that nothing is read again.
 
         Returns
@@ -81,7 +81,7 @@ class ConcreteScenario:
         --------
         >>> from cornercase import LogicalScenario
         >>> logical = LogicalScenario.read("examples/r157/deceleration.xosc", ranges=["gap=20:40"])
-        >>> logical.concrete({"gap": 30.0}).by_name().values
+        >>> logical.concrete_scenario({"gap": 30.0}).with_all_values().values
         {'ego_kmh': 90.0, 'gap': 30.0, 'deceleration': 0.5}
         """
         return self if self.file is None else replace(self, values=_evaluate_all_parameters(self.file, self.values))

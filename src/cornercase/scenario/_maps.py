@@ -83,7 +83,8 @@ def describe_how_to_get_map(reference: str) -> str:
     options = f"name its folder by --maps FOLDER or in the environment variable {MAPS_VARIABLE}"
     if _CARLA_MAP_NAME.fullmatch(name):
         return (
-            f"it is a map of CARLA, whose road file is CarlaUE4/Content/Carla/Maps/OpenDrive/{name}{_ROAD_FILE_SUFFIX} where"
+            f"it is a map of CARLA, whose road file is"
+            f" CarlaUE4/Content/Carla/Maps/OpenDrive/{name}{_ROAD_FILE_SUFFIX} where"
             f" CARLA is installed; {options}"
         )
     return f"put it there, or {options}"

@@ -54,7 +54,10 @@ def record_later_version(root: etree._Element) -> None:
     """Record on the file header that the version is later than the supported ones."""
     minor = later_minor_version(root)
     for header in find_untracked(root, "FileHeader") if minor is not None else ():
-        reason = f"is {minor}, a version that is not published yet; the file is read as OpenSCENARIO XML 1.{NEWEST_MINOR_VERSION}"
+        reason = (
+            f"is {minor}, a version that is not published yet; the file is read as"
+            f" OpenSCENARIO XML 1.{NEWEST_MINOR_VERSION}"
+        )
         note_adaptation(header, "revMinor of <FileHeader>", reason, f"revMinor is 0 to {NEWEST_MINOR_VERSION}")
 
 

@@ -110,7 +110,7 @@ class Parameter:
 
         Parameters
         ----------
-        u : float
+        unit_position : float
 
         Returns
         -------
@@ -123,7 +123,7 @@ class Parameter:
 
         Parameters
         ----------
-        u : ndarray of float64, shape (n,)
+        unit_positions : ndarray of float64, shape (n,)
 
         Returns
         -------
@@ -184,7 +184,7 @@ class Parameter:
 
         Parameters
         ----------
-        u : float
+        unit_position : float
 
         Returns
         -------
@@ -246,7 +246,7 @@ class Parameter:
 
         Parameters
         ----------
-        u : ndarray of float64, shape (n,)
+        unit_positions : ndarray of float64, shape (n,)
 
         Returns
         -------
@@ -262,7 +262,7 @@ class Parameter:
 
         Parameters
         ----------
-        numbers : ndarray of int64, shape (n,)
+        indices : ndarray of int64, shape (n,)
             Indices of steps or choices, from 0.
 
         Returns

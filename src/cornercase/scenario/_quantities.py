@@ -64,17 +64,26 @@ LANE_NUMBER: Final = Quantity(is_integer=True)
 _LANE_COUNT: Final = Quantity("lanes", is_integer=True)
 
 QUANTITIES: Final[Mapping[str, Mapping[str, tuple[str, Quantity]]]] = {
-    "LanePosition": {"s": ("s", _ROAD_COORDINATE), "offset": ("offset", _LATERAL_OFFSET), "laneId": ("lane", LANE_NUMBER)},
+    "LanePosition": {
+        "s": ("s", _ROAD_COORDINATE),
+        "offset": ("offset", _LATERAL_OFFSET),
+        "laneId": ("lane", LANE_NUMBER),
+    },
     "RoadPosition": {"s": ("s", _ROAD_COORDINATE), "t": ("t", _LATERAL_OFFSET)},
     "RelativeLanePosition": {
-        "ds": ("ds", _RELATIVE_DISTANCE), "dsLane": ("ds", _RELATIVE_DISTANCE), "offset": ("offset", _LATERAL_OFFSET), "dLane": ("lanes", _LANE_COUNT),
+        "ds": ("ds", _RELATIVE_DISTANCE),
+        "dsLane": ("ds", _RELATIVE_DISTANCE),
+        "offset": ("offset", _LATERAL_OFFSET),
+        "dLane": ("lanes", _LANE_COUNT),
     },
     "RelativeRoadPosition": {"ds": ("ds", _RELATIVE_DISTANCE), "dt": ("dt", _LATERAL_OFFSET)},
     "WorldPosition": {"x": ("x", _WORLD_COORDINATE), "y": ("y", _WORLD_COORDINATE), "h": ("h", _HEADING)},
     "RelativeWorldPosition": {"dx": ("dx", _RELATIVE_DISTANCE), "dy": ("dy", _RELATIVE_DISTANCE)},
     "RelativeObjectPosition": {"dx": ("dx", _RELATIVE_DISTANCE), "dy": ("dy", _RELATIVE_DISTANCE)},
     "FromLaneCoordinates": {
-        "pathS": ("path_s", _ROAD_COORDINATE), "laneOffset": ("offset", _LATERAL_OFFSET), "laneId": ("lane", LANE_NUMBER),
+        "pathS": ("path_s", _ROAD_COORDINATE),
+        "laneOffset": ("offset", _LATERAL_OFFSET),
+        "laneId": ("lane", LANE_NUMBER),
     },
     "FromRoadCoordinates": {"pathS": ("path_s", _ROAD_COORDINATE), "t": ("t", _LATERAL_OFFSET)},
     "TrajectoryPosition": {"s": ("path_s", _ROAD_COORDINATE), "t": ("t", _LATERAL_OFFSET)},
@@ -84,8 +93,10 @@ QUANTITIES: Final[Mapping[str, Mapping[str, tuple[str, Quantity]]]] = {
     "AbsoluteSpeed": {"value": ("final_speed", _SPEED)},
     "RelativeSpeedToMaster": {"value": ("final_difference", _SPEED)},
     "DynamicConstraints": {
-        "maxSpeed": ("max_speed", _SPEED_LIMIT), "maxAcceleration": ("max_acceleration", _ACCELERATION_LIMIT),
-        "maxDeceleration": ("max_deceleration", _ACCELERATION_LIMIT), "maxAccelerationRate": ("max_jerk", _JERK),
+        "maxSpeed": ("max_speed", _SPEED_LIMIT),
+        "maxAcceleration": ("max_acceleration", _ACCELERATION_LIMIT),
+        "maxDeceleration": ("max_deceleration", _ACCELERATION_LIMIT),
+        "maxAccelerationRate": ("max_jerk", _JERK),
         "maxDecelerationRate": ("max_braking_jerk", _JERK),
     },
     "SpeedProfileEntry": {"speed": ("speed", _SPEED), "time": ("time", _TIME)},
@@ -98,12 +109,16 @@ QUANTITIES: Final[Mapping[str, Mapping[str, tuple[str, Quantity]]]] = {
     "RelativeTargetLaneOffset": {"value": ("offset", _LATERAL_OFFSET)},
     "LaneOffsetActionDynamics": {"maxLateralAcc": ("lateral_limit", _ACCELERATION_LIMIT)},
     "SynchronizeAction": {
-        "targetToleranceMaster": ("master_tolerance", _DISTANCE), "targetTolerance": ("target_tolerance", _DISTANCE),
+        "targetToleranceMaster": ("master_tolerance", _DISTANCE),
+        "targetTolerance": ("target_tolerance", _DISTANCE),
     },
     "TargetDistanceSteadyState": {"distance": ("steady_distance", _DISTANCE)},
     "TargetTimeSteadyState": {"time": ("steady_time", _TIME)},
     "FollowTrajectoryAction": {"initialDistanceOffset": ("start", _DISTANCE)},
-    "Timing": {"offset": ("time_offset", Quantity("s", relative_width=0.5, half_width_at_zero=2.0)), "scale": ("time_scale", _FACTOR)},
+    "Timing": {
+        "offset": ("time_offset", Quantity("s", relative_width=0.5, half_width_at_zero=2.0)),
+        "scale": ("time_scale", _FACTOR),
+    },
     "Condition": {"delay": ("delay", _TIME)},
     "SimulationTimeCondition": {"value": ("time", _TIME)},
     "TimeHeadwayCondition": {"value": ("headway", _TIME)},
@@ -121,9 +136,10 @@ QUANTITIES: Final[Mapping[str, Mapping[str, tuple[str, Quantity]]]] = {
     "OffroadCondition": {"duration": ("offroad", _TIME)},
     "AngleCondition": {"angle": ("angle", _ANGLE), "angleTolerance": ("tolerance", replace(_ANGLE, minimum=0.0))},
     "RelativeAngleCondition": {
-        "angle": ("angle", _ANGLE), "angleTolerance": ("tolerance", replace(_ANGLE, minimum=0.0)),
+        "angle": ("angle", _ANGLE),
+        "angleTolerance": ("tolerance", replace(_ANGLE, minimum=0.0)),
     },
-}  # fmt: skip
+}
 """Last part of the name, and quantity, by element and attribute."""
 
 DYNAMICS_QUANTITIES: Final = {

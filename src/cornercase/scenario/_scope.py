@@ -242,7 +242,8 @@ class Scope(AttributeReader):
             element = self._catalog_lookup(*names)
         if allowed_tags and element.tag not in allowed_tags:
             raise InputError(
-                f"{self.file_name}, line {reference.sourceline}: the catalog entry '{self.read_text(reference, 'entryName')}'"
+                f"{self.file_name}, line {reference.sourceline}: the catalog entry"
+                f" '{self.read_text(reference, 'entryName')}'"
                 f" is a <{element.tag}>; use a <{allowed_tags[0]}>."
             )
         inner = self.nested_scope(element, reference.find("ParameterAssignments"))

@@ -136,7 +136,7 @@ class ParameterSpace:
         Parameters
         ----------
         path : path
-        files : XmlFiles, optional
+        cache : XmlFiles, optional
             Cache of parsed files.
 
         Returns
@@ -157,7 +157,7 @@ class ParameterSpace:
         Parameters
         ----------
         path : path
-        files : XmlFiles, optional
+        cache : XmlFiles, optional
             Cache of parsed files.
 
         Returns
@@ -222,7 +222,7 @@ class ParameterSpace:
         ----------
         declarations : sequence of Declaration
             All declared parameters of the scenario.
-        source : str
+        file_name : str
             Name of the file, for messages.
 
         Returns
@@ -248,7 +248,7 @@ class ParameterSpace:
         ----------
         declarations : sequence of Declaration
             All declared parameters of the scenario.
-        source : str
+        file_name : str
             Name of the file, for messages.
 
         Returns
@@ -380,7 +380,7 @@ class ParameterSpace:
 
         Parameters
         ----------
-        steps : sequence of int, length d, optional
+        n_levels : sequence of int, length d, optional
             Number of evenly spaced values of each parameter; by default all, which needs a finite space.
 
         Returns
@@ -446,7 +446,7 @@ class ParameterSpace:
 
         Parameters
         ----------
-        plain : mapping
+        data : mapping
 
         Returns
         -------

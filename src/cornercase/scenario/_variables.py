@@ -76,9 +76,9 @@ class Variable:
 
     Examples
     --------
-    >>> from cornercase.scenario import variables
-    >>> listed = {variable.name: variable for variable in variables("examples/x_intersection/x_intersection.xosc")}
-    >>> listed["C_stops.rate"].text, listed["C_stops.rate"].unit, listed["C_stops.rate"].proposal
+    >>> from cornercase.scenario import list_variables
+    >>> listed = {variable.name: variable for variable in list_variables("examples/x_intersection/x_intersection.xosc")}
+    >>> listed["C_stops.rate"].value_text, listed["C_stops.rate"].unit, listed["C_stops.rate"].proposed_range
     ('4', 'm/s²', '2.8:5.2')
     """
 
@@ -145,9 +145,9 @@ def list_variables(scenario: ScenarioFile | Path | str) -> tuple[Variable, ...]:
 
     Examples
     --------
-    >>> from cornercase.scenario import variables
-    >>> for variable in variables("examples/r157/cut_in.xosc")[4:6]:
-    ...     print(variable.name, variable.text, variable.unit, variable.proposal)
+    >>> from cornercase.scenario import list_variables
+    >>> for variable in list_variables("examples/r157/cut_in.xosc")[4:6]:
+    ...     print(variable.name, variable.value_text, variable.unit, variable.proposed_range)
     Ego.initial.x 100 m 95:105
     Ego.initial.y -5.25 m -10.2:-0.2
     """
@@ -319,9 +319,15 @@ class _VariableCollector:
                 yield from self._collect_number(list(row), attribute, base, row_qualifier, full_suffix, kind, group)
 
     def _collect_number(
-        self, elements: list[etree._Element], attribute: str, base: str, qualifier: str, suffix: str, quantity: Quantity,
+        self,
+        elements: list[etree._Element],
+        attribute: str,
+        base: str,
+        qualifier: str,
+        suffix: str,
+        quantity: Quantity,
         group: str,
-    ) -> Iterator[_UnnamedVariable]:  # fmt: skip
+    ) -> Iterator[_UnnamedVariable]:
         element = elements[0]
         text = (element.get(attribute) or "").strip()
         variable = Variable("", group, text, quantity.unit, line_number(element), is_integer=quantity.is_integer)
@@ -356,12 +362,19 @@ class _VariableCollector:
             quantity = Quantity(quantity.unit)
         range_ = _propose_range(quantity, value, inner_least, inner_most)
         yield _UnnamedVariable(
-            base, qualifier, suffix,
+            base,
+            qualifier,
+            suffix,
             replace(
-                variable, proposed_low=range_[0], proposed_high=range_[1], minimum=least, maximum=most, allowed_lanes=lanes,
+                variable,
+                proposed_low=range_[0],
+                proposed_high=range_[1],
+                minimum=least,
+                maximum=most,
+                allowed_lanes=lanes,
                 occurrences=tuple((self._element_indices[twin], attribute) for twin in elements),
             ),
-        )  # fmt: skip
+        )
 
     def _road_position(self, element: etree._Element) -> tuple[RoadExtent | None, int | None, float | None]:
         """Return road, lane and s of a position, as far as they are known."""

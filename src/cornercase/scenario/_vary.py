@@ -69,7 +69,8 @@ class VariedScenario:
             name, _, range_ = (part.strip() for part in text.partition("="))
             if name not in by_name:
                 raise InputError(
-                    f"`vary` {text}: {source.path} has no '{name}' that can be varied; {_suggest_variable(name, by_name)}"
+                    f"`vary` {text}: {source.path} has no '{name}' that can be varied;"
+                    f" {_suggest_variable(name, by_name)}"
                 )
             if name in named:
                 raise InputError(f"`vary` {text}: {name} is varied twice; keep one of them.")
@@ -337,7 +338,8 @@ def _adapted_paths(
         if path.startswith("$"):
             if element.tag in _REQUIRED_PATH_ELEMENTS:
                 raise InputError(
-                    f"{scenario.path}, line {element.sourceline}: <{element.tag}> has an expression as path, which cannot"
+                    f"{scenario.path}, line {element.sourceline}: <{element.tag}> has an expression"
+                    f" as path, which cannot"
                     f" be adapted to {folder}; write the varied scenario into the folder of the scenario."
                 )
             continue

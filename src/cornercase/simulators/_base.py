@@ -26,9 +26,9 @@ class Availability:
     ----------
     version : str
         Empty if unknown.
-    missing : str
+    problem : str
         What is missing and how to get it, as a sentence; empty if the simulator can run.
-    abilities : tuple of str
+    features : tuple of str
         Short descriptions of optional features.
     """
 
@@ -55,18 +55,18 @@ class Simulator(ABC):
     settings : dict
         Everything besides the scenario that the recordings depend on, as plain JSON values. It is stored with a study,
         and a study is resumed only with the same settings.
-    needs : tuple of str
+    requires : tuple of str
         Further options that it gets: ``"ego"``, the name of the entity under test, and ``"worker"``, the number of its
         worker process from 0 on.
     in_process : bool, default False
         Whether it may run in cornercase's own process: it neither crashes nor hangs, and leaves nothing behind.
-    repeats_itself : bool, default False
+    deterministic : bool, default False
         Whether the same scenario with the same settings gives a bit-identical recording. Differences between recordings
         then come from what is tested. This is checked with the first scenario of each study.
-    takes_batches : bool, default False
+    batched : bool, default False
         Whether one call with many scenarios is faster than single calls. It then gets as many scenarios as possible at
         once, otherwise one at a time.
-    values_by : {"name", "file"}, default "name"
+    parameter_passing : {"name", "file"}, default "name"
         How it takes parameter values. ``"name"``: ``concrete.values`` has the values of all parameters that the
         scenario file declares. ``"file"``: it reads the file, and ``concrete.values`` has only the values that differ
         from it (none for the scenarios of a suite).
@@ -88,7 +88,7 @@ class Simulator(ABC):
     ...         for _ in concretes:
     ...             rest, one = np.zeros((1, 2)), np.ones(1)
     ...             yield Recording(
-    ...                 time=np.array([0.0, 0.1]), names=("Ego",), kinds=("car",), x=rest, y=rest, heading=rest,
+    ...                 time=np.array([0.0, 0.1]), names=("Ego",), object_types=("car",), x=rest, y=rest, heading=rest,
     ...                 speed=rest, acceleration=rest, length=one, width=one, center_x=0.0 * one,
     ...             )
     """

@@ -45,8 +45,8 @@ def create_simulator(
     constructor declares; `timeout` is in s per scenario. Raises `InputError` for an unknown simulator, values out of
     range, or undeclared drivers or ``on_collision``; warns if a time step or duration has no effect.
 
-    >>> from cornercase.simulators import start_simulator
-    >>> with start_simulator("builtin", {"duration": 20.0}) as simulator:
+    >>> from cornercase.simulators._create import create_simulator
+    >>> with create_simulator("builtin", {"duration": 20.0}) as simulator:
     ...     simulator.settings["duration"]
     20.0
     """

@@ -13,11 +13,11 @@ SIMULATORS: Final[Registry[Simulator]] = Registry("simulator", "cornercase.simul
 """Simulators by name; each is a subclass of `Simulator`."""
 
 for _name, _target in (
-    ("builtin", "builtin.simulator:BuiltinSimulator"),
-    ("carla", "carla.simulator:CarlaSimulator"),
-    ("carmaker", "carmaker.simulator:CarMakerSimulator"),
-    ("esmini", "esmini.simulator:EsminiSimulator"),
-    ("sumo", "sumo.simulator:SumoSimulator"),
+    ("builtin", "builtin._simulator:BuiltinSimulator"),
+    ("carla", "carla._simulator:CarlaSimulator"),
+    ("carmaker", "carmaker._simulator:CarMakerSimulator"),
+    ("esmini", "esmini._simulator:EsminiSimulator"),
+    ("sumo", "sumo._simulator:SumoSimulator"),
 ):
     SIMULATORS.register(_name, f"cornercase.simulators.{_target}")
 

@@ -87,7 +87,9 @@ def _read_pieces(read_rows: _RowReader, analysis: str, name: str) -> Iterator[np
     numbers = [part for _, _, part in read_rows("arrays", "analysis = ? AND name = ?", analysis, name)]
     require_value(numbers == list(range(len(numbers))), f"pieces of {name} are missing")
     for part in numbers:
-        ((*_, data),) = read_rows("arrays", "analysis = ? AND name = ? AND part = ?", analysis, name, part, blob=True)
+        ((*_, data),) = read_rows(
+            "arrays", "analysis = ? AND name = ? AND part = ?", analysis, name, part, with_blob=True
+        )
         yield unpack_arrays(data, _MAX_ARRAY_BYTES)[name]
 
 

@@ -55,7 +55,10 @@ def insert_rows(
     """Insert rows within a transaction; `replace` overwrites rows with the same key."""
     definition = TABLES[table]
     columns = ", ".join(definition.stored_columns)
-    insert = f"INSERT{' OR REPLACE' * replace} INTO {table} ({columns}) VALUES ({', '.join('?' * len(definition.stored_columns))})"
+    insert = (
+        f"INSERT{' OR REPLACE' * replace} INTO {table} ({columns}) VALUES"
+        f" ({', '.join('?' * len(definition.stored_columns))})"
+    )
     query = f"SELECT checksum FROM {table} WHERE {_key_condition(definition)}"
     added, sums = 0, 0
     for row in rows:

@@ -13,7 +13,7 @@ from typing import Any, Final
 
 from cornercase._common.errors import InputError, StudyLostError
 from cornercase._common.io.files import atomic_write
-from cornercase._common.process.platform import lock_folder
+from cornercase._common.platform import lock_folder
 from cornercase.study._checksums import insert_rows, read_rows, require_checksum_totals
 from cornercase.study._connection import (
     add_path_to_damage,
@@ -148,7 +148,7 @@ class Database:
     def read_rows(self, table: str, condition: str = "1", *values: Any, with_blob: bool = False) -> list[Any]:
         """Return rows without checksums in the order of their keys, after checking each against its checksum.
 
-        Without a condition all rows are read, and none may be missing. `blob` reads the blob column too.
+        Without a condition all rows are read, and none may be missing. `with_blob` reads the blob column too.
         """
         if condition == "1":
             self.require_all_rows(table)

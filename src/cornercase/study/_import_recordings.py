@@ -114,7 +114,8 @@ def import_recordings(
         raise InputError(f"{folder}: {problem}; name the folder that holds the recordings.")
     if table is None and not (folder / DEFAULT_TABLE_NAME).exists():
         raise InputError(
-            f"{folder}: has no {DEFAULT_TABLE_NAME} with the parameter values of each recording; write one, or name it with `table`."
+            f"{folder}: has no {DEFAULT_TABLE_NAME} with the parameter values of each recording;"
+            f" write one, or name it with `table`."
         )
     table = folder / DEFAULT_TABLE_NAME if table is None else validation.check_path("table", table)
     files, values = _read_parameter_table(folder, table)

@@ -201,7 +201,7 @@ class StudyMeta:
 
     @property
     def drivers(self) -> dict[str, Any]:
-        """Drivers by entity, in the form of `cornercase.drivers.serialize_driver`; empty if none were given."""
+        """Drivers by entity, as specification or dict; empty if none were given."""
         return dict(self.settings.get(_DRIVERS_KEY, {}))
 
     @property
@@ -403,8 +403,10 @@ def _require_same_driver_files(stored_settings: Mapping[str, Any], new_settings:
     for entity, stored, current, only_file in changes:
         if only_file and all(change[-1] for change in changes):
             raise InputError(
-                f"{path}: the file of the driver of {entity} has changed since ({escape_control_characters(stored)} there,"
-                f" {escape_control_characters(current)} here), and a study holds runs of one version; name another study with"
+                f"{path}: the file of the driver of {entity} has changed since"
+                f" ({escape_control_characters(stored)} there,"
+                f" {escape_control_characters(current)} here), and a study holds runs of one"
+                f" version; name another study with"
                 " `study`, or restore the file."
             )
 
@@ -415,7 +417,8 @@ def _describe_setting_differences(stored_settings: Mapping[str, Any], new_settin
     for name in sorted({*stored_settings, *new_settings}):
         if name == _DRIVERS_KEY:
             texts += [
-                f"driver of {entity}: {escape_control_characters(stored)} there, {escape_control_characters(current)} here"
+                f"driver of {entity}: {escape_control_characters(stored)} there,"
+                f" {escape_control_characters(current)} here"
                 for entity, stored, current, _ in iter_driver_changes(stored_settings.get(name), new_settings.get(name))
             ]
         elif stored_settings.get(name) != new_settings.get(name):

@@ -372,8 +372,8 @@ class Study:
         Returns
         -------
         dict of int to (str or None)
-            By id of each scenario that ran; None if the score is not against a single entity, see
-            `cornercase.metrics.MetricResult`. Empty in a study of one other.
+            By id of each scenario that ran; None if the score is not against a single entity. Empty in a study of
+            one other.
 
         Raises
         ------

@@ -72,7 +72,7 @@ def judge(
     >>> from cornercase.suite import Requirement, judge
     >>> still = np.zeros((2, 3))
     >>> recording = Recording(
-    ...     time=np.array([0.0, 0.1, 0.2]), names=("Ego", "Other"), kinds=("car", "car"),
+    ...     time=np.array([0.0, 0.1, 0.2]), names=("Ego", "Other"), object_types=("car", "car"),
     ...     x=np.array([[0.0, 1.0, 2.0], [20.0, 20.0, 20.0]]), y=still, heading=still,
     ...     speed=np.array([[10.0] * 3, [0.0] * 3]), acceleration=still,
     ...     length=np.full(2, 4.0), width=np.full(2, 2.0), center_x=np.zeros(2),
@@ -288,7 +288,10 @@ def _collision_verdict(
         for part in (np.cos, np.sin)
     )
     speed = float(np.hypot(vx, vy))
-    reason = f"{_format_entities(collision, ego)} collide at {collision.time:.6g} s with {speed:.3g} m/s to each other{suffix}"
+    reason = (
+        f"{_format_entities(collision, ego)} collide at {collision.time:.6g} s with"
+        f" {speed:.3g} m/s to each other{suffix}"
+    )
     return Verdict("failed", requirement.text, reason, collision.time, speed)
 
 

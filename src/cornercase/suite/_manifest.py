@@ -182,7 +182,8 @@ def _require_values_of_file(path: Path, scenario: SuiteScenario) -> None:
             declared[name].value, declared[name]
         ):
             raise InputError(
-                f"{path}: says that {escape_control_characters(name)} of {scenario.file_name[:100]} is {escape_control_characters(str(value))[:60]}, and the"
+                f"{path}: says that {escape_control_characters(name)} of {scenario.file_name[:100]}"
+                f" is {escape_control_characters(str(value))[:60]}, and the"
                 f" file says {escape_control_characters(declared[name].value)[:60]}; run `reduce` again."
             )
 

@@ -122,7 +122,7 @@ def analyze_mutants(
             raise InputError(
                 f"Mutants cannot be run: {format_driver(item)} drove {name}, and code from a study is not run."
             )
-    with open_connection(cluster, workers, else_none=True) as client:
+    with open_connection(cluster, workers, workers_need_cluster=True) as client:
         failed, killed = run_mutants(
             concretes, entities, (driver, mutants_), [parsed] * len(rows), options, client=client, progress=progress
         )

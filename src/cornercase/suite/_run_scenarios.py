@@ -43,7 +43,7 @@ def mark_unsupported(suite: Suite, simulator: Simulator) -> Suite:
     )
 
 
-def run_scenarios(
+def run_pending_scenarios(
     suite: Suite, meta: StudyMeta, simulator: Simulator, study_path: Path, workers: int | None, progress: bool
 ) -> int:
     """Run the scenarios that a study does not hold yet, and store each one when it has ended.

@@ -43,7 +43,7 @@ from cornercase.suite._read_suite import read_suite
 from cornercase.suite._reference_drivers import run_reference_drivers
 from cornercase.suite._requirement import Requirement
 from cornercase.suite._requirement_files import read_requirements
-from cornercase.suite._run_scenarios import mark_unsupported, run_scenarios
+from cornercase.suite._run_scenarios import mark_unsupported, run_pending_scenarios
 from cornercase.suite._suite import Suite
 from cornercase.suite._suite_result import ScenarioResult, SuiteResult
 from cornercase.suite._verdict import Verdict, worst_state
@@ -201,12 +201,14 @@ def run_suite(
                 contents, entities, _choose_metrics(contents, metrics, parsed), parsed, name, started.settings, path
             )
             n_parallel = workers if client is None else None
-            n_before = run_scenarios(contents, meta, started, path, n_parallel, check_bool("progress", progress))
+            n_before = run_pending_scenarios(
+                contents, meta, started, path, n_parallel, check_bool("progress", progress)
+            )
             if references:
                 with Study.open(path, readonly=False) as opened:
                     run_reference_drivers(contents, opened, parsed, references)
         with Study.open(path, readonly=True) as opened:
-            result = replace(_build_result(contents, opened, parsed, source, why), ran_before=n_before)
+            result = replace(_build_result(contents, opened, parsed, source, why), n_ran_before=n_before)
         for write, target in outputs:
             write(result, target)
         if mutants is not None:

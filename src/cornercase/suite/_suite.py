@@ -60,8 +60,8 @@ class Suite:
     """The scenarios of a suite and the settings they were run with; settings are empty if unknown.
 
     `place` is the manifest or the folder; `study` and `fingerprint` identify the study that the scenarios were selected
-    from. `custom_drivers` maps entities that a custom driver drove to the name of that driver in a command, since no file
-    can make such a driver drive.
+    from. `custom_drivers` maps entities that a custom driver drove to the name of that driver in a command, since no
+    file can make such a driver drive.
     """
 
     path: Path

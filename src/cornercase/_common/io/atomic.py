@@ -16,7 +16,7 @@ from typing import Final
 from zlib import crc32
 
 from cornercase._common.errors import InputError
-from cornercase._common.process.platform import (
+from cornercase._common.platform import (
     fsync_file,
     fsync_folder,
     is_process_running,

@@ -16,8 +16,8 @@ from weakref import WeakKeyDictionary
 
 from cornercase._common.errors import InputError
 from cornercase._common.io.files import read_file
+from cornercase._common.platform import block_interrupts
 from cornercase._common.process.parent_death import set_temporary_folder
-from cornercase._common.process.platform import block_interrupts
 from cornercase._common.process.reaper import Reaper
 from cornercase._common.validation import check_str
 
@@ -315,13 +315,15 @@ def pop_result(client: Client, future: Future[Any]) -> tuple[Any, Exception | No
 def _no_workers_error(client: Client, resource: str | None) -> InputError:
     which = "" if resource is None else f" that offer {resource}"
     return InputError(
-        f"`cluster` {describe_cluster(client)}: has no workers{which}; start some, and run the same command again to go on."
+        f"`cluster` {describe_cluster(client)}: has no workers{which}; start some, and run the same"
+        f" command again to go on."
     )
 
 
 def scheduler_gone_error(client: Client) -> InputError:
     """The error that the connection to the scheduler is lost."""
     return InputError(
-        f"`cluster` {describe_cluster(client)}: the connection to its scheduler is lost; run the same command again to go"
+        f"`cluster` {describe_cluster(client)}: the connection to its scheduler is lost; run the"
+        f" same command again to go"
         " on."
     )

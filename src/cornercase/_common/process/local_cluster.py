@@ -9,8 +9,8 @@ from distributed import Nanny, Scheduler, SpecCluster, Worker
 from distributed.security import Security
 from distributed.worker_memory import parse_memory_limit
 
+from cornercase._common.current_folder import hide_current_folder_from_children
 from cornercase._common.errors import InputError
-from cornercase._common.process.current_folder import hide_current_folder_from_children
 from cornercase._common.process.reaper import Reaper
 
 _HOST: Final = "127.0.0.1"

@@ -14,7 +14,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Final
 
-from cornercase._common.process.platform import list_process_tree, signal_main_thread
+from cornercase._common.platform import list_process_tree, signal_main_thread
 
 # Seconds for this process to end its children and clean up.
 _GRACE_PERIOD: Final = 2.0

@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Final, Self
 
 from cornercase._common.errors import InputError
-from cornercase._common.process.platform import detached_process_options, list_process_tree, termination_signals
+from cornercase._common.platform import detached_process_options, list_process_tree, termination_signals
 
 if TYPE_CHECKING:
     from psutil import Process
@@ -35,7 +35,8 @@ _MARK_VARIABLE: Final = "CORNERCASE_GUARDIAN"
 _ENVIRONMENT_LOCK: Final = threading.Lock()
 # Finds the package where this process found it.
 _REAPER_CODE: Final = (
-    "import sys; sys.path.insert(0, sys.argv[1]); from cornercase._common.process.reaper import guard; guard()"
+    "import sys; sys.path.insert(0, sys.argv[1]); from cornercase._common.process.reaper import"
+    " run_reaper; run_reaper()"
 )
 
 
@@ -44,8 +45,8 @@ class Reaper:
 
     The reaper process is started with the first thing to guard.
 
-    >>> with Guardian() as guardian:
-    ...     folder = guardian.new_folder()
+    >>> with Reaper() as reaper:
+    ...     folder = reaper.make_temporary_folder()
     ...     folder.is_dir()
     True
     >>> folder.exists()
@@ -140,7 +141,7 @@ class Reaper:
 
     def _start_reaper_process(self) -> None:
         self._process = subprocess.Popen(
-            [sys.executable, "-P", "-c", _REAPER_CODE, str(Path(__file__).parents[2])],
+            [sys.executable, "-P", "-c", _REAPER_CODE, str(Path(__file__).parents[3])],
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,

@@ -15,7 +15,7 @@ from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import Any, Final
 
-from cornercase._common.process.platform import termination_signals
+from cornercase._common.platform import termination_signals
 
 _last_signal: int = signal.SIGINT
 # Termination requests received by handlers of this module, and whether Ctrl-C is counted now.

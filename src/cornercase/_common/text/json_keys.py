@@ -13,8 +13,8 @@ _LEADING_NUMBER: Final = re.compile(r"(\d+)_(.+)")
 def key_to_identifier(key: str) -> str:
     """Identifier in lower case made of a worded key.
 
-    >>> from cornercase._common.text.json_keys import identifier
-    >>> identifier("first order, 90 % interval"), identifier("95 % interval")
+    >>> from cornercase._common.text.json_keys import key_to_identifier
+    >>> key_to_identifier("first order, 90 % interval"), key_to_identifier("95 % interval")
     ('first_order_interval_90', 'interval_95')
     """
     joined = _NON_ALPHANUMERIC.sub("_", key).strip("_").lower()

@@ -30,7 +30,7 @@ _NUMBER: Final = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,4})?", re.ASC
 def escape_control_characters(text: str) -> str:
     r"""Escape control characters, which a terminal would obey; tabs and newlines stay.
 
-    >>> print(plain_text("\x1b[2J"))
+    >>> print(escape_control_characters("\x1b[2J"))
     \x1b[2J
     """
     return _CONTROL_CHARACTERS.sub(lambda match: match[0].encode("unicode_escape").decode(), text)
@@ -53,7 +53,7 @@ def shorten(text: str, max_length: int) -> str:
 def wrap_text(text: str, width: int, max_lines: int) -> str:
     """Wrap a text to `max_lines` lines of `width` characters, truncated with an ellipsis; fitting lines stay.
 
-    >>> print(wrapped("Ego yields to Pedestrian", 14, 3))
+    >>> print(wrap_text("Ego yields to Pedestrian", 14, 3))
     Ego yields to
     Pedestrian
     """
@@ -66,7 +66,7 @@ def wrap_text(text: str, width: int, max_lines: int) -> str:
 def quote_name(name: str) -> str:
     """Quote a name for a sentence, unless it is a single word.
 
-    >>> print(quoted_name("Ego"), "yields to", quoted_name("C, closely"))
+    >>> print(quote_name("Ego"), "yields to", quote_name("C, closely"))
     Ego yields to "C, closely"
     """
     return name if _SINGLE_WORD.fullmatch(name) else json.dumps(name, ensure_ascii=False)
@@ -103,7 +103,7 @@ def _is_folder(path: str) -> bool:
 def format_exception(error: BaseException) -> str:
     """Class and message of an exception in one line, without a full stop.
 
-    >>> in_one_line(KeyError("ego"))
+    >>> format_exception(KeyError("ego"))
     "KeyError: 'ego'"
     """
     return " ".join(f"{type(error).__name__}: {error}".split()).rstrip(".: ")
@@ -112,7 +112,7 @@ def format_exception(error: BaseException) -> str:
 def escape_csv_cell(text: str) -> str:
     """Escape a text as a CSV cell with an apostrophe if a spreadsheet would take it for a formula.
 
-    >>> cell_text("=1+1"), cell_text("-1"), cell_text("Ego")
+    >>> escape_csv_cell("=1+1"), escape_csv_cell("-1"), escape_csv_cell("Ego")
     ("'=1+1", '-1', 'Ego')
     """
     return f"'{text}" if _FORMULA_START.match(text) and not _NUMBER.fullmatch(text) else text
@@ -121,7 +121,7 @@ def escape_csv_cell(text: str) -> str:
 def unescape_csv_cell(cell: str) -> str:
     """Undo `escape_csv_cell`.
 
-    >>> text_of_cell("'=1+1")
+    >>> unescape_csv_cell("'=1+1")
     '=1+1'
     """
     return cell[1:] if cell.startswith("'") and _FORMULA_START.match(cell) else cell
@@ -130,7 +130,7 @@ def unescape_csv_cell(cell: str) -> str:
 def format_json(value: object) -> str:
     """Indented JSON of plain values without control characters; numbers that are not finite become null.
 
-    >>> print(json_text({"é": float("nan")}))
+    >>> print(format_json({"é": float("nan")}))
     {
       "é": null
     }

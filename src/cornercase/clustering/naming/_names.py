@@ -27,7 +27,8 @@ _MAX_ENDINGS: Final = 3
 _MAX_QUALIFIERS: Final = 3
 # Several endings that cover this mean share of the other clusters do not identify a cluster.
 _UNINFORMATIVE_SHARE: Final = 0.9
-# A name that holds for this mean (largest) share of other clusters is made longer, if that removes `_MIN_IMPROVEMENT` of it.
+# A name that holds for this mean (largest) share of other clusters is made longer, if that removes `_MIN_IMPROVEMENT`
+# of it.
 _AMBIGUOUS_SHARES: Final = (0.25, 0.5)
 _MIN_IMPROVEMENT: Final = 0.2
 # Handicap of predicates by rank: words without numbers, features, parameters.

@@ -36,9 +36,17 @@ def compute_acceleration(fleet, driver, scenario, route, time, time_step, driven
     """
     cos, sin = math.cos(driven.heading), math.sin(driven.heading)
     scene = DriverScene(
-        time, time_step, driven, cos, sin, fleet.own[driver], fleet.boxes[driver], others, fleet.memory[driver, scenario],
+        time,
+        time_step,
+        driven,
+        cos,
+        sin,
+        fleet.own[driver],
+        fleet.boxes[driver],
+        others,
+        fleet.memory[driver, scenario],
         fleet.awareness[driver, scenario],
-    )  # fmt: skip
+    )
     p = fleet.parameters[driver]
     if fleet.kind[driver] == SIMPLE:
         return follow_with_idm(FollowParameters(p[0], p[1], p[2], p[3], p[4], p[5], p[6]), scene)

@@ -1,1 +1,1 @@
-"""TODO evidence/gp"""
+"""The Gaussian process that predicts scores between scenarios."""

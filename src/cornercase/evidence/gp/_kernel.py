@@ -93,9 +93,13 @@ def fit_kernel(
     )
     squares = np.square(points.T[:, subset, None] - points.T[:, None, subset]).reshape(dims, -1)
     result = minimize(
-        _NegativeLogPosterior(squares, values[subset]), np.clip(np.log(initial), *bounds.T), jac=True, method="L-BFGS-B",
-        bounds=[(low, high) for low, high in bounds.tolist()], options={"maxiter": 50},
-    )  # fmt: skip
+        _NegativeLogPosterior(squares, values[subset]),
+        np.clip(np.log(initial), *bounds.T),
+        jac=True,
+        method="L-BFGS-B",
+        bounds=[(low, high) for low, high in bounds.tolist()],
+        options={"maxiter": 50},
+    )
     *widths, signal, noise = np.exp(result.x).tolist()
     return MaternKernel(np.array(widths), signal, noise)
 

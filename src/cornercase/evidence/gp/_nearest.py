@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from cornercase._common.numba.blas import single_threaded_blas
-from cornercase._common.process.platform import count_available_cpus
+from cornercase._common.platform import count_available_cpus
 from cornercase._common.typing import FloatArray, IntArray
 from cornercase.evidence.gp._kernel import MaternKernel, matern_correlations
 

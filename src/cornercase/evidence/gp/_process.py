@@ -13,7 +13,7 @@ from scipy.linalg.blas import dtrmm, strmm
 from scipy.special import log_ndtr
 
 from cornercase._common.numba.blas import single_threaded_blas
-from cornercase._common.process.platform import count_available_cpus
+from cornercase._common.platform import count_available_cpus
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.evidence.gp._blas import gram_lower_half, multiply_by_lower_transposed
 from cornercase.evidence.gp._kernel import (

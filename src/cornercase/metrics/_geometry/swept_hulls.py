@@ -60,7 +60,8 @@ def _unit_vector(x, y):
 def find_overlapping_hulls(corners_a, axes_a, center_a, radius_a, corners_b, axes_b, center_b, radius_b, tree):
     """Find which hulls of `a` intersect which of `b`, as overlap runs (start, first, last).
 
-    Each hull lies in the circle given by `middle` and `reach`; `tree` is the `build_aabb_tree` of the bounds of those of `b`.
+    Each hull lies in the circle given by `middle` and `reach`; `tree` is the `build_aabb_tree` of the bounds of
+    those of `b`.
     """
     leaves, count = len(tree) // 2, 0
     runs = np.empty((64, 3), dtype=np.int64)

@@ -83,7 +83,8 @@ def _parse_statement(lexer: Lexer) -> Condition:
             if "." in base or base == "time":
                 lexer.raise_error(f"a condition takes scores of metrics, not '{base}'.")
             lexer.raise_error(
-                f"there is no '{token.text}'; {suggest_name(base, [_COLLISION, 'reference:NAME', *signal_metric_names()])}"
+                f"there is no '{token.text}';"
+                f" {suggest_name(base, [_COLLISION, 'reference:NAME', *signal_metric_names()])}"
             )
     return _parse_score_comparison(lexer)
 

@@ -173,8 +173,8 @@ class CriticalIf(Metric):
 class ConditionState:
     """State of a condition for one run: the parts that the run itself decides, before references are run.
 
-    `truths` and `spans` are by `Collision` or `ScoreComparison`. `outcomes` of the methods map the name of a reference to
-    whether it collides: None if it does not apply to the scenario, missing if it was not run.
+    `truths` and `spans` are by `Collision` or `ScoreComparison`. `outcomes` of the methods map the name of a
+    reference to whether it collides: None if it does not apply to the scenario, missing if it was not run.
     """
 
     metric: CriticalIf

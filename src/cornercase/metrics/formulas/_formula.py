@@ -31,7 +31,7 @@ class Formula:
 
     See Also
     --------
-    cornercase.metrics.signals_of : Signals of a recording.
+    cornercase.metrics.signals_from_recording : Signals of a recording.
 
     Examples
     --------

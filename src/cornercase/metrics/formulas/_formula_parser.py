@@ -17,7 +17,7 @@ _MAX_DEPTH: Final = 50
 _RELATIONS: Final = ("<=", ">=", "<", ">")
 _MIRRORED_RELATIONS: Final[dict[str, Relation]] = {"<": ">", "<=": ">=", ">": "<", ">=": "<="}
 
-_Term: TypeAlias = "tuple[Signal, Token] | tuple[_Number, Token]"
+_Term: TypeAlias = "tuple[Signal, Token] | tuple[_NumberWithUnit, Token]"
 
 
 class _NumberWithUnit:

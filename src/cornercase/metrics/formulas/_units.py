@@ -46,7 +46,7 @@ def convert_to_unit(number: float, from_unit: str, to_unit: str) -> float:
 
     Examples
     --------
-    >>> in_si(50.0, "km/h", "m/s")
+    >>> convert_to_unit(50.0, "km/h", "m/s")
     13.88888888888889
     """
     unit, target = normalize_unit(from_unit), normalize_unit(to_unit)

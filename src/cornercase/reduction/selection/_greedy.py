@@ -15,7 +15,7 @@ from cornercase.reduction._baselines import Baselines
 from cornercase.reduction._cluster_shapes import ShapedCluster, classify_cluster_shapes, divide_in_proportion
 from cornercase.reduction._coverage_sums import CoverageSums, SetComposition
 from cornercase.reduction._medoids import find_prototype
-from cornercase.reduction.selection._state import Selected, Selection
+from cornercase.reduction._selection_state import Selected, Selection
 
 _MAX_EXCHANGED: Final = 2000
 

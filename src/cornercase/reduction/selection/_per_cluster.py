@@ -14,7 +14,7 @@ from cornercase.clustering._embedding import EmbeddedDistances
 from cornercase.reduction._archetypal_analysis import MAX_ARCHETYPES
 from cornercase.reduction._cluster_shapes import ShapedCluster, classify_cluster_shapes
 from cornercase.reduction._medoids import find_prototype
-from cornercase.reduction.selection._state import Selected
+from cornercase.reduction._selection_state import Selected
 
 SCENARIOS_PER_SELECTED: Final = 10
 """One of this many scenarios is selected, in the paper and by default."""

@@ -15,9 +15,9 @@ from cornercase.reduction._cluster_shapes import ArchetypeMethod, ShapedCluster,
 from cornercase.reduction._held_out_coverage import Fold, draw_folds
 from cornercase.reduction._mutant_selection import select_killing
 from cornercase.reduction._random_selections import submatrix
+from cornercase.reduction._selection_state import Selected, Selection
 from cornercase.reduction.selection._greedy import select_scenarios
 from cornercase.reduction.selection._per_cluster import select_per_cluster
-from cornercase.reduction.selection._state import Selected, Selection
 
 
 @dataclass(frozen=True)

@@ -1,1 +1,1 @@
-"""TODO report/encode"""
+"""Data of the page, as its scripts read them."""

@@ -76,7 +76,8 @@ def _render_clustering(data: ReportData, analysis: Analysis) -> Iterator[str]:
         yield f"<p>{escape(information)}</p>"
     if n_unassigned := data.summary.n_run - len(ids):
         yield (
-            f"<p>{n_unassigned} of {data.summary.n_run} scenarios were run since and are in no cluster yet: add them with"
+            f"<p>{n_unassigned} of {data.summary.n_run} scenarios were run since and are in no"
+            f" cluster yet: add them with"
             f" <code>{escape(format_assign_command(analysis))}</code>; without <code>--keep-clusters</code>"
             " all are clustered again.</p>"
         )

@@ -48,7 +48,8 @@ def render_scores(data: ReportData) -> Iterator[Section]:
         rows.append(
             [
                 summary.name, summary.unit, "low" if summary.lower_is_critical else "high",
-                f"{summary.most_critical:.4g}", summary.most_critical_other or "", f"scenario {summary.most_critical_id} ({location})",
+                f"{summary.most_critical:.4g}", summary.most_critical_other or "", f"scenario"
+                    f" {summary.most_critical_id} ({location})",
                 f"{summary.median:.4g}", scores_per_other, spread, summary.constant_note,
             ]
         )  # fmt: skip

@@ -149,13 +149,18 @@ def render_settings(clustering: Clustering) -> str:
         ["clusters", "gamma", "eps", "noise", "DBCV", "silhouette", "stability", "score"],
         [
             [
-                f"{number}{' (chosen)' if is_chosen(candidate) else ''}", f"{candidate.gamma:.4g}", f"{candidate.eps:.4g}",
-                f"{candidate.noise:.1%}", format_number(candidate.dbcv), format_number(candidate.silhouette), format_stability(candidate),
+                f"{number}{' (chosen)' if is_chosen(candidate) else ''}",
+                f"{candidate.gamma:.4g}",
+                f"{candidate.eps:.4g}",
+                f"{candidate.noise:.1%}",
+                format_number(candidate.dbcv),
+                format_number(candidate.silhouette),
+                format_stability(candidate),
                 format_number(candidate.score),
             ]
             for number, candidate in sorted(best_by_number.items())
         ],
-    )  # fmt: skip
+    )
 
 
 def render_shapes(shapes: Sequence[ClusterShape]) -> str:
@@ -164,13 +169,15 @@ def render_shapes(shapes: Sequence[ClusterShape]) -> str:
         ["cluster", "convexity of the parameters", "in kernel space", "archetypes"],
         [
             [
-                format_cluster_name(shape.cluster), f"{shape.convexity:.2f}", f"{shape.kernel_convexity:.2f}",
+                format_cluster_name(shape.cluster),
+                f"{shape.convexity:.2f}",
+                f"{shape.kernel_convexity:.2f}",
                 _ARCHETYPE_METHODS[shape.method].format(parts=shape.parts),
             ]
             for shape in shapes
         ],
         left_aligned=(0, -1),
-    )  # fmt: skip
+    )
 
 
 def render_coverage(coverage: Mapping[str, Coverage]) -> str:

@@ -10,9 +10,9 @@ import numpy as np
 
 from cornercase._common.typing import FloatArray
 from cornercase.exploration._objective import Objective
+from cornercase.report._courses import encode_courses, resample_course
 from cornercase.report._payload import parameter_columns, round_score, score_source_column
 from cornercase.report._summary import entities_hit_by_ego
-from cornercase.report.encode._courses import encode_courses, resample_course
 from cornercase.study import ScenarioRecord, Study, StudyMeta
 
 

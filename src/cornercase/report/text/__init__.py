@@ -1,1 +1,1 @@
-"""TODO report/text"""
+"""Texts of the report and of `show`."""

@@ -154,11 +154,17 @@ def _answer_critical_share(data: ReportData) -> Answer:
         )
         return Answer(name, question, f"{estimate}{counts} There is no interval: {estimates.interval_unavailable}.")
     if not critical.n_critical:
-        bound = f"At most {format_percent(estimates.critical_fraction.high)} of {space} is critical (upper end of a 90 % interval)."
+        bound = (
+            f"At most {format_percent(estimates.critical_fraction.high)} of {space} is critical"
+            f" (upper end of a 90 % interval)."
+        )
         if estimates.missed_interval_unavailable is None:
             bound = "These are all scenarios of the space."
         return Answer(name, question, f"{counts} {bound}")
-    share = f"{_describe_share(estimates.critical_fraction.value)} of {space} is critical ({_format_interval(estimates.critical_fraction)})."
+    share = (
+        f"{_describe_share(estimates.critical_fraction.value)} of {space} is critical"
+        f" ({_format_interval(estimates.critical_fraction)})."
+    )
     return Answer(name, question, f"{share} {counts}")
 
 
@@ -175,7 +181,8 @@ def _answer_missed(critical: CriticalEstimates) -> Answer:
         sentences.append(f"There is no interval: {estimates.missed_interval_unavailable}.")
     else:
         sentences.append(
-            f"{_describe_share(estimates.missed_fraction.value)} of the critical set ({_format_interval(estimates.missed_fraction)})."
+            f"{_describe_share(estimates.missed_fraction.value)} of the critical set"
+            f" ({_format_interval(estimates.missed_fraction)})."
         )
     if estimates is not None and critical.n_critical:
         sentences.append(
@@ -186,7 +193,8 @@ def _answer_missed(critical: CriticalEstimates) -> Answer:
         audits = f"{critical.audits.n_critical} of {critical.audits.n_scenarios} audits, drawn at random, are critical"
         if critical.audits.missed_fraction is not None and critical.audits.n_critical:
             audits += (
-                f"; from these alone, without a model, {format_percent(critical.audits.missed_fraction.value)} is missed"
+                f"; from these alone, without a model,"
+                f" {format_percent(critical.audits.missed_fraction.value)} is missed"
                 f" ({_format_interval(critical.audits.missed_fraction)})"
             )
         sentences.append(f"{audits}.")
@@ -246,7 +254,8 @@ def _answer_parameters(data: ReportData) -> Answer:
         return Answer(name, question, describe_missing_sensitivity())
     order = sorted(range(len(sensitivity.names)), key=lambda k: (-sensitivity.total[k], k))
     points = [
-        f"{sensitivity.names[k]}: {_format_share_with_interval(sensitivity.total[k], sensitivity.total_interval[k])} together with the"
+        f"{sensitivity.names[k]}:"
+        f" {_format_share_with_interval(sensitivity.total[k], sensitivity.total_interval[k])} together with the"
         f" others, {_format_share_with_interval(sensitivity.first[k], sensitivity.first_interval[k])} alone."
         for k in order[:_MAX_POINTS]
     ]
@@ -259,7 +268,8 @@ def _answer_parameters(data: ReportData) -> Answer:
     text = (
         f"{sensitivity.names[order[0]]} matters most: {format_percent(sensitivity.total[order[0]])} of the variance of"
         f" {data.summary.objective} comes from it, alone or together with the others.{little} The shares come from a"
-        f" Gaussian process that explains {format_percent(sensitivity.predicted)} of the variance (cross-validated); intervals"
+        f" Gaussian process that explains {format_percent(sensitivity.predicted)} of the variance"
+        f" (cross-validated); intervals"
         " are of 90 %."
     )
     return Answer(name, question, text, tuple(points))

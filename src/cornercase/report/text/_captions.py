@@ -63,8 +63,14 @@ def describe_most_influential(sensitivity: Sensitivity) -> str:
     """Describe which parameter matters most."""
     if not sensitivity.is_meaningful:
         return describe_missing_sensitivity()
-    little = f" {' and '.join(sensitivity.uninfluential_parameters)} {'has' if len(sensitivity.uninfluential_parameters) == 1 else 'have'} little influence."
-    return f"{sensitivity.names[int(np.argmax(sensitivity.total))]} matters most.{little if sensitivity.uninfluential_parameters else ''}"
+    little = (
+        f" {' and '.join(sensitivity.uninfluential_parameters)}"
+        f" {'has' if len(sensitivity.uninfluential_parameters) == 1 else 'have'} little influence."
+    )
+    return (
+        f"{sensitivity.names[int(np.argmax(sensitivity.total))]} matters"
+        f" most.{little if sensitivity.uninfluential_parameters else ''}"
+    )
 
 
 def describe_score_distribution(data: ReportData, metric: Metric) -> str:
@@ -77,7 +83,10 @@ def describe_score_distribution(data: ReportData, metric: Metric) -> str:
     text = f"{metric.name} scores lie between {low} and {high}; the median is {middle}."
     critical = data.summary.estimates.critical
     if critical is not None and metric.name == data.summary.objective:
-        text += f" {critical.n_critical} of {len(scores)} are critical ({format_criterion_with_signs(critical, data.summary.objective)})."
+        text += (
+            f" {critical.n_critical} of {len(scores)} are critical"
+            f" ({format_criterion_with_signs(critical, data.summary.objective)})."
+        )
     return text
 
 
@@ -98,7 +107,8 @@ def describe_most_critical(data: ReportData, metric: Metric) -> str:
     """Describe the most critical scenario by a metric."""
     summary = data.summary.metrics[metric.name]
     at = ", ".join(
-        f"{parameter.name} = {append_unit(format_value(parameter.extract_value(summary.parameters), 4), parameter.unit)}"
+        f"{parameter.name} ="
+        f" {append_unit(format_value(parameter.extract_value(summary.parameters), 4), parameter.unit)}"
         for parameter in data.parameters
     )
     n_most_critical = int((data.scores[metric.name] == summary.most_critical).sum())

@@ -1,1 +1,1 @@
-"""TODO roads/_kernels"""
+"""Compiled functions on roads."""

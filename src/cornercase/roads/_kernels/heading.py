@@ -120,8 +120,8 @@ def _cos_and_sin(heading):
 def reference_heading(tables, road, s):
     """Return the heading of a road's reference line at `s`, in rad; only for roads that are `known`."""
     piece = _geometry_index(tables, road, s)
-    along, numbers = s - tables.s[piece], tables.numbers[piece]
-    if tables.shape[piece] == _LINE_ARC_OR_SPIRAL:
+    along, numbers = s - tables.s[piece], tables.coefficients[piece]
+    if tables.geometry_type[piece] == _LINE_ARC_OR_SPIRAL:
         return tables.heading[piece] + (numbers[0] * along + 0.5 * numbers[1] * (along * along))
     p = _curve_parameter(tables, piece, along)
     du, dv = (numbers[2] * p + numbers[3]) * p + numbers[4], (numbers[5] * p + numbers[6]) * p + numbers[7]
@@ -133,9 +133,9 @@ def reference_cos_and_sin(tables, road, s):
     """Return cosine and sine of `reference_heading`."""
     piece = _geometry_index(tables, road, s)
     if (
-        tables.shape[piece] == _LINE_ARC_OR_SPIRAL
-        and tables.numbers[piece, 0] == 0.0
-        and tables.numbers[piece, 1] == 0.0
+        tables.geometry_type[piece] == _LINE_ARC_OR_SPIRAL
+        and tables.coefficients[piece, 0] == 0.0
+        and tables.coefficients[piece, 1] == 0.0
     ):
         return tables.cos[piece], tables.sin[piece]
     heading = reference_heading(tables, road, s)
@@ -144,7 +144,9 @@ def reference_cos_and_sin(tables, road, s):
 
 @kernel(error_model="numpy", forceinline=True, _nrt=False)
 def stays_on_road(tables, road, s, x, y):
-    """Return whether a moved point is still on its `plain` road, or at most `OFF_ROAD_TOLERANCE` beside it, and its new `s`.
+    """Return whether a moved point is still on its `plain` road, or at most `OFF_ROAD_TOLERANCE` beside it.
+
+    And its new `s`.
 
     `s` is its last coordinate on the road; x and y are its position, all in m.
     """
@@ -155,7 +157,10 @@ def stays_on_road(tables, road, s, x, y):
     along, t = s + dx * cos + dy * sin, dy * cos - dx * sin
     if not (along >= 0.0 and along <= length):
         return False, s
-    if t >= tables.edges.inner[road, 0] - OFF_ROAD_TOLERANCE and t <= tables.edges.inner[road, 1] + OFF_ROAD_TOLERANCE:
+    if (
+        t >= tables.edges.always_inside[road, 0] - OFF_ROAD_TOLERANCE
+        and t <= tables.edges.always_inside[road, 1] + OFF_ROAD_TOLERANCE
+    ):
         return True, along
     right, left = road_edge_offsets(tables.edges, road, along)
     return t >= right - OFF_ROAD_TOLERANCE and t <= left + OFF_ROAD_TOLERANCE, along
@@ -164,7 +169,7 @@ def stays_on_road(tables, road, s, x, y):
 @kernel(error_model="numpy", forceinline=True, _nrt=False)
 def _line_or_arc_pose(tables, geometry, s):
     """Return x, y, cosine and sine of the heading on a line or arc."""
-    along, curvature = s - tables.s[geometry], tables.numbers[geometry, 0]
+    along, curvature = s - tables.s[geometry], tables.coefficients[geometry, 0]
     turn, cos, sin = curvature * along, tables.cos[geometry], tables.sin[geometry]
     if turn == 0.0:
         return tables.x[geometry] + cos * along, tables.y[geometry] + sin * along, cos, sin
@@ -179,11 +184,15 @@ def _line_or_arc_pose(tables, geometry, s):
 @kernel(error_model="numpy", forceinline=True, _nrt=False)
 def _curve_parameter(tables, geometry, distance):
     """Return the curve parameter at a distance, as `ReferenceGeometry.curve_parameter`."""
-    length, steps, first = tables.numbers[geometry, 0], tables.numbers[geometry, 1], tables.parameters[geometry]
+    length, steps, first = (
+        tables.coefficients[geometry, 0],
+        tables.coefficients[geometry, 1],
+        tables.table_start[geometry],
+    )
     position = min(max(distance, 0.0), length) / (length / steps)
     k = min(int(position), int(steps) - 1)
     low, high = tables.parameter[first + k], tables.parameter[first + k + 1]
-    rate_low, rate_high = tables.rate[first + k], tables.rate[first + k + 1]
+    rate_low, rate_high = tables.parameter_rate[first + k], tables.parameter_rate[first + k + 1]
     x, rise = position - k, high - low
     bend_low, bend_high = length / steps * rate_low - rise, rise - length / steps * rate_high
     return (1.0 - x) * low + x * high + x * (1.0 - x) * ((1.0 - x) * bend_low + x * bend_high)
@@ -191,7 +200,7 @@ def _curve_parameter(tables, geometry, distance):
 
 @kernel(error_model="numpy", forceinline=True, _nrt=False)
 def _geometry_index(tables, road, s):
-    low, high = tables.first[road], tables.first[road + 1]
+    low, high = tables.first_geometry[road], tables.first_geometry[road + 1]
     # The first geometry also covers s below its start.
     while high - low > 1:
         middle = (low + high) // 2

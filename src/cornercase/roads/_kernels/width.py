@@ -92,7 +92,7 @@ def _edge_offset(tables, section, side, lane_offset, s):
     roads, edge, sign = tables.sections.size - 1, lane_offset, 1.0 if side == _LEFT else -1.0
     for lane in range(first, last):
         value = _evaluate_cubics(tables, roads + lane, s - tables.start[section])
-        if tables.bordered[lane]:
+        if tables.is_border[lane]:
             edge = lane_offset + value
         elif value > 0.0:
             edge = edge + sign * value

@@ -41,13 +41,13 @@ class Check:
         Parts of the scenario, its catalogs, roads and space that have no effect in the builtin simulator, and why.
     schema : str or None
         Version of the schema used for validation; None if the schema is not installed.
-    invalid : tuple of str
+    schema_errors : tuple of str
         Schema violations of the file and of the space; adapted parts count only if `strict` was given.
     space : ParameterSpace or None
         The parameter space; None if no space was given, or it cannot be used.
-    trouble : tuple of str
+    run_errors : tuple of str
         Why the scenario cannot be run.
-    adapted : tuple of str
+    standard_violations : tuple of str
         Violations of the standard that are read all the same, with the rule; empty unless `strict` was given.
     """
 
@@ -105,7 +105,7 @@ def check(scenario: Path | str | ScenarioFile, space: Path | str | None = None, 
     --------
     >>> import cornercase.simulators as simulators
     >>> found = simulators.check("examples/t_intersection/t_intersection.xosc")
-    >>> found.good, found.contents["ScenarioObject"]
+    >>> found.is_valid, found.contents["ScenarioObject"]
     (True, 2)
     """
     file = scenario if isinstance(scenario, ScenarioFile) else ScenarioFile.read(scenario)

@@ -13,7 +13,7 @@ from weakref import WeakSet
 
 from cornercase._common.errors import InputError, SimulationError
 from cornercase._common.io.support_table import Notice
-from cornercase._common.process.platform import count_available_cpus
+from cornercase._common.platform import count_available_cpus
 from cornercase._common.text.source_lines import prefix_file
 from cornercase._common.version import __version__
 from cornercase.drivers import Driver

@@ -116,16 +116,19 @@ class Stepper:
         self._constant_conditions: list[tuple[int, Condition]] = []
         n_conditions = 0
         for t, (trigger, _) in enumerate(self._storyboard.iter_pending_triggers()):
-            groups = [[(condition, condition.asked) for condition in group] for group in trigger.groups]
+            groups = [[(condition, condition.kernel_spec) for condition in group] for group in trigger.groups]
             if any(spec is None for group in groups for _, spec in group):
                 self._python_triggers.add(t)
                 groups = []
             for condition, spec in (item for group in groups for item in group):
-                if condition.constant(self._world) is not None:
+                if condition.constant_value(self._world) is not None:
                     self._constant_conditions.append((n_conditions, condition))
                 n_conditions += len(spec.leaves)
             self._condition_histories += [
-                condition.past for group in trigger.groups for condition in group if condition.past is not None
+                condition.delay_buffer
+                for group in trigger.groups
+                for condition in group
+                if condition.delay_buffer is not None
             ]
             specs.append([[spec for _, spec in group] for group in groups])
         self._condition_table = build_condition_table(

@@ -62,7 +62,8 @@ def _explain_by_version(minor_version: int | None, notices: Iterable[Notice]) ->
         elif notice.reason == UNKNOWN_REASON:
             yield replace(
                 notice,
-                reason=f"{UNKNOWN_REASON}; OpenSCENARIO XML 1.{minor_version} may have it, 1.{NEWEST_MINOR_VERSION} has not",
+                reason=f"{UNKNOWN_REASON}; OpenSCENARIO XML 1.{minor_version} may have it,"
+                f" 1.{NEWEST_MINOR_VERSION} has not",
             )
         elif notice.parts != ("revMinor of <FileHeader>",):
             yield notice

@@ -47,7 +47,8 @@ def plan_actors(
     it gets one wherever ScenarioRunner deviates from the storyboard. An entity that reacts keeps the storyboard as long
     as ScenarioRunner does something similar.
 
-    `driven` are entities that an agent drives. `carla_map_name` is the map's name, empty if there is a road file (without
+    `driven` are entities that an agent drives. `carla_map_name` is the map's name, empty if there is a road file
+    (without
     one, no trajectories can be sampled). `astray` says why ScenarioRunner's controls would lead entities elsewhere.
     `slowest` is the lowest speed of each entity in the builtin simulator in m/s (missing: 0). Raises `InputError` if an
     entity needs a trajectory and there is none.
@@ -61,7 +62,7 @@ def plan_actors(
         if name in driven:
             _drop_events_of_driven(name, parts[name], result)
             continue
-        deviations: list[str] = []
+        reasons: list[str] = []
         for part in parts[name]:
             for finding in (
                 *find_unsupported(part),
@@ -71,20 +72,20 @@ def plan_actors(
                 if finding.row.status is HandlingStatus.SAMPLED:
                     result.sampled.setdefault(name, []).append(_describe_finding(finding))
                 elif finding.row.status is HandlingStatus.APPROXIMATE:
-                    deviations.append(_describe_finding(finding))
+                    reasons.append(_describe_finding(finding))
         if name in deviations:
-            deviations.append(deviations[name])
+            reasons.append(deviations[name])
         if _has_cornercase_driver(root, name):
-            deviations.append("it has a driver of cornercase")
+            reasons.append("it has a driver of cornercase")
         if carla_map_name and name in result.sampled:
             raise InputError(
                 f"{source}: ScenarioRunner cannot move '{name}' like that ({result.sampled[name][0]}), and a trajectory"
                 f" needs a road file besides CARLA's map {carla_map_name}; {describe_how_to_get_map(carla_map_name)}."
             )
-        if deviations and name not in reacting and not carla_map_name:
-            result.sampled.setdefault(name, []).extend(deviations)
-        elif deviations and name not in result.sampled:
-            result.notes += [f"{name}: {reason}." for reason in dict.fromkeys(deviations)]
+        if reasons and name not in reacting and not carla_map_name:
+            result.sampled.setdefault(name, []).extend(reasons)
+        elif reasons and name not in result.sampled:
+            result.notes += [f"{name}: {reason}." for reason in dict.fromkeys(reasons)]
     _sample_waiting_entities(root, parts, result, driven)
     result.notes += [
         f"{name} moves along a trajectory of the builtin simulator, as {'; '.join(dict.fromkeys(reasons))}."

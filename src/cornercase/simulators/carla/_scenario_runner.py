@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Final
 
 from cornercase._common.errors import InputError, SimulationError, SimulatorError
-from cornercase._common.process.platform import kill_process_tree, make_parent_check
+from cornercase._common.platform import kill_process_tree, make_parent_check
 from cornercase.simulators.carla._tracker import EntityTracker
 
 RUNNER_VARIABLE: Final = "SCENARIO_RUNNER_ROOT"
@@ -73,9 +73,13 @@ class ScenarioRunnerProcess:
         log = file.with_name("scenario_runner.log")
         with log.open("wb") as output:
             process = subprocess.Popen(
-                command, cwd=file.parent, env=self._environment_variables(file.parent, drivers), stdin=subprocess.DEVNULL,
-                stdout=output, stderr=subprocess.STDOUT,
-            )  # fmt: skip
+                command,
+                cwd=file.parent,
+                env=self._environment_variables(file.parent, drivers),
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+            )
             try:
                 stopped = _wait_for_end(process, tracker, duration, until_collision, silence)
             finally:

@@ -278,9 +278,14 @@ class CarlaSimulator(Simulator):
         with EntityTracker(server.get_client(), scenario.entities, self._ego, self._time_step) as tracker:
             try:
                 self._runner.run_file(
-                    file, drivers, self._scenario_runner_options(), tracker, duration=self._duration, until_collision=self._stop_on_collision,
+                    file,
+                    drivers,
+                    self._scenario_runner_options(),
+                    tracker,
+                    duration=self._duration,
+                    until_collision=self._stop_on_collision,
                     silence=_SILENCE_FACTOR * server.patience,
-                )  # fmt: skip
+                )
             finally:
                 server.leave_synchronous_mode()
             if self._record == "client":

@@ -176,9 +176,9 @@ def _make_follow_action(trajectory: FloatArray, name: str) -> etree._Element:
     """Create the action that follows a trajectory with the columns time, x, y and heading."""
     routing = etree.Element("RoutingAction")
     action = etree.SubElement(routing, "FollowTrajectoryAction")
-    trajectory = etree.SubElement(action, "Trajectory", name=name, closed="false")
-    etree.SubElement(trajectory, "ParameterDeclarations")
-    line = etree.SubElement(etree.SubElement(trajectory, "Shape"), "Polyline")
+    element = etree.SubElement(action, "Trajectory", name=name, closed="false")
+    etree.SubElement(element, "ParameterDeclarations")
+    line = etree.SubElement(etree.SubElement(element, "Shape"), "Polyline")
     for time, x, y, heading in trajectory if len(trajectory) > 1 else np.repeat(trajectory, 2, axis=0):
         vertex = etree.SubElement(line, "Vertex", time=format_number(time))
         vertex.append(make_world_position(x, y, heading))

@@ -34,7 +34,7 @@ _POLL_INTERVAL: Final = 0.05
 
 
 class TclTestRun:
-    """Runs a TestRun; `patience` is the time limit in s of the run, `waiting` that to start or stop.
+    """Runs a TestRun; `run_timeout` is the time limit in s of the run, `start_timeout` that to start or stop.
 
     `WaitForStatus` saves polling, but its answer may be late or an error, so `SimStatus` decides.
     """

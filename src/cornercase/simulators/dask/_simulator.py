@@ -217,7 +217,8 @@ class ClusterSimulator(RemoteSimulator):
         elif not isinstance(error, KilledWorker):
             text = " ".join(f"{type(error).__name__}: {error}".split())[:300]
             raise InputError(
-                f"`cluster` {describe_cluster(self._client)}: its workers cannot run '{self.name}' ({text}); install the"
+                f"`cluster` {describe_cluster(self._client)}: its workers cannot run '{self.name}'"
+                f" ({text}); install the"
                 " same versions on each as here."
             ) from error
         elif task.n_lost + 1 < _MAX_TASK_LOSSES:
@@ -251,5 +252,6 @@ class ClusterSimulator(RemoteSimulator):
 
     def _cluster_error(self, problem: str) -> InputError:
         return InputError(
-            f"`cluster` {describe_cluster(self._client)}: {problem}; fix the cause, and run the same command again to resume."
+            f"`cluster` {describe_cluster(self._client)}: {problem}; fix the cause, and run the"
+            f" same command again to resume."
         )

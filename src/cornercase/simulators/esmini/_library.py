@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from cornercase._common.errors import InputError
-from cornercase._common.process.platform import encode_path
+from cornercase._common.platform import encode_path
 from cornercase.scenario import Value
 
 LIBRARY_VARIABLE: Final = "CORNERCASE_ESMINI"
@@ -121,7 +121,7 @@ def set_parameter(lib: ctypes.CDLL, name: str, value: Value, parameter_type: str
     return int(lib.SE_SetParameterString(key, text.encode()))
 
 
-def encode_path(path: Path) -> bytes:
+def encode_esmini_path(path: Path) -> bytes:
     """Encode a path as esmini opens it; `InputError` for characters that it cannot open on this platform."""
     try:
         return encode_path(path)

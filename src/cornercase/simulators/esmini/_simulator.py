@@ -20,7 +20,7 @@ from cornercase.simulators.esmini._library import (
     PARAMETER_CALLBACK,
     ObjectState,
     check_layout,
-    encode_path,
+    encode_esmini_path,
     find_library_path,
     load_library,
     read_state,
@@ -161,7 +161,7 @@ class EsminiSimulator(Simulator):
         lib.SE_RegisterParameterDeclarationCallback(callback, None)
         lib.SE_SetSeed(self._seed)
         lib.SE_CollisionDetection(True)
-        if lib.SE_Init(encode_path(scenario.path), 0 if self._controllers else 1, 0, 0, 0) != 0:
+        if lib.SE_Init(encode_esmini_path(scenario.path), 0 if self._controllers else 1, 0, 0, 0) != 0:
             return SimulationError("esmini cannot load the scenario; run it with esmini to see why")
         if rejected:
             return SimulationError(f"esmini does not take the parameter {rejected[0]}")

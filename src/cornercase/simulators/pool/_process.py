@@ -14,11 +14,9 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
+from cornercase._common.current_folder import hide_current_folder_from_children, unpickle_with_current_folder
 from cornercase._common.errors import InputError, RunLostError, SimulationError, SimulatorError
-from cornercase._common.plugin_errors import convert_plugin_errors
-from cornercase._common.process.current_folder import hide_current_folder_from_children, unpickle_with_current_folder
-from cornercase._common.process.parent_death import exit_with_parent, set_temporary_folder
-from cornercase._common.process.platform import (
+from cornercase._common.platform import (
     block_interrupts,
     describe_exit_code,
     detach_from_terminal,
@@ -26,6 +24,8 @@ from cornercase._common.process.platform import (
     kill_process_tree,
     termination_signals,
 )
+from cornercase._common.plugin_errors import convert_plugin_errors
+from cornercase._common.process.parent_death import exit_with_parent, set_temporary_folder
 from cornercase._common.process.reaper import Reaper
 from cornercase._common.process.signals import defer_interrupts
 from cornercase.recordings import Recording

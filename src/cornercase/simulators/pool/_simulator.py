@@ -45,7 +45,7 @@ class WorkerSimulator(RemoteSimulator):
     counts further runs after the simulator failed (its process ended, hung, or lost its program); if the process was
     killed from outside, there is at least one. `max_failures` consecutive failures end the run (0: no limit).
 
-    >>> from cornercase.simulators import WorkerSimulator
+    >>> from cornercase.simulators.pool._simulator import WorkerSimulator
     >>> with WorkerSimulator("builtin", {"duration": 20.0}, workers=4, timeout=30.0) as simulator:
     ...     recordings = list(simulator.run([]))
     >>> recordings
@@ -184,7 +184,8 @@ class WorkerSimulator(RemoteSimulator):
             self._consecutive_failures.count += 1
             if 0 < self._max_failures <= self._consecutive_failures.count:
                 raise InputError(
-                    f"The simulator '{self.name}' gave no result in {self._consecutive_failures.count} scenarios in a row"
+                    f"The simulator '{self.name}' gave no result in"
+                    f" {self._consecutive_failures.count} scenarios in a row"
                     f" (`max_failures`); in the last one {failure}. Fix it, and run the same command again to resume."
                 )
             times = "once" if task.tries == 0 else f"{task.tries + 1} times"

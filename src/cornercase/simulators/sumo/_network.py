@@ -12,7 +12,7 @@ from typing import Final
 
 from cornercase._common.errors import InputError
 from cornercase._common.io.files import atomic_write, read_file
-from cornercase._common.process.platform import find_program, user_cache_folder
+from cornercase._common.platform import find_program, user_cache_folder
 from cornercase.scenario import Value
 from cornercase.scenario._file import ScenarioFile
 from cornercase.scenario._xml import parse_xml

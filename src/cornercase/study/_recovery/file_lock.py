@@ -17,7 +17,7 @@ from types import TracebackType
 from typing import Final
 
 from cornercase._common.errors import InputError
-from cornercase._common.process.platform import can_rename_open_files
+from cornercase._common.platform import can_rename_open_files
 from cornercase.study._connection import is_unreachable_error, open_connection, reraise_sqlite_errors
 from cornercase.study._lease import require_no_writer
 

@@ -45,7 +45,7 @@ _DRIVER_PREFIX: Final = "drivers "
 _SETTING_LABELS: Final = {
     "simulator": "simulator",
     "version": "version of cornercase",
-    "runs_of_each": "runs of each scenario",
+    "repeats_text": "runs of each scenario",
 }
 
 
@@ -199,7 +199,8 @@ def _run_tests(
     if not tests_ and all(pair.run == "in neither" for pair in pairs):
         raise InputError(
             f"{old.study.path} and {new.study.path}: no scenario was run with both, and only {n_filling[0]} and"
-            f" {n_filling[1]} scenarios were chosen without looking at scores, where {MIN_SAMPLE_SIZE} are needed; explore"
+            f" {n_filling[1]} scenarios were chosen without looking at scores, where"
+            f" {MIN_SAMPLE_SIZE} are needed; explore"
             " both with the same `seed`, or with `audit`."
         )
     return holm_correct(tests_)

@@ -158,7 +158,8 @@ def _space_section(space: SpaceChange) -> ComparisonSection:
     if space.gained is not None and space.lost is not None:
         sentences.append(
             f"by {space.pairs} space-filling scenarios that ran with both: critical only now"
-            f" {_format_percentage(space.gained)}, no longer {_format_percentage(space.lost)} (90 %, Clopper and Pearson)"
+            f" {_format_percentage(space.gained)}, no longer {_format_percentage(space.lost)} (90"
+            f" %, Clopper and Pearson)"
         )
     else:
         sentences.append(f"no interval from pairs: {space.pairs_doubt}")

@@ -35,7 +35,10 @@ def estimate_space_change(old: StudySide, new: StudySide, pairs: tuple[ScenarioP
     ]
     critical = np.array([pair.is_critical for pair in independent], dtype=np.bool_).reshape(-1, 2)
     gained = lost = None
-    reason = f"only {len(independent)} scenarios ran with both and were chosen independently of scores; {MIN_SAMPLE_SIZE} are needed"
+    reason = (
+        f"only {len(independent)} scenarios ran with both and were chosen independently of"
+        f" scores; {MIN_SAMPLE_SIZE} are needed"
+    )
     if len(independent) >= MIN_SAMPLE_SIZE:
         reason = ""
         gained = proportion_interval(int((critical[:, 1] & ~critical[:, 0]).sum()), len(independent))

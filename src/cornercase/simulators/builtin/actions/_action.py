@@ -11,12 +11,12 @@ class Action:
     """What an event does to an entity, in some scenarios of a batch, until it has ended there.
 
     Without its own `step` it ends immediately. `domains`: ``"longitudinal"`` and ``"lateral"`` parts of the motion that
-    it controls; when an action starts, it ends those of the same entity with a common domain. `shared_arrays`: names of
-    arrays (N,) shared with kernels. `has_own_timing`: whether it ends at a time of its own.
+    it controls; when an action starts, it ends those of the same entity with a common domain. `memory_attributes`:
+    names of arrays (N,) shared with kernels. `has_own_timing`: whether it ends at a time of its own.
     """
 
     domains: tuple[str, ...] = ()
-    shared_arrays: tuple[str, ...] = ()
+    memory_attributes: tuple[str, ...] = ()
     has_own_timing: bool = False
 
     def kernel_options(self) -> tuple[int, ...]:

@@ -121,7 +121,10 @@ class DriverControl:
                 acceleration = self._call_driver(situation)
                 for i in np.flatnonzero(rows & ~np.isfinite(acceleration)).tolist():
                     instant = format_time_of_failure(situation.time)
-                    why = f"{self._display_name} returned {acceleration[i]:g}{instant}, which is not an acceleration in m/s²"
+                    why = (
+                        f"{self._display_name} returned {acceleration[i]:g}{instant}, which is"
+                        f" not an acceleration in m/s²"
+                    )
                     world.fail(np.arange(world.scenarios) == i, PluginError(why))
                 if not self.in_fleet:
                     acceleration = self._clip_acceleration(
@@ -167,7 +170,8 @@ class DriverControl:
         entity = self._world.entities[self.entity]
         bound = entity.max_acceleration if limit == "acceleration" else entity.max_deceleration
         self.limit_notices[limit] = (
-            f"{self._display_name} exceeds the {limit} of {bound:.6g} m/s² in <Performance>, and is limited to it; {requested}"
+            f"{self._display_name} exceeds the {limit} of {bound:.6g} m/s² in <Performance>, and is"
+            f" limited to it; {requested}"
         )
 
     def _make_situation(self, track_number: int, track: Track, dt: float, rows: BoolArray) -> Situation:

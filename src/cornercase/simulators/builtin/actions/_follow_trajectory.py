@@ -28,7 +28,7 @@ class FollowTrajectoryAction(Action):
     """Moves an entity along a trajectory, at its own speed or at given times."""
 
     domains: tuple[str, ...] = (LATERAL,)
-    shared_arrays = ("_sign", "_was_oriented", "_ahead")
+    memory_attributes = ("_sign", "_was_oriented", "_ahead")
 
     def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int) -> None:
         self._entity = entity

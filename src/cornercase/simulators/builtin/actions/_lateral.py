@@ -52,7 +52,7 @@ class LaneChangeAction(Action):
     """Moves an entity to another lane; part of its speed becomes lateral motion."""
 
     domains = (LATERAL,)
-    shared_arrays = ("_from", "_to", "_done", "_extent")
+    memory_attributes = ("_from", "_to", "_done", "_extent")
 
     def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int) -> None:
         self._entity = entity
@@ -170,7 +170,7 @@ class LaneOffsetAction(Action):
     """Moves an entity within its lane; the lateral motion does not slow it down."""
 
     domains = (LATERAL,)
-    shared_arrays = ("_from", "_to", "_elapsed", "_duration")
+    memory_attributes = ("_from", "_to", "_elapsed", "_duration")
 
     def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int) -> None:
         self._entity = entity

@@ -36,7 +36,7 @@ class SpeedAction(Action):
     """Brings an entity to a speed; if it has a driver, sets the driver's target speed."""
 
     domains = (LONGITUDINAL,)
-    shared_arrays = ("_from", "_to", "_parameter", "_span", "_stretch", "_reached", "_value", "_rate")
+    memory_attributes = ("_from", "_to", "_parameter", "_span", "_stretch", "_reached", "_value", "_rate")
 
     def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int) -> None:
         self._entity = entity
@@ -128,7 +128,7 @@ class LongitudinalDistanceAction(Action):
 
     domains = (LONGITUDINAL,)
     # The kernels use the same order.
-    shared_arrays = ("_acceleration", "_behind", "_wanted", "_up", "_down", "_fastest", "_jerk_up", "_jerk_down")
+    memory_attributes = ("_acceleration", "_behind", "_wanted", "_up", "_down", "_fastest", "_jerk_up", "_jerk_down")
 
     def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int) -> None:
         self._entity = entity

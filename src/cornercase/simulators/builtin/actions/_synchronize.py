@@ -49,7 +49,7 @@ class SynchronizeAction(Action):
 
     domains = (LONGITUDINAL,)
     # The kernels use the same order.
-    shared_arrays = (
+    memory_attributes = (
         "_mode", "_convex", "_last", "_last_master",
         "_x", "_y", "_road", "_s", "_track", "_place", "_tolerance",
         "_x_master", "_y_master", "_road_master", "_s_master", "_track_master", "_place_master", "_tolerance_master",

@@ -30,14 +30,14 @@ from cornercase.simulators.builtin.kernels._synchronize import (
     apply_distance_action,
     apply_synchronize_action,
 )
-from cornercase.simulators.builtin.kernels._track_dispatch import (
+from cornercase.simulators.builtin.track_kernels._track_dispatch import (
     trajectory_direction,
     trajectory_distance_at_time,
     trajectory_end_time,
     trajectory_has_heading,
     trajectory_length,
 )
-from cornercase.simulators.builtin.tracks._track_pool import LANE_TRACK, PYTHON_TRACK
+from cornercase.simulators.builtin.track_kernels._track_layout import LANE_TRACK, PYTHON_TRACK
 from cornercase.simulators.builtin.world._state_layout import (
     AT_END_SINCE,
     DECIDED,
@@ -99,10 +99,10 @@ def list_running_actions(actions, saved, n):
     """List the running actions of a scenario."""
     count = 0
     for j in range(actions.options.shape[0]):
-        if actions.running[n, j]:
-            saved.live[count] = j
+        if actions.is_running[n, j]:
+            saved.running[count] = j
             count += 1
-    saved.live[count] = -1
+    saved.running[count] = -1
 
 
 @_inlined_kernel
@@ -112,8 +112,8 @@ def apply_actions(scene, tracks, roads, actions, saved, n, dt):
     Returns `ACTION_APPLIED`, or the outcome of the first action that could not be applied; then all changes are undone.
     """
     i = 0
-    while saved.live[i] >= 0:
-        j = saved.live[i]
+    while saved.running[i] >= 0:
+        j = saved.running[i]
         action_type, is_applied, outcome = actions.options[j, 0], False, ACTION_NOT_APPLIED
         _save(scene, actions, saved, n, j)
         if action_type == SPEED_ACTION:
@@ -131,7 +131,7 @@ def apply_actions(scene, tracks, roads, actions, saved, n, dt):
             is_applied = apply_distance_action(scene, actions, n, j, dt)
         if not is_applied:
             while i >= 0:
-                _restore(scene, actions, saved, n, saved.live[i])
+                _restore(scene, actions, saved, n, saved.running[i])
                 i -= 1
             return outcome
         i += 1
@@ -221,7 +221,7 @@ def _apply_speed_action(scene, actions, n, j, dt):
     """NumPy version: `SpeedAction.step`. Memory: from, to, parameter, span, stretch, reached, value, rate."""
     options, memory, state = actions.options[j], actions.memory[n, j], scene.floats[n]
     e, shape, dimension, reference, factor, continuous = options[1:7]
-    limits = scene.boxes[e]
+    limits = scene.dimensions[e]
     if reference >= 0:
         target = state[SPEED, reference] * memory[6] if factor else state[SPEED, reference] + memory[6]
         memory[1] = min(max(target, -limits[MAX_SPEED]), limits[MAX_SPEED])
@@ -268,8 +268,8 @@ def _apply_trajectory_action(scene, tracks, actions, n, j, dt):
     """NumPy version: `FollowTrajectoryAction.step`. Memory: sign, whether it was oriented, clock offset."""
     options, memory, state = actions.options[j], actions.memory[n, j], scene.floats[n]
     e, is_timed = options[1], options[2]
-    track = scene.numbers[n, TRACK, e]
-    row = tracks.row[e, track] if track >= 0 else -1
+    track = scene.integers[n, TRACK, e]
+    row = tracks.rows[e, track] if track >= 0 else -1
     if row < 0 or tracks.kind[row] == LANE_TRACK or tracks.kind[row] == PYTHON_TRACK:
         return False
     before = state[DISTANCE, e]
@@ -304,8 +304,8 @@ def _apply_lane_change(scene, tracks, actions, n, j, dt):
     """NumPy version: `LaneChangeAction.step`. Memory: from, to, done, extent."""
     options, memory, state, flags = actions.options[j], actions.memory[n, j], scene.floats[n], scene.flags[n]
     e, shape, dimension = options[1], options[2], options[3]
-    track = scene.numbers[n, TRACK, e]
-    row = tracks.row[e, track] if track >= 0 else -1
+    track = scene.integers[n, TRACK, e]
+    row = tracks.rows[e, track] if track >= 0 else -1
     begin, end, extent = memory[0], memory[1], memory[3]
     if row < 0 or extent <= _EPSILON:
         return False
@@ -362,7 +362,7 @@ def _apply_lane_offset(scene, tracks, actions, n, j, dt):
     state[OFFSET, e] = offset
     state[TURN, e] = math.atan(slope / (speed if abs(speed) > _EPSILON else _EPSILON))
     memory[2] = elapsed + dt
-    track = scene.numbers[n, TRACK, e]
+    track = scene.integers[n, TRACK, e]
     if track >= 0:
-        place_on_track(scene, tracks, n, e, tracks.row[e, track])
+        place_on_track(scene, tracks, n, e, tracks.rows[e, track])
     return True

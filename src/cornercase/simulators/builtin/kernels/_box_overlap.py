@@ -17,7 +17,7 @@ _kernel = kernel(error_model="numpy", _nrt=False)
 @kernel(error_model="numpy", _nrt=False, forceinline=True)
 def entities_overlap(scene, n, a, b):
     """Whether the boxes of two entities of a scenario overlap; False if one is absent."""
-    state, boxes = scene.floats[n], scene.boxes
+    state, boxes = scene.floats[n], scene.dimensions
     if not (scene.flags[n, PRESENT, a] and scene.flags[n, PRESENT, b]):
         return False
     # Boxes cannot overlap if their reference points are farther apart than this.

@@ -38,9 +38,22 @@ from cornercase.simulators.builtin.world._state_layout import (
 )
 
 (
-    CONSTANT_CONDITION, TIME_CONDITION, TRAVELED_DISTANCE_CONDITION, SPEED_CONDITION, RELATIVE_SPEED_CONDITION, ACCELERATION_CONDITION, STAND_STILL_CONDITION, END_OF_ROAD_CONDITION, COLLISION_CONDITION, REACH_POSITION_CONDITION, RELATIVE_DISTANCE_CONDITION,
-    DISTANCE_CONDITION, TIME_HEADWAY_CONDITION, TIME_TO_COLLISION_CONDITION, RELATIVE_ANGLE_CONDITION,
-) = range(15)  # fmt: skip
+    CONSTANT_CONDITION,
+    TIME_CONDITION,
+    TRAVELED_DISTANCE_CONDITION,
+    SPEED_CONDITION,
+    RELATIVE_SPEED_CONDITION,
+    ACCELERATION_CONDITION,
+    STAND_STILL_CONDITION,
+    END_OF_ROAD_CONDITION,
+    COLLISION_CONDITION,
+    REACH_POSITION_CONDITION,
+    RELATIVE_DISTANCE_CONDITION,
+    DISTANCE_CONDITION,
+    TIME_HEADWAY_CONDITION,
+    TIME_TO_COLLISION_CONDITION,
+    RELATIVE_ANGLE_CONDITION,
+) = range(15)
 """Kind of a leaf. `CONSTANT_CONDITION`: only the storyboard changes it; its first value says whether it holds."""
 
 GREATER, LESS, EQUAL, GREATER_OR_EQUAL, LESS_OR_EQUAL, NOT_EQUAL = range(6)
@@ -143,7 +156,7 @@ def fill_watchlist(table, watchlist, n):
     """Select what can change in a scenario; constants do not change until the storyboard is evaluated."""
     n_groups = n_leaves = 0
     for t in range(table.triggers.shape[0]):
-        if not table.watched[n, t]:
+        if not table.is_watched[n, t]:
             continue
         first, last, is_memoryless = table.triggers[t]
         for g in range(first, last):
@@ -152,7 +165,7 @@ def fill_watchlist(table, watchlist, n):
                     for k in range(table.conditions[c, 0], table.conditions[c, 1]):
                         if (
                             table.codes[k, 0] != CONSTANT_CONDITION
-                            or (table.values[n, k, 0] > 0.0) != table.truth[n, k]
+                            or (table.values[n, k, 0] > 0.0) != table.last_values[n, k]
                         ):
                             watchlist.leaves[n_leaves] = k
                             n_leaves += 1
@@ -175,12 +188,12 @@ def _is_never_met(table, n, group):
 @_inlined_kernel
 def is_unchanged(scene, table, watchlist, n):
     """Whether no trigger fires, and nothing has changed for triggers that depend on earlier values."""
-    for d in range(table.pending.shape[1]):
-        if table.pending[n, d] <= scene.time[n] - table.delay[n, d] + TOLERANCE:
+    for d in range(table.pending_since.shape[1]):
+        if table.pending_since[n, d] <= scene.time[n] - table.delay[n, d] + TOLERANCE:
             return False
     i = 0
     while watchlist.leaves[i] >= 0:
-        if leaf_holds(scene, table, n, watchlist.leaves[i]) != table.truth[n, watchlist.leaves[i]]:
+        if leaf_holds(scene, table, n, watchlist.leaves[i]) != table.last_values[n, watchlist.leaves[i]]:
             return False
         i += 1
     i = 0
@@ -211,7 +224,7 @@ def _group_holds(scene, table, n, group):
 def store_leaf_values(scene, table, n):
     """Store the current values of all leaves of a scenario, to be compared with later."""
     for k in range(table.codes.shape[0]):
-        table.truth[n, k] = leaf_holds(scene, table, n, k)
+        table.last_values[n, k] = leaf_holds(scene, table, n, k)
 
 
 @_inlined_kernel

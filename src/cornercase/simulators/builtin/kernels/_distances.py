@@ -64,7 +64,7 @@ def distance_to_entity(scene, n, e, other, distance_kind):
     if distance_kind == LATERAL_DISTANCE:
         return dy * cos - dx * sin
     nearest, farthest = _box_extent(scene, n, e, other, distance_kind == LATERAL_DISTANCE + FREE_SPACE)
-    half = 0.5 * scene.boxes[e, WIDTH if distance_kind == LATERAL_DISTANCE + FREE_SPACE else LENGTH]
+    half = 0.5 * scene.dimensions[e, WIDTH if distance_kind == LATERAL_DISTANCE + FREE_SPACE else LENGTH]
     if nearest > half:
         return nearest - half
     return farthest + half if farthest < -half else 0.0
@@ -73,7 +73,7 @@ def distance_to_entity(scene, n, e, other, distance_kind):
 @_kernel
 def _box_extent(scene, n, e, other, is_lateral):
     """Range of coordinates of another's box relative to the centre of `e`, to the left (`is_lateral`) or ahead."""
-    state, boxes = scene.floats[n], scene.boxes
+    state, boxes = scene.floats[n], scene.dimensions
     cos, sin = math.cos(state[HEADING, e]), math.sin(state[HEADING, e])
     turned_cos, turned_sin = math.cos(state[HEADING, other]), math.sin(state[HEADING, other])
     x, y = state[X, other] + boxes[other, CENTER_X] * turned_cos, state[Y, other] + boxes[other, CENTER_X] * turned_sin
@@ -92,7 +92,7 @@ def _box_extent(scene, n, e, other, is_lateral):
 @_kernel
 def distance_to_point(scene, n, e, x, y, distance_kind):
     """Signed distance in m to a point, seen from `e`: negative behind, and to the right for lateral distances."""
-    state, dimensions, is_free_space = scene.floats[n], scene.boxes[e], distance_kind >= FREE_SPACE
+    state, dimensions, is_free_space = scene.floats[n], scene.dimensions[e], distance_kind >= FREE_SPACE
     dx, dy = x - state[X, e], y - state[Y, e]
     cos, sin = math.cos(state[HEADING, e]), math.sin(state[HEADING, e])
     along, across = dx * cos + dy * sin, dy * cos - dx * sin

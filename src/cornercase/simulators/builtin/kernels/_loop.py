@@ -113,21 +113,21 @@ def _run_scenarios(scene, tracks, roads, fleet, actions, conditions, loop, optio
         if status == IDLE:
             continue
         _prepare_scenario(scene, actions, loop, n, buffers)
-        fill_watchlist(conditions, buffers.watched, n)
+        fill_watchlist(conditions, buffers.watchlist, n)
         while status in (MOVE, ACT, ACTIONS_DONE):
-            is_acting, dt = status != MOVE, options.time_step if scene.frames[n] > 0 else 0.0
+            is_acting, dt = status != MOVE, options.time_step if scene.n_frames[n] > 0 else 0.0
             if status == MOVE:
-                if scene.frames[n] >= options.most:
+                if scene.n_frames[n] >= options.max_frames:
                     status = FINISHED
                     break
-                if not is_unchanged(scene, conditions, buffers.watched, n):
+                if not is_unchanged(scene, conditions, buffers.watchlist, n):
                     status = NEEDS_STORYBOARD
                     break
                 for e in range(scene.floats.shape[2]):
                     scene.floats[n, BEFORE, e] = scene.floats[n, SPEED, e]
             outcome = ACTION_APPLIED
             if status != ACTIONS_DONE:
-                outcome = apply_actions(scene, tracks, roads, actions, buffers.kept, n, dt)
+                outcome = apply_actions(scene, tracks, roads, actions, buffers.saved, n, dt)
             if outcome == NEEDS_LOOKUP:
                 status = NEEDS_LOOKUP_ACT if is_acting else NEEDS_LOOKUP_MOVE
                 break
@@ -135,11 +135,11 @@ def _run_scenarios(scene, tracks, roads, fleet, actions, conditions, loop, optio
                 status = ACTION_ENDED if is_acting else NEEDS_STORYBOARD
                 break
             status = _finish_frame(scene, tracks, fleet, loop, options, n, dt, buffers)
-            if is_acting and loop.looks[n] and status == MOVE:
+            if is_acting and loop.evaluates_each_frame[n] and status == MOVE:
                 status = NEEDS_STORYBOARD
-        if status == NEEDS_STORYBOARD and scene.frames[n] >= options.most:
+        if status == NEEDS_STORYBOARD and scene.n_frames[n] >= options.max_frames:
             status = FINISHED
-        if status == NEEDS_STORYBOARD or loop.looks[n]:
+        if status == NEEDS_STORYBOARD or loop.evaluates_each_frame[n]:
             store_leaf_values(scene, conditions, n)
         loop.status[n] = status
 
@@ -147,29 +147,29 @@ def _run_scenarios(scene, tracks, roads, fleet, actions, conditions, loop, optio
 @_inlined_kernel
 def _prepare_scenario(scene, actions, loop, n, buffers):
     """List the running actions, note who is moved by something else than itself, and wake all entities."""
-    rest, running = buffers.rest, buffers.kept.live
+    rest, running = buffers.activity, buffers.saved.running
     for e in range(rest.size):
         rest[e] = AWAKE
-    list_running_actions(actions, buffers.kept, n)
+    list_running_actions(actions, buffers.saved, n)
     i = 0
     while running[i] >= 0:
         if actions.options[running[i], 0] != PYTHON_ACTION:
             rest[actions.options[running[i], 1]] = EXTERNALLY_MOVED
         i += 1
-    for d in range(loop.driven.size):
-        rest[loop.driven[d]] = EXTERNALLY_MOVED
-    for t in range(scene.tows.shape[0]):
-        rest[int(scene.tows[t, 0])] = rest[int(scene.tows[t, 1])] = EXTERNALLY_MOVED
+    for d in range(loop.driven_entities.size):
+        rest[loop.driven_entities[d]] = EXTERNALLY_MOVED
+    for t in range(scene.trailers.shape[0]):
+        rest[int(scene.trailers[t, 0])] = rest[int(scene.trailers[t, 1])] = EXTERNALLY_MOVED
 
 
 @_inlined_kernel
 def _finish_frame(scene, tracks, fleet, loop, options, n, dt, buffers):
     """Do the part of a frame after the storyboard: drivers, motion, recording. Return the new state."""
-    if options.drives and dt > 0.0:
-        for d in range(loop.driven.shape[0]):
-            _apply_driver(scene, tracks, fleet, n, d, loop.driven[d], dt, buffers)
-    needs_lane = move_entities(scene, tracks, n, dt, buffers.rest)
-    collides = record_frame(scene, n, buffers.first, dt, buffers.rest)
+    if options.drives_compiled and dt > 0.0:
+        for d in range(loop.driven_entities.shape[0]):
+            _apply_driver(scene, tracks, fleet, n, d, loop.driven_entities[d], dt, buffers)
+    needs_lane = move_entities(scene, tracks, n, dt, buffers.activity)
+    collides = record_frame(scene, n, buffers.first, dt, buffers.activity)
     if collides and options.stop_at_collision:
         return FINISHED
     return NEEDS_LANE if needs_lane else MOVE
@@ -178,13 +178,13 @@ def _finish_frame(scene, tracks, fleet, loop, options, n, dt, buffers):
 @_inlined_kernel
 def _apply_driver(scene, tracks, fleet, n, driver, e, dt, buffers):
     """Let a compiled driver set the speed of its entity at the end of the time step, if it is in charge."""
-    state, flags, numbers, others = scene.floats[n], scene.flags[n], scene.numbers[n], buffers.others
+    state, flags, numbers, others = scene.floats[n], scene.flags[n], scene.integers[n], buffers.visible_entities
     track = numbers[TRACK, e]
     if not (flags[PRESENT, e] and flags[DRIVEN, e] and numbers[DRIVER, e] == driver and track >= 0):
         return
     # A trajectory with times leaves the driver nothing to decide.
     route = find_route_row(fleet, driver, track, n)
-    if tracks.timed[tracks.row[e, track]] or route < 0:
+    if tracks.has_times[tracks.rows[e, track]] or route < 0:
         return
     for i in range(others.shape[1]):
         k = i if i < e else i + 1
@@ -196,5 +196,7 @@ def _apply_driver(scene, tracks, fleet, n, driver, e, dt, buffers):
     driven = DrivenState(
         state[DISTANCE, e], state[X, e], state[Y, e], state[HEADING, e], state[SPEED, e], state[TARGET_SPEED, e]
     )
-    acceleration = compute_acceleration(fleet, driver, n, route, scene.time[n], dt, driven, others, buffers.work)
-    state[SPEED, e] = min(max(state[SPEED, e] + acceleration * dt, 0.0), scene.boxes[e, MAX_SPEED])
+    acceleration = compute_acceleration(
+        fleet, driver, n, route, scene.time[n], dt, driven, others, buffers.driver_workspace
+    )
+    state[SPEED, e] = min(max(state[SPEED, e] + acceleration * dt, 0.0), scene.dimensions[e, MAX_SPEED])

@@ -10,10 +10,10 @@ from typing import Final
 
 from cornercase._common.numba.kernel import kernel
 from cornercase.simulators.builtin.kernels._box_overlap import entities_overlap
-from cornercase.simulators.builtin.kernels._lane_track import advance_on_lane, needs_next_lane
 from cornercase.simulators.builtin.kernels._simulation_state import PAGE_LENGTH
-from cornercase.simulators.builtin.kernels._track_dispatch import pose_on_track
-from cornercase.simulators.builtin.tracks._track_pool import LANE_TRACK, PYTHON_TRACK
+from cornercase.simulators.builtin.track_kernels._lane_track import advance_on_lane, needs_next_lane
+from cornercase.simulators.builtin.track_kernels._track_dispatch import pose_on_track
+from cornercase.simulators.builtin.track_kernels._track_layout import LANE_TRACK, PYTHON_TRACK
 from cornercase.simulators.builtin.world._state_layout import (
     ACCELERATION,
     AT_END_SINCE,
@@ -71,16 +71,16 @@ def move_entities(scene, tracks, n, dt, activity):
     With `dt` 0, entities are only placed on their tracks. `activity`, shape (E,), is updated. Returns whether an entity
     is near the point where its lane's path is cut.
     """
-    state, flags, numbers = scene.floats[n], scene.flags[n], scene.numbers[n]
+    state, flags, numbers = scene.floats[n], scene.flags[n], scene.integers[n]
     entities, needs_lane = state.shape[1], False
-    for t in range(scene.tows.shape[0]):
-        if numbers[PULLED_BY, int(scene.tows[t, 1])] == int(scene.tows[t, 0]):
-            flags[MOVED, int(scene.tows[t, 1])] = True
+    for t in range(scene.trailers.shape[0]):
+        if numbers[PULLED_BY, int(scene.trailers[t, 1])] == int(scene.trailers[t, 0]):
+            flags[MOVED, int(scene.trailers[t, 1])] = True
     for e in range(entities):
         if activity[e] == RESTING or not flags[PRESENT, e]:
             continue
         track = numbers[TRACK, e]
-        row = tracks.row[e, track] if track >= 0 else -1
+        row = tracks.rows[e, track] if track >= 0 else -1
         if not flags[MOVED, e]:
             distance, at_end_since = state[DISTANCE, e], state[AT_END_SINCE, e]
             _move_along_track(scene, tracks, n, e, row, dt)
@@ -89,8 +89,8 @@ def move_entities(scene, tracks, n, dt, activity):
         if row >= 0 and tracks.kind[row] == LANE_TRACK:
             needs_lane = needs_lane or needs_next_lane(tracks, row, state[DISTANCE, e])
     _stop_at_road_ends(scene, tracks, n, dt, activity)
-    for t in range(scene.tows.shape[0]):
-        if numbers[PULLED_BY, int(scene.tows[t, 1])] == int(scene.tows[t, 0]):
+    for t in range(scene.trailers.shape[0]):
+        if numbers[PULLED_BY, int(scene.trailers[t, 1])] == int(scene.trailers[t, 0]):
             _move_trailer(scene, n, t)
     for e in range(entities):
         if activity[e] != RESTING:
@@ -186,8 +186,8 @@ def _stop_at_road_ends(scene, tracks, n, dt, activity):
     for e in range(state.shape[1]):
         if activity[e] == RESTING or not (flags[PRESENT, e] and state[AT_END_SINCE, e] < scene.time[n] + 0.5 * dt):
             continue
-        track = scene.numbers[n, TRACK, e]
-        on_lane = track >= 0 and tracks.kind[tracks.row[e, track]] == LANE_TRACK
+        track = scene.integers[n, TRACK, e]
+        on_lane = track >= 0 and tracks.kind[tracks.rows[e, track]] == LANE_TRACK
         if on_lane and math.hypot(state[GONE_X, e], state[GONE_Y, e]) < _STANDSTILL_SPEED:
             state[SPEED, e], flags[DECIDED, e] = 0.0, True
 
@@ -196,8 +196,8 @@ def _stop_at_road_ends(scene, tracks, n, dt, activity):
 def _move_trailer(scene, n, tow):
     """Move a trailer behind its vehicle: its axle follows the hitch as on a rod."""
     state, flags = scene.floats[n], scene.flags[n]
-    e, trailer = int(scene.tows[tow, 0]), int(scene.tows[tow, 1])
-    hitch, coupler = scene.tows[tow, 2], scene.tows[tow, 3]
+    e, trailer = int(scene.trailers[tow, 0]), int(scene.trailers[tow, 1])
+    hitch, coupler = scene.trailers[tow, 2], scene.trailers[tow, 3]
     flags[PRESENT, trailer] = flags[PRESENT, e]
     if not flags[PRESENT, trailer]:
         return
@@ -248,20 +248,22 @@ def record_frame(scene, n, first_scenario, dt, activity):
 
     `first_scenario` is the first of the scenarios that run together with `n`; `activity` as in `move_entities`.
     """
-    state, flags, numbers, frame = scene.floats[n], scene.flags[n], scene.numbers[n], scene.frames[n]
+    state, flags, numbers, frame = scene.floats[n], scene.flags[n], scene.integers[n], scene.n_frames[n]
     entities = state.shape[1]
     number, column = frame // PAGE_LENGTH, frame % PAGE_LENGTH
     if column == 0:
-        scene.page[n, number] = first_scenario * scene.page.shape[1] + scene.taken[first_scenario]
-        scene.taken[first_scenario] += 1
-    page = scene.pages[scene.page[n, number]]
+        scene.page_numbers[n, number] = (
+            first_scenario * scene.page_numbers.shape[1] + scene.n_pages_used[first_scenario]
+        )
+        scene.n_pages_used[first_scenario] += 1
+    page = scene.pages[scene.page_numbers[n, number]]
     for e in range(entities):
         if dt > 0.0:
             state[ACCELERATION, e] = (state[SPEED, e] - state[BEFORE, e]) / dt
         for q in range(5):
             row = (X, Y, HEADING, SPEED, ACCELERATION)[q]
             page[q, e, column] = state[row, e] if flags[PRESENT, e] else math.nan
-    scene.frames[n] = frame + 1
+    scene.n_frames[n] = frame + 1
     collides = False
     for first_entity in range(entities):
         for other in range(first_entity + 1, entities):
@@ -274,6 +276,6 @@ def record_frame(scene, n, first_scenario, dt, activity):
             scene.overlaps[n, first_entity, other] = scene.overlaps[n, other, first_entity] = is_overlapping
             if is_new:
                 collides = True
-                if math.isnan(scene.collided[n, first_entity, other]):
-                    scene.collided[n, first_entity, other] = scene.time[n]
+                if math.isnan(scene.collision_time[n, first_entity, other]):
+                    scene.collision_time[n, first_entity, other] = scene.time[n]
     return collides

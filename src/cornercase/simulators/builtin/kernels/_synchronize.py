@@ -12,10 +12,10 @@ from cornercase._common.geometry.boxes import COS_RIGHT_ANGLE_TOLERANCE
 from cornercase._common.numba.kernel import kernel
 from cornercase.roads._kernels.heading import reference_cos_and_sin, reference_heading, stays_on_road
 from cornercase.simulators.builtin.kernels._distances import FREE_SPACE, LONGITUDINAL_DISTANCE, distance_to_entity
-from cornercase.simulators.builtin.kernels._lane_track import road_position_on_lane
 from cornercase.simulators.builtin.kernels._move import set_speed
 from cornercase.simulators.builtin.kernels._simulation_state import MAX_SPEED
-from cornercase.simulators.builtin.tracks._track_pool import LANE_TRACK
+from cornercase.simulators.builtin.track_kernels._lane_track import road_position_on_lane
+from cornercase.simulators.builtin.track_kernels._track_layout import LANE_TRACK
 from cornercase.simulators.builtin.world._state_layout import (
     CHANGES_LANES,
     DISTANCE,
@@ -147,7 +147,7 @@ def apply_synchronize_action(scene, tracks, roads, actions, n, j, dt):
         )
     if has_driver:
         # An entity with a driver gets a target speed that it can reach.
-        wanted = min(max(wanted, 0.0), scene.boxes[e, MAX_SPEED])
+        wanted = min(max(wanted, 0.0), scene.dimensions[e, MAX_SPEED])
     elif not math.isfinite(wanted):
         wanted = state[SPEED, e]
     set_speed(scene, n, e, wanted)
@@ -201,14 +201,14 @@ def _road_position(scene, tracks, n, e, row):
 @_kernel
 def _distance_to_destination(scene, tracks, roads, memory, destination, n, e):
     """Outcome, and signed distance in m to the entity's destination of a `SynchronizeAction`."""
-    state, track = scene.floats[n], scene.numbers[n, TRACK, e]
-    row = tracks.row[e, track] if track >= 0 else -1
+    state, track = scene.floats[n], scene.integers[n, TRACK, e]
+    row = tracks.rows[e, track] if track >= 0 else -1
     x, y = memory[destination + _X], memory[destination + _Y]
     if not math.isfinite(x + y):
         return ACTION_NOT_APPLIED, math.nan
     if row >= 0 and tracks.kind[row] == LANE_TRACK and roads.length.size > 0:
         road, s = _road_position(scene, tracks, n, e, row)
-        if road < 0 or not roads.known[road]:
+        if road < 0 or not roads.heading_known[road]:
             return ACTION_NOT_APPLIED, math.nan
         if road == memory[destination + _ROAD]:
             signed_distance = memory[destination + _S] - s
@@ -226,21 +226,21 @@ def _distance_to_destination(scene, tracks, roads, memory, destination, n, e):
 @_kernel
 def _speed_along_road(scene, tracks, roads, n, e):
     """Whether an entity's speed along its road is known, and the speed in m/s; NumPy version: `speed_along_road`."""
-    state, numbers = scene.floats[n], scene.numbers[n]
+    state, numbers = scene.floats[n], scene.integers[n]
     speed = state[ROAD_SPEED, e]
     if speed != UNKNOWN_ROAD_SPEED:
         state[ROAD_SPEED, e] = UNKNOWN_ROAD_SPEED
         return True, speed
     track = numbers[TRACK, e]
-    row = tracks.row[e, track] if track >= 0 else -1
+    row = tracks.rows[e, track] if track >= 0 else -1
     if roads.length.size > 0 and row >= 0 and tracks.kind[row] == LANE_TRACK:
         road, s = _road_position(scene, tracks, n, e, row)
-        if road < 0 or not roads.known[road]:
+        if road < 0 or not roads.heading_known[road]:
             return False, math.nan
         cos, sin = reference_cos_and_sin(roads, road, s)
     elif roads.length.size > 0 and scene.flags[n, PRESENT, e]:
         road = numbers[LAST_ROAD, e]
-        if road < 0 or not roads.plain[road]:
+        if road < 0 or not roads.position_known[road]:
             return False, math.nan
         is_on_road, s = stays_on_road(roads, road, state[LAST_S, e], state[X, e], state[Y, e])
         if not is_on_road:

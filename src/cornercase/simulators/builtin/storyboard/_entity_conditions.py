@@ -71,7 +71,8 @@ def read_comparison_rule(
     rule = scope.read_text(element, "rule")
     if rule not in rules:
         raise InputError(
-            f"{scope.file_name}, line {element.sourceline}: rule '{rule}' of <{element.tag}>: {suggest_name(rule, rules)}"
+            f"{scope.file_name}, line {element.sourceline}: rule '{rule}' of <{element.tag}>:"
+            f" {suggest_name(rule, rules)}"
         )
     return rules[rule]
 

@@ -114,7 +114,7 @@ class Event(Element):
         self._actions = actions
         self._priority = priority
 
-    def evaluate_trigger(self, world: World, where: BoolArray) -> None:
+    def evaluate_triggers(self, world: World, where: BoolArray) -> None:
         """Start where the maneuver runs and the trigger fires."""
         waiting = where & (self.state == STANDBY)
         if any_true(waiting):

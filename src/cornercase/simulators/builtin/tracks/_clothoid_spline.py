@@ -33,7 +33,7 @@ class ClothoidSpline(Trajectory):
     (N,), length in m of all chords but the last. `last_chord`, (N,), index of the last chord.
     """
 
-    _scenario_arrays = ("_start", "_rate", "begin", "lengths", "_x", "_y", "_turn", "_clock")
+    _scenario_arrays = ("_start", "_rate", "segment_distances", "lengths", "_x", "_y", "_node_headings", "_times")
 
     def __init__(
         self,

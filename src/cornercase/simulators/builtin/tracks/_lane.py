@@ -10,8 +10,8 @@ import numpy as np
 from cornercase._common.typing import FloatArray, IntArray
 from cornercase.roads._lane_path import LanePath
 from cornercase.roads._network import RoadNetwork
-from cornercase.simulators.builtin.kernels._lane_track import advance_on_lane_path
-from cornercase.simulators.builtin.kernels._projection import project_on_lane_path
+from cornercase.simulators.builtin.track_kernels._lane_track import advance_on_lane_path
+from cornercase.simulators.builtin.track_kernels._projection import project_on_lane_path
 from cornercase.simulators.builtin.tracks._track import Pose, Track
 
 # m; largest margin before the cut end of a path at which an entity changes to the next path.

@@ -2,18 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Final
-
 import numpy as np
 
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
+from cornercase.simulators.builtin.track_kernels._track_layout import CORNER_HALF_LENGTH, VERTEX_TOLERANCE
 from cornercase.simulators.builtin.tracks._track import ALONG_SEGMENTS, AT_CORNERS, Trajectory, is_uniform
-
-CORNER_HALF_LENGTH: Final = 2.0
-"""m; half the length over which the heading turns at a corner of a polyline (esmini's value)."""
-
-VERTEX_TOLERANCE: Final = 1e-6
-"""m or s; closer vertices coincide."""
 
 
 class Polyline(Trajectory):
@@ -30,8 +23,18 @@ class Polyline(Trajectory):
     """
 
     _scenario_arrays = (
-        "x", "y", "heading", "_time", "distance", "_length", "lengths", "directions", "facing", "speeds", "rates",
-    )  # fmt: skip
+        "x",
+        "y",
+        "heading",
+        "_time",
+        "distance",
+        "_total_length",
+        "lengths",
+        "directions",
+        "vertex_headings",
+        "speeds",
+        "accelerations",
+    )
 
     def __init__(
         self,

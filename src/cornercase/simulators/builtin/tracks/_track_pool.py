@@ -9,22 +9,29 @@ import numpy as np
 
 from cornercase._common.numba.pointers import memory_address
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
+from cornercase.simulators.builtin.track_kernels._track_layout import (
+    CLOTHOID_TRACK,
+    LANE_TRACK,
+    N_COLUMNS,
+    POLYLINE_TRACK,
+    PYTHON_TRACK,
+)
 from cornercase.simulators.builtin.tracks._clothoid_spline import ClothoidSpline
 from cornercase.simulators.builtin.tracks._lane import LaneTrack
 from cornercase.simulators.builtin.tracks._polyline import Polyline
 from cornercase.simulators.builtin.tracks._track import ALONG_SEGMENTS, AT_CORNERS, AT_VERTICES, Track
-from cornercase.simulators.builtin.tracks._track_layout import N_COLUMNS
 
-LANE_TRACK: Final = 0
-"""Kind of a track along lanes."""
-POLYLINE_TRACK: Final = 1
-"""Kind of a track through vertices."""
-CLOTHOID_TRACK: Final = 2
-"""Kind of a track along the chords of a clothoid spline."""
-PYTHON_TRACK: Final = 3
-"""Kind of a track without kernels."""
-
-_POLYLINE_ARRAYS: Final = ("distance", "x", "y", "heading", "directions", "facing", "time", "speeds", "rates")
+_POLYLINE_ARRAYS: Final = (
+    "distance",
+    "x",
+    "y",
+    "heading",
+    "directions",
+    "vertex_headings",
+    "times",
+    "speeds",
+    "accelerations",
+)
 
 HEADING_INTERPOLATIONS: Final = (ALONG_SEGMENTS, AT_CORNERS, AT_VERTICES)
 """Heading interpolations of a polyline, indexed by `TrackTable.heading_interpolation`."""

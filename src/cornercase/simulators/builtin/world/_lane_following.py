@@ -218,5 +218,5 @@ def _road_section_direction(world: World, pose: Pose, where: BoolArray) -> tuple
         rows = where & (pose.road == road)
         road_geometry = world.network.roads[road]
         section[rows] = road_geometry.section_at(pose.s[rows])
-        along[rows] = is_facing_forward(pose.heading[rows] - road_geometry.reference(pose.s[rows])[2])
+        along[rows] = is_facing_forward(pose.heading[rows] - road_geometry.reference_pose(pose.s[rows])[2])
     return pose.road, section, along

@@ -59,10 +59,12 @@ def is_on_road(world: World, entity: int) -> BoolArray:
         untyped_sections = {
             k
             for k, lane_geometry in lanes.items()
-            if lane_geometry is not None and lane_geometry.kind == "none" and lane != 0
+            if lane_geometry is not None and lane_geometry.lane_type == "none" and lane != 0
         }
         width[rows] = [
-            -1.0 if k in untyped_sections else float(road_geometry.width(int(k), lane, location.s[rows][i : i + 1])[0])
+            -1.0
+            if k in untyped_sections
+            else float(road_geometry.lane_width(int(k), lane, location.s[rows][i : i + 1])[0])
             for i, k in enumerate(section.tolist())
         ]
     return np.asarray(np.abs(location.offset) <= 0.5 * width + 1e-6)

@@ -50,8 +50,8 @@ class Entity:
 
     `kind`: vehicle category, ``"pedestrian"`` or ``"misc"``. Box in m; limits in m/s and m/s², infinite if not set.
     `slides`: follows trajectories with any heading they prescribe. `polyline_turning`: where its heading turns along a
-    polyline (`ALONG_SEGMENTS`, `AT_CORNERS`, `AT_VERTICES`), or empty if the following mode decides. `body`: its element
-    and scope.
+    polyline (`ALONG_SEGMENTS`, `AT_CORNERS`, `AT_VERTICES`), or empty if the following mode decides. `body`: its
+    element and scope.
     """
 
     name: str

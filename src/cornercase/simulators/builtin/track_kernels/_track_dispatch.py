@@ -6,10 +6,10 @@
 from __future__ import annotations
 
 from cornercase._common.numba.kernel import kernel
-from cornercase.simulators.builtin.kernels import _clothoid_track as clothoid_track
-from cornercase.simulators.builtin.kernels import _polyline_track as polyline_track
-from cornercase.simulators.builtin.kernels._lane_track import pose_on_lane
-from cornercase.simulators.builtin.tracks import _track_pool as track_pool
+from cornercase.simulators.builtin.track_kernels import _clothoid_track as clothoid_track
+from cornercase.simulators.builtin.track_kernels import _polyline_track as polyline_track
+from cornercase.simulators.builtin.track_kernels import _track_layout as track_layout
+from cornercase.simulators.builtin.track_kernels._lane_track import pose_on_lane
 
 _kernel = kernel(error_model="numpy", forceinline=True, _nrt=False)
 
@@ -17,9 +17,9 @@ _kernel = kernel(error_model="numpy", forceinline=True, _nrt=False)
 @_kernel
 def pose_on_track(tracks, row, n, distance, offset):
     """x, y (m) and heading (rad) at a distance along track row `row`, and an offset to the left."""
-    if tracks.kind[row] == track_pool.LANE_TRACK:
+    if tracks.kind[row] == track_layout.LANE_TRACK:
         return pose_on_lane(tracks, row, distance, offset)
-    if tracks.kind[row] == track_pool.POLYLINE_TRACK:
+    if tracks.kind[row] == track_layout.POLYLINE_TRACK:
         return polyline_track.pose_on_polyline(tracks, row, n, distance, offset)
     return clothoid_track.pose_on_spline(tracks, row, n, distance, offset)
 
@@ -27,7 +27,7 @@ def pose_on_track(tracks, row, n, distance, offset):
 @_kernel
 def trajectory_length(tracks, row, n):
     """Length of a trajectory in m, inf for a closed one."""
-    if tracks.kind[row] == track_pool.POLYLINE_TRACK:
+    if tracks.kind[row] == track_layout.POLYLINE_TRACK:
         return polyline_track.polyline_length(tracks, row, n)
     return clothoid_track.spline_length(tracks, row, n)
 
@@ -35,7 +35,7 @@ def trajectory_length(tracks, row, n):
 @_kernel
 def trajectory_direction(tracks, row, n, distance):
     """Direction of a trajectory in rad, whatever the entity's heading is."""
-    if tracks.kind[row] == track_pool.POLYLINE_TRACK:
+    if tracks.kind[row] == track_layout.POLYLINE_TRACK:
         return polyline_track.polyline_direction(tracks, row, n, distance)
     return clothoid_track.pose_on_spline(tracks, row, n, distance, 0.0)[2]
 
@@ -43,7 +43,7 @@ def trajectory_direction(tracks, row, n, distance):
 @_kernel
 def trajectory_has_heading(tracks, row, n, distance):
     """Whether the file gives the heading at a distance; never on a spline."""
-    return tracks.kind[row] == track_pool.POLYLINE_TRACK and polyline_track.polyline_has_heading(
+    return tracks.kind[row] == track_layout.POLYLINE_TRACK and polyline_track.polyline_has_heading(
         tracks, row, n, distance
     )
 
@@ -51,7 +51,7 @@ def trajectory_has_heading(tracks, row, n, distance):
 @_kernel
 def trajectory_end_time(tracks, row, n):
     """Time in s at which a trajectory with times ends, on its own clock."""
-    if tracks.kind[row] == track_pool.POLYLINE_TRACK:
+    if tracks.kind[row] == track_layout.POLYLINE_TRACK:
         return polyline_track.polyline_end_time(tracks, row, n)
     return clothoid_track.spline_end_time(tracks, row, n)
 
@@ -59,6 +59,6 @@ def trajectory_end_time(tracks, row, n):
 @_kernel
 def trajectory_distance_at_time(tracks, row, n, time):
     """Distance in m along a trajectory at a time in s of its own clock."""
-    if tracks.kind[row] == track_pool.POLYLINE_TRACK:
+    if tracks.kind[row] == track_layout.POLYLINE_TRACK:
         return polyline_track.polyline_distance_at_time(tracks, row, n, time)
     return clothoid_track.spline_distance_at_time(tracks, row, n, time)

@@ -39,3 +39,17 @@ LAST_CHORD: Final = 7
 
 N_COLUMNS: Final = 14
 """Number of columns."""
+
+LANE_TRACK: Final = 0
+"""Kind of a track along lanes."""
+POLYLINE_TRACK: Final = 1
+"""Kind of a track through vertices."""
+CLOTHOID_TRACK: Final = 2
+"""Kind of a track along the chords of a clothoid spline."""
+PYTHON_TRACK: Final = 3
+"""Kind of a track without kernels."""
+
+CORNER_HALF_LENGTH: Final = 2.0
+"""m; half the length over which the heading turns at a corner of a polyline (esmini's value)."""
+VERTEX_TOLERANCE: Final = 1e-6
+"""m or s; closer vertices coincide."""

@@ -16,7 +16,7 @@ from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from cornercase._common.process.current_folder import hide_current_folder_from_children
+from cornercase._common.current_folder import hide_current_folder_from_children
 
 if TYPE_CHECKING:
     from psutil import Process

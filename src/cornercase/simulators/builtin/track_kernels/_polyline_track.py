@@ -9,8 +9,8 @@ import math
 
 from cornercase._common.numba.kernel import kernel
 from cornercase._common.numba.pointers import floats_at_address
-from cornercase.simulators.builtin.tracks import _track_layout as track_layout
-from cornercase.simulators.builtin.tracks._polyline import CORNER_HALF_LENGTH, VERTEX_TOLERANCE
+from cornercase.simulators.builtin.track_kernels import _track_layout as track_layout
+from cornercase.simulators.builtin.track_kernels._track_layout import CORNER_HALF_LENGTH, VERTEX_TOLERANCE
 
 _ALONG_SEGMENTS, _AT_CORNERS = 0, 1
 
@@ -38,7 +38,7 @@ def pose_on_polyline(tracks, row, n, distance, offset):
 @_kernel
 def polyline_length(tracks, row, n):
     """Length of a polyline in m, inf for a closed one."""
-    count, closed = tracks.size[row], tracks.closed[row]
+    count, closed = tracks.size[row], tracks.is_closed[row]
     length = floats_at_address(_vertex_array_address(tracks, row, n, track_layout.DISTANCE), count)[count - 1]
     return math.inf if closed else length
 
@@ -103,19 +103,19 @@ def polyline_distance_at_time(tracks, row, n, time):
 @_kernel
 def _vertex_array_address(tracks, row, n, column):
     count = tracks.size[row]
-    return tracks.address[row, column] + (0 if tracks.alike[row] else 8 * count * n)
+    return tracks.addresses[row, column] + (0 if tracks.is_uniform[row] else 8 * count * n)
 
 
 @_kernel
 def _direction_array_address(tracks, row, n):
     count = tracks.size[row] - 1
-    return tracks.address[row, track_layout.DIRECTION] + (0 if tracks.alike[row] else 8 * count * n)
+    return tracks.addresses[row, track_layout.DIRECTION] + (0 if tracks.is_uniform[row] else 8 * count * n)
 
 
 @_kernel
 def _wrap_closed(tracks, row, table, distance):
     """Distance within one lap of a closed polyline, as `numpy.mod` computes it."""
-    return distance % table[table.size - 1] if tracks.closed[row] else distance
+    return distance % table[table.size - 1] if tracks.is_closed[row] else distance
 
 
 @_kernel
@@ -150,11 +150,11 @@ def _heading_on_polyline(tracks, row, n, table, distance):
     )
     current, after = vertex_headings[segment], vertex_headings[segment + 1]
     at_end = clipped > table[last + 1] - VERTEX_TOLERANCE
-    if tracks.turning[row] == _ALONG_SEGMENTS:
+    if tracks.heading_interpolation[row] == _ALONG_SEGMENTS:
         return current + (1.0 if at_end else fraction) * (after - current)
     if at_end:
         return after
-    if tracks.turning[row] != _AT_CORNERS:
+    if tracks.heading_interpolation[row] != _AT_CORNERS:
         return current
     span = table[segment + 1] - table[segment]
     reach = max(min(CORNER_HALF_LENGTH, 0.5 * span), VERTEX_TOLERANCE)

@@ -11,8 +11,8 @@ import numpy as np
 
 from cornercase._common.numba.kernel import kernel
 from cornercase._common.numba.pointers import floats_at_address
-from cornercase.simulators.builtin.kernels._lane_track import pose_on_lane_path
-from cornercase.simulators.builtin.tracks import _track_layout as track_layout
+from cornercase.simulators.builtin.track_kernels import _track_layout as track_layout
+from cornercase.simulators.builtin.track_kernels._lane_track import pose_on_lane_path
 
 # A track may pass a point several times. Number of nearest samples that are compared, and the excess over the smallest
 # gap, in m, up to which a sample counts as a pass.

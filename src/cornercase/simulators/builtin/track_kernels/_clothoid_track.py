@@ -9,7 +9,7 @@ import math
 
 from cornercase._common.numba.kernel import kernel
 from cornercase._common.numba.pointers import floats_at_address, ints_at_address
-from cornercase.simulators.builtin.tracks import _track_layout as track_layout
+from cornercase.simulators.builtin.track_kernels import _track_layout as track_layout
 
 _kernel = kernel(error_model="numpy", forceinline=True, _nrt=False)
 
@@ -17,8 +17,11 @@ _kernel = kernel(error_model="numpy", forceinline=True, _nrt=False)
 @_kernel
 def pose_on_spline(tracks, row, n, distance, offset):
     """x, y (m) and heading (rad) at a distance along a spline, and an offset to the left."""
-    length, chord = spline_length(tracks, row, n), floats_at_address(tracks.address[row, track_layout.CHORD], n + 1)[n]
-    last = ints_at_address(tracks.address[row, track_layout.LAST_CHORD], n + 1)[n]
+    length, chord = (
+        spline_length(tracks, row, n),
+        floats_at_address(tracks.addresses[row, track_layout.CHORD], n + 1)[n],
+    )
+    last = ints_at_address(tracks.addresses[row, track_layout.LAST_CHORD], n + 1)[n]
     clipped = min(max(distance, 0.0), length)
     # NaN maps to chord 0, and stays NaN in the result.
     position = clipped / chord
@@ -42,22 +45,22 @@ def pose_on_spline(tracks, row, n, distance, offset):
 @_kernel
 def spline_length(tracks, row, n):
     """Length of a spline in m."""
-    return floats_at_address(tracks.address[row, track_layout.LENGTH], n + 1)[n]
+    return floats_at_address(tracks.addresses[row, track_layout.LENGTH], n + 1)[n]
 
 
 @_kernel
 def spline_end_time(tracks, row, n):
     """Time in s at which a spline with times ends, on its own clock."""
-    count = tracks.bends[row]
-    return floats_at_address(tracks.address[row, track_layout.TIME] + 8 * count * n, count)[count - 1]
+    count = tracks.n_curvatures[row]
+    return floats_at_address(tracks.addresses[row, track_layout.TIME] + 8 * count * n, count)[count - 1]
 
 
 @_kernel
 def spline_distance_at_time(tracks, row, n, time):
     """Distance in m along a spline at a time in s of its own clock."""
-    count = tracks.bends[row]
-    times = floats_at_address(tracks.address[row, track_layout.TIME] + 8 * count * n, count)
-    table = floats_at_address(tracks.address[row, track_layout.DISTANCE] + 8 * count * n, count)
+    count = tracks.n_curvatures[row]
+    times = floats_at_address(tracks.addresses[row, track_layout.TIME] + 8 * count * n, count)
+    table = floats_at_address(tracks.addresses[row, track_layout.DISTANCE] + 8 * count * n, count)
     k = 0
     while k + 2 < count and times[k + 1] <= time:
         k += 1
@@ -69,5 +72,5 @@ def spline_distance_at_time(tracks, row, n, time):
 @_kernel
 def _interpolate(tracks, row, n, column, k, after, fraction):
     count = tracks.size[row]
-    values = floats_at_address(tracks.address[row, column] + (0 if tracks.alike[row] else 8 * count * n), count)
+    values = floats_at_address(tracks.addresses[row, column] + (0 if tracks.is_uniform[row] else 8 * count * n), count)
     return values[k] + fraction * (values[after] - values[k])

@@ -12,7 +12,7 @@ import numpy as np
 from cornercase._common.numba.kernel import kernel
 from cornercase._common.numba.pointers import bools_at_address, floats_at_address, ints_at_address
 from cornercase.roads._lane_path import KINK_ANGLE
-from cornercase.simulators.builtin.tracks import _track_layout as track_layout
+from cornercase.simulators.builtin.track_kernels import _track_layout as track_layout
 
 # If a lane is shorter than this fraction of the reference line, steps are made along the lane.
 _MIN_SCALE = 0.1
@@ -27,7 +27,7 @@ _JUMP_RATIO = 0.2
 @kernel(error_model="numpy", forceinline=True, _nrt=False)
 def pose_on_lane(tracks, row, distance, offset):
     """x, y (m) and heading (rad) at a distance along a lane, and an offset to the left."""
-    return pose_on_lane_path(tracks.address[row], tracks.size[row], distance, offset)
+    return pose_on_lane_path(tracks.addresses[row], tracks.size[row], distance, offset)
 
 
 @kernel(error_model="numpy", forceinline=True, _nrt=False)
@@ -52,7 +52,9 @@ def pose_on_lane_path(addresses, n_samples, distance, offset):
 @kernel(error_model="numpy", forceinline=True, _nrt=False)
 def advance_on_lane(tracks, row, distance, offset, step):
     """Distance in m along a lane after a step of `step` m (negative: backwards) along the reference line."""
-    return _advance_on_samples(tracks.address[row], tracks.size[row], tracks.bends[row], distance, offset, step)
+    return _advance_on_samples(
+        tracks.addresses[row], tracks.size[row], tracks.n_curvatures[row], distance, offset, step
+    )
 
 
 @kernel(error_model="numpy")
@@ -150,7 +152,7 @@ def _find_cell(table, count, x):
 @kernel(error_model="numpy", forceinline=True, _nrt=False)
 def road_position_on_lane(tracks, row, distance):
     """Road index, lane number, s in m, and whether the track runs along s, at a distance along a lane."""
-    count, address = tracks.size[row], tracks.address[row]
+    count, address = tracks.size[row], tracks.addresses[row]
     table = floats_at_address(address[track_layout.DISTANCE], count)
     reference = floats_at_address(address[track_layout.REFERENCE_DISTANCE], count)
     j = _find_sample(table, count, distance)

@@ -1,0 +1,1 @@
+"""Compiled functions on tracks: poses, lengths and projections."""
