@@ -154,11 +154,14 @@ def test_42_5_commands_that_need_the_driver_again_say_how_to_give_it(folder):
     assert explored(folder, DRIVER).returncode == 0
     steps = (("analyze", "s.db"), ("reduce", "s.db", "-o", "set", "--scenario", X))
     assert [cornercase("-q", *one, cwd=folder).returncode for one in steps] == [0, 0]
-    for command in (("test", "set", "-o", "t.db"), ("estimate", "s.db", "--scenario", X, "-o", "e.db")):
+    for command, words in (
+        (("test", "set", "-o", "t.db"), "code named in a file is not run"),
+        (("estimate", "s.db", "--scenario", X, "-o", "e.db"), "code that a study names is not run"),
+    ):
         refused = cornercase("-q", *command, cwd=folder)
         assert refused.returncode == 2
         # Opening a study of somebody else runs nothing.
-        assert "code" in refused.stderr
+        assert words in refused.stderr
         assert f"Ego={DRIVER}." in refused.stderr
     tested = cornercase("-q", "test", "set", "--driver", f"Ego={DRIVER}", "-o", "t.db", cwd=folder)
     assert tested.returncode == 0, tested.stderr

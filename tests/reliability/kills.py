@@ -38,7 +38,7 @@ TESTS = Path(__file__).parents[1]
 if str(TESTS) not in sys.path:
     sys.path.insert(0, str(TESTS))
 
-from helpers import stubborn_simulators as killed_simulators  # noqa: E402
+from helpers import stubborn_simulators  # noqa: E402
 
 X = TESTS.parent / "examples" / "x_intersection" / "x_intersection.xosc"
 # s in which nothing may be left.
@@ -231,7 +231,7 @@ class Kills:
         self.folder, self.found = folder, Found()
         self._rng = random.Random(seed)
         self._alone: dict[Case, tuple[dict[str, Any], float]] = {}
-        killed_simulators.install(folder / "packages")
+        stubborn_simulators.install(folder / "packages")
         for path in (TESTS, folder / "packages"):
             sys.path.append(str(path))
         known = [os.environ.get("PYTHONPATH", ""), str(TESTS), str(folder / "packages")]
