@@ -100,7 +100,7 @@ def analyze(
     window : float, optional
         s; largest difference in time of two instants that are matched, beyond the difference of the recordings'
         lengths. By default any, as in the paper: then waiting costs nothing by itself.
-    keep : bool, default False
+    keep_clusters : bool, default False
         Keep the existing clusters of the study, and assign the scenarios that were run since to them, as in
         `ScenarioClustering.predict`.
     critical : float, optional

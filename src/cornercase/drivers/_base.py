@@ -75,7 +75,7 @@ class Situation:
         State of the other entities; NaN if one does not exist.
     others_length, others_width, others_center_x : ndarray of float64, shape (A,)
         Their bounding boxes in m.
-    others_kind : tuple of str, length A
+    others_object_type : tuple of str, length A
         Vehicle category, ``"pedestrian"`` or ``"misc"``.
     active : ndarray of bool, shape (N,)
         Scenarios in which the entity is driven along this path in this step.

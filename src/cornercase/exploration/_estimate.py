@@ -79,7 +79,7 @@ def estimate(
         The ego and the other have an encounter if the gap between their boxes is at most this many m at some time.
     seed : int, default 0
         The same seed gives the same result.
-    scenario : path or Scenario, optional
+    scenario : path or ScenarioFile, optional
         The explored file. By default it is searched for at its stored path, next to the study and in the current
         folder, and recognized by its fingerprint.
     simulator : str, optional

@@ -63,13 +63,13 @@ class Estimation:
         Contains all scenarios that were run for the estimate.
     criterion : str
         What is critical, such as ``"ttc <= 0.5 s"``.
-    within : float
+    encounter_gap : float
         Gap in m up to which two entities have an encounter.
     critical, collision, encounter : Probability
         That a scenario is critical; that the ego and the other collide; that they have an encounter.
     critical_given_encounter, collision_given_encounter : Probability or None
         None if unknown.
-    scenarios, learned, failed : int
+    scenarios, n_learning, failed : int
         Number of scenarios in total; used for learning only; failed.
     warnings : tuple of str
         Reasons not to trust the result, as sentences.

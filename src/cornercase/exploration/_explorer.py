@@ -45,11 +45,11 @@ class ExplorationResult:
     reason : str
         Why it ended, as a part of a sentence.
     interrupted : bool
-    alike : tuple of str
+    constant_metrics : tuple of str
         A sentence for each searched metric that has the same score in all scenarios.
-    notes : tuple of str
+    new_constant_metrics : tuple of str
         The same for metrics that are not searched, unless this was reported before for this study.
-    same : bool or None
+    reproducible : bool or None
         Whether the stored results led to the same proposals again; None if this was not checked.
     failure_counts : mapping of str to int
         Number of failed scenarios by reason, the most frequent first.
@@ -76,7 +76,7 @@ class ExplorationResult:
         study : Study
         reason : str
         interrupted : bool, default False
-        before : int, optional
+        n_done_before : int, optional
             Number of scenarios that the study held when this search started or was resumed; by default no notes are
             made.
 

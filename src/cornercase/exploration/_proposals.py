@@ -93,7 +93,10 @@ class Round:
 
 
 def iter_rounds(study: Study) -> Iterator[Round]:
-    """Iterate over the rounds of a study; without rounds, the last one has the results that came after it."""
+    """Iterate over the rounds of a study.
+
+    The results that came before each, what was pending then, and its proposals.
+    """
     rows = study.rows()
     rounds = {number: tuple(members) for number, members in groupby(rows, key=lambda row: row.round)}
     if not study.meta.asynchronous:

@@ -46,11 +46,11 @@ class RepairResult:
     Attributes
     ----------
     study : Path
-    damaged : Path or None
+    damaged_file : Path or None
         Where the damaged file is now; None if there was nothing to repair.
-    again : tuple of int
+    rerun_ids : tuple of int
         Ids of the scenarios that were run again.
-    lost : tuple of str
+    lost_content : tuple of str
         What could not be recovered, as parts of a sentence.
     """
 
@@ -78,7 +78,7 @@ def repair(
     Parameters
     ----------
     study : path
-    scenario : path or Scenario, optional
+    scenario : path or ScenarioFile, optional
         The explored file. By default it is searched for at its stored path, next to the study and in the current
         folder, and recognized by its fingerprint.
     simulator : str, optional
@@ -92,7 +92,7 @@ def repair(
 
     Returns
     -------
-    Repaired
+    RepairResult
 
     Raises
     ------
@@ -168,7 +168,7 @@ def _reword_file_name(temporary: Path, file: Path) -> Iterator[None]:
 
 @contextmanager
 def _restore_name_on_error(file: Path) -> Iterator[None]:
-    """Remove the second name of the damaged file if the study is not replaced after all."""
+    """Remove the backup link to the damaged file if replacing the study fails."""
     try:
         yield
     except BaseException:

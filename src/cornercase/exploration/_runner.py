@@ -54,7 +54,7 @@ class ScenarioRunner:
     Of repeated runs, the run with the median score is stored (for an even number, the more critical of the middle two),
     and the scores of all runs. Failed runs are ignored unless all failed. Extra repeats are run after all scenarios of
     the round have had their first repeats. If the condition depends on references (simulators with a reference driver
-    in the ego, by name), a scenario is stored after all have ended and the reference runs are done.
+    in the ego, by name), scenarios are stored once all of the round and their reference runs have ended.
     """
 
     def __init__(

@@ -44,7 +44,7 @@ def resolve_others(other: object, ego: str, entity_names: Sequence[str]) -> tupl
 def present_others(recording: Recording, others: Sequence[str]) -> tuple[str, ...]:
     """Return those of `others` that exist at any instant of the recording, in the same order.
 
-    If none does: one that the recording has at least by name, else the first.
+    If none exists, return one that the recording at least names; if it names none, the first of `others`.
     """
     recorded = [name for name in others if name in recording.names]
     present = [name for name in recorded if np.isfinite(recording.x[recording.entity_index(name)]).any()]

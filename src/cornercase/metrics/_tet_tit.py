@@ -85,9 +85,9 @@ class Tit(_TimeBelowThresholdMetric):
     """Time integrated time to collision: for how long, and by how much, it has been below τ.
 
     ``∫ (τ - TTC)₊ dt`` in s², from the start up to each instant, so the course never falls and its last value is that
-    of the recording; the time to collision is that of `Ttc`. Defined at all instants: nothing is added while one of the
-    two does not exist or the two move apart. Cap: 0 s², most critical value: 60 s², which is the score of a recording
-    in which both touch, whenever it ends.
+    of the recording; the time to collision is that of `Ttc`. Defined at all instants: nothing is added while the
+    ego or the other entity does not exist, or while they move apart. The least critical value (cap) is 0 s², the most
+    critical one 60 s²: the score of every recording in which both touch.
 
     Source: M. M. Minderhoud, P. H. L. Bovy, "Extended time-to-collision measures for road traffic safety assessment",
     Accident Analysis and Prevention 33 (2001).

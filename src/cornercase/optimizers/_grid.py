@@ -24,8 +24,8 @@ class GridOptimizer(Optimizer):
     seed : int
         Not used: a grid is not random.
     budget : int, default 3375
-        The grid has as many steps per parameter as fit into this number of scenarios, at least one, and at most a
-        million points.
+        The grid has as many steps per parameter as fit into this number of scenarios, at least one. More than a
+        million points are refused.
 
     Raises
     ------

@@ -58,7 +58,7 @@ class Recording:
         s, increasing.
     names : tuple of str, length A
         Names of the entities.
-    kinds : tuple of str, length A
+    object_types : tuple of str, length A
         Vehicle category (``"car"``, ``"truck"``, …), ``"pedestrian"`` or ``"misc"``.
     x, y : ndarray of float64, shape (A, T)
         OpenSCENARIO's reference point in m: the rear axle on the ground for vehicles. NaN while an entity does not
@@ -75,7 +75,7 @@ class Recording:
         Distance of the box center ahead of the reference point, in m.
     collisions : tuple of Collision
         In order of time.
-    cut_off : bool or None
+    is_truncated : bool or None
         Whether the maximum duration ended the run before its storyboard did. Not stored: None for recordings from
         files, and if the simulator does not say.
 

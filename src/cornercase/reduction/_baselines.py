@@ -44,7 +44,8 @@ class Baselines:
     def gap(self, selected: list[int]) -> float:
         """Return how far a selection falls short of the baselines; 0 if it is better than all.
 
-        The sum of all shortfalls: of the share of random selections, and of the distances relative to k-medoids.
+        The sum of two shortfalls: of the share of random selections that it beats, and of its distances, relative to
+        those of k-medoids.
         """
         total = 0.0
         for matrix, random in zip(self._distances, self._random_distances, strict=True):

@@ -59,9 +59,9 @@ def fill_gains(gains, cells):
 
 @kernel(error_model="numpy")
 def find_best_candidate(gains, nearest_distance, similar_distance, cells):
-    """Return the scenario with a gap that would lower the sum most, the first of equals; -1 if there is none.
+    """Return the scenario whose selection lowers the sum of gaps most, the first if tied; -1 if none lowers it.
 
-    `gains` are upper bounds from when fewer were selected, and are updated as needed.
+    `gains` were computed in earlier steps, so they are upper bounds now; they are updated as needed.
     """
     to_centres, to_members = np.empty(cells.members.shape[1]), np.empty(CELL_SIZE)
     last = -1

@@ -22,9 +22,9 @@ _RANK_TOLERANCE = 1e-9
 
 @dataclass(frozen=True)
 class Hull:
-    """Convex hull of some points: indices of its vertices, rising, and of its facets, shape (m, r).
+    """Convex hull of some points: ascending indices of its vertices, and of its facets, shape (m, r).
 
-    r is the number of dimensions that the points span: triangles in space, edges in a plane (also one in space), the
+    r is the number of dimensions that the points span: triangles in space, edges in a plane, even one in space, the
     two ends of a line. Shape (0, 0) for one point.
     """
 

@@ -117,7 +117,7 @@ def reduce(
     kill_matrix : KillMatrix, optional
         Which scenarios kill which mutants of the driver, from `cornercase.suite.analyze_mutants`: scenarios that
         kill as many as possible come first, then those that are selected without.
-    scenario : path or Scenario, optional
+    scenario : path or ScenarioFile, optional
         File that was explored, from which the files are made. By default it is searched at the path in the study, next
         to the study and in the current folder, and recognised by its fingerprint.
     memory : str or float, default "4 GB"

@@ -84,7 +84,7 @@ def write_report(
     figures : bool or path, default False
         Also write the figures as PNG and SVG with ``captions.txt`` into this folder; True for a folder beside the page
         with its name and ``-figures``.
-    scenario : path or Scenario, optional
+    scenario : path or ScenarioFile, optional
         Scenario file that was explored, to draw the road. By default it is searched beside the study and in the current
         folder, and recognized by its fingerprint; without it no road is drawn, and the page says so.
     critical : float, optional

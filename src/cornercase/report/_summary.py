@@ -41,18 +41,18 @@ class MetricSummary:
     lower_is_critical : bool
     most_critical, median : float
         In the unit of the metric.
-    scenario : int
+    most_critical_id : int
         Id of the most critical scenario.
-    at : mapping of str to float or str
+    parameters : mapping of str to float or str
         Its parameters.
-    spread : tuple of float, or None
+    repeat_spread : tuple of float, or None
         Score range of repeated runs: of the median scenario, and the largest. None if each scenario was run once.
-    alike : str
+    constant_note : str
         Message if all scenarios have the same score, else empty.
-    against : str or None
+    most_critical_other : str or None
         With several others, the one that the most critical score belongs to; None with one other, or if the score does
         not depend on the other.
-    counts : mapping of str to int
+    scores_per_other : mapping of str to int
         With several others, the number of scores that belong to each; else empty.
     """
 
@@ -75,11 +75,11 @@ class FailureSummary:
 
     Attributes
     ----------
-    scenarios : int
+    n_scenarios : int
         Number of scenarios.
-    first : int
+    first_id : int
         Id of the first.
-    at : mapping of str to float or str
+    parameters : mapping of str to float or str
         Parameters of the first.
     """
 
@@ -96,13 +96,13 @@ class Summary:
     ----------
     meta : StudyMeta
         Configuration of the study.
-    searched : str
+    objective : str
         Objective of the search: a metric, a weighted sum, or the front of several metrics.
-    run, failed, pending : int
+    n_run, n_failed, n_pending : int
         Number of scenarios.
-    collisions : int
+    n_collisions : int
         Number of scenarios in which the ego collides with an entity it is measured against.
-    beside : mapping of str to int
+    unmeasured_collisions : mapping of str to int
         Number of scenarios in which the ego collides with an entity it is not measured against, by entity.
     metrics : mapping of str to MetricSummary
         Empty before a scenario was run.
@@ -110,11 +110,11 @@ class Summary:
         By aspect.
     agreements : mapping of (str, str) to Agreement
         For each pair of aspects that the same scenarios were analyzed by.
-    seconds : mapping of str to float
+    seconds_by_stage : mapping of str to float
         Time spent by stage, in s.
-    knowledge : SpaceEstimates
+    estimates : SpaceEstimates
         Estimates about the whole space.
-    reduced : ReducedSet or None
+    reduced_set : ReducedSet or None
         None before the study was reduced.
     probability : mapping of str to object, or None
         Result of `estimate`, as `cornercase.exploration.Estimation.to_json` returns it; None for other studies.

@@ -63,11 +63,11 @@ class ParameterDeclaration:
     ----------
     name : str
         Name of the parameter.
-    kind : str
+    type_name : str
         Type of its values, such as ``"double"`` or ``"string"``.
     value : str
         Default value; may be an expression of the parameters declared before it.
-    groups : tuple of tuple of Constraint
+    constraint_groups : tuple of tuple of Constraint
         The value has to fulfil all constraints of at least one group. Without groups any value is allowed.
     sourceline : int or None
         Line in the file.
@@ -94,7 +94,7 @@ class ParameterDeclaration:
 
         Returns
         -------
-        Declaration
+        ParameterDeclaration
 
         Raises
         ------

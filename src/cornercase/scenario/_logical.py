@@ -36,7 +36,7 @@ class ConcreteScenario:
         OpenSCENARIO file.
     values : mapping of str to float or str
         Parameters that differ from the defaults of the file.
-    source : Scenario, optional
+    file : ScenarioFile, optional
         The parsed file; by default it is read when the scenario runs.
     """
 
@@ -49,12 +49,12 @@ class ConcreteScenario:
 
         Parameters
         ----------
-        reusable : Scenario, optional
+        reusable : ScenarioFile, optional
             Returned instead if it is the same file with the same content, so that nothing is read again.
 
         Returns
         -------
-        Scenario
+        ScenarioFile
 
         Raises
         ------
@@ -99,7 +99,7 @@ class LogicalScenario:
         Varied parameters and their ranges.
     fingerprint : str
         SHA-256 of the scenario file, its catalogs and its road file; also of all road files that the space names.
-    source : Scenario, optional
+    file : ScenarioFile, optional
         The parsed file.
     """
 
@@ -128,7 +128,7 @@ class LogicalScenario:
 
         Parameters
         ----------
-        scenario : path or Scenario, optional
+        scenario : path or ScenarioFile, optional
             OpenSCENARIO file; by default the file that `space` names.
         space : path, optional
             ParameterValueDistribution file.

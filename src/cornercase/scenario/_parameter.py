@@ -41,10 +41,10 @@ class Parameter:
     distribution : Distribution or None
         Maps the unit interval to values by its inverse distribution function, so that likely values get a large part
         of it; None means uniform.
-    sets : tuple of tuple of (str, str)
+    value_sets : tuple of tuple of (str, str)
         For each choice, the scenario's parameters that it sets together, and their values; empty if it sets only the
         parameter of its own name.
-    whole : bool
+    is_integer : bool
         Whether the scenario declares the values of a range as integers.
 
     Raises

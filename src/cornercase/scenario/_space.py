@@ -35,7 +35,7 @@ class ParameterSpace:
     ----------
     parameters : sequence of Parameter
         At least one, with different names.
-    declarations : sequence of Declaration
+    declarations : sequence of ParameterDeclaration
         Declared parameters of the scenario, if some have constraints; the space is limited to what fulfils these.
 
     Raises
@@ -136,7 +136,7 @@ class ParameterSpace:
         Parameters
         ----------
         path : path
-        cache : XmlFiles, optional
+        cache : XmlFileCache, optional
             Cache of parsed files.
 
         Returns
@@ -157,7 +157,7 @@ class ParameterSpace:
         Parameters
         ----------
         path : path
-        cache : XmlFiles, optional
+        cache : XmlFileCache, optional
             Cache of parsed files.
 
         Returns
@@ -220,7 +220,7 @@ class ParameterSpace:
 
         Parameters
         ----------
-        declarations : sequence of Declaration
+        declarations : sequence of ParameterDeclaration
             All declared parameters of the scenario.
         file_name : str
             Name of the file, for messages.
@@ -246,7 +246,7 @@ class ParameterSpace:
 
         Parameters
         ----------
-        declarations : sequence of Declaration
+        declarations : sequence of ParameterDeclaration
             All declared parameters of the scenario.
         file_name : str
             Name of the file, for messages.

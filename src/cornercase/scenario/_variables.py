@@ -51,27 +51,27 @@ class Variable:
         Its name for `vary`: ``"Ego.initial.speed"``.
     group : str
         What it belongs to: ``"entity Ego"``, ``"event CutIn"``.
-    text : str
+    value_text : str
         As written in the file.
     unit : str
         Empty for numbers without one.
     line : int
         Line in the file; the first of several.
-    low, high : float or None
+    proposed_low, proposed_high : float or None
         Proposed range; None if there is none.
-    least, most : float or None
+    minimum, maximum : float or None
         Bounds for any range; None if there are none.
-    whole : bool
+    is_integer : bool
         Whether it is an integer.
-    parameter : str
+    parameter_name : str
         Name of the parameter that replaces it when it is varied, or its own if it is a parameter already.
-    fixed : str
+    reason_fixed : str
         Why it cannot be varied; empty if it can.
-    declared : bool
+    is_declared : bool
         Whether it is a parameter already.
-    lanes : frozenset of int
+    allowed_lanes : frozenset of int
         Possible values of a lane number, if the road could be read.
-    places : tuple of (int, str)
+    occurrences : tuple of (int, str)
         Index of each element that holds it, in the order of the file from 0, and the attribute.
 
     Examples
@@ -126,7 +126,7 @@ def list_variables(scenario: ScenarioFile | Path | str) -> tuple[Variable, ...]:
 
     Parameters
     ----------
-    scenario : Scenario or path
+    scenario : ScenarioFile or path
         OpenSCENARIO file; the numbers are in its own axes.
 
     Returns

@@ -183,7 +183,7 @@ def vary(
 
     Parameters
     ----------
-    scenario : path or Scenario
+    scenario : path or ScenarioFile
         OpenSCENARIO file.
     ranges : sequence of str
         ``NAME=LOW:HIGH[:STEP]``, or ``NAME`` for the proposed range; names as in `list_variables`.

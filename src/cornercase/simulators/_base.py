@@ -127,7 +127,7 @@ class Simulator(ABC):
 
         Parameters
         ----------
-        scenario : Scenario
+        scenario : ScenarioFile
 
         Raises
         ------
@@ -155,7 +155,7 @@ class Simulator(ABC):
 
         Parameters
         ----------
-        scenario : Scenario
+        scenario : ScenarioFile
         values : mapping of str to float or str, optional
             Parameter values, on which the content may depend.
 

@@ -36,7 +36,7 @@ def simulate(
 
     Parameters
     ----------
-    scenario : path or Scenario
+    scenario : path or ScenarioFile
         OpenSCENARIO file.
     values : mapping of str to float or str, optional
         Parameter values; others are taken from the file.

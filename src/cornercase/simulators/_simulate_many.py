@@ -50,7 +50,7 @@ class SimulatedFolder:
     folder : Path
     done : int
         Number of their recordings in the folder.
-    ran_before : int
+    n_existing : int
         Number of recordings that existed before and were not made again.
     failures : mapping of str to str
         Why recordings are missing, by file name.
@@ -108,7 +108,7 @@ def simulate_many(
 
     Parameters
     ----------
-    scenarios : path or Scenario, or a sequence of them
+    scenarios : path or ScenarioFile, or a sequence of them
         OpenSCENARIO files: one with a table, or several without.
     folder : path
         Output folder. Without a table, each recording is named after its scenario.

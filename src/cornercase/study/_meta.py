@@ -261,7 +261,7 @@ class StudyMeta:
 
         Parameters
         ----------
-        plain : mapping of str to object
+        description : mapping of str to object
 
         Returns
         -------

@@ -58,6 +58,10 @@ class Study:
 
     Readers work while an exploration writes.
 
+    Parameters
+    ----------
+    database : Database
+
     Attributes
     ----------
     path : Path
@@ -710,13 +714,12 @@ class Study:
         ----------
         name : str
             Its aspect.
-        *arrays : str
+        *array_names : str
             Names of arrays to read, as large ones take time; all by default.
 
         Returns
         -------
-        arrays : dict of str to ndarray
-            In the shapes that were stored.
+        arrays : dict of str to ndarray, in the shapes that were stored
         info : dict
 
         Raises

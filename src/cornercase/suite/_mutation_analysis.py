@@ -70,7 +70,7 @@ def analyze_mutants(
         them; by default ``"no collision"``.
     seed : int, default 0
         The same seed gives the same mutants; see `cornercase.drivers.generate_mutants`.
-    scenario : path or Scenario, optional
+    scenario : path or ScenarioFile, optional
         File that was explored; by default it is looked for at the path stored in the study, beside the study and in the
         current folder.
     workers : int, default 1

@@ -51,16 +51,16 @@ class Requirement:
         Entity that the ego must not touch; empty if the requirement names none.
     reference : str
         Reference driver that is put in the ego if it collides; empty if the requirement names none.
-    place : tuple of three float, or None
+    position : tuple of three float, or None
         x and y of the position the ego has to reach, and the radius around it, in m.
-    within : float
+    time_limit : float
         Time limit for it in s.
     distance : float
         Distance in m that the ego has to drive.
     formula : Formula or None
     pattern : str
         Pattern of the names of files that it applies to, with ``*`` and ``?``; empty for all.
-    by_kind : bool
+    is_for_clusters : bool
         Whether the pattern is for names of clusters instead of files.
     """
 

@@ -37,7 +37,7 @@ class ScenarioResult:
         The cluster that it represents, its role, and why it was selected; empty if unknown.
     origin : int or None
         Id in the study that it was selected from.
-    difference : Difference or None
+    difference : RecordingDifference or None
         Difference from the earlier recording; None if there is none.
     others : mapping of str to str
         With several others, the entity that each score is against, by metric; metrics against none of them are left
@@ -81,11 +81,11 @@ class SuiteResult:
         In the order of the suite.
     against : Path or None
         Study that the recordings were compared with.
-    why_not_compared : str
+    no_comparison_reason : str
         Why there is none, as a sentence without a period.
-    ran_before : int
+    n_ran_before : int
         Number of scenarios that the study held already, and that were judged without running them again.
-    exposure : KillMatrix or None
+    kill_matrix : KillMatrix or None
         Which scenarios, by id, kill which mutants of the ego's driver; None if none were run.
     """
 

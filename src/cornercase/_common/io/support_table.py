@@ -75,17 +75,17 @@ class Notice:
 
     Attributes
     ----------
-    what : tuple of str
+    parts : tuple of str
         Elements, and attributes with their elements: ``("<Axles>", "mass of <Vehicle>")``.
-    why : str
+    reason : str
         What happens instead, without a capital at the beginning and a full stop at the end.
     file : Path
     lines : tuple of int
         Line numbers in the file, sorted.
-    label : Label
+    label : NoticeLabel
     rule : str
         What the standard says about parts that are adapted; empty for others.
-    matters : bool
+    affects_result : bool
         Whether a simulator that used the parts could give other positions, speeds or verdicts.
     """
 

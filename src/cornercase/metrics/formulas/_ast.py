@@ -56,7 +56,7 @@ class Comparison:
     ----------
     left : Signal
     relation : {"<", "<=", ">", ">="}
-    right : Signal or Bound
+    right : Signal or Constant
     """
 
     left: Signal

@@ -21,7 +21,7 @@ _Term: TypeAlias = "tuple[Signal, Token] | tuple[_NumberWithUnit, Token]"
 
 
 class _NumberWithUnit:
-    """A number with its unit, before the signal that it is compared with is known."""
+    """A number with its unit; it is not yet known which signal it is compared with."""
 
     def __init__(self, value: float, unit: Token | None) -> None:
         self.value, self.unit = value, unit

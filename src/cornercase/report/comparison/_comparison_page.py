@@ -42,13 +42,13 @@ def write_comparison(
 
     Parameters
     ----------
-    found : Comparison
+    comparison : Comparison
         Result of `compare` for the two studies.
     old, new : Study or path
         The compared studies.
     path : path
         File to write. The same comparison gives the same bytes.
-    scenario : path or Scenario, optional
+    scenario : path or ScenarioFile, optional
         Scenario file, to draw the road; by default it is searched beside the old study and in the current folder.
 
     Returns

@@ -53,7 +53,7 @@ def watch(
         current folder.
     browser : bool, default False
         Open the page in the browser.
-    tell : callable, default print
+    show : callable, default print
         Called with a sentence that contains the address of the page.
 
     Raises

@@ -63,7 +63,7 @@ def replay(
         a second.
     speed : float, default 1
         Speed of a film: 0.5 shows 1 s of the recording in 2 s.
-    scenario : path or Scenario, optional
+    scenario : path or ScenarioFile, optional
         Scenario file that was explored, to draw the road; by default it is searched beside the study and in the current
         folder. Without it no road is drawn.
     critical : float, optional

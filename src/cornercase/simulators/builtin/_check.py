@@ -85,7 +85,7 @@ def check(scenario: Path | str | ScenarioFile, space: Path | str | None = None, 
 
     Parameters
     ----------
-    scenario : path or Scenario
+    scenario : path or ScenarioFile
         OpenSCENARIO file.
     space : path, optional
         ParameterValueDistribution file.

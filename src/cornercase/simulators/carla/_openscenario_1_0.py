@@ -99,7 +99,7 @@ def convert(
 
     Parameters
     ----------
-    scenario : Scenario or path
+    scenario : ScenarioFile or path
         OpenSCENARIO of any version.
     output : path
         File to write.

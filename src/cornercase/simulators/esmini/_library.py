@@ -109,7 +109,7 @@ def check_layout(lib: ctypes.CDLL, object_id: int) -> None:
 
 
 def set_parameter(lib: ctypes.CDLL, name: str, value: Value, parameter_type: str) -> int:
-    """Set a scenario parameter, whose declared type is `kind`; returns 0 if esmini accepts it."""
+    """Set a scenario parameter, whose declared type is `parameter_type`; returns 0 if esmini accepts it."""
     key = name.encode()
     if parameter_type == "double":
         return int(lib.SE_SetParameterDouble(key, float(value)))

@@ -211,9 +211,10 @@ def decide_verdict(
     changed: tuple[bool, str],
     deterministic: bool,
 ) -> tuple[ComparisonVerdict, str]:
-    """Verdict on the new version, and its reason without a period.
+    """Return the verdict on the new version, and its reason without a final full stop.
 
-    `findings` are those for the worse and for the better; `changed` says whether the versions differ at all, and why.
+    `findings` are the changes for the worse and for the better; `changed` says whether the versions differ at all,
+    and why.
     """
     worse, better = (describe_findings(item) for item in findings)
     if worse and better:

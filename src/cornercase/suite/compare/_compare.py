@@ -153,7 +153,7 @@ def compare(
 
 
 def _require_complete_suite(study: Study) -> None:
-    """Raise `InputError` if a suite was interrupted, since a few unchanged scenarios would look like all."""
+    """Raise `InputError` if a suite was interrupted: its few unchanged scenarios would look like no change."""
     n_pending = sum(row.state == "pending" for row in study.rows())
     if study.meta.suite and n_pending:
         raise InputError(

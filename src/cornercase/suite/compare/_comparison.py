@@ -39,26 +39,26 @@ class ScenarioPair:
     point : tuple of float, length d
         Point in the unit cube.
     run : {"the same", "within rounding", "otherwise", "not in one", "in neither"}
-        Whether both recordings have the same bytes, differ by at most 1e-6 of a unit, or by more; or whether the
-        scenario failed in one study, or in both.
-    unselected : bool
+        Whether both recordings have the same bytes, differ by at most 1e-6 in the unit of each value, or by more; or
+        whether the scenario failed in one study, or in both.
+    is_score_independent : bool
         Whether both studies chose the scenario independently of scores.
     errors : tuple of (str or None, str or None)
         Why it failed.
     scores : mapping of str to tuple of (float, float)
-        By metric, in its unit; empty if a run failed, as all following attributes.
+        By metric, in its unit; empty if a run failed. So are all attributes below.
     outcomes : tuple of (str, str)
         How the scenario ended, in words.
     collides : tuple of (bool, bool)
         Whether the ego collides with any entity.
-    critical : tuple of (bool, bool) or None
+    is_critical : tuple of (bool, bool) or None
         None without a threshold.
     verdicts : tuple of (tuple of Verdict, tuple of Verdict)
         On the requirements that both studies have; empty without any.
     margins : mapping of str to tuple of (float, float)
         Margin of each requirement that changed between passed and failed, negative if it is violated. Only for bounds,
         formulas and positions; a collision has no margin.
-    deciding : mapping of str to tuple of (float, float)
+    criticality_scores : mapping of str to tuple of (float, float)
         Scores that define whether the scenario is critical, by metric; empty without a threshold.
     """
 
@@ -165,9 +165,9 @@ class Finding:
     direction : {"worse", "better"}
     ids : tuple of (int, int)
         Scenarios with this change, in the old and in the new study; empty if a test of unpaired scenarios found it.
-    against : int, default 0
+    n_opposite : int, default 0
         Number of scenarios with the opposite change; only counted for tests.
-    largest : float or None, default None
+    largest_change : float or None, default None
         Largest change of a score, with its sign.
     unit : str, default ""
         Unit of the score.
@@ -216,8 +216,8 @@ class Finding:
 
         Parameters
         ----------
-        most : int, default 5
-            Limit of named scenarios; the others are counted.
+        limit : int, default 5
+            How many scenarios are named; the others are counted.
 
         Returns
         -------
@@ -304,8 +304,8 @@ class Example:
 
     Attributes
     ----------
-    pair : Pair
-    why : str
+    pair : ScenarioPair
+    reason : str
         What changed, in one sentence without a period.
     """
 
@@ -335,15 +335,15 @@ class Comparison:
         Reason for the verdict.
     worse, better : tuple of Finding
         Findings for each direction, the most important first.
-    within : tuple of Finding
+    within_tolerance : tuple of Finding
         Requirements and thresholds that were crossed within the tolerances, so that they do not count.
     tolerances : mapping of str to float
         By metric: how much its score may change and still count as the same.
-    certain : bool
+    is_deterministic : bool
         Whether both simulators are deterministic, so that every difference of a pair shows a change.
-    pairs : tuple of Pair
+    pairs : tuple of ScenarioPair
         Scenarios with the same parameters, in the order of the old study.
-    alone : tuple of (int, int)
+    n_unmatched : tuple of (int, int)
         Number of scenarios of each study without a partner.
     scores : tuple of ScoreChange
         One for each metric; empty without pairs.
@@ -352,11 +352,11 @@ class Comparison:
         Number of pairs by old and new outcome.
     verdicts : mapping of tuple of (str, str, str) to int
         Number of pairs by requirement, old and new state.
-    kinds : mapping of str to tuple of KindChange
+    clusters : mapping of str to tuple of ClusterChange
         By aspect that the old study was analyzed by.
     space : SpaceChange or None
         None without a threshold.
-    telling : tuple of Telling
+    examples : tuple of Example
         At most five examples.
     critical : float or None
         Threshold that was given for the comparison; None if the studies' own is used.
@@ -401,7 +401,7 @@ class Comparison:
 
         Parameters
         ----------
-        run : {"the same", "within rounding", "otherwise", "not in one", "in neither"}
+        run_comparison : {"the same", "within rounding", "otherwise", "not in one", "in neither"}
 
         Returns
         -------
