@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from cornercase import LogicalScenario, Study
+from cornercase import LogicalScenario
 from cornercase.exploration._asynchronous import AsynchronousExplorer
 from cornercase.exploration._config import ExplorationConfig
 from cornercase.exploration._explorer import ScenarioExplorer
@@ -30,6 +30,7 @@ from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import SIMULATORS, Simulator
 from cornercase.simulators._create import create_simulator
+from cornercase.study import StudyFile
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "x_intersection" / "x_intersection"
 SHORT, LONG, SHARE = 0.5, 3.0, 0.1
@@ -90,7 +91,7 @@ def timed(search: str, asynchronous: bool, workers: int, budget: int, folder: Pa
     kind = AsynchronousExplorer if asynchronous else ScenarioExplorer
     names = [one.name for one in logical.space.parameters]
     with (
-        Study.create(folder / f"{search}-{asynchronous}-{workers}.db", meta) as study,
+        StudyFile.create(folder / f"{search}-{asynchronous}-{workers}.db", meta) as study,
         create_simulator("sleeping", workers=workers) as simulator,
     ):
         middle = logical.concrete_scenario(logical.space.values(logical.space.center_point())[0])

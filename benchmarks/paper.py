@@ -43,7 +43,7 @@ from cornercase.reduction._critical_clusters import find_critical_clusters
 from cornercase.reduction._medoids import find_k_medoids
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import BuiltinSimulator
-from cornercase.study import Study
+from cornercase.study import StudyFile
 
 Floats = npt.NDArray[np.float64]
 DRIVERS = ("cautious", "normal", "aggressive")
@@ -58,7 +58,7 @@ class Experiment:
         path = folder / f"{name}-{driver or 'file'}.db"
         asked = paper_experiment_config(name, budget=budget, seed=seed, driver=driver)
         explore_config(replace(asked, optimizer="bayes:filling=0"), path, progress=True)
-        with Study.open(path, readonly=False) as study:
+        with StudyFile.open(path, readonly=False) as study:
             self.found = analyze(study)
             self.distances = {name: read_distances(study, name) for name in self.found}
             self.by_hand = {
@@ -84,7 +84,7 @@ class Experiment:
             self.crash = np.array([any(meta.ego in hit.entities for hit in one.collisions) for one in recordings])
             self.seconds = study.elapsed_by_stage()["compare"] / len(self.found)
 
-    def _unlike(self, study: Study, scenario: Path) -> dict[str, float]:
+    def _unlike(self, study: StudyFile, scenario: Path) -> dict[str, float]:
         """Share of the critical ones among 2,000 random scenarios that are unlike every kept one."""
         meta, space = study.meta, study.space
         points = space.snap(np.random.default_rng(5).random((2000, space.dimension)))

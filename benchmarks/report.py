@@ -34,7 +34,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import cornercase as cc
-from cornercase.study import Study
+from cornercase.study import StudyFile
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
@@ -113,7 +113,7 @@ def study_of(folder: Path, count: int) -> Path:
             budget=count,
             batch=100,
         )
-        with Study.open(path, readonly=False) as study:
+        with StudyFile.open(path, readonly=False) as study:
             if count <= ANALYSED and not study.analyzed_aspects():
                 cc.analyze(study)
                 cc.reduce(study, folder / f"{count}-reduced", scenario=f"{EXAMPLE}.xosc")
@@ -143,7 +143,7 @@ def bare_figure(study: Path) -> Path:
     import plotly.graph_objects as go
     from plotly.io import to_html
 
-    with Study.open(study, readonly=True) as opened:
+    with StudyFile.open(study, readonly=True) as opened:
         table = opened.table()
     kind = go.Scattergl if len(table) > 1000 else go.Scatter
     marker = {"color": table["wttc"].tolist(), "colorscale": "Viridis", "showscale": True}

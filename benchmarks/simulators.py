@@ -24,7 +24,7 @@ from cornercase.evidence._critical_set_estimate import CriticalSet
 from cornercase.exploration._explore import explore_config
 from cornercase.exploration._objective import Objective
 from cornercase.exploration._paper_examples import paper_experiment_config
-from cornercase.study import Study
+from cornercase.study import StudyFile
 
 
 def explored(name: str, simulator: str, budget: int, workers: int, folder: Path) -> dict[str, Any]:
@@ -32,7 +32,7 @@ def explored(name: str, simulator: str, budget: int, workers: int, folder: Path)
     path = folder / f"{name}-{simulator.partition(':')[0]}.db"
     asked = paper_experiment_config(name, budget=budget, simulator=simulator, workers=workers)
     explore_config(replace(asked, metrics=(metric,), optimizer="level-set", critical=0.5), path, progress=True)
-    with Study.open(path, readonly=True) as study:
+    with StudyFile.open(path, readonly=True) as study:
         scores = Objective.from_study_meta(study.meta).minimized_scores(study)
         points = np.array([row.point for row in study.finished_rows()])
         space = study.space

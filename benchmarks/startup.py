@@ -20,7 +20,7 @@ import numpy as np
 
 from cornercase.recordings import Recording
 from cornercase.scenario import ParameterSpace
-from cornercase.study import Study, StudyMeta
+from cornercase.study import StudyFile, StudyMeta
 
 INSTANTS = 200
 ASPECTS = ("ego-trajectory", "distance")
@@ -35,7 +35,7 @@ def write_study(path: Path, scenarios: int) -> None:
         optimizer="random", simulator="builtin", critical=0.5, budget=scenarios, batch=scenarios,
     )  # fmt: skip
     time_, still = np.arange(INSTANTS) * 0.05, np.zeros((2, INSTANTS))
-    with Study.create(path, meta) as study:
+    with StudyFile.create(path, meta) as study:
         for row in study.writer.add_pending(1, points, space.values(points)):
             x = np.stack([time_ * 10.0, np.full(INSTANTS, 100.0 * row.point[0])])
             recording = Recording(

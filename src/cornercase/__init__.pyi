@@ -3,6 +3,7 @@ from ._common.errors import NoticeWarning as NoticeWarning
 from ._common.errors import SimulationError as SimulationError
 from ._common.errors import SimulatorError as SimulatorError
 from ._common.version import __version__ as __version__
+from .api import Study as Study
 from .clustering import Analysis as Analysis
 from .clustering import ScenarioClustering as ScenarioClustering
 from .clustering import analyze as analyze
@@ -41,7 +42,6 @@ from .simulators import convert as convert
 from .simulators import simulate as simulate
 from .simulators import simulate_many as simulate_many
 from .study import ImportResult as ImportResult
-from .study import Study as Study
 from .study import import_recordings as import_recordings
 from .suite import Comparison as Comparison
 from .suite import SuiteResult as SuiteResult

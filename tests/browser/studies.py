@@ -11,7 +11,7 @@ from xml.sax.saxutils import quoteattr
 
 import cornercase as cc
 from conftest import EXAMPLES
-from cornercase.study import Study
+from cornercase.study import StudyFile
 from helpers.synthetic_study import SPACE, about, explorer
 
 # What would be run, end a script or break an attribute if a page took a name for HTML; a slash can be in no file's name.
@@ -71,7 +71,7 @@ def make_pareto(folder: Path) -> Path:
     """A Pareto front of two metrics, of scenarios whose file is not there, with a driver of one's own; some failed."""
     path = folder / "study.db"
     meta = replace(about(SPACE, "distance", "wttc"), pareto=True, settings={"drivers": {"Ego": {"class": "Own"}}})
-    with Study.create(path, meta) as study:
+    with StudyFile.create(path, meta) as study:
         explorer(study, metrics=("distance", "wttc"), optimizer="sobol").run()
     return path
 
@@ -79,7 +79,7 @@ def make_pareto(folder: Path) -> Path:
 def make_failed(folder: Path) -> Path:
     """Scenarios of which some failed, with a threshold, in clusters."""
     path = folder / "study.db"
-    with Study.create(path, replace(about(SPACE, "distance", "wttc"), critical=1.0)) as study:
+    with StudyFile.create(path, replace(about(SPACE, "distance", "wttc"), critical=1.0)) as study:
         explorer(study, metrics=("distance", "wttc"), optimizer="sobol").run()
     cc.analyze(path, "distance", gamma=4.0, eps=0.2, min_samples=3)
     return path

@@ -11,7 +11,7 @@ import pytest
 from browser.studies import X
 from conftest import at_night
 from cornercase.recordings import read_recording
-from cornercase.study import Study
+from cornercase.study import StudyFile
 from helpers.command_line import cornercase
 
 WORDS = "id => cornercase.actions.running.words(id)"
@@ -26,7 +26,7 @@ def select(page, scenario):
 def test_the_command_runs_the_scenario_to_the_last_bit(tab, studies, reports, name, tmp_path, monkeypatch):
     path = studies(name)
     page = tab.open(reports(name))
-    with Study.open(path, readonly=True) as study:
+    with StudyFile.open(path, readonly=True) as study:
         ids = [row.id for row in study.finished_rows()][::25]
         folder = X if name == "plain" else path.parent / "files"
         monkeypatch.chdir(folder)
@@ -74,7 +74,7 @@ def test_words_are_quoted_for_the_shell(tab, reports):
 
 def test_the_recording_of_the_page_is_that_of_the_study_rounded(tab, studies, reports, tmp_path):
     page = tab.open(reports("hostile"))
-    with Study.open(studies("hostile"), readonly=True) as study:
+    with StudyFile.open(studies("hostile"), readonly=True) as study:
         select(page, 3)
         with page.expect_download() as download:
             page.click("#download-csv")

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cornercase.study import Study
+from cornercase.study import StudyFile
 
 SHOWN = "() => cornercase.store.contents.scenarios.id.filter((id, row) => cornercase.store.shown[row])"
 
@@ -25,7 +25,7 @@ FOCUSED = """() => {
 
 
 def table_of(path):
-    with Study.open(path, readonly=True) as study:
+    with StudyFile.open(path, readonly=True) as study:
         return study.table().set_index("id")
 
 
@@ -113,7 +113,7 @@ def test_a_click_on_a_point_shows_its_scenario(tab, reports):
 def test_filters_show_what_the_study_says(tab, reports, studies):
     page = tab.open(reports("plain"))
     table = table_of(studies("plain"))
-    with Study.open(studies("plain"), readonly=True) as study:
+    with StudyFile.open(studies("plain"), readonly=True) as study:
         found, _ = study.read_analysis("wttc", "ids", "labels")
         labels = dict(zip(found["ids"].tolist(), found["labels"].tolist(), strict=True))
         outcomes = study.outcomes()
@@ -138,7 +138,7 @@ def test_filters_show_what_the_study_says(tab, reports, studies):
 
 def test_what_failed_can_be_picked(tab, reports, studies):
     page = tab.open(reports("failed"))
-    with Study.open(studies("failed"), readonly=True) as study:
+    with StudyFile.open(studies("failed"), readonly=True) as study:
         failed = {row.id for row in study.failed_rows()}
     page.select_option("#filter-failed", "1")
     assert failed

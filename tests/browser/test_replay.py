@@ -7,7 +7,7 @@ import numpy as np
 import cornercase as cc
 from browser.studies import ENTITY, HOSTILE
 from cornercase.report.replays._interpolation import interpolate_motion, is_visible
-from cornercase.study import Study
+from cornercase.study import StudyFile
 
 # What the scene draws from at some times, of the entities of that slot.
 BOXES = """(times) => {
@@ -21,7 +21,7 @@ SEEN = """(times) => {
 
 
 def most_critical(study):
-    with Study.open(study, readonly=True) as opened:
+    with StudyFile.open(study, readonly=True) as opened:
         scores = opened.scores(opened.meta.metrics[0])
         return opened.finished_rows()[int(np.argmin(scores))].id
 
@@ -29,7 +29,7 @@ def most_critical(study):
 def test_it_shows_what_was_recorded_also_between_instants(tab, studies, tmp_path):
     one = most_critical(studies("plain"))
     page = tab.open(cc.replay(studies("plain"), one, tmp_path / "run.html").as_uri())
-    with Study.open(studies("plain"), readonly=True) as opened:
+    with StudyFile.open(studies("plain"), readonly=True) as opened:
         recording = opened.recording(one)
     times = np.concatenate([recording.time, 0.5 * (recording.time[1:] + recording.time[:-1])])
     moved = interpolate_motion(recording, times)
@@ -67,7 +67,7 @@ def test_two_play_on_one_clock_with_the_keyboard(tab, studies, tmp_path):
     assert page.evaluate(times) == stopped
     page.keyboard.press("End")
     tab.settle()
-    with Study.open(studies("plain"), readonly=True) as opened:
+    with StudyFile.open(studies("plain"), readonly=True) as opened:
         ends = [float(opened.recording(one).time[-1]) for one in (2, 5)]
     assert np.allclose(page.evaluate(times), ends, atol=1e-3)
 

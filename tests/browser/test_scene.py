@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from cornercase.study import Study
+from cornercase.study import StudyFile
 
 # Colours of pixels of a scene, given by places in CSS pixels, and those that stand for ego and other.
 COLOURS = """([slot, points]) => {
@@ -30,7 +30,7 @@ PLACES = """([slot, points]) => points.map(([x, y]) => {
 
 
 def recorded(path, scenario):
-    with Study.open(path, readonly=True) as study:
+    with StudyFile.open(path, readonly=True) as study:
         return next(recording for one, recording, _ in study.iter_recordings() if one == scenario)
 
 
@@ -166,7 +166,7 @@ def test_a_neighbour_of_another_kind_or_outcome_is_put_beside(tab, reports):
 
 
 def test_what_failed_says_why(tab, reports, studies):
-    with Study.open(studies("failed"), readonly=True) as study:
+    with StudyFile.open(studies("failed"), readonly=True) as study:
         failed = study.failed_rows()[0]
     page = tab.open(f"{reports('failed')}#id={failed.id}")
     page.wait_for_selector("#replay [data-replay=selected]")

@@ -10,7 +10,7 @@ from cornercase.metrics import METRICS
 from cornercase.metrics._measure import evaluate_metrics
 from cornercase.recordings import Recording
 from cornercase.scenario import ParameterSpace
-from cornercase.study import Study
+from cornercase.study import StudyFile
 from helpers.synthetic_study import about
 
 # Where the ego looks: the name of the one that counts, and the looks of all entities.
@@ -28,7 +28,7 @@ def report(tmp_path_factory):
     space = ParameterSpace.from_ranges(["b=0:10"])
     meta = about(space, "distance", "clearance", other=("A", "B"), simulator="builtin")
     points, still, one = np.array([[0.3], [0.7]]), np.zeros((4, 5)), np.full(4, 0.1)
-    with Study.create(folder / "study.db", meta) as study:
+    with StudyFile.create(folder / "study.db", meta) as study:
         for row in study.writer.add_pending(1, points, space.values(points)):
             places = np.array([0.0, 4.0, -float(row.values["b"]), 1.0])
             recording = Recording(

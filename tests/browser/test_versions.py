@@ -14,7 +14,7 @@ from cornercase import SimulationError
 from cornercase.recordings import Collision, Recording
 from cornercase.report import write_comparison
 from cornercase.scenario import ParameterSpace
-from cornercase.study import Study
+from cornercase.study import StudyFile
 from helpers.synthetic_study import about
 
 POINTS = np.array([[0.1, 0.1], [0.9, 0.1], [0.5, 0.9], [0.2, 0.7]])
@@ -29,7 +29,7 @@ def versions(tmp_path_factory):
     one, still = np.full(2, 1.0), np.zeros((2, 5))
     for version in (0, 1):
         path = folder / f"{version} {HOSTILE}.db"
-        with Study.create(path, meta) as study:
+        with StudyFile.create(path, meta) as study:
             for k, row in enumerate(study.writer.add_pending(1, POINTS, space.values(POINTS))):
                 if version and k == 1:
                     study.writer.record_failure(row.id, SimulationError(HOSTILE))

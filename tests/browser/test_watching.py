@@ -12,7 +12,7 @@ import pytest
 
 from browser.conftest import shared
 from browser.studies import X
-from cornercase.study import Study
+from cornercase.study import StudyFile
 from helpers.command_line import cornercase
 from helpers.waiting import until
 
@@ -122,7 +122,7 @@ def wait_for(page, count):
 
 
 def run(study):
-    with Study.open(study, readonly=True) as opened:
+    with StudyFile.open(study, readonly=True) as opened:
         return len(opened.finished_rows())
 
 
@@ -311,7 +311,7 @@ def test_a_note_goes_to_the_study(tab, tmp_path):
         page.locator("#note").blur()
 
         def notes():
-            with Study.open(study, readonly=True) as opened:
+            with StudyFile.open(study, readonly=True) as opened:
                 return opened.notes()
 
         assert until(notes) == {2: "look here <b>again</b>"}

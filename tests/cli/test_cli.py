@@ -15,7 +15,7 @@ from conftest import at_night, same_recording, scenario_file, teleport, time_tri
 from cornercase.recordings import read_recording
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import BuiltinSimulator
-from cornercase.study import Study
+from cornercase.study import StudyFile
 from helpers.command_line import SPACE, X, cornercase, waiting_after
 
 
@@ -76,7 +76,7 @@ def test_where_the_time_went_is_told_by_stage_and_by_function(demo, tmp_path):
 
 def test_reduced_scenarios_run_by_themselves_and_give_the_same_recording(demo):
     manifest = json.loads((demo / "reduced" / "manifest.json").read_text())
-    with Study.open(demo / "study.db", readonly=True) as study:
+    with StudyFile.open(demo / "study.db", readonly=True) as study:
         for item in manifest["scenarios"][:4]:
             (again,) = BuiltinSimulator().run([ConcreteScenario(demo / "reduced" / item["file"])])
             assert same_recording(again, study.recording(item["id"]))
@@ -85,7 +85,10 @@ def test_reduced_scenarios_run_by_themselves_and_give_the_same_recording(demo):
 @pytest.mark.slow
 def test_the_same_demo_twice_gives_the_same_scores_and_labels(demo, tmp_path):
     assert cornercase("demo", "x-intersection", "--budget", "60", "--seed", "1", "-o", tmp_path).returncode == 0
-    with Study.open(demo / "study.db", readonly=True) as a, Study.open(tmp_path / "study.db", readonly=True) as b:
+    with (
+        StudyFile.open(demo / "study.db", readonly=True) as a,
+        StudyFile.open(tmp_path / "study.db", readonly=True) as b,
+    ):
         for metric in a.meta.metrics:
             np.testing.assert_array_equal(a.scores(metric), b.scores(metric))
         for name in a.analyzed_aspects():
@@ -101,7 +104,7 @@ def test_show_and_export(demo, tmp_path):
     with open(tmp_path / "scenarios.csv", newline="") as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == 60
-    with Study.open(demo / "study.db", readonly=True) as study:
+    with StudyFile.open(demo / "study.db", readonly=True) as study:
         assert study.recording(7).collisions
         assert same_recording(read_recording(tmp_path / "recordings" / "00007.csv"), study.recording(7))
         assert [float(row["wttc"]) for row in rows] == study.scores("wttc").tolist()
@@ -119,11 +122,11 @@ def test_ctrl_c_stops_cleanly_and_the_same_command_goes_on(tmp_path):
     assert running.returncode == 130, errors
     assert "Run the same command again to resume" in said
     assert "Traceback" not in errors
-    with Study.open(study) as stopped:
+    with StudyFile.open(study) as stopped:
         assert 12 <= sum(row.state == "done" for row in stopped.rows()) < 30
     for one in (study, tmp_path / "whole.db"):
         assert cornercase(*arguments, one).returncode == 0
-    with Study.open(tmp_path / "whole.db") as one, Study.open(study) as two:
+    with StudyFile.open(tmp_path / "whole.db") as one, StudyFile.open(study) as two:
         np.testing.assert_array_equal(one.points(), two.points())
         np.testing.assert_array_equal(one.scores("wttc"), two.scores("wttc"))
 
@@ -203,7 +206,7 @@ def test_analyze_by_hand(demo):
         "analyze", demo / "study.db", "--by", "wttc", "--gamma", "2", "--eps", "0.3", "--min-samples", "4"
     )
     assert result.returncode == 0, result.stderr
-    with Study.open(demo / "study.db", readonly=True) as study:
+    with StudyFile.open(demo / "study.db", readonly=True) as study:
         _, info = study.read_analysis("wttc")
     assert (info["gamma"], info["eps"], info["min_samples"]) == (2, 0.3, 4)
     assert cornercase("analyze", demo / "study.db").returncode == 0

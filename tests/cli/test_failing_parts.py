@@ -24,7 +24,7 @@ from cornercase.recordings import Recording, read_recording
 from cornercase.simulators import SIMULATORS, BuiltinSimulator, Simulator
 from cornercase.simulators._create import create_simulator
 from cornercase.simulators.pool._simulator import WorkerSimulator
-from cornercase.study import Study
+from cornercase.study import StudyFile
 from cornercase.suite import Requirement, judge
 from helpers import fake_simulators as fake_simulators
 from helpers.command_line import SPACE, X, cornercase
@@ -104,7 +104,7 @@ def searched(folder, driver, *more, study="s.db"):
 
 
 def rows(path):
-    with Study.open(path, readonly=True) as study:
+    with StudyFile.open(path, readonly=True) as study:
         return [(row.id, row.state, row.error) for row in study.rows()]
 
 
@@ -263,7 +263,7 @@ def test_42_s5_a_metric_that_fails_fails_its_scenario(tmp_path, monkeypatch, wro
     assert all(error.startswith(said) for _, state, error in rows(tmp_path / "s.db") if state == "failed")
     monkeypatch.setattr(Touchy, "wrong", "")
     assert cc.explore(X, tmp_path / "s.db", retry_failed=True, **explored).done == 6
-    with Study.open(tmp_path / "s.db", readonly=True) as study:
+    with StudyFile.open(tmp_path / "s.db", readonly=True) as study:
         recording = study.recording(2)
     monkeypatch.setattr(Touchy, "wrong", "raise")
     with pytest.raises(InputError, match=r"^The metric touchy failed: SystemExit: 0 \("):

@@ -27,7 +27,7 @@ from cornercase.exploration._paper_examples import paper_experiment_config
 from cornercase.optimizers._grid import GridOptimizer
 from cornercase.scenario import ParameterSpace
 from cornercase.simulators.carmaker import _simulator as carmaker
-from cornercase.study import Study
+from cornercase.study import StudyFile
 from helpers.command_line import SPACE, X, cornercase
 
 SEARCH = ("explore", X, "--space", SPACE, "--ego", "Ego", "--other", "Pedestrian", "--budget", "2", "--batch", "2")
@@ -415,7 +415,7 @@ def test_stumble_08_each_long_step_tells_how_far_it_is(searched, tmp_path):
 def test_stumble_11_a_study_that_is_read_blocks_nobody(searched, tmp_path):
     study = tmp_path / "study.db"
     shutil.copy(searched, study)
-    with Study.open(study) as one, Study.open(study) as two:
+    with StudyFile.open(study) as one, StudyFile.open(study) as two:
         assert one.readonly
         assert two.readonly
         assert cornercase("analyze", study, "--by", "wttc").returncode == 0
@@ -472,6 +472,6 @@ def test_stumble_13_much_is_marked_as_slow():
 def test_stumble_03_what_the_demonstration_calls_critical_divides(name, tmp_path):
     configuration = replace(paper_experiment_config(name), budget=64, optimizer="sobol")
     explore_config(configuration, tmp_path / "study.db")
-    with Study.open(tmp_path / "study.db") as study:
+    with StudyFile.open(tmp_path / "study.db") as study:
         critical = Objective.from_study_meta(study.meta).is_critical_in_study(study)
     assert 0.02 < critical.mean() < 0.5

@@ -12,7 +12,7 @@ from importlib.util import find_spec
 import pytest
 
 from conftest import ROAD, at_night, car, scenario_file, speed_action, teleport
-from cornercase.study import Study
+from cornercase.study import StudyFile
 from helpers.command_line import cornercase, process_of_all
 
 INIT = f'<Private entityRef="Ego">{teleport("10")}{speed_action("10")}</Private>'
@@ -263,7 +263,7 @@ def test_a_command_that_fails_because_of_what_it_reads_leaves_no_empty_study(tmp
     (tmp_path / "road.xodr").write_text(ROAD)
     assert explored(tmp_path, path).returncode == 0
     assert explored(tmp_path, path, "--metric", "ttc").returncode == 2
-    with Study.open(tmp_path / "s.db") as study:
+    with StudyFile.open(tmp_path / "s.db") as study:
         assert len(study.finished_rows()) == 2
 
 

@@ -14,7 +14,8 @@ import pandas
 import pytest
 
 from conftest import EXAMPLES, moving, scenario_file
-from cornercase import InputError, Study
+from cornercase import InputError
+from cornercase.study import StudyFile
 from helpers.command_line import Ended, cornercase
 from helpers.openpass_files import of_openpass
 from helpers.waiting import until
@@ -31,7 +32,7 @@ def explored(study: Path, *more: object, scenario: Path = CUT_IN) -> Ended:
 
 
 def table(study: Path) -> pandas.DataFrame:
-    with Study.open(study, readonly=True) as opened:
+    with StudyFile.open(study, readonly=True) as opened:
         found: pandas.DataFrame = opened.table()
     return found
 
@@ -92,7 +93,7 @@ def test_43_12_explore_varies_at_once_and_goes_on(tmp_path):
     pandas.testing.assert_frame_equal(first, second)
     assert first["Ego_initial_x"].between(60, 110).all()
     assert first["Ego_initial_x"].nunique() == 20
-    with Study.open(tmp_path / "a" / "s.db", readonly=True) as opened:
+    with StudyFile.open(tmp_path / "a" / "s.db", readonly=True) as opened:
         assert opened.meta.scenario == "s.varied.xosc"
         assert {one.name: one.unit for one in opened.space.parameters}["Ego_initial_x"] == "m"
     replayed = explored(tmp_path / "a" / "s.db", "--budget", "20", "--check-proposals")
@@ -175,7 +176,7 @@ def through_all_commands(scenario: Path, vary: list[str], folder: Path, *measure
         if line[0] == "test":
             assert "3 of 3 recordings are identical to those in study.db" in done.stdout
     page = (folder / "report.html").read_text("utf-8")
-    with Study.open(folder / "study.db", readonly=True) as opened:
+    with StudyFile.open(folder / "study.db", readonly=True) as opened:
         assert len(opened.finished_rows()) == budget
         assert all(name in page for name in opened.space.names)
         assert len(opened.space.names) == len(vary)

@@ -19,7 +19,7 @@ from cornercase._common.memory import MemoryLimit
 from cornercase.clustering import Candidate, analyze, read_analyses, read_analysis, read_distances
 from cornercase.clustering._agreement import compare_clusterings
 from cornercase.clustering._analyze import _require_memory
-from cornercase.study import Study
+from cornercase.study import StudyFile
 from helpers.checksums import reseal
 from helpers.synthetic_study import Synthetic, explorer, opened
 
@@ -60,7 +60,7 @@ def same(one, two):
 
 def test_an_analysis_is_read_back_as_it_was_written(path):
     found = analyze(path)
-    with Study.open(path, readonly=True) as study:
+    with StudyFile.open(path, readonly=True) as study:
         again = read_analyses(study)
         distances = read_distances(study, "distance")
         rows = [row.id for row in study.finished_rows()]
@@ -76,7 +76,7 @@ def test_an_analysis_is_read_back_as_it_was_written(path):
 
 
 def test_the_distances_are_those_of_the_aspect(path):
-    with Study.open(path, readonly=False) as study:
+    with StudyFile.open(path, readonly=False) as study:
         analyze(study, "distance")
         # The course of the synthetic scenarios is constant, at five instants.
         levels = np.array([[study.course(row.id, "distance")[0]] for row in study.finished_rows()])
@@ -102,7 +102,7 @@ def test_landmarks_are_read_back_and_are_still_those_after_others_joined(path, m
 
 def test_the_study_tells_how_each_scenario_ended(path):
     analyze(path, "distance")
-    with Study.open(path, readonly=True) as study:
+    with StudyFile.open(path, readonly=True) as study:
         ends = study.outcomes()
         assert list(ends) == [row.id for row in study.finished_rows()]
         # Both stand, one in front of the other.
@@ -122,7 +122,7 @@ def test_the_study_tells_how_each_scenario_ended(path):
 def test_refuses_before_it_begins(path, options, words):
     with pytest.raises(InputError, match=words):
         analyze(path, **options)
-    with Study.open(path, readonly=True) as study:
+    with StudyFile.open(path, readonly=True) as study:
         assert study.analyzed_aspects() == []
 
 
@@ -158,7 +158,7 @@ def test_profiles_that_were_changed_by_hand_are_refused_in_a_sentence(analyzed, 
     connection.close()
     reseal(path)
     with (
-        Study.open(path, readonly=True) as study,
+        StudyFile.open(path, readonly=True) as study,
         pytest.raises(InputError, match=f"s.db: cannot be used as a study .*{words}"),
     ):
         read_analysis(study, "distance")
@@ -211,7 +211,7 @@ def test_too_few_scenarios_are_refused_with_the_reason(tmp_path, budget, survive
 def test_what_divides_nothing_agrees_with_nothing_else_that_divides_nothing(path):
     analyze(path, "distance", gamma=4.0, eps=0.2, min_samples=3)
     analyze(path, ["wttc", "ego-speed"], gamma=0.25, eps=10.0, min_samples=3)
-    with Study.open(path, readonly=True) as study:
+    with StudyFile.open(path, readonly=True) as study:
         assert [len(one.sizes) > 1 for one in read_analyses(study).values()] == [False, True, False]
         assert set(compare_clusterings(study)) == {("ego-speed", "distance"), ("distance", "wttc")}
 

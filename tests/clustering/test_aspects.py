@@ -15,7 +15,7 @@ from cornercase.clustering import ASPECTS, Aspect, analyze, read_analysis, read_
 from cornercase.clustering._series import read_series
 from cornercase.dtw import distance_matrix
 from cornercase.recordings import Recording
-from cornercase.study import Study
+from cornercase.study import StudyFile
 from helpers.synthetic_study import explorer, opened
 
 TIME = np.arange(0.0, 20.0, 0.1)
@@ -158,7 +158,7 @@ def path(tmp_path):
 
 def test_a_study_is_analysed_by_any_of_them(path):
     found = analyze(path, [*NAMES, "distance"])
-    with Study.open(path, readonly=True) as study:
+    with StudyFile.open(path, readonly=True) as study:
         assert study.analyzed_aspects() == ["ego-trajectory", *sorted(set(NAMES) - {"ego-trajectory"}), "distance"]
         for name, one in found.items():
             # Studies are compared in single precision.
@@ -175,7 +175,7 @@ def test_a_study_is_analysed_by_any_of_them(path):
 def test_a_window_is_in_seconds_and_stored_and_kept(path):
     # The recordings have instants 1 s apart.
     analyze(path, "distance", window=2.0)
-    with Study.open(path, readonly=False) as study:
+    with StudyFile.open(path, readonly=False) as study:
         expected = distance_matrix(read_series(study, "distance"), window=3)
         np.testing.assert_allclose(read_distances(study, "distance"), expected, rtol=1e-5, atol=1e-5)
         assert read_analysis(study, "distance").window == 2.0
@@ -186,7 +186,7 @@ def test_a_window_is_in_seconds_and_stored_and_kept(path):
 
 def test_a_window_of_any_width_is_one(path):
     analyze(path, "distance", window=1e308)
-    with Study.open(path) as study:
+    with StudyFile.open(path) as study:
         assert read_analysis(study, "distance").window == 1e308
 
 
@@ -292,7 +292,7 @@ def test_an_aspect_that_fails_is_named_in_one_sentence(path, monkeypatch, aspect
     monkeypatch.setitem(ASPECTS._factories, "odd", (aspect, {}))
     with pytest.raises(InputError, match=words):
         analyze(path, ["ego-speed", "odd"])
-    with Study.open(path, readonly=True) as study:
+    with StudyFile.open(path, readonly=True) as study:
         assert study.analyzed_aspects() == []
         with pytest.raises(InputError, match=words):
             read_series(study, "odd")

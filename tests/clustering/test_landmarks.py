@@ -17,7 +17,7 @@ from cornercase.clustering._landmarks import PairwiseComparer, cluster_by_landma
 from cornercase.clustering._series import downsample, downsampling_stride, read_series
 from cornercase.dtw import distance_matrix
 from cornercase.reduction._coverage import measure_nearest_distances
-from cornercase.study import Study
+from cornercase.study import StudyFile
 from helpers.synthetic_study import explorer, opened
 
 
@@ -109,7 +109,7 @@ def test_distances_of_thinned_series_have_the_size_of_those_of_all_instants():
 
 def test_a_study_of_many_is_analysed_the_same_again_and_stores_no_pairs(path, many):
     found = analyze(path)["distance"]
-    with Study.open(path, readonly=True) as study:
+    with StudyFile.open(path, readonly=True) as study:
         arrays, _ = study.read_analysis("distance")
         again, distances = read_analysis(study, "distance"), read_distances(study, "distance")
         true = distance_matrix(read_series(study, "distance"))
@@ -128,7 +128,7 @@ def test_scenarios_join_the_clusters_of_landmarks(path, many):
     later = analyze(path, "distance", keep_clusters=True)["distance"]
     assert later.labels[: len(first.labels)].tolist() == first.labels.tolist()
     assert len(later.labels) > len(first.labels)
-    with Study.open(path, readonly=True) as study:
+    with StudyFile.open(path, readonly=True) as study:
         joined = assign_to_clusters(study, later, study, later.ids.tolist())
     others = np.setdiff1d(np.arange(len(later.ids)), later.clustering.landmarks)
     assert joined[others].tolist() == later.labels[others].tolist()

@@ -24,7 +24,7 @@ from cornercase.exploration import explore
 from cornercase.recordings import Collision
 from cornercase.scenario import LogicalScenario, Parameter, ParameterSpace
 from cornercase.simulators import BuiltinSimulator
-from cornercase.study import Study
+from cornercase.study import StudyFile
 from helpers.cluster_names import Scene, is_true, written
 from helpers.encounter_recordings import CROSSES, NORTH, entity, recording, walker
 
@@ -319,7 +319,7 @@ def test_clusterings_are_compared_with_what_happened(tmp_path):
         on_collision="stop", critical=1.5,
     )  # fmt: skip
     found = analyze(study, ["ego-trajectory", "ttc"])
-    with Study.open(study, readonly=True) as opened:
+    with StudyFile.open(study, readonly=True) as opened:
         rows = opened.finished_rows()
         recordings = [opened.recording(row.id) for row in rows]
         facts = collect_facts(opened, [find_outcome(one, "Ego", "C") for one in recordings])

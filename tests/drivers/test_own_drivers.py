@@ -16,7 +16,7 @@ from cornercase.drivers import DRIVERS, NORMAL, BehaviourDriver
 from cornercase.drivers._description import driver_command_option, format_driver
 from cornercase.drivers._resolve import resolve_driver
 from cornercase.report import write_report
-from cornercase.study import Study
+from cornercase.study import StudyFile
 from helpers.command_line import SPACE, X, cornercase
 
 MODULE = '''
@@ -68,7 +68,7 @@ def explored(folder: Path, driver: str, study: str = "s.db"):
 def test_42_5_options_of_an_own_driver_stand_behind_a_second_colon(folder):
     ended = explored(folder, DRIVER)
     assert ended.returncode == 0, ended.stderr
-    with Study.open(folder / "s.db") as study:
+    with StudyFile.open(folder / "s.db") as study:
         (stored,) = study.meta.settings["drivers"].values()
         assert (stored["driver"], stored["options"]) == ("my_aeb:Aeb", {"reaction": 0.3, "eager": True})
         motion = study.recording(1)
@@ -119,7 +119,7 @@ def test_42_5_a_study_names_its_driver_so_that_the_command_can_be_typed_again(fo
     assert f"--driver Ego={DRIVER} " in command
     again = [X, *shlex.split(command)[1:-1], "again.db"]
     assert cornercase("-q", "explore", *again, cwd=folder).returncode == 0
-    with Study.open(folder / "s.db") as first, Study.open(folder / "again.db") as second:
+    with StudyFile.open(folder / "s.db") as first, StudyFile.open(folder / "again.db") as second:
         assert first.meta.settings == second.meta.settings
 
 
@@ -196,7 +196,7 @@ def test_42_5_drivers_that_python_makes_are_named_too(folder, monkeypatch):
         ("preset", BehaviourDriver(NORMAL._replace(reaction_time=1.0))),
     ):
         cc.explore(X, folder / f"{name}.db", optimizer="sobol", drivers={"Ego": driver}, **given)
-        with Study.open(folder / f"{name}.db") as study:
+        with StudyFile.open(folder / f"{name}.db") as study:
             stored[name] = study.meta.settings["drivers"]["Ego"]
     assert driver_command_option(stored["name"]) == "my_aeb:Aeb:reaction=0.3"
     assert driver_command_option(stored["preset"]) == format_driver(stored["preset"]) == "normal:reaction_time=1.0"

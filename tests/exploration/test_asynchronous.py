@@ -26,7 +26,7 @@ from cornercase.exploration._paper_examples import paper_experiment_config
 from cornercase.exploration._verify_proposals import verify_proposals
 from cornercase.metrics import METRICS
 from cornercase.optimizers import OPTIMIZERS, Optimizer, SobolOptimizer, create_optimizer
-from cornercase.study import Study
+from cornercase.study import StudyFile
 from helpers import synthetic_study as synthetic
 from helpers.checksums import reseal
 from helpers.synthetic_study import LOGICAL, SPACE, Synthetic
@@ -102,9 +102,9 @@ def explored(path, one, simulator=None, optimizer=None):
     """Start or resume an exploration without rounds."""
     objective = Objective([METRICS.create("distance")])
     with (
-        Study.open(path, readonly=False)
+        StudyFile.open(path, readonly=False)
         if path.exists()
-        else Study.create(path, one.make_study_meta(objective, {})) as study
+        else StudyFile.create(path, one.make_study_meta(objective, {})) as study
     ):
         study.writer.resume(one.make_study_meta(objective, {}))
         searching = fresh(one) if optimizer is None else optimizer
@@ -141,7 +141,7 @@ def test_one_is_asked_for_as_soon_as_one_has_ended_and_all_that_runs_is_known(tm
         # Half as many scenarios wait as are running.
         assert len(asked) - len(told) == min(6, 47 - len(told))
     assert len(told) == len(set(asked)) == 47
-    with Study.open(tmp_path / "s.db", readonly=True) as study:
+    with StudyFile.open(tmp_path / "s.db", readonly=True) as study:
         assert len(study.failed_rows()) > 0
         points = {row.id: row.point.tobytes() for row in study.rows()}
         order = [scenario for scenario, _ in study.result_order()]
@@ -159,7 +159,7 @@ def test_the_stored_order_gives_the_same_proposals_again_also_of_a_search_that_w
         pytest.importorskip("optuna")
     interrupted = [explored(path, one, Slow(3, survives)).interrupted for survives in (14, 21, None)]
     assert interrupted == [True, True, False]
-    with Study.open(path, readonly=True) as study:
+    with StudyFile.open(path, readonly=True) as study:
         # The grid has 42 points; audits come on top.
         count = 46 if optimizer == "grid" else 47
         assert len(study.rows()) == len(study.result_order()) == count
@@ -194,7 +194,7 @@ def test_audits_are_drawn_and_kept_from_the_search_as_in_rounds(tmp_path):
     explored(tmp_path / "s.db", one, Slow(3), optimizer)
     told = {point.tobytes() for kind, points, _ in optimizer.calls if kind == "told" for point in points}
     pending = {point.tobytes() for kind, _, points in optimizer.calls if kind == "asked" for point in points}
-    with Study.open(tmp_path / "s.db", readonly=True) as study:
+    with StudyFile.open(tmp_path / "s.db", readonly=True) as study:
         audits = {row.point.tobytes() for row in study.rows() if study.meta.is_audit(row.id)}
     assert len(audits) == 9
     assert not audits & (told | pending)
@@ -204,7 +204,7 @@ def test_audits_are_drawn_and_kept_from_the_search_as_in_rounds(tmp_path):
 def test_patience_and_what_is_known_are_counted_in_results(tmp_path):
     result = explored(tmp_path / "s.db", about(budget=400, patience=2, batch=5), Slow(3))
     assert result.reason == "10 scenarios brought no improvement"
-    with Study.open(tmp_path / "s.db", readonly=True) as study:
+    with StudyFile.open(tmp_path / "s.db", readonly=True) as study:
         scores = dict(zip((row.id for row in study.finished_rows()), study.scores("distance"), strict=True))
         order = [scores.get(scenario, np.inf) for scenario, _ in study.result_order()]
         assert not [row for row in study.rows() if row.state == "pending"]
@@ -249,7 +249,7 @@ def test_an_optimizer_that_only_asks_and_tells_is_told_the_mean_of_what_runs(tmp
     assert len(optimizer.told) == 1
     one = about(budget=12)
     explored(tmp_path / "s.db", one, Slow(3), Plain(SPACE, 0))
-    with Study.open(tmp_path / "s.db", readonly=True) as study:
+    with StudyFile.open(tmp_path / "s.db", readonly=True) as study:
         order = [scenario for scenario, _ in study.result_order()]
         scores = dict(zip((row.id for row in study.finished_rows()), study.scores("distance"), strict=True))
         known = [scores[scenario] for scenario, turn in study.result_order() if turn == 2]
@@ -273,7 +273,7 @@ class Noisy(Synthetic):
 
 def test_each_scenario_is_run_several_times_and_the_median_counts(tmp_path):
     explored(tmp_path / "s.db", about(repeats=3, budget=12), Noisy())
-    with Study.open(tmp_path / "s.db", readonly=True) as study:
+    with StudyFile.open(tmp_path / "s.db", readonly=True) as study:
         away = [10 * abs(float(row.values["a"]) - float(row.values["b"])) for row in study.finished_rows()]
         np.testing.assert_allclose(study.scores("distance"), np.array(away) + 1.0, atol=1e-12)
         spread = study.score_range("distance")

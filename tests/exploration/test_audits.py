@@ -21,7 +21,7 @@ from cornercase.optimizers import OPTIMIZERS, Optimizer
 from cornercase.report import summarize, write_report
 from cornercase.report.text._show import summary_to_dict
 from cornercase.scenario import LogicalScenario, ParameterSpace
-from cornercase.study import Study
+from cornercase.study import StudyFile
 from helpers.synthetic_study import LOGICAL, SPACE, Synthetic
 
 AUDITED: dict[str, Any] = {"optimizer": "bayes", "audit": 0.2, "budget": 60, "metrics": ("distance",), "critical": 1.0}
@@ -48,23 +48,23 @@ def explored(path, simulator=None, **options):
     objective = Objective([METRICS.create("distance")])
     optimizer = Listening(OPTIMIZERS.create(about.optimizer, space=SPACE, seed=7))
     with (
-        Study.open(path, readonly=False)
+        StudyFile.open(path, readonly=False)
         if path.exists()
-        else Study.create(path, about.make_study_meta(objective, {})) as study
+        else StudyFile.create(path, about.make_study_meta(objective, {})) as study
     ):
         ScenarioExplorer(about, simulator or Synthetic(), optimizer, study, objective).run()
     return optimizer
 
 
 def content(path):
-    with Study.open(path, readonly=True) as study:
+    with StudyFile.open(path, readonly=True) as study:
         rows = study.rows()
         return [(r.id, r.round, r.point.tolist(), r.state) for r in rows], study.scores("distance").tolist()
 
 
 def test_the_search_is_never_told_of_audits_which_are_drawn_at_random(tmp_path):
     told = np.concatenate(explored(tmp_path / "s.db").told)
-    with Study.open(tmp_path / "s.db", readonly=True) as study:
+    with StudyFile.open(tmp_path / "s.db", readonly=True) as study:
         rows = study.rows()
         audits = [row.point for row in rows if study.meta.is_audit(row.id)]
         table = study.table()
@@ -82,7 +82,7 @@ def test_an_interrupted_study_with_audits_goes_on_the_same(tmp_path):
     assert content(tmp_path / "parts.db") != content(tmp_path / "whole.db")
     explored(tmp_path / "parts.db")
     assert content(tmp_path / "parts.db") == content(tmp_path / "whole.db")
-    with Study.open(tmp_path / "parts.db", readonly=False) as study:
+    with StudyFile.open(tmp_path / "parts.db", readonly=False) as study:
         other = replace(study.meta, audit=0.1)
         with pytest.raises(InputError, match="another share of audits"):
             study.writer.resume(other)
@@ -90,7 +90,7 @@ def test_an_interrupted_study_with_audits_goes_on_the_same(tmp_path):
 
 def test_what_audits_say_is_told(tmp_path):
     explored(tmp_path / "s.db")
-    with Study.open(tmp_path / "s.db", readonly=True) as study:
+    with StudyFile.open(tmp_path / "s.db", readonly=True) as study:
         words = summary_to_dict(summarize(study))["critical"]["audit"]
         scores, audits = study.scores("distance"), study.audit_mask()
     assert (words["scenarios"], words["critical"]) == (audits.sum(), (scores[audits] <= 1.0).sum())
@@ -133,7 +133,7 @@ def test_a_space_that_is_used_up_ends_the_search_though_audits_are_wanted(tmp_pa
     about = ExplorationConfig(small, "Ego", "B", seed=7, **AUDITED | {"optimizer": "sobol", "audit": 0.3})
     objective = Objective([METRICS.create("distance")])
     optimizer = OPTIMIZERS.create("sobol", space=small.space, seed=7)
-    with Study.create(tmp_path / "s.db", about.make_study_meta(objective, {})) as study:
+    with StudyFile.create(tmp_path / "s.db", about.make_study_meta(objective, {})) as study:
         result = ScenarioExplorer(about, Synthetic(), optimizer, study, objective).run()
         searched = [row.point for row in study.rows() if not study.meta.is_audit(row.id)]
     assert "all" in result.reason

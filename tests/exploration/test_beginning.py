@@ -9,7 +9,7 @@ from cornercase._common.errors import InputError, SimulationError
 from cornercase.exploration import explore
 from cornercase.scenario import ParameterSpace
 from cornercase.simulators import BuiltinSimulator
-from cornercase.study import Study
+from cornercase.study import StudyFile
 from helpers.synthetic_study import Synthetic, about, explorer
 
 
@@ -45,7 +45,7 @@ def test_an_unusable_choice_fails_its_scenarios_and_no_others(tmp_path):
     result = explored(roads(tmp_path, "$road", own="9"), tmp_path / "study.db", "road=1:2:1", "s=0:100")
     assert (result.done, result.failed) != (12, 0)
     assert result.done > 0
-    with Study.open(tmp_path / "study.db", readonly=True) as study:
+    with StudyFile.open(tmp_path / "study.db", readonly=True) as study:
         assert {row.values["road"] for row in study.finished_rows()} == {"1"}
         assert {(row.values["road"], row.error) for row in study.failed_rows()} == {("2", study.failed_rows()[0].error)}
         assert "has no road '2'" in str(study.failed_rows()[0].error)
@@ -85,14 +85,14 @@ def test_what_had_failed_before_is_kept_where_a_later_command_cannot_go_on(tmp_p
         broken.setattr(BuiltinSimulator, "run", ends)
         with pytest.raises(InputError, match="disk is full"):
             explored(path, study, budget=16, retry_failed=True)
-    with Study.open(study) as kept:
+    with StudyFile.open(study) as kept:
         assert len(kept.rows()) >= 12
     assert explored(path, study, budget=16).done + explored(path, study, budget=16).failed == 16
 
 
 def test_a_study_with_a_result_stays_what_it_is(tmp_path):
     space = ParameterSpace.from_ranges(["a=0:1:0.01", "b=0:1"])
-    with Study.create(tmp_path / "study.db", about(space, "distance")) as study:
+    with StudyFile.create(tmp_path / "study.db", about(space, "distance")) as study:
         explorer(study, Synthetic(), budget=3, batch=3).run()
         before = study.rows()
         with pytest.raises(InputError, match="another ego"):

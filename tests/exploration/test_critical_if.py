@@ -23,7 +23,7 @@ from cornercase.recordings import Recording
 from cornercase.report.text._show import summary_to_dict
 from cornercase.scenario import LogicalScenario
 from cornercase.simulators import BuiltinSimulator
-from cornercase.study import Study
+from cornercase.study import StudyFile
 from helpers.checksums import reseal
 from helpers.synthetic_study import LOGICAL, Synthetic
 
@@ -62,7 +62,7 @@ def stored(path):
 def test_critical_is_what_collides_and_the_reference_prevents(study):
     logical = LogicalScenario.read(CUT_IN, ranges=RANGES)
     reference = BuiltinSimulator(time_step=0.1, duration=15.0, drivers={"Ego": "cc-human"})
-    with Study.open(study, readonly=True) as opened:
+    with StudyFile.open(study, readonly=True) as opened:
         critical, rows = set(), opened.finished_rows()
         second = reference.run([logical.concrete_scenario(row.values) for row in rows])
         for row, again in zip(rows, list(second), strict=True):
@@ -164,7 +164,7 @@ def test_the_command_takes_a_condition_and_names_what_is_misspelt(tmp_path):
 
     assert "did you mean 'cautious'" in str(ended("collision and reference:cautios").exception)
     assert ended("collision and not reference:fsm").exit_code == 0
-    with Study.open(tmp_path / "s.db", readonly=True) as opened:
+    with StudyFile.open(tmp_path / "s.db", readonly=True) as opened:
         assert opened.meta.metrics[0] == "critical-if:collision and not reference:fsm"
 
 
@@ -188,7 +188,7 @@ def test_where_the_second_run_fails_the_scenario_does(tmp_path):
     about = ExplorationConfig(LOGICAL, "Ego", "B", ("distance",), critical_if="reference:cautious", budget=4, batch=4)
     objective = about.make_objective()
     path = tmp_path / "s.db"
-    with Study.create(path, about.make_study_meta(objective, {})) as opened:
+    with StudyFile.create(path, about.make_study_meta(objective, {})) as opened:
         optimizer = OPTIMIZERS.create("sobol", space=LOGICAL.space, seed=0)
         with pytest.raises(InputError, match="no simulator in which cautious drives the ego"):
             ScenarioExplorer(about, Synthetic(), optimizer, opened, objective)
@@ -199,7 +199,7 @@ def test_where_the_second_run_fails_the_scenario_does(tmp_path):
 
 
 def test_metrics_of_a_condition_are_not_searched_by_their_own_thresholds(study):
-    with Study.open(study, readonly=True) as opened:
+    with StudyFile.open(study, readonly=True) as opened:
         assert opened.meta.metrics == (NAME, "ttc")
         ttc = METRICS.create("ttc")
         own = (ttc.to_minimize(opened.scores("ttc")) <= ttc.to_minimize(1.5)).sum()

@@ -18,7 +18,7 @@ from cornercase.exploration._probability_estimator import ProbabilityEstimator
 from cornercase.optimizers import OPTIMIZERS
 from cornercase.recordings import Collision, Recording
 from cornercase.scenario import Constraint, LogicalScenario, ParameterDeclaration, ParameterSpace
-from cornercase.study import Study
+from cornercase.study import StudyFile
 from helpers.fake_simulators import NoisySimulator
 from helpers.synthetic_study import LOGICAL, Synthetic, about
 
@@ -34,7 +34,9 @@ def share_within(reach):
 
 def opened(path, space=LOGICAL.space):
     return (
-        Study.open(path, readonly=False) if path.exists() else Study.create(path, about(space, "distance", budget=800))
+        StudyFile.open(path, readonly=False)
+        if path.exists()
+        else StudyFile.create(path, about(space, "distance", budget=800))
     )
 
 
@@ -47,7 +49,7 @@ def estimator(study, simulator=None, budget=800, logical=LOGICAL, learn=320):
 
 
 def contents(path):
-    with Study.open(path, readonly=True) as study:
+    with StudyFile.open(path, readonly=True) as study:
         arrays, info = study.read_analysis("estimate")
         return (
             [(row.round, row.point.tobytes(), row.state) for row in study.rows()],
@@ -88,7 +90,7 @@ def test_a_collision_is_critical_also_by_a_metric_that_is_not_defined_in_one(tmp
         LOGICAL, "Ego", ["B"], metrics, optimizer="random", critical=1.0, budget=300, seed=3
     )
     meta = about(LOGICAL.space, *metrics, budget=300)
-    with Study.create(tmp_path / "e.db", meta) as study:
+    with StudyFile.create(tmp_path / "e.db", meta) as study:
         sampling = ImportanceSampling(LOGICAL.space, 2, 120, 3)
         found = ProbabilityEstimator(configuration, Touching(), sampling, study, 1.0).run()
         assert sum(study.scores("pet") <= 1.0) > found.critical.met
@@ -208,7 +210,7 @@ def test_a_study_is_estimated_with_its_own_simulator(explored, tmp_path):
     again = estimate(file, tmp_path / "e.db", budget=120, scenario=scenario)
     assert found.to_json() == again.to_json()
     assert found.scenarios == 120
-    with Study.open(tmp_path / "e.db", readonly=True) as study:
+    with StudyFile.open(tmp_path / "e.db", readonly=True) as study:
         assert len(study.finished_rows()) == 120
         assert study.meta.optimizer.startswith("importance-sampling:learn=48,known=20-")
         # The result can be computed from the content of the file.
@@ -249,7 +251,7 @@ def test_what_cannot_be_estimated_is_refused(explored, tmp_path, given, words):
 
 def test_a_study_that_cannot_be_estimated_is_named_without_the_option_of_the_output(tmp_path):
     file = tmp_path / "front.db"
-    Study.create(file, about(LOGICAL.space, "distance", "wttc", pareto=True)).close()
+    StudyFile.create(file, about(LOGICAL.space, "distance", "wttc", pareto=True)).close()
     with pytest.raises(InputError) as refused:
         estimate(file, tmp_path / "e.db")
     # On the command line, `study` is the argument of -o.
@@ -258,7 +260,7 @@ def test_a_study_that_cannot_be_estimated_is_named_without_the_option_of_the_out
 
 def test_of_repeated_runs_is_told_how_many_are_critical_and_how_open_that_is(tmp_path):
     meta = about(LOGICAL.space, "distance", critical=30.0, repeats=6)
-    with Study.create(tmp_path / "s.db", meta) as study:
+    with StudyFile.create(tmp_path / "s.db", meta) as study:
         configuration = ExplorationConfig(
             LOGICAL, "Ego", "C", ("distance",), optimizer="sobol", critical=30.0, budget=6, repeats=6
         )

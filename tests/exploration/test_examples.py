@@ -14,7 +14,7 @@ from cornercase.exploration._paper_examples import paper_experiment_config
 from cornercase.metrics import METRICS
 from cornercase.scenario._xml import read_xml
 from cornercase.simulators import BuiltinSimulator
-from cornercase.study import Study
+from cornercase.study import StudyFile
 
 
 @pytest.mark.parametrize("name", ["x_intersection", "t_intersection"])
@@ -74,7 +74,7 @@ def x_study(tmp_path_factory):
 
 
 def test_critical_scenarios_lie_along_a_diagonal(x_study):
-    with Study.open(x_study, readonly=True) as study:
+    with StudyFile.open(x_study, readonly=True) as study:
         points, scores = study.points(), study.scores("wttc")
     start, wait = points[scores < 0.1, :2].T
     assert len(start) >= 20
@@ -86,7 +86,7 @@ def test_critical_scenarios_lie_along_a_diagonal(x_study):
 def test_clusters_by_wttc_separate_high_from_low_criticality(x_study):
     from cornercase.clustering import analyze
 
-    with Study.open(x_study, readonly=False) as study:
+    with StudyFile.open(x_study, readonly=False) as study:
         # WTTC changes gradually from critical to harmless: one cluster; manual settings as in the paper split it.
         labels = analyze(study, ["wttc"], gamma=1.0, eps=0.2)["wttc"].clustering.labels
         scores = study.scores("wttc")
@@ -105,7 +105,7 @@ def test_accidents_form_clusters_of_their_own_by_ego_trajectory(tmp_path):
 
     path = tmp_path / "study.db"
     explore_config(paper_experiment_config("t-intersection", budget=100, seed=0), path)
-    with Study.open(path, readonly=False) as study:
+    with StudyFile.open(path, readonly=False) as study:
         labels = analyze(study, ["ego-trajectory"])["ego-trajectory"].clustering.labels
         crashed = np.array([bool(study.recording(row.id).collisions) for row in study.finished_rows()])
     assert 0 < crashed.sum() < len(crashed)

@@ -22,14 +22,14 @@ from cornercase.exploration._paper_examples import paper_experiment_config
 from cornercase.metrics import Metric
 from cornercase.optimizers import OPTIMIZERS, Optimizer, SobolOptimizer
 from cornercase.scenario import Constraint, LogicalScenario, ParameterDeclaration, ParameterSpace
-from cornercase.study import Study
+from cornercase.study import StudyFile
 from helpers import synthetic_study as synthetic
 from helpers.command_line import X, waiting_after
 from helpers.synthetic_study import LOGICAL, Synthetic, explorer, opened
 
 
 def results(path):
-    with Study.open(path, readonly=True) as study:
+    with StudyFile.open(path, readonly=True) as study:
         rows = study.rows()
         return [(r.id, r.round, r.values, r.state) for r in rows], study.scores("wttc").tolist()
 
@@ -98,8 +98,8 @@ def test_a_study_of_something_else_is_refused_and_kept(undisturbed):
 
 
 def test_two_explorers_never_write_at_once(undisturbed):
-    with Study.open(undisturbed, readonly=False), pytest.raises(InputError, match="another cornercase"):
-        Study.open(undisturbed, readonly=False)
+    with StudyFile.open(undisturbed, readonly=False), pytest.raises(InputError, match="another cornercase"):
+        StudyFile.open(undisturbed, readonly=False)
 
 
 def test_a_recording_comes_back_bit_for_bit(undisturbed):
@@ -107,7 +107,7 @@ def test_a_recording_comes_back_bit_for_bit(undisturbed):
     from cornercase.scenario import ConcreteScenario
     from cornercase.simulators import BuiltinSimulator
 
-    with Study.open(undisturbed, readonly=True) as study:
+    with StudyFile.open(undisturbed, readonly=True) as study:
         row = study.finished_rows()[17]
         (again,) = ran(BuiltinSimulator(), [ConcreteScenario(X, row.values)])
         assert same_recording(study.recording(row.id), again)
@@ -116,13 +116,13 @@ def test_a_recording_comes_back_bit_for_bit(undisturbed):
 def test_what_is_no_study_is_refused(tmp_path):
     (tmp_path / "text.db").write_text("hello")
     with pytest.raises(InputError, match=r"text\.db"):
-        Study.open(tmp_path / "text.db", readonly=False)
+        StudyFile.open(tmp_path / "text.db", readonly=False)
     with sqlite3.connect(tmp_path / "other.db") as connection:
         connection.execute("CREATE TABLE a (b)")
     with pytest.raises(InputError, match="not a cornercase study"):
-        Study.open(tmp_path / "other.db", readonly=False)
+        StudyFile.open(tmp_path / "other.db", readonly=False)
     with pytest.raises(InputError, match="no such study"):
-        Study.open(tmp_path / "absent.db", readonly=False)
+        StudyFile.open(tmp_path / "absent.db", readonly=False)
 
 
 def contents(path):
@@ -147,7 +147,7 @@ def test_killed_again_and_again_it_ends_with_the_same_bytes(optimizer, deaths, t
         "the budget of 47 scenarios is used up",
         False,
     )
-    with Study.open(tmp_path / "whole.db", readonly=True) as study:
+    with StudyFile.open(tmp_path / "whole.db", readonly=True) as study:
         # Seven are left for the last round.
         assert [row.round for row in study.rows()] == [1 + k // 10 for k in range(47)]
         assert [row.error for row in study.failed_rows()] == [f"a is {row.values['a']}" for row in study.failed_rows()]
@@ -156,7 +156,7 @@ def test_killed_again_and_again_it_ends_with_the_same_bytes(optimizer, deaths, t
         np.testing.assert_allclose(study.scores("distance"), away, atol=1e-12)
     for survives in deaths:
         synthetic.go_on_until_killed(tmp_path / "killed.db", optimizer, survives)
-        with Study.open(tmp_path / "killed.db", readonly=True) as study:
+        with StudyFile.open(tmp_path / "killed.db", readonly=True) as study:
             assert len(study.rows()) < 47
     synthetic.go_on(tmp_path / "killed.db", optimizer)
     assert contents(tmp_path / "killed.db") == contents(tmp_path / "whole.db")

@@ -16,7 +16,7 @@ from cornercase.exploration import examples_folder, explore
 from cornercase.exploration._config import ExplorationConfig
 from cornercase.exploration._paper_examples import paper_experiment_config
 from cornercase.scenario import LogicalScenario
-from cornercase.study import Study
+from cornercase.study import StudyFile
 
 T = examples_folder() / "t_intersection"
 
@@ -34,9 +34,12 @@ def test_from_python_a_scenario_is_explored_by_its_path_or_as_it_was_read(tmp_pa
     # A larger budget continues it.
     assert search(logical, tmp_path / "b.db", budget=3).n_finished == 3
     driven = search(logical, tmp_path / "c.db", budget=2, drivers={"Ego": normal})
-    with Study.open(driven.study, readonly=True) as study:
+    with StudyFile.open(driven.study, readonly=True) as study:
         assert study.meta.settings["drivers"] == {"Ego": normal.settings}
-    with Study.open(tmp_path / "a.db", readonly=True) as one, Study.open(tmp_path / "b.db", readonly=True) as two:
+    with (
+        StudyFile.open(tmp_path / "a.db", readonly=True) as one,
+        StudyFile.open(tmp_path / "b.db", readonly=True) as two,
+    ):
         np.testing.assert_array_equal(one.scores("distance"), two.scores("distance"))
     with pytest.raises(InputError, match="apply to scenario files only"):
         search(logical, tmp_path / "d.db", space=space)
@@ -126,7 +129,10 @@ def test_numbers_of_numpy_are_numbers(tmp_path):
     for name, numbers in (("a.db", of_numpy), ("b.db", usual)):
         given: dict[str, Any] = T_SEARCH | numbers
         explore(given.pop("scenario"), tmp_path / name, **given)
-    with Study.open(tmp_path / "a.db", readonly=True) as one, Study.open(tmp_path / "b.db", readonly=True) as two:
+    with (
+        StudyFile.open(tmp_path / "a.db", readonly=True) as one,
+        StudyFile.open(tmp_path / "b.db", readonly=True) as two,
+    ):
         assert one.meta == two.meta
 
 

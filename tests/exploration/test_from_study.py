@@ -17,7 +17,7 @@ from cornercase.exploration._warm_start import read_warm_start
 from cornercase.metrics import METRICS
 from cornercase.report import summarize
 from cornercase.scenario import LogicalScenario
-from cornercase.study import Study, StudyMeta
+from cornercase.study import StudyFile, StudyMeta
 from helpers.checksums import changed, reseal
 from helpers.command_line import SPACE, X, cornercase
 
@@ -58,8 +58,8 @@ def test_it_goes_on_as_it_was_without_the_other_study(tmp_path, other):
     assert content(tmp_path / "once.db") == content(tmp_path / "twice.db")
     searched(tmp_path / "cold.db", budget=30)
     with (
-        Study.open(tmp_path / "once.db", readonly=True) as begun,
-        Study.open(tmp_path / "cold.db", readonly=False) as cold,
+        StudyFile.open(tmp_path / "once.db", readonly=True) as begun,
+        StudyFile.open(tmp_path / "cold.db", readonly=False) as cold,
     ):
         assert cold.warm_start_data() is None
         assert "elsewhere" not in {key for key, *_ in content(cold.path)["meta"]}
@@ -74,7 +74,7 @@ def test_it_goes_on_as_it_was_without_the_other_study(tmp_path, other):
 
 def test_scores_and_points_are_those_of_the_other_study(other):
     known = beginning(other, WHOLE.space, "wttc")
-    with Study.open(other, readonly=True) as study:
+    with StudyFile.open(other, readonly=True) as study:
         np.testing.assert_array_equal(known.scores, study.scores("wttc"))
         np.testing.assert_allclose(known.points, study.points(), atol=1e-12)
     assert known.study_info["scenarios"] == 40
@@ -83,14 +83,14 @@ def test_scores_and_points_are_those_of_the_other_study(other):
 
 def test_a_study_that_is_being_written_is_read_as_it_is_at_one_moment(tmp_path, other, monkeypatch):
     def end_one(*given):
-        monkeypatch.setattr(Study, "scores", scores)
+        monkeypatch.setattr(StudyFile, "scores", scores)
         changed(tmp_path / "growing.db", "UPDATE scenarios SET state = 'done' WHERE id = 3")
         return scores(*given)
 
     (tmp_path / "growing.db").write_bytes(other.read_bytes())
     changed(tmp_path / "growing.db", "UPDATE scenarios SET state = 'pending' WHERE id = 3")
-    scores = Study.scores
-    monkeypatch.setattr(Study, "scores", end_one)
+    scores = StudyFile.scores
+    monkeypatch.setattr(StudyFile, "scores", end_one)
     found, every = beginning(tmp_path / "growing.db", WHOLE.space, "wttc"), beginning(other, WHOLE.space, "wttc")
     np.testing.assert_array_equal(found.points, np.delete(every.points, 2, axis=0))
     np.testing.assert_array_equal(found.scores, np.delete(every.scores, 2))
@@ -128,7 +128,7 @@ def test_scenarios_outside_of_the_new_ranges_are_left_out(other):
     name = WHOLE.space.names[0]
     narrow = WHOLE.space.with_ranges([f"{name}=30:60"])
     known = beginning(other, narrow, "wttc")
-    with Study.open(other, readonly=True) as study:
+    with StudyFile.open(other, readonly=True) as study:
         starts = [float(row.values[name]) for row in study.rows()]
     there = [start for start in starts if 30 <= start <= 60]
     assert [values[name] for values in narrow.values(known.points)] == pytest.approx(there)
@@ -167,7 +167,7 @@ def test_another_study_to_begin_from_is_another_search(tmp_path, other):
         searched(tmp_path / "new.db", warm_start=tmp_path / "third.db", budget=30)
     with pytest.raises(InputError, match="another warm start"):
         searched(tmp_path / "new.db", warm_start=tmp_path / "third.db", check_proposals=True)
-    with Study.open(tmp_path / "new.db", readonly=False) as study:
+    with StudyFile.open(tmp_path / "new.db", readonly=False) as study:
         assert len(study.finished_rows()) == 20
 
 
@@ -196,7 +196,7 @@ def test_on_the_command_line(tmp_path, other):
     assert refused.returncode == 2
     assert "--warm-start: sobol learns nothing from a study; use level-set or committee." in refused.stderr
     assert cornercase(*arguments, "--optimizer", "level-set").returncode == 0
-    with Study.open(tmp_path / "new.db", readonly=True) as study:
+    with StudyFile.open(tmp_path / "new.db", readonly=True) as study:
         known = study.warm_start_data()
         assert known is not None
         assert len(known[1]) == 40

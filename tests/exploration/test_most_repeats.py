@@ -29,7 +29,7 @@ from cornercase.report import summarize, write_report
 from cornercase.report._commands import format_study_file
 from cornercase.scenario import LogicalScenario, ParameterSpace
 from cornercase.simulators import Simulator
-from cornercase.study import Study
+from cornercase.study import StudyFile
 from cornercase.study._run_rates import MIN_DECISIVE_RUNS, is_criticality_undecided
 
 SPACE = ParameterSpace.from_ranges(["often=0:1"])
@@ -95,7 +95,7 @@ def explored(path, one, simulator):
     meta = one.make_study_meta(one.make_objective(), {})
     optimizer = create_optimizer("sobol", SPACE, 3, threshold=THRESHOLD, budget=one.budget)
     kind = AsynchronousExplorer if one.asynchronous else ScenarioExplorer
-    with Study.open(path, readonly=False) if path.exists() else Study.create(path, meta) as study:
+    with StudyFile.open(path, readonly=False) if path.exists() else StudyFile.create(path, meta) as study:
         study.writer.resume(meta)
         return kind(one, simulator, optimizer, study).run()
 
@@ -130,7 +130,7 @@ def study(tmp_path_factory):
 
 def test_scenarios_are_run_until_it_is_clear_on_which_side_they_are(study):
     path, simulator = study
-    with Study.open(path) as opened:
+    with StudyFile.open(path) as opened:
         assert opened.failed_rows()[0].error == "it cannot be"
         rows, table = opened.finished_rows(), opened.table().query("state == 'done'")
         expected = [runs_by(is_clear, row.values["often"]) for row in rows]
@@ -205,7 +205,7 @@ def test_a_search_that_was_ended_in_between_goes_on_with_the_same_bytes(study, t
 
 def test_without_rounds_each_scenario_is_run_as_often(study, tmp_path):
     explored(tmp_path / "s.db", about(asynchronous=True), Wavering())
-    with Study.open(study[0]) as one, Study.open(tmp_path / "s.db") as other:
+    with StudyFile.open(study[0]) as one, StudyFile.open(tmp_path / "s.db") as other:
         columns = ["often", "distance", "runs", "critical runs", "critical runs to"]
         tables = [each.table()[columns].sort_values("often").reset_index(drop=True) for each in (one, other)]
     assert tables[0].equals(tables[1])
@@ -215,7 +215,7 @@ def test_as_many_as_each_is_run_is_as_if_nothing_was_given(tmp_path):
     plain, same = about(max_repeats=None), about(max_repeats=REPEATS)
     assert plain == same
     explored(tmp_path / "s.db", same, Wavering())
-    with Study.open(tmp_path / "s.db") as opened:
+    with StudyFile.open(tmp_path / "s.db") as opened:
         assert "most_repeats" not in opened.meta.to_json()
         assert "runs" not in opened.table()
     with pytest.raises(InputError, match="belongs to another largest number of repeats"):
@@ -224,7 +224,7 @@ def test_as_many_as_each_is_run_is_as_if_nothing_was_given(tmp_path):
 
 def test_it_is_said_wherever_the_repeats_are(study, tmp_path):
     path, _ = study
-    with Study.open(path) as opened:
+    with StudyFile.open(path) as opened:
         assert opened.meta.most_repeats == MOST
         write_report(opened, tmp_path / "r.html")
         assert summarize(opened).meta.repeats_text == "5 to 17"
@@ -250,7 +250,7 @@ def test_a_study_is_run_again_as_it_was(tmp_path):
         "seed": 1,
     }
     explore(one.logical, path, budget=2, repeats=2, max_repeats=5, critical=1.0, **given)
-    with Study.open(path) as opened:
+    with StudyFile.open(path) as opened:
         again = config_from_study(opened, path, one.logical.path, None, {})
         # With equal results, they are open after two and after four runs.
         assert opened.table()["runs"].tolist() == [5, 5]

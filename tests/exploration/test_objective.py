@@ -16,7 +16,7 @@ from cornercase.exploration._objective import Incumbent, Objective, is_on_pareto
 from cornercase.metrics import METRICS
 from cornercase.optimizers import OPTIMIZERS, EvolutionaryOptimizer, OptunaOptimizer
 from cornercase.scenario import Constraint, Parameter, ParameterDeclaration, ParameterSpace
-from cornercase.study import Study
+from cornercase.study import StudyFile
 from helpers.command_line import SPACE, X, cornercase
 from helpers.search_cases import CUBE, explored
 from helpers.synthetic_study import explorer, opened
@@ -175,7 +175,7 @@ def test_the_command_line_searches_sums_and_fronts_and_says_what_matters(tmp_pat
     assert front.returncode == 0, front.stderr
     shown = json.loads(cornercase("show", tmp_path / "p.db", "--json").stdout)
     assert shown["searched"] == "Pareto front of wttc, pet:signed=true"
-    with Study.open(tmp_path / "p.db", readonly=True) as study:
+    with StudyFile.open(tmp_path / "p.db", readonly=True) as study:
         scores = np.stack([study.scores(name) for name in study.meta.metrics], axis=1)
     assert len(shown["front"]) == is_on_pareto_front(scores).sum()
     refused = cornercase(*common, "--pareto", "--optimizer", "bayes", "-o", tmp_path / "b.db")

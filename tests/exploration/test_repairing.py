@@ -14,7 +14,7 @@ import pytest
 import cornercase as cc
 from cornercase._common.errors import InputError
 from cornercase.exploration import _repair as repair
-from cornercase.study import Study, write_note
+from cornercase.study import StudyFile, write_note
 from cornercase.study._lease import Lease
 from helpers.command_line import X, cornercase
 
@@ -54,7 +54,7 @@ def test_the_damaged_study_is_kept_under_another_name(whole, damaged):
 
 
 def test_a_study_that_another_one_writes_to_is_not_repaired(damaged):
-    with Study.open(damaged, readonly=False):
+    with StudyFile.open(damaged, readonly=False):
         result = cornercase("verify", damaged, "--repair", "--scenario", X)
     assert result.returncode == 2
     assert f"another cornercase is writing to it (process {os.getpid()})" in result.stderr
@@ -81,14 +81,14 @@ def test_rows_that_still_stood_in_the_log_are_brought_back(whole, tmp_path):
     original = tmp_path / "original.db"
     shutil.copy(whole, original)
     damaged = tmp_path / "s.db"
-    with Study.open(original):
+    with StudyFile.open(original):
         # A reader prevents the log from being checkpointed into the file.
         write_note(original, 2, "looked at")
         for ending in ("", "-wal"):
             shutil.copy(f"{original}{ending}", f"{damaged}{ending}")
     damaged.write_bytes(bytes(100) + damaged.read_bytes()[100:])
     result = cornercase("verify", damaged, "--repair", "--scenario", X)
-    with Study.open(damaged) as study:
+    with StudyFile.open(damaged) as study:
         assert list(study.notes().values()) == ["looked at"], result.stdout
     assert contents(damaged) == contents(whole)
 
@@ -134,7 +134,7 @@ def test_42_s3_nobody_writes_to_a_study_while_it_is_repaired(whole, damaged, mea
         with closing(sqlite3.connect(damaged, timeout=0.1)) as explorer, pytest.raises(sqlite3.Error, match="locked"):
             Lease.acquire(damaged, explorer)
         # Reading is allowed.
-        with Study.open(damaged) as reader:
+        with StudyFile.open(damaged) as reader:
             assert len(reader.rows()) == 4
         assert repaired(damaged).returncode == 2
 
@@ -164,7 +164,7 @@ def test_42_s3_a_note_that_is_written_while_a_damaged_study_is_read_stays(damage
     if step == "rebuild_study":
         assert result.returncode == 2
         assert f"{damaged}: was written to during the repair, so nothing was replaced" in result.stderr
-        with Study.open(damaged) as study:
+        with StudyFile.open(damaged) as study:
             assert study.notes() == {1: "brakes late"}
         assert [one.name for one in damaged.parent.iterdir()] == ["s.db"]
     else:
@@ -212,7 +212,7 @@ def test_42_s3_what_is_put_in_place_of_a_study_while_it_is_repaired_stays(whole,
     if how == "removed":
         assert not damaged.exists()
     elif how == "explored":
-        with Study.open(damaged) as study:
+        with StudyFile.open(damaged) as study:
             assert len(study.finished_rows()) == 34
     else:
         with closing(sqlite3.connect(damaged)) as connection:
@@ -247,7 +247,7 @@ def test_42_s3_who_waited_for_a_study_that_was_replaced_does_not_write_to_the_ea
 
     monkeypatch.setattr(Lease, "acquire", replaced_before)
     with pytest.raises(InputError, match="was replaced by another file just now"):
-        Study.open(damaged, readonly=False)
+        StudyFile.open(damaged, readonly=False)
     with closing(sqlite3.connect(damaged.with_name("s.db.damaged"))) as connection:
         assert connection.execute("SELECT count(*) FROM lease").fetchone() == (0,)
 

@@ -16,7 +16,7 @@ from cornercase.recordings import Recording
 from cornercase.report import write_report
 from cornercase.scenario import LogicalScenario
 from cornercase.simulators import SIMULATORS, Simulator
-from cornercase.study import Study
+from cornercase.study import StudyFile
 from cornercase.study._checksums import delete_rows
 from helpers.command_line import cornercase
 
@@ -113,7 +113,7 @@ def explore(x_intersection: LogicalScenario, tmp_path: Path):
 
 
 def tried(path: Path) -> dict[str, Any]:
-    with Study.open(path) as study:
+    with StudyFile.open(path) as study:
         return dict(study.meta.repeatability)
 
 
@@ -144,7 +144,7 @@ def test_42_6_seeded_random_numbers_repeat_themselves(explore):
     path = explore("seeded.db", drivers={"Ego": Seeded()})
     assert tried(path) == {"scenario": 1, "same": True, "apart": None}
     assert "differ" not in cornercase("show", path).stdout
-    with Study.open(path) as study:
+    with StudyFile.open(path) as study:
         assert len(study.rows()) == 12
 
 
@@ -213,7 +213,7 @@ def test_42_6_it_is_tried_once_and_also_when_a_search_goes_on(explore, monkeypat
     other = explore("t.db", simulator="steady-simulator", budget=6)
     contents = [stored(one) for one in (path, other)]
     assert contents[0] == contents[1]
-    with Study.open(other, readonly=False) as study, study._database.transaction() as connection:
+    with StudyFile.open(other, readonly=False) as study, study._database.transaction() as connection:
         delete_rows(connection, "meta", "key = ?", "repeatability")
     assert tried(other) == {}
     explore("t.db", simulator="steady-simulator", budget=6)
@@ -222,7 +222,7 @@ def test_42_6_it_is_tried_once_and_also_when_a_search_goes_on(explore, monkeypat
 
 
 def stored(path: Path) -> dict[str, object]:
-    with Study.open(path) as study:
+    with StudyFile.open(path) as study:
         return {"meta": study.meta.to_json(), "rows": [study.recording(row.id).x.tobytes() for row in study.rows()]}
 
 

@@ -13,7 +13,7 @@ from cornercase.exploration._explorer import ScenarioExplorer
 from cornercase.exploration._paper_examples import paper_experiment_config
 from cornercase.optimizers import OPTIMIZERS
 from cornercase.report import summarize, write_report
-from cornercase.study import Study
+from cornercase.study import StudyFile
 from helpers.fake_simulators import NoisySimulator
 from helpers.synthetic_study import about
 
@@ -22,7 +22,7 @@ def test_of_repeated_runs_the_median_is_stored_and_the_spread_of_all(tmp_path):
     one, simulator = paper_experiment_config("t-intersection", budget=6, seed=1), NoisySimulator()
     meta = about(one.logical.space, "distance", repeats=3, other="C", seed=1)
     optimizer = OPTIMIZERS.create("sobol", space=one.logical.space, seed=1)
-    with Study.create(tmp_path / "s.db", meta) as study:
+    with StudyFile.create(tmp_path / "s.db", meta) as study:
         ScenarioExplorer(replace(one, metrics=("distance",), budget=6, repeats=3), simulator, optimizer, study).run()
         runs = [[k for k in simulator.given[i : i + 3] if k is not None] for i in range(0, 18, 3)]
         expected = [sorted(run)[(len(run) - 1) // 2] for run in runs]
@@ -53,7 +53,7 @@ def test_a_scenario_fails_only_when_all_its_runs_do(tmp_path):
     one = paper_experiment_config("t-intersection", budget=2, seed=1)
     meta = about(one.logical.space, "distance", repeats=3, other="C", seed=1)
     optimizer = OPTIMIZERS.create("sobol", space=one.logical.space, seed=1)
-    with Study.create(tmp_path / "s.db", meta) as study:
+    with StudyFile.create(tmp_path / "s.db", meta) as study:
         ScenarioExplorer(replace(one, metrics=("distance",), budget=2, repeats=3), Failing(), optimizer, study).run()
         assert [row.state for row in study.rows()] == ["failed", "done"]
         assert study.failed_rows()[0].error == "run 0"
@@ -64,7 +64,7 @@ def test_a_study_of_repeats_is_not_gone_on_with_otherwise(tmp_path):
     explore_config(one, tmp_path / "s.db")
     with pytest.raises(InputError, match="another number of repeats"):
         explore_config(replace(one, repeats=3), tmp_path / "s.db")
-    with Study.open(tmp_path / "s.db", readonly=False) as study:
+    with StudyFile.open(tmp_path / "s.db", readonly=False) as study:
         # The builtin simulator gives the same each time.
         spread = study.score_range("ttc")
         assert spread is not None

@@ -12,7 +12,7 @@ import typer
 import cornercase as cc
 from cornercase.cli.options import print_ending
 from cornercase.exploration import ExplorationResult
-from cornercase.study import Study
+from cornercase.study import StudyFile
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "x_intersection"
 
@@ -36,7 +36,7 @@ def test_what_failed_is_run_once_more_when_that_is_asked(tmp_path, asynchronous)
     path = tmp_path / "s.db"
     explored(path, asynchronous=asynchronous)
     before = stored(path)
-    with Study.open(path, readonly=False) as study:
+    with StudyFile.open(path, readonly=False) as study:
         for one in (2, 5):
             study.writer.record_failure(one, cc.SimulationError("a worker was ended from outside"))
     again = explored(path, asynchronous=asynchronous)

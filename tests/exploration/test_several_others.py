@@ -20,7 +20,7 @@ from cornercase.report import summarize
 from cornercase.report._payload import page_payload
 from cornercase.report._report_data import read_report_data
 from cornercase.report.text._show import summary_to_dict
-from cornercase.study import Study
+from cornercase.study import StudyFile
 from helpers.command_line import cornercase
 
 METRICS_OF = ("clearance", "ttc", "traffic-quality")
@@ -59,7 +59,7 @@ def touched(study, name):
 
 
 def test_a_study_holds_the_most_critical_and_whom_it_is_against(study):
-    with Study.open(study, readonly=True) as opened:
+    with StudyFile.open(study, readonly=True) as opened:
         assert opened.meta.other == opened.meta.others == ("Slow", "Oncoming")
         table, made = opened.table(), [METRICS.create(name) for name in METRICS_OF]
         for k, row in enumerate(opened.finished_rows()):
@@ -79,7 +79,7 @@ def test_a_study_holds_the_most_critical_and_whom_it_is_against(study):
 
 
 def test_collisions_with_one_that_is_not_measured_against_are_told(study):
-    with Study.open(study, readonly=True) as opened:
+    with StudyFile.open(study, readonly=True) as opened:
         with_slow, with_parked = (sum(touched(opened, name)) for name in ("Slow", "Parked"))
         rows = opened.finished_rows()
         page = page_payload(read_report_data(opened))
@@ -101,7 +101,7 @@ def test_collisions_with_one_that_is_not_measured_against_are_told(study):
 
 def test_all_others_are_resolved_to_their_names(scenario, tmp_path):
     explored(scenario, tmp_path / "all.db", "*", budget=2)
-    with Study.open(tmp_path / "all.db", readonly=True) as opened:
+    with StudyFile.open(tmp_path / "all.db", readonly=True) as opened:
         assert opened.meta.others == NAMES[1:]
     # The same others, by star or by names, resume the study; different ones do not.
     assert explored(scenario, tmp_path / "all.db", list(NAMES[1:]), budget=3).n_finished == 3
@@ -139,7 +139,7 @@ def test_who_cannot_be_another_is_refused(scenario, tmp_path, other, words):
 
 
 def test_kinds_the_kept_ones_and_their_verdicts_go_on_with_several(study, scenario, tmp_path):
-    with Study.open(study, readonly=False) as opened:
+    with StudyFile.open(study, readonly=False) as opened:
         analyze(opened)
         outcomes = opened.outcomes()
         hits = [
@@ -149,7 +149,7 @@ def test_kinds_the_kept_ones_and_their_verdicts_go_on_with_several(study, scenar
     assert [text.endswith(" collide") for text in outcomes.values()] == hits
     requirements = ["clearance > 0.5", "ego.speed < 30", "other.speed < 9"]
     found = run_scenarios(tmp_path / "kept", tmp_path / "run.db", require=requirements, against=study)
-    with Study.open(tmp_path / "run.db", readonly=True) as opened:
+    with StudyFile.open(tmp_path / "run.db", readonly=True) as opened:
         assert opened.meta.others == ("Slow", "Oncoming")
         for one, row in zip(found.scenarios, opened.finished_rows(), strict=True):
             assert one.difference is not None

@@ -25,7 +25,7 @@ from cornercase.optimizers import create_optimizer
 from cornercase.recordings import Recording
 from cornercase.scenario import LogicalScenario, ParameterSpace
 from cornercase.simulators import Simulator
-from cornercase.study import Study, StudyMeta
+from cornercase.study import StudyFile, StudyMeta
 
 SPACE = ParameterSpace.from_ranges(["a=0:1:0.01", "b=0:1"])
 LOGICAL = LogicalScenario(Path("synthetic.xosc"), SPACE, "0")
@@ -86,9 +86,9 @@ def explorer(study, simulator=None, optimizer="bayes", metrics=("distance",), bu
 
 def opened(path, space=SPACE, **more):
     return (
-        Study.open(path, readonly=False)
+        StudyFile.open(path, readonly=False)
         if os.path.exists(path)
-        else Study.create(path, about(space, "distance", "wttc", **more))
+        else StudyFile.create(path, about(space, "distance", "wttc", **more))
     )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from cornercase.clustering import read_analysis
-from cornercase.study import Study
+from cornercase.study import StudyFile
 from helpers.command_line import SPACE, X, process_of_all
 
 PARTS = '''
@@ -124,7 +124,7 @@ def test_every_command_takes_the_parts_of_another_package(site, tmp_path):
     assert "speed-difference" in metrics.stdout
     assert "short" in simulators.stdout
     assert explored.returncode == 0, explored.stderr
-    with Study.open(tmp_path / "study.db", readonly=True) as study:
+    with StudyFile.open(tmp_path / "study.db", readonly=True) as study:
         points = [row.point.tolist() for row in study.finished_rows()]
         assert points[0] == pytest.approx([0.5] * 3, abs=0.05)
         assert points[-1] == pytest.approx([1.0] * 3, abs=0.05)

@@ -20,7 +20,7 @@ from cornercase.metrics import METRICS
 from cornercase.optimizers import BayesOptimizer, LevelSetOptimizer, SobolOptimizer
 from cornercase.optimizers._local_minima import suggest_below_local_minima
 from cornercase.scenario import Parameter, ParameterSpace
-from cornercase.study import Study
+from cornercase.study import StudyFile
 from helpers.command_line import SPACE, X, cornercase
 from helpers.search_cases import CUBE, EVERYWHERE, THRESHOLD, explored, two_regions
 
@@ -246,7 +246,7 @@ def test_on_the_command_line_it_takes_the_threshold_of_the_metric_or_another(tmp
     common = ["explore", X, "--space", SPACE, "--ego", "Ego", "--other", "Pedestrian", "--optimizer", "level-set"]
     own = cornercase(*common, "--metric", "wttc", "--budget", "40", "-o", tmp_path / "own.db")
     assert own.returncode == 0, own.stderr
-    with Study.open(tmp_path / "own.db", readonly=True) as study:
+    with StudyFile.open(tmp_path / "own.db", readonly=True) as study:
         assert study.meta.critical == METRICS.create("wttc").default_threshold == 1.0
         expected = int((study.scores("wttc") <= 1.0).sum())
     shown = json.loads(cornercase("show", tmp_path / "own.db", "--json").stdout)

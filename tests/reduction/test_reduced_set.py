@@ -19,7 +19,7 @@ from cornercase.reduction import read_reduction, reduce
 from cornercase.reduction._coverage import measure_coverage
 from cornercase.reduction._medoids import find_k_medoids
 from cornercase.reduction.selection._greedy import select_scenarios
-from cornercase.study import Study
+from cornercase.study import StudyFile
 from helpers.command_line import SPACE, X, cornercase
 
 
@@ -187,7 +187,7 @@ def explored(tmp_path_factory):
 def test_a_tenth_is_kept_and_leaves_less_of_others_than_random_choices(explored):
     folder, manifest = explored
     assert manifest["kept"] == 12
-    with Study.open(folder / "s.db", readonly=True) as study:
+    with StudyFile.open(folder / "s.db", readonly=True) as study:
         for name, analysis in read_analyses(study).items():
             kept = analysis.rows_of([one["id"] for one in manifest["scenarios"]])
             found = measure_coverage(read_distances(study, name), kept, ids=analysis.ids)
@@ -214,7 +214,7 @@ def test_python_gets_what_the_manifest_says_and_reads_it_back(explored, tmp_path
     table = reduced._repr_html_()
     assert table.count("<tr>") == 13
     assert "pedestrian_wait" in table
-    with Study.open(path, readonly=True) as study:
+    with StudyFile.open(path, readonly=True) as study:
         assert read_reduction(study) == reduced
 
 
@@ -257,7 +257,7 @@ def test_python_is_refused_in_one_sentence_before_anything_is_written(explored, 
 
 def test_the_manifest_tells_the_shape_of_each_cluster_and_what_is_unlike_all_kept(explored):
     folder, manifest = explored
-    with Study.open(folder / "s.db", readonly=True) as study:
+    with StudyFile.open(folder / "s.db", readonly=True) as study:
         labels = study.read_analysis("wttc", "labels")[0]["labels"]
     assert [one["cluster"] for one in manifest["shapes"]] == list(range(labels.max() + 1))
     for one in manifest["shapes"]:
@@ -327,14 +327,14 @@ def test_new_scenarios_join_the_clusters_that_are_kept(explored, tmp_path):
     folder, _ = explored
     study = tmp_path / "s.db"
     study.write_bytes((folder / "s.db").read_bytes())
-    with Study.open(study, readonly=True) as opened:
+    with StudyFile.open(study, readonly=True) as opened:
         before = opened.read_analysis("wttc", "ids", "labels")[0]
     common = ["--ego", "Ego", "--other", "Pedestrian", "--metric", "wttc", "--optimizer", "sobol", "--critical", "0.5"]
     assert cornercase("explore", X, "--space", SPACE, *common, "--budget", "132", "-o", study).returncode == 0
     for _ in range(2):
         done = cornercase("analyze", study, "--keep-clusters")
         assert done.returncode == 0, done.stderr
-        with Study.open(study, readonly=True) as opened:
+        with StudyFile.open(study, readonly=True) as opened:
             after, info = opened.read_analysis("wttc", "ids", "labels", "embedding")
         assert len(after["ids"]) == len(after["labels"]) == len(after["embedding"]) == 132
         assert after["labels"][:120].tolist() == before["labels"].tolist()

@@ -8,7 +8,7 @@ from lxml import etree
 
 import cornercase as cc
 from cornercase.report import _notebook as notebook
-from cornercase.study import Study
+from cornercase.study import StudyFile
 from helpers.untrusted_files import whole_study
 
 
@@ -51,7 +51,7 @@ def test_what_was_not_run_or_is_too_large_is_shown_as_a_table(whole, tmp_path):
         values = [row.values for row in study.rows()]
     assert "<iframe" in str(notebook.render_notebook_report(whole, max_scenarios=len(points)))
     assert notebook.render_notebook_report(whole, max_scenarios=len(points) - 1) is None
-    with Study.create(tmp_path / "new.db", meta) as study:
+    with StudyFile.create(tmp_path / "new.db", meta) as study:
         assert "<iframe" not in study._repr_html_()
         assert "<table" in study._repr_html_()
         study.writer.add_pending(1, points, values)

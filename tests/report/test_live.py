@@ -30,7 +30,7 @@ from cornercase.report.encode._record_format import encode_recording
 from cornercase.report.live._analysis_worker import AnalysisWorker
 from cornercase.report.live._events import Cursor, EventStream
 from cornercase.report.live._follower import StudyFollower, StudyProgress
-from cornercase.study import Study, write_note
+from cornercase.study import StudyFile, write_note
 from helpers.command_line import SPACE, X, cornercase
 from helpers.untrusted_files import whole_study
 from helpers.waiting import until
@@ -74,7 +74,7 @@ def client(whole):
 
 def test_live_contents_are_those_of_the_report(whole, client):
     found = client.get("/contents").json()
-    with Study.open(whole, readonly=True) as study:
+    with StudyFile.open(whole, readonly=True) as study:
         expected = json.loads(json.dumps(page_payload(read_report_data(study))))
     # The page counts its scenarios itself, as they come.
     assert expected.pop("about") == found["about"].replace("Search:", "12 scenarios were run. Search:")
@@ -86,7 +86,7 @@ def test_live_contents_are_those_of_the_report(whole, client):
 
 
 def test_a_scenario_is_given_exactly(whole, client, tmp_path):
-    with Study.open(whole, readonly=True) as study:
+    with StudyFile.open(whole, readonly=True) as study:
         recording = study.recording(7)
         metrics = [cc.METRICS.create(name) for name in study.meta.metrics]
         courses = {one.name: one.clip_course(study.course(7, one.name)) for one in metrics}
@@ -136,7 +136,7 @@ def test_only_who_knows_the_token_comes_in(client, whole):
         for token in ("", "?token=", "?token=a-tokem", "?token=%ff", "?" + "a=1&" * 50, "?token=a-token&token=x"):
             assert stranger.get(path + token).status_code == 403, (path, token)
     assert stranger.put("/notes/1", content="x").status_code == 403
-    with Study.open(whole, readonly=True) as study:
+    with StudyFile.open(whole, readonly=True) as study:
         assert 1 not in study.notes()
 
 
@@ -176,7 +176,7 @@ def test_nothing_is_kept_framed_or_sent_on(client):
 def test_notes_are_all_that_is_written(client, whole):
     before = {name: (whole.parent / name).read_bytes() for name in ("scenario.xosc", "road.xodr")}
     assert client.put("/notes/2", content="brakes <b>late</b> 行人".encode()).status_code == 204
-    with Study.open(whole, readonly=True) as study:
+    with StudyFile.open(whole, readonly=True) as study:
         assert study.notes()[2] == "brakes <b>late</b> 行人"
     until(lambda: client.get("/contents").json()["notes"].get("2") == "brakes <b>late</b> 行人")
     for path, body in (
@@ -192,7 +192,7 @@ def test_notes_are_all_that_is_written(client, whole):
     for method in ("post", "delete", "patch", "put"):
         for path in ("/contents", "/", "/recordings/1", "/scenarios/1.xosc"):
             assert getattr(client, method)(path).status_code == 405
-    with Study.open(whole, readonly=True) as study:
+    with StudyFile.open(whole, readonly=True) as study:
         assert study.notes() == {}
     assert before == {name: (whole.parent / name).read_bytes() for name in before}
 
@@ -204,14 +204,14 @@ def news(teller, cursor):
 
 
 def test_a_page_is_told_of_each_scenario_once(tmp_path, whole):
-    with Study.open(whole, readonly=True) as study:
+    with StudyFile.open(whole, readonly=True) as study:
         meta, rows = study.meta, study.finished_rows()
         recording = study.recording(1)
         courses = {name: (study.course(1, name), 1.0) for name in meta.metrics}
     with followed(tmp_path / "new.db") as teller:
         until(lambda: teller.follower.state.why == "new.db is not there yet.")
         assert set(teller.contents()) == {"live"}
-        with Study.create(tmp_path / "new.db", meta) as study:
+        with StudyFile.create(tmp_path / "new.db", meta) as study:
             points = np.array([row.point for row in rows])
             study.writer.add_pending(1, points, [row.values for row in rows])
             until(lambda: teller.follower.state.name == "live")
@@ -238,7 +238,7 @@ def test_a_page_is_told_of_each_scenario_once(tmp_path, whole):
         # Something else of that name: everything is asked for anew.
         (tmp_path / "new.db").unlink()
         until(lambda: teller.follower.state.name == "waiting")
-        with Study.create(tmp_path / "new.db", meta) as study:
+        with StudyFile.create(tmp_path / "new.db", meta) as study:
             study.writer.add_pending(1, points[:1], [rows[0].values])
             study.writer.record_result(1, recording, courses)
             until(lambda: teller.follower.state.run == 1)
@@ -261,7 +261,7 @@ class Growing(StudyFollower):
 
 def parts_of(study, count):
     """A study of which so many scenarios ended, with what it takes to end the others."""
-    with Study.open(study, readonly=True) as opened:
+    with StudyFile.open(study, readonly=True) as opened:
         meta, rows, recording = opened.meta, opened.finished_rows(), opened.recording(1)
         courses = {name: (opened.course(1, name), 1.0) for name in meta.metrics}
     return meta, np.array([row.point for row in rows])[:count], [row.values for row in rows][:count], recording, courses
@@ -271,7 +271,7 @@ def test_42_16_what_is_told_counts_what_was_told(tmp_path, whole):
     meta, points, values, recording, courses = parts_of(whole, 12)
     follower = Growing(tmp_path / "s.db")
     finder = AnalysisWorker(follower)
-    with Study.create(tmp_path / "s.db", meta) as study:
+    with StudyFile.create(tmp_path / "s.db", meta) as study:
         study.writer.add_pending(1, points, values)
         study.writer.record_result(1, recording, courses)
         follower.start()
@@ -322,7 +322,7 @@ def test_42_16_nothing_is_told_of_scenarios_that_were_not_read_yet(tmp_path, who
     follower = StudyFollower(tmp_path / "s.db")
     finder = AnalysisWorker(follower)
     teller = EventStream(follower, finder)
-    with Study.create(tmp_path / "s.db", meta) as study:
+    with StudyFile.create(tmp_path / "s.db", meta) as study:
         study.writer.add_pending(1, points, values)
         for scenario in range(1, 6):
             study.writer.record_result(scenario, recording, courses)
@@ -344,7 +344,7 @@ def test_42_16_nothing_is_told_of_scenarios_that_were_not_read_yet(tmp_path, who
 
 def test_42_16_scenarios_that_are_run_again_are_counted_once(tmp_path, whole):
     meta, points, values, recording, courses = parts_of(whole, 3)
-    with followed(tmp_path / "s.db") as teller, Study.create(tmp_path / "s.db", meta) as study:
+    with followed(tmp_path / "s.db") as teller, StudyFile.create(tmp_path / "s.db", meta) as study:
         study.writer.add_pending(1, points, values)
         study.writer.record_result(1, recording, courses)
         study.writer.record_failure(2, cc.SimulationError("no road"))

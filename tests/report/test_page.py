@@ -30,7 +30,7 @@ from cornercase.report.text._answers import page_answers
 from cornercase.report.text._phrases import format_percent, format_value
 from cornercase.report.text._show import summary_to_dict
 from cornercase.scenario import Parameter, ParameterSpace
-from cornercase.study import Study, import_recordings
+from cornercase.study import StudyFile, import_recordings
 from helpers.command_line import cornercase
 from helpers.synthetic_study import SPACE, Synthetic, about, explorer, opened
 from helpers.two_cars import met
@@ -44,7 +44,7 @@ STEPS = {"time": 1e-4, "x": 1e-3, "y": 1e-3, "heading": 1e-4, "speed": 1e-3, "ac
 def path(tmp_path_factory):
     """A study with scenarios that failed, a threshold, clusters and a reduced set."""
     path = tmp_path_factory.mktemp("page") / "s.db"
-    with Study.create(path, about(SPACE, "distance", "wttc", critical=1.0, **BY_SOBOL)) as study:
+    with StudyFile.create(path, about(SPACE, "distance", "wttc", critical=1.0, **BY_SOBOL)) as study:
         explorer(study, metrics=("distance", "wttc"), optimizer="sobol", budget=60).run()
     analyze(path, "distance", gamma=4.0, eps=0.2, min_samples=3)
     return path
@@ -91,7 +91,7 @@ def read_record(data):
 
 def test_each_scenario_of_the_study_is_in_the_contents(path, tmp_path):
     contents = contents_of(page_of(path, tmp_path))
-    with Study.open(path, readonly=True) as study:
+    with StudyFile.open(path, readonly=True) as study:
         rows, table, labels = study.rows(), study.table(), study.read_analysis("distance", "labels")[0]["labels"]
     columns = contents["scenarios"]
     assert columns["id"] == [row.id for row in rows]
@@ -113,7 +113,7 @@ def test_each_scenario_of_the_study_is_in_the_contents(path, tmp_path):
 
 def test_the_search_is_told_round_by_round(path, tmp_path):
     told = contents_of(page_of(path, tmp_path))["search"]
-    with Study.open(path, readonly=True) as study:
+    with StudyFile.open(path, readonly=True) as study:
         rounds, scores = [row.round for row in study.finished_rows()], study.scores("distance")
         known = known_of(study)
     assert told["run"] == [sum(one <= last for one in rounds) for last in sorted(set(rounds))]
@@ -128,7 +128,7 @@ def test_the_search_is_told_round_by_round(path, tmp_path):
 
 def test_what_was_missed_at_a_round_is_as_it_would_have_been_told_then(path, tmp_path):
     told = contents_of(page_of(path, tmp_path))["search"]["missed"][0]
-    with Study.create(tmp_path / "short.db", about(SPACE, "distance", "wttc", critical=1.0, **BY_SOBOL)) as study:
+    with StudyFile.create(tmp_path / "short.db", about(SPACE, "distance", "wttc", critical=1.0, **BY_SOBOL)) as study:
         last = 10 * round(told["run"] / 9)
         explorer(study, metrics=("distance", "wttc"), optimizer="sobol", budget=last).run()
         assert len(study.finished_rows()) == told["run"]
@@ -138,7 +138,7 @@ def test_what_was_missed_at_a_round_is_as_it_would_have_been_told_then(path, tmp
 
 def test_recordings_are_read_back(path, tmp_path):
     page = page_of(path, tmp_path)
-    with Study.open(path, readonly=True) as study:
+    with StudyFile.open(path, readonly=True) as study:
         assert set(contents_of(page)["recordings"]) == {str(row.id) for row in study.finished_rows()}
         for scenario in [row.id for row in study.finished_rows()][::7]:
             head, found = unpacked(page, scenario)
@@ -174,7 +174,7 @@ def test_a_recording_far_away_with_gaps_is_read_back_to_the_millimetre():
 
 
 def test_a_page_that_would_be_too_large_keeps_the_recordings_that_tell_most(path, tmp_path):
-    with Study.open(path, readonly=True) as study:
+    with StudyFile.open(path, readonly=True) as study:
         data = read_report_data(study)
         packed = page_recordings.encode_important_recordings(
             study, data, max_characters=1000, sample_characters=1000, n_most_critical=2
@@ -206,7 +206,7 @@ def test_no_name_ends_a_script_or_an_attribute(tmp_path):
     plain["parameters"][0]["name"] = plain["parameters"][0]["unit"] = HOSTILE
     space = ParameterSpace.from_json(plain)
     meta = about(space, "distance", ego=HOSTILE, other="B", settings={HOSTILE: HOSTILE})
-    with Study.create(
+    with StudyFile.create(
         tmp_path / "s.db", replace(meta, scenario="/x/<script><script>alert(1)<script>\u2028 歩行者.xosc")
     ) as study:
         points = np.random.default_rng(1).random((12, 2))
@@ -245,7 +245,7 @@ def test_every_kind_of_study_has_a_page(tmp_path, kind):
         more = {"simulator": "imported", "files": tuple(f"{k}.csv" for k in range(1, 31))}
     elif kind == "repeats":
         more, scores = {"repeats": 3}, {"distance": [1.0, 2.0, 3.0]}
-    with Study.create(tmp_path / "s.db", about(space, "distance", "wttc", **more)) as study:
+    with StudyFile.create(tmp_path / "s.db", about(space, "distance", "wttc", **more)) as study:
         points = np.random.default_rng(1).random((1 if kind == "one" else 30, 2))
         for row in study.writer.add_pending(1, points, space.values(points)):
             (found,) = Synthetic().run([type("C", (), {"values": {"a": 0.5, "b": row.point[1]}})])
@@ -298,7 +298,7 @@ def test_where_all_failed_the_page_says_why_and_what_is_missing(of, tmp_path):
 
 
 def test_answers_say_what_show_says(path, tmp_path):
-    with Study.open(path, readonly=True) as study:
+    with StudyFile.open(path, readonly=True) as study:
         data = read_report_data(study)
     words = summary_to_dict(data.summary)
     answers = {one.name: one for one in page_answers(data)}
@@ -321,7 +321,7 @@ def test_answers_say_what_show_says(path, tmp_path):
 
 
 def test_where_nothing_is_critical_a_bound_is_told_that_holds(tmp_path):
-    with Study.create(tmp_path / "s.db", about(SPACE, "distance", "wttc", critical=-1.0, **BY_SOBOL)) as study:
+    with StudyFile.create(tmp_path / "s.db", about(SPACE, "distance", "wttc", critical=-1.0, **BY_SOBOL)) as study:
         explorer(study, metrics=("distance", "wttc"), optimizer="sobol", budget=60).run()
         data, high = read_report_data(study), known_of(study).critical_fraction.high
     text = next(one.text for one in page_answers(data) if one.name == "critical")
@@ -353,14 +353,14 @@ def test_the_command_of_a_page_makes_the_study_again(tmp_path):
     options = ["--ego", "Ego", "--other", "Pedestrian", "--metric", "wttc", "--budget", 6, "--batch", 3, "--seed", 5]
     found = cornercase("explore", f"{x}.xosc", "--space", f"{x}.space.xosc", *options, "--critical", 0.3, "-o", made)
     assert found.returncode == 0, found.stderr
-    with Study.open(made, readonly=True) as study:
+    with StudyFile.open(made, readonly=True) as study:
         name, *words = shlex.split(format_command(study.meta))
         rows, scores = study.rows(), study.scores("wttc")
     assert (name, words[0], words[-2:]) == ("cornercase", "explore", ["-o", "study.db"])
     again = tmp_path / "again.db"
     found = cornercase(*words[:-1], again, cwd=x.parent)
     assert found.returncode == 0, found.stderr
-    with Study.open(again, readonly=True) as study:
+    with StudyFile.open(again, readonly=True) as study:
         assert [row.values for row in study.rows()] == [row.values for row in rows]
         np.testing.assert_array_equal(study.scores("wttc"), scores)
 
@@ -374,7 +374,7 @@ def test_provenance_says_what_figures_depend_on(path, tmp_path):
 
 
 def test_a_reduced_study_tells_what_is_kept(tmp_path):
-    with Study.create(tmp_path / "s.db", about(SPACE, "distance", "wttc", critical=1.0)) as study:
+    with StudyFile.create(tmp_path / "s.db", about(SPACE, "distance", "wttc", critical=1.0)) as study:
         explorer(study, metrics=("distance", "wttc"), optimizer="sobol").run()
         study.meta = replace(study.meta, simulator="imported", files=tuple(map(str, range(1, 48))))
         analyze(study, "distance", gamma=4.0, eps=0.2, min_samples=3)
@@ -409,7 +409,7 @@ def test_a_report_is_a_page(path, tmp_path):
 
 
 def test_what_does_not_fit_into_the_memory_is_refused(path):
-    with Study.open(path, readonly=True) as study:
+    with StudyFile.open(path, readonly=True) as study:
         run = len(study.finished_rows())
         told = f"^the contents of a report of {run} scenarios need .*, which is more than `memory` .*; give more.$"
         with pytest.raises(InputError, match=told):

@@ -26,7 +26,7 @@ from cornercase.report.replays._frames import FrameRenderer
 from cornercase.report.replays._replay_data import read_replay_data
 from cornercase.report.replays._replay_page import render_replay_page
 from cornercase.scenario._file import ScenarioFile
-from cornercase.study import Study
+from cornercase.study import StudyFile
 from helpers.command_line import cornercase
 from helpers.synthetic_study import SPACE, about, explorer
 
@@ -47,7 +47,7 @@ def study(tmp_path_factory):
 def failing(tmp_path_factory):
     """A study of no scenario file, of which some scenarios failed."""
     path = tmp_path_factory.mktemp("failing") / "study.db"
-    with Study.create(path, about(SPACE, "distance")) as one:
+    with StudyFile.create(path, about(SPACE, "distance")) as one:
         explorer(one, metrics=("distance",), optimizer="sobol").run()
     return path
 
@@ -104,7 +104,7 @@ def test_a_scenario_beside_itself_is_held_once(study, tmp_path):
 
 def test_a_gif_lasts_as_long_as_its_recording(study, tmp_path):
     path = cc.replay(study, 2, tmp_path / "run.gif", fps=4, speed=2.0)
-    with Study.open(study, readonly=True) as opened:
+    with StudyFile.open(study, readonly=True) as opened:
         time = opened.recording(2).time
     with Image.open(path) as film:
         lasts = sum(frame.info["duration"] for frame in ImageSequence.Iterator(film))
@@ -122,7 +122,7 @@ def test_an_mp4_shows_one_frame_for_each_step(study, tmp_path):
         asked = ["-count_frames", "-show_entries", "stream=nb_read_frames,width,height", "-of", "csv=p=0"]
         command = ["ffprobe", "-v", "error", *asked, str(path)]
         told = subprocess.run(command, capture_output=True, text=True, check=True).stdout
-        with Study.open(study, readonly=True) as opened:
+        with StudyFile.open(study, readonly=True) as opened:
             end = max(opened.recording(one).time[-1] for one in (1, 2))
         width, height, frames = map(int, told.strip().split(","))
         # Two frames per second stand for 2 s each, then the last one stays for 1.5 s.
@@ -131,7 +131,7 @@ def test_an_mp4_shows_one_frame_for_each_step(study, tmp_path):
 
 
 def test_frames_show_the_entities_where_they_were(study):
-    with Study.open(study, readonly=True) as opened:
+    with StudyFile.open(study, readonly=True) as opened:
         footage = read_replay_data(opened, [2])
     drawn = footage.items[0].recording
     # A time at which the two are apart, and in view.
@@ -188,7 +188,7 @@ def test_an_ffmpeg_that_fails_leaves_nothing(study, tmp_path, monkeypatch):
 
 
 def test_a_failed_scenario_says_why(failing, tmp_path):
-    with Study.open(failing, readonly=True) as opened:
+    with StudyFile.open(failing, readonly=True) as opened:
         failed, done = opened.failed_rows()[0], opened.finished_rows()[0]
     with pytest.raises(InputError, match=f"scenario {failed.id} failed") as told:
         cc.replay(failing, failed.id, tmp_path / "run.html")
@@ -199,7 +199,7 @@ def test_a_failed_scenario_says_why(failing, tmp_path):
 
 
 def test_a_film_without_a_road_says_so_in_a_sentence(failing, tmp_path):
-    with Study.open(failing, readonly=True) as opened:
+    with StudyFile.open(failing, readonly=True) as opened:
         done = opened.finished_rows()[0].id
     ran = cornercase("replay", failing, done, "--fps", "1", "--speed", "4", "-o", tmp_path / "run.gif")
     assert ran.returncode == 0, ran.stderr
@@ -280,7 +280,7 @@ def test_a_shadow_lies_behind_the_box_as_wide_as_it_is_seen():
 
 
 def test_the_road_is_found_beside_the_study_or_told_why_not(study, failing, tmp_path):
-    with Study.open(study, readonly=True) as opened:
+    with StudyFile.open(study, readonly=True) as opened:
         region = recorded_bounds([opened.recording(1)])
         sketch, missing = find_road_outline(opened, region, X / "x_intersection.xosc")
         assert sketch is not None
@@ -289,7 +289,7 @@ def test_the_road_is_found_beside_the_study_or_told_why_not(study, failing, tmp_
         # Who has a file of that name at hand, but another one, is not shown its road.
         with pytest.raises(InputError):
             find_road_outline(opened, region, EXAMPLES / "t_intersection" / "t_intersection.xosc")
-    with Study.open(failing, readonly=True) as opened:
+    with StudyFile.open(failing, readonly=True) as opened:
         sketch, missing = find_road_outline(opened, (0.0, 0.0, 1.0, 1.0))
         assert sketch is None
         assert str(failing.parent) not in missing
@@ -304,9 +304,9 @@ def test_a_value_of_a_study_leads_to_no_other_road(study, tmp_path):
         (tmp_path / name).write_text(text, encoding="utf-8")
     shutil.copy(X / "x_intersection.xodr", tmp_path / "secret.xodr")
     scenario = ScenarioFile.read(tmp_path / "x_intersection.xosc")
-    with Study.open(study, readonly=True) as opened:
+    with StudyFile.open(study, readonly=True) as opened:
         meta = replace(opened.meta, fingerprint=scenario.fingerprint())
-    with Study.create(tmp_path / "s.db", meta) as sent:
+    with StudyFile.create(tmp_path / "s.db", meta) as sent:
         sketch, missing = find_road_outline(sent, (0.0, 0.0, 9.0, 9.0), scenario, {"Road": "secret.xodr"})
         assert sketch is None
         assert missing == "The road is not drawn, as it is none of those that belong to x_intersection.xosc."
@@ -315,7 +315,7 @@ def test_a_value_of_a_study_leads_to_no_other_road(study, tmp_path):
 
 @pytest.mark.parametrize("what", ["one instant", "no ego", "nobody"])
 def test_recordings_that_hold_little_are_shown_all_the_same(study, what):
-    with Study.open(study, readonly=True) as opened:
+    with StudyFile.open(study, readonly=True) as opened:
         footage = read_replay_data(opened, [1])
     take = footage.items[0]
     drawn, course = take.recording, take.courses["wttc"]

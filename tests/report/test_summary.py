@@ -33,7 +33,7 @@ from cornercase.report.text._phrases import (
 )
 from cornercase.report.text._show import summary_to_dict
 from cornercase.scenario import Parameter, ParameterSpace
-from cornercase.study import Study
+from cornercase.study import StudyFile
 from helpers.encounter_recordings import PASSES, entity, recording
 from helpers.synthetic_study import LOGICAL, SPACE, about, explorer, opened
 
@@ -49,7 +49,7 @@ def path(tmp_path):
 
 def test_a_summary_holds_values_and_says_what_it_is(path):
     summary = summarize(path)
-    with Study.open(path, readonly=True) as study:
+    with StudyFile.open(path, readonly=True) as study:
         assert summary.n_run + summary.n_failed == len(study.rows())
         scores = study.scores("distance")
         worst = study.finished_rows()[int(scores.argmin())]
@@ -93,7 +93,7 @@ def test_scenarios_that_were_run_since_are_told_with_what_mends_it(path, tmp_pat
 
 
 def test_no_stability_is_told_where_all_are_one_group(path):
-    with Study.open(path, readonly=False) as study:
+    with StudyFile.open(path, readonly=False) as study:
         found = analyze(study, "distance")["distance"].clustering
         assert found.n_clusters == 1
         # It was measured, and is 1.
@@ -109,7 +109,7 @@ def test_no_stability_is_told_where_all_are_one_group(path):
 
 def test_a_front_is_told_by_id(tmp_path):
     meta = replace(about(SPACE, "distance", "wttc"), pareto=True)
-    with Study.create(tmp_path / "s.db", meta) as study:
+    with StudyFile.create(tmp_path / "s.db", meta) as study:
         explorer(study, metrics=("distance", "wttc"), optimizer="sobol").run()
         summary, ids = summarize(study), [row.id for row in study.finished_rows()]
     front = summary.estimates.pareto_front
@@ -134,7 +134,9 @@ def test_what_is_known_of_the_critical_set_is_told_with_its_threshold():
     [pytest.param("sobol", "a Gaussian process", marks=pytest.mark.slow), ("committee", "a committee")],
 )
 def test_a_page_says_what_predicts_whether_scenarios_are_critical(optimizer, judge, tmp_path):
-    with Study.create(tmp_path / "s.db", replace(about(SPACE, "distance"), optimizer=optimizer, critical=1.0)) as study:
+    with StudyFile.create(
+        tmp_path / "s.db", replace(about(SPACE, "distance"), optimizer=optimizer, critical=1.0)
+    ) as study:
         explorer(study, optimizer=optimizer).run()
     page = write_report(tmp_path / "s.db", tmp_path / "r.html").read_text(encoding="utf-8")
     assert f"what is overlooked come from {judge} of " in page
@@ -157,7 +159,7 @@ def test_a_range_is_told_with_its_unit(parameter, words):
 @pytest.mark.parametrize("figures", at_night([False, True], {True}))
 def test_a_page_is_written_of_a_study_and_of_a_path(path, tmp_path, figures):
     pages = []
-    with Study.open(path, readonly=True) as study:
+    with StudyFile.open(path, readonly=True) as study:
         pages.append(write_report(study, tmp_path / "one" / "r.html", figures=figures))
     pages.append(write_report(str(path), tmp_path / "two" / "r.html", figures=figures))
     one, two = ({file.name: file.read_bytes() for file in page.parent.rglob("*.*")} for page in pages)
@@ -186,7 +188,7 @@ def test_kinds_are_drawn_and_named(path, tmp_path):
 
 
 def test_where_all_are_one_kind_the_page_says_so_and_draws_none(path, tmp_path):
-    with Study.open(path, readonly=False) as study:
+    with StudyFile.open(path, readonly=False) as study:
         # So wide a neighbourhood holds all.
         analyze(study, "distance", gamma=0.25, eps=10.0, min_samples=3)
         assert describe_informativeness(summarize(study).analyses["distance"]) == (
@@ -296,7 +298,7 @@ def test_of_a_space_that_was_run_whole_the_page_claims_no_bound(tmp_path):
 
 
 def test_where_all_scores_are_the_same_it_is_said_that_they_tell_nothing(tmp_path):
-    with Study.create(tmp_path / "s.db", about(SPACE, "delta-v", critical=1.0)) as study:
+    with StudyFile.create(tmp_path / "s.db", about(SPACE, "delta-v", critical=1.0)) as study:
         explorer(study, metrics=("delta-v",), optimizer="sobol", critical=1.0).run()
     critical = summary_to_dict(summarize(tmp_path / "s.db"))["critical"]
     assert critical["scenarios"] == 0

@@ -17,7 +17,7 @@ from conftest import EXAMPLES, examples
 from cornercase._common.errors import InputError
 from cornercase.reduction import reduce
 from cornercase.scenario import Constraint, LogicalScenario, Parameter, ParameterDeclaration, ParameterSpace
-from cornercase.study import Study
+from cornercase.study import StudyFile
 from helpers.command_line import cornercase
 
 RULES = ("equalTo", "notEqualTo", "greaterThan", "greaterOrEqual", "lessThan", "lessOrEqual")
@@ -114,7 +114,7 @@ def test_explore_and_show_judge_the_same_space(constrained):
     searched = LogicalScenario.read(path, path.with_name("x_intersection.space.xosc")).space
     points = np.random.default_rng(0).random((2000, searched.dimension))
     assert 0.2 < searched.is_admissible(points).mean() < 0.8
-    with Study.open(study, readonly=True) as opened:
+    with StudyFile.open(study, readonly=True) as opened:
         assert opened.space == searched
         np.testing.assert_array_equal(opened.space.is_admissible(points), searched.is_admissible(points))
     # `show` gives the same reason for stopping as `explore`.
@@ -132,7 +132,7 @@ def test_the_reduced_set_is_that_of_the_space_that_was_searched(constrained, tmp
     kept = [Path(shutil.copy(study, tmp_path / f"{name}.db")) for name in "ab"]
     reduced = []
     for name, space in zip(kept, (None, searched), strict=True):
-        with Study.open(name, readonly=False) as opened:
+        with StudyFile.open(name, readonly=False) as opened:
             opened.space = opened.space if space is None else space
             reduced.append(reduce(opened, tmp_path / name.stem, scenario=path))
     assert reduced[0].critical == reduced[1].critical

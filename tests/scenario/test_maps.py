@@ -24,7 +24,7 @@ from cornercase.scenario._file import ScenarioFile
 from cornercase.scenario._maps import MAPS_VARIABLE, search_maps_in
 from cornercase.simulators import EsminiSimulator, simulate
 from cornercase.simulators.pool._simulator import WorkerSimulator
-from cornercase.study import Study
+from cornercase.study import StudyFile
 from cornercase.study._scenario_file import find_explored_scenario
 from helpers.command_line import cornercase
 
@@ -190,7 +190,7 @@ def test_43_7_what_is_written_holds_the_map_and_a_study_says_that_it_needs_it(tm
             logical, study, ego="Ego", other="B", metrics=["distance"], optimizer="grid", budget=8, duration=3.0,
             critical=-100.0,
         )  # fmt: skip
-    with Study.open(study, readonly=True) as opened:
+    with StudyFile.open(study, readonly=True) as opened:
         with pytest.raises(
             InputError, match=r"differs from what .*study\.db was explored with: there is no road file 'To"
         ):
@@ -248,7 +248,10 @@ def test_43_7_a_page_that_is_served_says_once_that_the_map_is_missing(tmp_path, 
         logical = LogicalScenario.read(path, None, ["speed=5:10"])
         explore(logical, tmp_path / "s" / "s.db", ego="Ego", other="B", metrics=["distance"], budget=2, duration=1.0)
     around = RoadAndRerunCache(None)
-    with Study.open(tmp_path / "s" / "s.db", readonly=True) as study, warnings.catch_warnings(record=True) as caught:
+    with (
+        StudyFile.open(tmp_path / "s" / "s.db", readonly=True) as study,
+        warnings.catch_warnings(record=True) as caught,
+    ):
         warnings.simplefilter("always")
         data = read_report_data(study, figures=False)
         for _ in range(2):

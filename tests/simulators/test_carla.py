@@ -29,7 +29,7 @@ from cornercase.simulators._ports import worker_address
 from cornercase.simulators.carla import _dialect as dialect
 from cornercase.simulators.carla._openscenario_1_0 import ConversionOptions, write_openscenario_1_0
 from cornercase.simulators.pool._simulator import WorkerSimulator
-from cornercase.study import Study
+from cornercase.study import StudyFile
 from helpers.carla_or_stand_in import REAL, Served, free_port
 from helpers.command_line import cornercase
 from helpers.waiting import until
@@ -266,7 +266,7 @@ def test_the_command_explores_with_repeated_runs(scenario, tmp_path):
         )  # fmt: skip
         done = cornercase(*command)
     assert done.returncode == 0, done.stderr
-    with Study.open(tmp_path / "study.db", readonly=False) as study:
+    with StudyFile.open(tmp_path / "study.db", readonly=False) as study:
         assert len(study.finished_rows()) == 3
         spread = study.score_range("ttc")
         assert spread is not None

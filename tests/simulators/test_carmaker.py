@@ -26,7 +26,7 @@ from cornercase.simulators.carmaker._cmapi_client import CmapiClient
 from cornercase.simulators.carmaker._tcl_client import TclClient
 from cornercase.simulators.carmaker._tcl_run import TclTestRun
 from cornercase.simulators.pool._simulator import WorkerSimulator
-from cornercase.study import Study
+from cornercase.study import StudyFile
 from helpers import foreign_recordings as foreign
 from helpers.command_line import cornercase
 
@@ -427,7 +427,10 @@ def test_42_1_a_suite_sends_the_named_values_that_it_was_made_of(project, monkey
     made_of = [explored[one["id"] - 1] for one in manifest["scenarios"]]
     assert len({tuple(one) for one in made_of}) == 3
     assert said("test", "set", "-o", "run.db") == made_of
-    with Study.open(folder / "run.db", readonly=True) as again, Study.open(folder / "s.db", readonly=True) as before:
+    with (
+        StudyFile.open(folder / "run.db", readonly=True) as again,
+        StudyFile.open(folder / "s.db", readonly=True) as before,
+    ):
         for row, one in zip(again.rows(), manifest["scenarios"], strict=True):
             assert same_recording(again.recording(row.id), before.recording(one["id"]))
     port.close()

@@ -35,7 +35,7 @@ from cornercase.simulators import SIMULATORS
 from cornercase.simulators._create import create_simulator
 from cornercase.simulators.dask._simulator import ClusterSimulator
 from cornercase.simulators.dask._worker import JobAttempt, SimulatorJob, run_scenarios_of_job
-from cornercase.study import Study
+from cornercase.study import StudyFile
 from cornercase.suite import analyze_mutants
 from helpers.fake_simulators import Plan
 
@@ -292,7 +292,7 @@ def test_processes_of_no_cluster_are_refused(tmp_path):
 
 
 def stored(path):
-    with Study.open(path, readonly=True) as study:
+    with StudyFile.open(path, readonly=True) as study:
         rows = study.finished_rows()
         motion = [[getattr(study.recording(row.id), name).tobytes() for name in ("x", "y", "speed")] for row in rows]
         values = [(row.id, row.state, dict(row.values)) for row in rows]
@@ -312,7 +312,10 @@ def test_a_driver_of_ones_own_is_found_in_the_current_folder(tmp_path, reduced_b
         command = [sys.executable, "-c", script, "test", "suite", *given, *more, "-o", f"{len(more)}.db"]
         done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=200, check=False)
         assert done.returncode == 0, done.stderr
-    with Study.open(tmp_path / "0.db", readonly=True) as one, Study.open(tmp_path / "2.db", readonly=True) as other:
+    with (
+        StudyFile.open(tmp_path / "0.db", readonly=True) as one,
+        StudyFile.open(tmp_path / "2.db", readonly=True) as other,
+    ):
         assert same_recording(one.recording(1), other.recording(1))
 
 
@@ -421,8 +424,8 @@ def test_without_rounds_the_scenarios_are_those_of_one_process(client, tmp_path)
     explore_config(one, tmp_path / "here.db")
     explore_config(replace(one, cluster=client, asynchronous=True), tmp_path / "there.db")
     with (
-        Study.open(tmp_path / "here.db", readonly=True) as here,
-        Study.open(tmp_path / "there.db", readonly=True) as there,
+        StudyFile.open(tmp_path / "here.db", readonly=True) as here,
+        StudyFile.open(tmp_path / "there.db", readonly=True) as there,
     ):
         assert len(there.result_order()) == len(there.finished_rows()) == 9
         for row, other in zip(here.rows(), there.rows(), strict=True):

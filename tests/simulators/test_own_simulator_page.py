@@ -15,7 +15,7 @@ from cornercase import InputError, SimulationError, SimulatorError
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import SIMULATORS, check_settings
 from cornercase.simulators.pool._simulator import WorkerSimulator
-from cornercase.study import Study
+from cornercase.study import StudyFile
 from documentation.test_documentation import ROOT, blocks_of
 from helpers.command_line import cornercase
 
@@ -41,7 +41,7 @@ def names(code, tmp_path, monkeypatch) -> dict[str, Any]:
 
 
 def test_42_11_the_page_runs_and_its_example_is_right(names):
-    with Study.open("braking.db") as study:
+    with StudyFile.open("braking.db") as study:
         assert study.meta.settings == {"time_step": 0.05, "braking": 4.0}
         assert study.meta.repeatability["same"]
         collided = [bool(study.recording(row.id).collisions) for row in study.finished_rows()]
@@ -60,7 +60,7 @@ def test_42_11_a_file_that_declares_parameters_and_entities_is_enough(names, tmp
         done = cornercase("-q", *step, cwd=tmp_path)
         assert done.returncode == 0, done.stderr
     assert list((tmp_path / "set").glob("braking-*.xosc"))
-    with Study.open("line.db") as study:
+    with StudyFile.open("line.db") as study:
         # Scenarios that do not brake within 10 s fail, and the search continues.
         assert len(study.rows()) == 40
     concrete = ConcreteScenario(Path("braking.xosc"), {"ego_start": 1000.0})

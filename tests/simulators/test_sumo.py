@@ -23,7 +23,7 @@ from cornercase.scenario._file import ScenarioFile
 from cornercase.simulators import SIMULATORS, BuiltinSimulator, SumoSimulator, list_simulators
 from cornercase.simulators._create import create_simulator
 from cornercase.simulators.sumo._network import find_or_convert_network
-from cornercase.study import Study
+from cornercase.study import StudyFile
 from helpers.command_line import cornercase
 from helpers.waiting import until
 
@@ -197,7 +197,7 @@ def test_the_command_of_the_report_records_a_scenario_again(tmp_path):
     assert (
         cornercase("explore", T, *COMMON, "--budget", "2", "--duration", "5", "-o", tmp_path / "s.db").returncode == 0
     )
-    with Study.open(tmp_path / "s.db") as study:
+    with StudyFile.open(tmp_path / "s.db") as study:
         command = rerun_payload(study, T)["command"]
         row, explored = study.rows()[0], study.recording(1)
     assert command["before"] == ["cornercase", "simulate", T.name]
@@ -210,7 +210,7 @@ def test_the_command_of_the_report_records_a_scenario_again(tmp_path):
 
 def one_is_done(path):
     try:
-        with Study.open(path, readonly=True) as study:
+        with StudyFile.open(path, readonly=True) as study:
             return bool(study.finished_rows())
     except InputError:
         return False
@@ -246,7 +246,7 @@ def test_a_killed_worker_changes_nothing(tmp_path):
         victim.kill()
         _, errors = process.communicate(timeout=120)
     assert process.returncode == 0, errors
-    with Study.open(quiet, readonly=True) as one, Study.open(killed, readonly=True) as other:
+    with StudyFile.open(quiet, readonly=True) as one, StudyFile.open(killed, readonly=True) as other:
         assert [row.id for row in other.finished_rows()] == list(range(1, 13))
         assert other.failed_rows() == []
         np.testing.assert_array_equal(one.scores("ttc"), other.scores("ttc"))
@@ -260,7 +260,7 @@ def test_the_t_intersection_from_end_to_end(tmp_path, budget):
     done = cornercase("demo", "t-intersection", "--simulator", "sumo", "--budget", budget, *workers, "-o", tmp_path)
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "report.html").exists()
-    with Study.open(tmp_path / "study.db", readonly=True) as study:
+    with StudyFile.open(tmp_path / "study.db", readonly=True) as study:
         assert len(study.finished_rows()) == budget
         info = study.read_analysis("ego-trajectory", "labels")[1]
     if budget < 60:
@@ -278,7 +278,7 @@ def test_the_x_intersection_from_end_to_end(tmp_path):
         "demo", "x-intersection", "--simulator", "sumo", "--budget", "30", "--workers", "2", "-o", tmp_path
     )
     assert done.returncode == 0, done.stderr
-    with Study.open(tmp_path / "study.db", readonly=True) as study:
+    with StudyFile.open(tmp_path / "study.db", readonly=True) as study:
         assert len(study.finished_rows()) == 30
         assert study.meta.settings["sumo"]
     assert len(list((tmp_path / "reduced").glob("*.xosc"))) == 3

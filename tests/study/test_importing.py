@@ -13,7 +13,7 @@ import pytest
 from cornercase import InputError
 from cornercase.clustering import analyze
 from cornercase.recordings import read_recording
-from cornercase.study import ImportResult, Study, import_recordings
+from cornercase.study import ImportResult, StudyFile, import_recordings
 from cornercase.study import _import_recordings as import_recordings_module
 from helpers import foreign_recordings as foreign
 from helpers.command_line import SPACE, X, cornercase
@@ -31,7 +31,7 @@ def exported(tmp_path_factory):
     assert done.returncode == 0, done.stderr
     runs = folder / "runs"
     runs.mkdir()
-    with Study.open(study, readonly=True) as opened:
+    with StudyFile.open(study, readonly=True) as opened:
         rows = opened.finished_rows()
         names = list(rows[0].values)
         lines = [",".join(["file", *names, "kind"])]
@@ -49,7 +49,7 @@ def test_clusters_and_reduces_what_others_ran(exported, tmp_path):
     done = cornercase("import", exported / "runs", *EXPLORED, "-o", study)
     assert done.returncode == 0, done.stderr
     assert "40 scenarios" in done.stdout
-    with Study.open(study, readonly=True) as here, Study.open(exported / "first.db", readonly=True) as there:
+    with StudyFile.open(study, readonly=True) as here, StudyFile.open(exported / "first.db", readonly=True) as there:
         np.testing.assert_allclose(here.scores("wttc"), there.scores("wttc"), atol=1e-5)
         assert here.space.names == (*there.space.names, "kind")
         assert here.space.parameters[-1].choices == ("early", "late")
@@ -80,11 +80,11 @@ def test_a_broken_disk_fails_the_import_and_not_the_recording(exported, tmp_path
     monkeypatch.setattr(import_recordings_module, "read_recording", fails_once)
     command = ("import", exported / "runs", *EXPLORED, "-o", study)
     assert cornercase(*command).returncode == 2
-    with Study.open(study, readonly=True) as opened:
+    with StudyFile.open(study, readonly=True) as opened:
         assert 0 < len(opened.finished_rows()) < 40
         assert not opened.failed_rows()
     assert cornercase(*command).returncode == 0
-    with Study.open(study, readonly=True) as opened:
+    with StudyFile.open(study, readonly=True) as opened:
         assert (len(opened.finished_rows()), len(opened.failed_rows())) == (40, 0)
 
 
@@ -93,7 +93,7 @@ def test_the_same_again_goes_on_and_something_else_is_refused(exported, tmp_path
     assert cornercase("import", exported / "runs", *EXPLORED, "-o", study).returncode == 0
     before = study.read_bytes()
     assert cornercase("import", exported / "runs", *EXPLORED, "-o", study).returncode == 0
-    with Study.open(study, readonly=True) as opened:
+    with StudyFile.open(study, readonly=True) as opened:
         assert len(opened.finished_rows()) == 40
     done = cornercase("import", exported / "runs", *EXPLORED[:-1], "ttc", "-o", study)
     assert done.returncode == 2
@@ -117,7 +117,7 @@ def test_files_of_all_kinds_and_one_that_cannot_be_read(tmp_path):
     assert said.startswith("1 scenarios in")
     assert "3 recordings could not be read or measured; the first:" in said
     assert "The recording has no entity 'Other'" in said
-    with Study.open(tmp_path / "s.db", readonly=True) as study:
+    with StudyFile.open(tmp_path / "s.db", readonly=True) as study:
         assert [row.state for row in study.rows()] == ["done", "failed", "failed", "failed"]
         errors = [str(row.error) for row in study.failed_rows()]
     assert "Other" in errors[0]
@@ -131,7 +131,7 @@ def test_the_function_says_what_it_made(exported, tmp_path):
     assert result == ImportResult(tmp_path / "s.db", 40, 0)
     assert "40 recordings measured, in" in repr(result)
     assert "could not" not in repr(result)
-    with Study.open(tmp_path / "s.db", readonly=True) as study:
+    with StudyFile.open(tmp_path / "s.db", readonly=True) as study:
         assert study.meta.critical == 0.7
 
 
@@ -195,7 +195,7 @@ def test_recordings_may_lack_some_of_several_others(tmp_path):
     with pytest.raises(InputError, match=r"`other` C: none of the recordings has it"):
         import_recordings(tmp_path, tmp_path / "s.db", other=["A", "C"], **given)
     assert import_recordings(tmp_path, tmp_path / "s.db", other="*", **given).done == 5
-    with Study.open(tmp_path / "s.db", readonly=False) as study:
+    with StudyFile.open(tmp_path / "s.db", readonly=False) as study:
         assert study.meta.others == ("A", "B")
         assert list(study.score_sources("clearance").values()) == ["A", "B", "A", "B", "A"]
         np.testing.assert_allclose(study.scores("clearance"), [16.0, 15.0, 14.0, 13.0, 12.0])

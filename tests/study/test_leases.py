@@ -16,8 +16,8 @@ import pytest
 
 from cornercase import SimulationError
 from cornercase._common.errors import InputError, StudyLostError
-from cornercase.study import Study, write_note
-from cornercase.study._study import open_or_create_study
+from cornercase.study import StudyFile, write_note
+from cornercase.study._study_file import open_or_create_study
 from helpers.synthetic_study import SPACE, about
 
 POINTS = np.array([[0.25, 0.5], [0.5, 0.25]])
@@ -25,7 +25,7 @@ POINTS = np.array([[0.25, 0.5], [0.5, 0.25]])
 
 @pytest.fixture
 def path(tmp_path):
-    with Study.create(tmp_path / "s.db", about(SPACE, "distance")) as study:
+    with StudyFile.create(tmp_path / "s.db", about(SPACE, "distance")) as study:
         study.writer.add_pending(1, POINTS, SPACE.values(POINTS))
     return tmp_path / "s.db"
 
@@ -44,32 +44,32 @@ def set_holder(path, **values):
 @pytest.mark.skipif(sys.platform == "win32", reason="links need rights there")
 def test_one_writes_by_whatever_name(path):
     os.symlink(path, path.with_name("another.db"))
-    with Study.open(path, readonly=False), pytest.raises(InputError, match="another cornercase is writing to it"):
-        Study.open(path.with_name("another.db"), readonly=False)
-    Study.open(path.with_name("another.db"), readonly=False).close()
+    with StudyFile.open(path, readonly=False), pytest.raises(InputError, match="another cornercase is writing to it"):
+        StudyFile.open(path.with_name("another.db"), readonly=False)
+    StudyFile.open(path.with_name("another.db"), readonly=False).close()
     assert holders(path) == []
 
 
 def test_a_file_of_several_names_is_not_written(path):
     # SQLite keeps a log beside each name, and would not see what was written by another one.
-    with Study.open(path, readonly=False) as study:
+    with StudyFile.open(path, readonly=False) as study:
         os.link(path, path.with_name("another.db"))
         with pytest.raises(InputError, match=r"another\.db: has 2 hard links"):
-            Study.open(path.with_name("another.db"), readonly=False)
+            StudyFile.open(path.with_name("another.db"), readonly=False)
         study.writer.record_failure(1, SimulationError("as before"))
     with pytest.raises(InputError, match="has 2 hard links"):
-        Study.open(path, readonly=False)
+        StudyFile.open(path, readonly=False)
     path.with_name("another.db").unlink()
-    Study.open(path, readonly=False).close()
+    StudyFile.open(path, readonly=False).close()
 
 
 def test_nothing_beside_the_study_is_its_lock(path):
-    with Study.open(path, readonly=False):
+    with StudyFile.open(path, readonly=False):
         assert sorted(one.name for one in path.parent.iterdir()) == ["s.db", "s.db-shm", "s.db-wal"]
         # Reading is the default, and does not block writers.
-        with Study.open(path) as reader:
+        with StudyFile.open(path) as reader:
             assert reader.readonly
-    with Study.open(path), Study.open(path, readonly=False):
+    with StudyFile.open(path), StudyFile.open(path, readonly=False):
         pass
     assert [one.name for one in path.parent.iterdir()] == ["s.db"]
 
@@ -78,23 +78,23 @@ def test_a_killed_process_leaves_its_study_to_the_next_one(path):
     code = f"import os; from cornercase.study import Study; s = Study.open({str(path)!r}, readonly=False); print('open', flush=True); os._exit(9)"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout == "open\n"
     assert len(holders(path)) == 1
-    Study.open(path, readonly=False).close()
+    StudyFile.open(path, readonly=False).close()
     assert holders(path) == []
 
 
 def test_a_study_that_was_never_closed_is_not_locked_for_ever(path):
-    study = Study.open(path, readonly=False)
+    study = StudyFile.open(path, readonly=False)
     del study
-    Study.open(path, readonly=False).close()
+    StudyFile.open(path, readonly=False).close()
 
 
 def test_one_on_another_machine_counts_as_dead_when_it_has_not_been_heard_of(path):
-    study = Study.open(path, readonly=False)
+    study = StudyFile.open(path, readonly=False)
     set_holder(path, machine="elsewhere", host="far away", beat=time.time() - 60.0)
     with pytest.raises(InputError, match="on far away"):
-        Study.open(path, readonly=False)
+        StudyFile.open(path, readonly=False)
     set_holder(path, beat=time.time() - 600.0)
-    with Study.open(path, readonly=False) as taken:
+    with StudyFile.open(path, readonly=False) as taken:
         taken.writer.record_failure(1, SimulationError("of the new one"))
         # The first one had only been asleep: it notices before it writes.
         with pytest.raises(StudyLostError, match="took over this study"):
@@ -105,11 +105,11 @@ def test_one_on_another_machine_counts_as_dead_when_it_has_not_been_heard_of(pat
 
 @pytest.mark.parametrize("beat", ["text", 1e300, None])
 def test_a_lease_that_is_none_keeps_nobody_out(path, beat):
-    with Study.open(path, readonly=False):
+    with StudyFile.open(path, readonly=False):
         pass
     with closing(sqlite3.connect(path)) as connection, connection:
         connection.execute("INSERT INTO lease VALUES ('a', 'b', 'c', 1, 2.0, ?)", (beat if beat else "",))
-    Study.open(path, readonly=False).close()
+    StudyFile.open(path, readonly=False).close()
     assert holders(path) == []
 
 
@@ -118,26 +118,26 @@ def test_a_study_that_is_gone_or_another_one_ends_what_writes_to_it(path):
     other = path.with_name("other.db")
     shutil.copy(path, other)
     before = other.read_bytes()
-    study = Study.open(path, readonly=False)
+    study = StudyFile.open(path, readonly=False)
     path.unlink()
     with pytest.raises(StudyLostError, match="was removed while this command was writing to it"):
         study.writer.record_failure(1, SimulationError("nowhere"))
     assert [one.name for one in path.parent.iterdir()] == ["other.db"]
     shutil.copy(other, path)
-    study = Study.open(path, readonly=False)
+    study = StudyFile.open(path, readonly=False)
     study.writer.record_failure(1, SimulationError("here"))
     os.replace(shutil.copy(other, path.with_name("third.db")), path)
     with pytest.raises(StudyLostError, match="was replaced by another file"):
         study.writer.record_failure(2, SimulationError("elsewhere"))
     # What was written to the one that is gone is not taken for the log of the one that is there.
     assert path.read_bytes() == other.read_bytes() == before
-    with Study.open(path) as there:
+    with StudyFile.open(path) as there:
         assert [row.state for row in there.rows()] == ["pending", "pending"]
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="files that are open stay there")
 def test_a_study_that_is_moved_takes_all_with_it_that_was_stored(path):
-    study = Study.open(path, readonly=False)
+    study = StudyFile.open(path, readonly=False)
     study.writer.record_failure(1, SimulationError("here"))
     moved = path.rename(path.with_name("moved.db"))
     with pytest.raises(StudyLostError, match="was removed while this command was writing to it"):
@@ -145,7 +145,7 @@ def test_a_study_that_is_moved_takes_all_with_it_that_was_stored(path):
     # Later calls get the same error.
     with pytest.raises(StudyLostError, match="was removed while this command was writing to it"):
         study.rows()
-    with Study.open(moved) as opened:
+    with StudyFile.open(moved) as opened:
         assert [row.state for row in opened.rows()] == ["failed", "failed"]
     assert [one.name for one in path.parent.iterdir()] == ["moved.db"]
 
@@ -154,9 +154,9 @@ def test_a_study_that_is_moved_takes_all_with_it_that_was_stored(path):
 @pytest.mark.parametrize("closes", [True, False])
 def test_a_study_that_is_copied_over_ends_what_writes_to_it_and_stays_as_it_is(path, closes):
     other = path.with_name("other.db")
-    with Study.create(other, about(SPACE, "distance")) as made:
+    with StudyFile.create(other, about(SPACE, "distance")) as made:
         made.writer.add_pending(1, POINTS[:1], SPACE.values(POINTS[:1]))
-    study = Study.open(path, readonly=False)
+    study = StudyFile.open(path, readonly=False)
     study.writer.record_failure(1, SimulationError("stays in the log"))
     # The same file under the same name, as `cp` leaves it.
     path.write_bytes(other.read_bytes())
@@ -171,23 +171,23 @@ def test_a_study_that_is_copied_over_ends_what_writes_to_it_and_stays_as_it_is(p
 
 @pytest.mark.skipif(sys.platform == "win32", reason="files that are open cannot be written by others there")
 def test_a_study_that_is_cut_ends_what_writes_to_it(path):
-    study = Study.open(path, readonly=False)
+    study = StudyFile.open(path, readonly=False)
     os.truncate(path, 0)
     with pytest.raises(StudyLostError, match="overwritten or truncated"):
         study.writer.record_failure(1, SimulationError("nowhere"))
     assert path.read_bytes() == b""
     with pytest.raises(InputError, match="is empty, and not a study"):
-        Study.open(path)
+        StudyFile.open(path)
 
 
 def test_others_may_write_their_notes_and_read_while_one_writes(path):
-    with Study.open(path, readonly=False) as study:
+    with StudyFile.open(path, readonly=False) as study:
         for number in (1, 2):
             write_note(path, number, "seen")
             with closing(sqlite3.connect(path)) as connection:
                 connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchall()
             study.writer.record_failure(number, SimulationError("told"))
-    with Study.open(path) as study:
+    with StudyFile.open(path) as study:
         assert [row.state for row in study.rows()] == ["failed", "failed"]
         assert study.notes() == {1: "seen", 2: "seen"}
 

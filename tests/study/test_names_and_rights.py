@@ -13,7 +13,7 @@ import pytest
 import cornercase as cc
 from cornercase import SimulationError
 from cornercase._common.errors import InputError
-from cornercase.study import Study
+from cornercase.study import StudyFile
 from helpers.command_line import cornercase
 from helpers.synthetic_study import SPACE, about
 
@@ -23,7 +23,7 @@ NO_TEXT = os.fsdecode(b"\xff\xfe.db")
 
 
 def made(path):
-    with Study.create(path, about(SPACE, "distance")) as study:
+    with StudyFile.create(path, about(SPACE, "distance")) as study:
         study.writer.add_pending(1, POINTS, SPACE.values(POINTS))
         study.writer.record_failure(1, SimulationError("told"))
     return path
@@ -67,11 +67,11 @@ def test_a_study_that_may_only_be_read_is_not_written_and_nothing_is_left_beside
     path.chmod(0o444)
     if os.access(path, os.W_OK):
         pytest.skip("whoever may do anything may write")
-    with Study.open(path) as study:
+    with StudyFile.open(path) as study:
         assert len(study.rows()) == 2
     with pytest.raises(InputError, match="is read-only"):
-        Study.open(path, readonly=False)
+        StudyFile.open(path, readonly=False)
     # What a reader left would be only for reading too, and keep its owner out.
     assert [one.name for one in tmp_path.iterdir()] == ["s.db"]
     path.chmod(0o644)
-    Study.open(path, readonly=False).close()
+    StudyFile.open(path, readonly=False).close()

@@ -13,7 +13,7 @@ import pytest
 from cornercase._common.errors import InputError
 from cornercase.recordings import read_recording
 from cornercase.scenario import ParameterSpace
-from cornercase.study import Study, write_note
+from cornercase.study import StudyFile, write_note
 from cornercase.study._notes import MAX_NOTE_LENGTH
 from helpers.synthetic_study import about
 from helpers.untrusted_files import change
@@ -25,13 +25,13 @@ SPACE = ParameterSpace.from_ranges(["a=0:10"])
 def explored(tmp_path):
     """A study that an explorer has open, with ten scenarios that were not run yet."""
     points = np.linspace(0.0, 1.0, 10)[:, None]
-    with Study.create(tmp_path / "study.db", about(SPACE, "distance")) as study:
+    with StudyFile.create(tmp_path / "study.db", about(SPACE, "distance")) as study:
         study.writer.add_pending(1, points, SPACE.values(points))
         yield study
 
 
 def notes(path: Path) -> dict[int, str]:
-    with Study.open(path, readonly=True) as study:
+    with StudyFile.open(path, readonly=True) as study:
         return study.notes()
 
 

@@ -19,7 +19,7 @@ import pytest
 
 from cornercase import SimulationError
 from cornercase._common.text.sanitize import remove_folders
-from cornercase.study import Study
+from cornercase.study import StudyFile
 from cornercase.study._stored_paths import resolve_stored_path, stored_path
 from helpers.checksums import changed
 from helpers.command_line import SPACE, X, cornercase
@@ -107,7 +107,7 @@ def test_42_s6_nothing_that_is_written_shows_where_its_author_keeps_it(written):
     assert len(list(written.rglob("*"))) > 30
     assert holding(written, "secret-name") == []
     # What is looked for would be found.
-    with Study.open(written / "imported.db") as imported:
+    with StudyFile.open(written / "imported.db") as imported:
         assert imported.meta.settings["table"] == "runs/table.csv"
         (failed,) = imported.failed_rows()
         assert failed.error is not None
@@ -175,7 +175,7 @@ def test_42_s6_a_way_through_the_root_is_none(tmp_path):
 def test_42_s6_messages_are_stored_without_folders(tmp_path, written):
     shutil.copy(written / "studies" / "s.db", tmp_path / "s.db")
     (tmp_path / "secret name").mkdir()
-    with Study.open(tmp_path / "s.db", readonly=False) as study:
+    with StudyFile.open(tmp_path / "s.db", readonly=False) as study:
         study.writer.record_failure(
             1, SimulationError(f"{tmp_path}/secret name/x.xosc, line 5: no lane at 3 m/s, see {tmp_path}/a.log")
         )
@@ -228,7 +228,7 @@ def test_42_s6_an_estimate_finds_the_scenario_and_names_it_likewise(apart, tmp_p
     made = tmp_path / "project" / "estimates" / "e.db"
     done = cornercase("estimate", apart, "--budget", "100", "-o", made)
     assert done.returncode == 0, done.stderr
-    with Study.open(made) as study:
+    with StudyFile.open(made) as study:
         assert study.meta.scenario == f"../{X.name}"
     assert holding(made.parent, tmp_path.name) == []
 

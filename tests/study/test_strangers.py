@@ -21,7 +21,7 @@ import cornercase as cc
 from conftest import at_night
 from cornercase._common.errors import InputError
 from cornercase.recordings import read_recording
-from cornercase.study import Study
+from cornercase.study import StudyFile
 from cornercase.study._codec import pack_arrays, unpack_arrays
 from helpers.command_line import cornercase
 from helpers.synthetic_study import SPACE, about
@@ -279,7 +279,7 @@ def test_a_course_that_is_longer_than_its_recording_is_refused(sent):
 
 
 def varies(sent, **values):
-    with Study.open(sent, readonly=True) as study:
+    with StudyFile.open(sent, readonly=True) as study:
         space = study.space.to_json()
     space["parameters"][0].update(values)
     set_meta(sent, space=space)
@@ -336,7 +336,7 @@ def test_names_that_xml_cannot_hold_are_refused_or_written_out(whole, sent, valu
     ],
 )
 def test_an_analysis_that_was_made_up_is_refused(sent, name, made_up, words):
-    with Study.open(sent, readonly=True) as study:
+    with StudyFile.open(sent, readonly=True) as study:
         info = study.read_reduction() if name == "reduction" else study.read_analysis(name)[1]
     made_up(info)
     change(sent, ("UPDATE analyses SET info = ? WHERE name = ?", (json.dumps(info), name)))
@@ -370,7 +370,7 @@ def test_a_view_in_place_of_a_table_is_refused(sent):
 
 
 def test_what_a_file_says_of_itself_is_not_trusted(sent):
-    with Study.open(sent, readonly=True) as study:
+    with StudyFile.open(sent, readonly=True) as study:
         assert study._database.query("PRAGMA trusted_schema") == [(0,)]
         assert study._database.query("PRAGMA query_only") == [(1,)]
 
@@ -399,7 +399,7 @@ def oddly_named(tmp_path_factory):
         **{**vars(about_it), "scenario": f"C:\\..\\{ODD[0]}\\..\\CON.{ODD[2].replace('/', '')}.xosc"}
     )
     rng = np.random.default_rng(1)
-    with Study.create(path, about_it) as study:
+    with StudyFile.create(path, about_it) as study:
         points = rng.random((12, 2))
         rows = study.writer.add_pending(1, points, space.values(points))
         for row in rows[:-1]:
@@ -425,7 +425,7 @@ def test_names_are_escaped_in_the_page(oddly_named, tmp_path):
 
 
 def test_names_are_escaped_in_notebooks(oddly_named):
-    with Study.open(oddly_named, readonly=True) as study:
+    with StudyFile.open(oddly_named, readonly=True) as study:
         shown = (study._repr_html_(), study.space._repr_html_(), study.recording(1)._repr_html_())
     assert all("&lt;script&gt;" in one and "<script" not in one for one in shown)
 
@@ -453,7 +453,7 @@ def test_names_are_no_formulas_in_tables(oddly_named, tmp_path):
                 assert cell[:1] not in tuple("=@\t\r") or not cell
                 assert cell[:1] not in tuple("+-") or not cell or np.isfinite(float(cell))
     # Undo it.
-    with Study.open(oddly_named, readonly=True) as study:
+    with StudyFile.open(oddly_named, readonly=True) as study:
         first, again = study.recording(1), read_recording(tmp_path / "recordings" / "00001.csv")
         assert (first.names, first.object_types, first.collisions) == (
             again.names,
@@ -467,7 +467,7 @@ def test_names_are_no_formulas_in_tables(oddly_named, tmp_path):
 
 
 def test_a_kept_scenario_is_called_such_that_every_platform_takes_it(oddly_named):
-    with Study.open(oddly_named, readonly=True) as study:
+    with StudyFile.open(oddly_named, readonly=True) as study:
         assert study.meta.file_name.startswith("CON.")
         assert study.meta.title.startswith("CON.")
     from cornercase._common.io.files import portable_name

@@ -19,7 +19,7 @@ from cornercase._common.typing import FloatArray
 from cornercase.recordings import Collision, Recording, read_recording
 from cornercase.recordings._recording import MOTION_ARRAYS
 from cornercase.scenario import Constraint, ParameterDeclaration, ParameterSpace
-from cornercase.study import Study
+from cornercase.study import StudyFile
 from cornercase.study import _arrays as stored_arrays
 from helpers.checksums import reseal
 from helpers.synthetic_study import about
@@ -53,7 +53,7 @@ def courses(seed: int = 0) -> dict[str, tuple[FloatArray, float]]:
 
 @pytest.fixture
 def study(tmp_path):
-    with Study.create(tmp_path / "study.db", META) as made:
+    with StudyFile.create(tmp_path / "study.db", META) as made:
         made.writer.add_pending(1, POINTS, SPACE.values(POINTS))
         made.writer.record_result(1, recording(), courses())
         made.writer.record_failure(2, SimulationError("the road ends"))
@@ -61,7 +61,7 @@ def study(tmp_path):
 
 
 def test_what_is_put_in_comes_out(study):
-    with Study.open(study.path, readonly=True) as reader:
+    with StudyFile.open(study.path, readonly=True) as reader:
         assert reader.meta == META
         assert reader.space.parameters == SPACE.parameters
         rows = reader.rows()
@@ -86,7 +86,7 @@ def test_who_collides_is_read_without_the_rest_of_the_recordings(study):
 
 
 def test_a_reader_sees_each_scenario_as_soon_as_it_has_ended(study):
-    with Study.open(study.path, readonly=True) as reader:
+    with StudyFile.open(study.path, readonly=True) as reader:
         assert len(reader.finished_rows()) == 1
         study.writer.record_result(3, recording(1), courses(1))
         assert [row.id for row in reader.finished_rows()] == [1, 3]
@@ -115,14 +115,14 @@ def test_a_transaction_that_an_interrupt_left_open_does_not_end_the_study(study)
     study._database.connection.execute("BEGIN IMMEDIATE")
     study.writer.record_result(3, recording(1), courses(1))
     assert len(study.finished_rows()) == before + 1
-    with Study.open(study.path, readonly=True) as reader:
+    with StudyFile.open(study.path, readonly=True) as reader:
         assert len(reader.finished_rows()) == before + 1
 
 
 def test_the_same_content_gives_the_same_bytes(tmp_path):
     blobs = []
     for name in "ab":
-        with Study.create(tmp_path / name, META) as made:
+        with StudyFile.create(tmp_path / name, META) as made:
             made.writer.add_pending(1, POINTS, SPACE.values(POINTS))
             made.writer.record_result(1, recording(), courses())
             made.writer.save_analysis("wttc", {"ids": np.arange(3)}, {"gamma": 1.0})
@@ -156,7 +156,7 @@ def test_no_value_in_the_file_grows_with_the_number_of_pairs(tmp_path):
     points = rng.random((300, 2))
     distances = cdist(points, points)
     arrays = {"ids": np.arange(1, 301), "distances": distances, "embedding": rng.random((300, 40))}
-    with Study.create(tmp_path / "s.db", META) as study:
+    with StudyFile.create(tmp_path / "s.db", META) as study:
         study.writer.add_pending(1, points, SPACE.values(points))
         # As SQLite's limit of 1e9 bytes, for 300 scenarios instead of 11,500.
         study._database.connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, 50_000)
@@ -195,11 +195,11 @@ def test_time_spent_adds_up(study):
 
 def test_making_a_study_leaves_the_one_that_is_there(study, tmp_path):
     with pytest.raises(InputError, match="exists already"):
-        Study.create(study.path, META)
+        StudyFile.create(study.path, META)
     study.close()
     with pytest.raises(InputError, match="exists already"):
-        Study.create(study.path, META)
-    with Study.open(study.path, readonly=False) as again:
+        StudyFile.create(study.path, META)
+    with StudyFile.open(study.path, readonly=False) as again:
         assert len(again.rows()) == 3
 
 
@@ -210,21 +210,21 @@ def test_a_foreign_database_is_left_as_it_is(tmp_path):
     connection.close()
     before = path.read_bytes()
     with pytest.raises(InputError, match="not a cornercase study"):
-        Study.open(path, readonly=False)
+        StudyFile.open(path, readonly=False)
     assert path.read_bytes() == before
     assert [p.name for p in tmp_path.iterdir()] == ["other.db"]
 
 
 def test_a_new_study_holds_nothing_of_one_that_was_removed(study):
     # A reader keeps the log of the one that is removed, as a killed explorer does.
-    with Study.open(study.path, readonly=True):
+    with StudyFile.open(study.path, readonly=True):
         study.close()
         study.path.unlink()
         assert study.path.with_name(study.path.name + "-wal").exists()
-        with Study.create(study.path, META) as anew:
+        with StudyFile.create(study.path, META) as anew:
             assert anew.rows() == []
             anew.writer.add_pending(1, POINTS[:1], SPACE.values(POINTS[:1]))
-        with Study.open(study.path, readonly=True) as reader:
+        with StudyFile.open(study.path, readonly=True) as reader:
             assert [row.state for row in reader.rows()] == ["pending"]
 
 
@@ -236,7 +236,7 @@ def test_another_schema_version_is_refused(study, version):
     connection.close()
     for readonly in (True, False):
         with pytest.raises(InputError, match=rf"study\.db: has schema version {version}.*run `explore` again"):
-            Study.open(study.path, readonly=readonly)
+            StudyFile.open(study.path, readonly=readonly)
 
 
 def test_a_table_with_other_columns_is_refused(study):
@@ -245,7 +245,7 @@ def test_a_table_with_other_columns_is_refused(study):
         connection.execute("ALTER TABLE notes DROP COLUMN checksum")
     connection.close()
     with pytest.raises(InputError, match=r"study\.db: .*the table 'notes' with other columns.*run `explore` again"):
-        Study.open(study.path)
+        StudyFile.open(study.path)
 
 
 def test_a_full_disk_is_said_and_harms_nothing(study):
@@ -255,7 +255,7 @@ def test_a_full_disk_is_said_and_harms_nothing(study):
     with pytest.raises(InputError, match=r"study\.db.*full"):
         study.writer.record_result(3, recording(1), {"distance": (np.random.default_rng(0).random(100_000), 0.0)})
     study.close()
-    with Study.open(study.path, readonly=False) as again:
+    with StudyFile.open(study.path, readonly=False) as again:
         assert [row.state for row in again.rows()] == ["done", "failed", "pending"]
         assert same_recording(again.recording(1), recording())
 
@@ -263,7 +263,7 @@ def test_a_full_disk_is_said_and_harms_nothing(study):
 def test_a_place_that_cannot_be_written_is_said(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="cannot be written"):
-        Study.create(tmp_path / "file" / "study.db", META)
+        StudyFile.create(tmp_path / "file" / "study.db", META)
 
 
 def test_a_study_in_a_folder_that_cannot_be_written_is_read(study, monkeypatch):
@@ -271,7 +271,7 @@ def test_a_study_in_a_folder_that_cannot_be_written_is_read(study, monkeypatch):
     for left in ("study.db-wal", "study.db-shm", "study.db-journal"):
         assert not (study.path.parent / left).exists()
     monkeypatch.setattr(os, "access", lambda path, mode: False)
-    with Study.open(study.path, readonly=True) as reader:
+    with StudyFile.open(study.path, readonly=True) as reader:
         assert len(reader.rows()) == 3
         assert not (study.path.parent / "study.db-shm").exists()
 
@@ -299,7 +299,7 @@ def test_a_damaged_study_leaves_nothing_of_an_export(study, tmp_path):
     study.close()
     with closing(sqlite3.connect(path)) as connection, connection:
         connection.execute("UPDATE scenarios SET recording = substr(recording, 2) WHERE id = 3")
-    with Study.open(path, readonly=True) as reader, pytest.raises(InputError, match="damaged"):
+    with StudyFile.open(path, readonly=True) as reader, pytest.raises(InputError, match="damaged"):
         reader.export(tmp_path / "tables")
     assert not (tmp_path / "tables").exists()
 
@@ -349,7 +349,7 @@ def test_a_table_reads_no_distances(study):
 def test_a_parameter_that_is_called_like_a_metric_has_a_column_of_its_own(tmp_path):
     space = ParameterSpace.from_ranges(["distance=0:1", "state=0:1"])
     points = np.array([[0.25, 0.75]])
-    with Study.create(tmp_path / "s.db", about(space, "distance")) as study:
+    with StudyFile.create(tmp_path / "s.db", about(space, "distance")) as study:
         study.writer.add_pending(1, points, space.values(points))
         study.writer.record_result(1, recording(), {"distance": courses()["distance"]})
         table = study.table()
@@ -359,7 +359,7 @@ def test_a_parameter_that_is_called_like_a_metric_has_a_column_of_its_own(tmp_pa
 
 
 def test_what_is_read_together_is_of_one_moment(study):
-    with Study.open(study.path, readonly=True) as reader:
+    with StudyFile.open(study.path, readonly=True) as reader:
         with reader.snapshot():
             assert len(reader.scores("wttc")) == 1
             study.writer.record_result(3, recording(1), courses(1))
@@ -372,7 +372,7 @@ def test_a_study_says_what_it_is_and_escapes_names(tmp_path, monkeypatch):
     monkeypatch.setattr("cornercase.report._notebook.render_notebook_report", lambda path: None)
     space = ParameterSpace.from_ranges(["<b>=0:1"])
     points = np.array([[0.25], [0.75]])
-    with Study.create(tmp_path / "s.db", about(space, "distance", ego="<i>Ego</i>")) as study:
+    with StudyFile.create(tmp_path / "s.db", about(space, "distance", ego="<i>Ego</i>")) as study:
         study.writer.add_pending(1, points, space.values(points))
         for number, score in enumerate((3.0, 1.25), 1):
             study.writer.record_result(number, recording(), {"distance": (courses()["distance"][0], score)})
@@ -390,11 +390,11 @@ def test_a_study_with_damaged_facts_is_refused_in_a_sentence(study):
         connection.execute("UPDATE meta SET value = '[' WHERE key = 'metrics'")
     connection.close()
     with pytest.raises(InputError, match="its table meta has a wrong checksum for key 'metrics'"):
-        Study.open(study.path, readonly=False)
+        StudyFile.open(study.path, readonly=False)
     reseal(study.path)
     for readonly in (True, False):
         with pytest.raises(InputError, match="cannot be used as a study"):
-            Study.open(study.path, readonly=readonly)
+            StudyFile.open(study.path, readonly=readonly)
 
 
 def test_what_an_earlier_version_did_not_write_is_noted_when_the_search_goes_on(study):
@@ -403,7 +403,7 @@ def test_what_an_earlier_version_did_not_write_is_noted_when_the_search_goes_on(
     known = replace(META, space=ParameterSpace(SPACE.parameters, declared), critical=0.5)
     study.writer.resume(known)
     study.close()
-    with Study.open(study.path, readonly=False) as again:
+    with StudyFile.open(study.path, readonly=False) as again:
         assert again.meta == known
         assert again.space.is_admissible(POINTS).tolist() == [True, True, True]
         assert not again.space.is_admissible(np.array([[0.9, 0.5]])).any()
@@ -439,15 +439,15 @@ def test_a_study_that_is_closed_says_so(study):
 @pytest.mark.parametrize("wrong", [None, 3, ""])
 def test_what_is_no_path_is_refused(wrong):
     with pytest.raises(InputError, match=r"`path` .*: give the path of a file"):
-        Study.open(wrong, readonly=False)
+        StudyFile.open(wrong, readonly=False)
 
 
 def test_a_folder_is_no_study(tmp_path):
     with pytest.raises(InputError, match="is not a file; name the file of a study"):
-        Study.open(tmp_path, readonly=False)
+        StudyFile.open(tmp_path, readonly=False)
 
 
 @pytest.mark.skipif(not os.path.isdir("/proc/self"), reason="needs a folder in which nobody can make files")
 def test_a_folder_that_cannot_be_written_is_said():
     with pytest.raises(InputError, match="cannot be written"):
-        Study.create("/proc/study.db", META)
+        StudyFile.create("/proc/study.db", META)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from cornercase import SimulationError
-from cornercase.study import Study
+from cornercase.study import StudyFile
 from helpers.command_line import cornercase
 from helpers.synthetic_study import SPACE, about
 
@@ -18,7 +18,7 @@ POINTS = np.array([[0.25, 0.5], [0.5, 0.25]])
 
 @pytest.fixture
 def path(tmp_path):
-    with Study.create(tmp_path / "s.db", about(SPACE, "distance")) as study:
+    with StudyFile.create(tmp_path / "s.db", about(SPACE, "distance")) as study:
         study.writer.add_pending(1, POINTS, SPACE.values(POINTS))
         study.writer.record_failure(1, SimulationError("told"))
     return tmp_path / "s.db"

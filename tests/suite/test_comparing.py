@@ -16,7 +16,7 @@ from cornercase.drivers import NORMAL, BehaviourDriver
 from cornercase.optimizers import SobolOptimizer
 from cornercase.recordings import Collision, Recording
 from cornercase.scenario import ParameterSpace
-from cornercase.study import Study
+from cornercase.study import StudyFile
 from cornercase.suite import ScenarioPair
 from cornercase.suite._recording_difference import compare_recording_pair
 from cornercase.suite.compare._choose_examples import choose_examples
@@ -43,7 +43,7 @@ def recording(gap: float, hit: bool = False) -> Recording:
 def written(path, gaps, points=GRID, hits=(), failed=(), space=SPACE, metrics=("distance",), **more):
     """A study of scenarios in which the other stands so far away."""
     meta = about(space, *metrics, **({"critical": 1.0, "simulator": "builtin"} | more))
-    with Study.create(path, meta) as study:
+    with StudyFile.create(path, meta) as study:
         rows = study.writer.add_pending(1, points, space.values(points))
         for k, row in enumerate(rows):
             if k in failed:
@@ -315,7 +315,7 @@ def test_one_threshold_for_both_takes_the_place_of_their_own(tmp_path):
     assert f"Threshold of criticality: {between:g}" in describe_comparison(found)[0].sentences[-1]
     result = cornercase("compare", old, new, "--critical", between, "-o", tmp_path / "page.html")
     assert result.returncode == 0, result.stderr
-    with Study.open(new) as study:
+    with StudyFile.open(new) as study:
         assert study.meta.critical == 2.0
 
 
@@ -333,10 +333,10 @@ def test_another_scenario_is_refused_and_imported_recordings_are_not(tmp_path):
         old, new = (tmp_path / f"{one} {simulator}.db" for one in names)
         for path in (old, new):
             written(path, GAPS, simulator=simulator)
-            with Study.open(path, readonly=False) as study:
+            with StudyFile.open(path, readonly=False) as study:
                 meta = replace(study.meta, fingerprint=path.name, scenario=f"{path.stem}.xosc")
             path.unlink()
-            with Study.create(path, meta) as study:
+            with StudyFile.create(path, meta) as study:
                 for row in study.writer.add_pending(1, GRID, SPACE.values(GRID)):
                     study.writer.record_result(row.id, recording(1.0), {"distance": (np.full(3, 1.0), 1.0)})
         if simulator == "imported":
@@ -462,7 +462,7 @@ def test_new_scenarios_join_the_kinds_of_the_old_study(versions):
     assert all(one.old == one.new for one in itself.clusters["interaction"])
     kinds = found.clusters["interaction"]
     assert sum(one.old for one in kinds) == sum(one.new for one in kinds) == 40
-    with Study.open(old, readonly=True) as study:
+    with StudyFile.open(old, readonly=True) as study:
         labels = study.read_analysis("interaction", "labels")[0]["labels"]
     assert {one.cluster: one.old for one in kinds if one.old} == {
         int(one): int((labels == one).sum()) for one in np.unique(labels)

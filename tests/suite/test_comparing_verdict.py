@@ -20,7 +20,7 @@ from cornercase.drivers import NORMAL, BehaviourDriver
 from cornercase.optimizers import SobolOptimizer
 from cornercase.recordings import Collision, Recording
 from cornercase.scenario import ParameterSpace
-from cornercase.study import Study
+from cornercase.study import StudyFile
 from cornercase.suite import ScenarioPair
 from cornercase.suite.compare._change_verdict import decide_verdict, find_findings
 from cornercase.suite.compare._comparison import ALPHA
@@ -47,7 +47,7 @@ def recording(gap: float, hit: bool = False) -> Recording:
 def written(path, gaps, hits=(), failed=(), points=POINTS, metrics=("distance",), **more):
     """A study of scenarios in which the other stands so far away, which is the score of all metrics."""
     meta = about(SPACE, *metrics, **({"critical": 1.0, "simulator": "builtin"} | more))
-    with Study.create(path, meta) as study:
+    with StudyFile.create(path, meta) as study:
         for k, row in enumerate(study.writer.add_pending(1, points, SPACE.values(points))):
             if k in failed:
                 study.writer.record_failure(row.id, SimulationError("it broke"))
@@ -204,7 +204,7 @@ def test_a_place_that_is_missed_by_less_than_the_tolerance_is_the_same(tmp_path)
 
     def study(name, short):
         meta = about(SPACE, "distance", critical=1.0, simulator="builtin", requirements=("reach 20,0,2 within 2",))
-        with Study.create(tmp_path / name, meta) as made:
+        with StudyFile.create(tmp_path / name, meta) as made:
             for row in made.writer.add_pending(1, POINTS[:3], SPACE.values(POINTS[:3])):
                 x = np.stack([np.array([0.0, 9.0, 18.0 - short[row.id - 1]]), np.full(3, 50.0)])
                 made.writer.record_result(
@@ -420,7 +420,7 @@ def drivers(tmp_path_factory, x_intersection):
 def recounted(old, new, tolerances):
     """What is worse and better, from the recordings alone."""
     found: tuple[dict[str, set[int]], dict[str, set[int]]] = (defaultdict(set), defaultdict(set))
-    with Study.open(old, readonly=True) as before, Study.open(new, readonly=True) as after:
+    with StudyFile.open(old, readonly=True) as before, StudyFile.open(new, readonly=True) as after:
         others = before.meta.others
         for row in before.finished_rows():
             recordings = [study.recording(row.id) for study in (before, after)]
@@ -492,7 +492,7 @@ def test_verdicts_on_runs_of_a_suite_are_those_of_their_recordings(explored, tmp
         for each in expected:
             if "collision" in each:
                 each["no collision"] = each["collision"]
-        with Study.open(old, readonly=True) as first, Study.open(new, readonly=True) as last:
+        with StudyFile.open(old, readonly=True) as first, StudyFile.open(new, readonly=True) as last:
             for row in first.finished_rows():
                 least = [least_ttc(study.recording(row.id), first.meta.other) for study in (first, last)]
                 if (least[0] > 2.0) != (least[1] > 2.0) and abs(least[1] - least[0]) > 0.1:

@@ -20,7 +20,7 @@ from typer.testing import CliRunner
 from conftest import EXAMPLES
 from cornercase import InputError
 from cornercase.cli import app
-from cornercase.study import Study
+from cornercase.study import StudyFile
 from integration.test_golden import same
 
 EXAMPLE = EXAMPLES / "suite"
@@ -95,7 +95,7 @@ def test_the_commands_make_the_suite_again(repository):
     # A few numbers come from a surrogate, whose fit depends on the last digits of sums.
     same(json.loads(after.pop("manifest.json")), json.loads(before.pop("manifest.json")), "manifest")
     assert after == before
-    with Study.open("study.db", readonly=True) as study:
+    with StudyFile.open("study.db", readonly=True) as study:
         assert not any(study.recording(row.id).collisions for row in study.finished_rows())
 
 

@@ -9,7 +9,7 @@ from lxml import etree
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import BuiltinSimulator
-from cornercase.study import Study
+from cornercase.study import StudyFile
 from helpers.command_line import cornercase
 
 SCHEMA = etree.XMLSchema(etree.parse(str(Path(__file__).parents[1] / "data" / "junit.xsd")))
@@ -58,7 +58,7 @@ def test_an_aggressive_driver_fails_where_it_collides_and_a_cautious_one_passes(
 def test_the_study_remembers_the_set_that_represents_it(demonstrated):
     manifest = json.loads((demonstrated / "reduced" / "manifest.json").read_text())
     kept = [one["id"] for one in manifest["scenarios"]]
-    with Study.open(demonstrated / "study.db", readonly=True) as study:
+    with StudyFile.open(demonstrated / "study.db", readonly=True) as study:
         remembered = study.read_reduction()
     assert remembered is not None
     assert [one["id"] for one in remembered["kept"]] == kept

@@ -16,7 +16,7 @@ from conftest import EXAMPLES, ROAD, car, moving, same_recording, scenario_file
 from cornercase.metrics import METRICS
 from cornercase.metrics._measure import evaluate_metrics
 from cornercase.scenario import LogicalScenario
-from cornercase.study import Study
+from cornercase.study import StudyFile
 
 pytestmark = pytest.mark.filterwarnings("ignore::cornercase._common.errors.NoticeWarning")
 
@@ -96,7 +96,7 @@ def expected_states(recording, ego, other):
 
 def read(path):
     """Of each scenario of a study its values, recording and scores, computed anew from the recording."""
-    with Study.open(path, readonly=True) as study:
+    with StudyFile.open(path, readonly=True) as study:
         metrics = [METRICS.create(name) for name in METRIC_NAMES]
         rows = study.rows()
         assert [row.state for row in rows] == ["done"] * len(rows)
@@ -145,13 +145,13 @@ def require_told(old, new, ego):
 
 
 def others_of(path):
-    with Study.open(path, readonly=True) as study:
+    with StudyFile.open(path, readonly=True) as study:
         return study.meta.others
 
 
 def require_suite(result, path, ego, other, origin=None):
     """Verdicts of a suite are what its recordings say; where nothing else drives, these are the ones it was made of."""
-    with Study.open(path, readonly=True) as study:
+    with StudyFile.open(path, readonly=True) as study:
         for one in result.scenarios:
             recording = study.recording(one.id)
             assert {verdict.requirement: verdict.state for verdict in one.verdicts} == expected_states(
@@ -176,7 +176,7 @@ def go_through(logical, folder, ego, other, size=6):
     kept = cc.reduce(old, folder / "set", size=size, scenario=logical.scenario_file)
     tested = cc.run_suite(folder / "set", run, require=REQUIRED)
     slower = cc.run_suite(folder / "set", slow, require=REQUIRED, drivers={ego: SLOWER})
-    with Study.open(old, readonly=True) as study:
+    with StudyFile.open(old, readonly=True) as study:
         require_suite(tested, run, ego, other, study)
         critical = int((study.scores("ttc") <= float(study.critical or 0.0)).sum())
         explored = len(study.rows())

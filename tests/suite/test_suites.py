@@ -23,7 +23,7 @@ import cornercase as cc
 from conftest import at_night, moving, private, same_recording, scenario_file, speed_action, teleport
 from cornercase.cli import app
 from cornercase.exploration import examples_folder
-from cornercase.study import Study
+from cornercase.study import StudyFile
 from cornercase.suite import RecordingDifference, ScenarioResult, SuiteResult, Verdict
 from cornercase.suite._judge import judge_study
 from cornercase.suite._junit import write_junit
@@ -52,7 +52,10 @@ def stored(path):
 def test_the_suite_of_a_study_gives_its_recordings_byte_for_byte(explored, ran):
     assert len(ran.scenarios) == 6
     assert all(one.same and one.distance == 0.0 for one in differences(ran))
-    with Study.open(explored / "study.db", readonly=True) as study, Study.open(ran.study, readonly=True) as again:
+    with (
+        StudyFile.open(explored / "study.db", readonly=True) as study,
+        StudyFile.open(ran.study, readonly=True) as again,
+    ):
         for one in ran.scenarios:
             assert same_recording(study.recording(one.origin), again.recording(one.id))
             assert study.scenario_scores(one.origin) == one.scores
@@ -111,7 +114,7 @@ def test_of_several_others_it_is_told_whom_each_score_is_against(ran, tmp_path):
     for kind in ("xosc", "xodr"):
         shutil.copy(examples_folder() / "x_intersection" / f"x_intersection.{kind}", folder)
     result = cc.run_suite(folder, tmp_path / "run.db", ego="Ego", other="*", metrics=["wttc"], junit=junit)
-    with Study.open(result.study, readonly=True) as study:
+    with StudyFile.open(result.study, readonly=True) as study:
         assert len(study.meta.others) > 1
         whom = study.score_sources("wttc")[1]
     assert whom is not None
@@ -130,7 +133,7 @@ def test_requirements_of_a_kind_are_those_of_its_scenarios(explored, ran, tmp_pa
     )
     assert {len(one.verdicts) for one in found.scenarios} == {0, 1}
     assert {one.id for one in found.scenarios if one.verdicts} == {one.id for one in ran.scenarios if one.kind == kind}
-    with Study.open(tmp_path / "run.db", readonly=True) as study:
+    with StudyFile.open(tmp_path / "run.db", readonly=True) as study:
         assert {key: value for key, value in judge_study(study).items() if value} == {
             one.id: list(one.verdicts) for one in found.scenarios if one.verdicts
         }
@@ -175,7 +178,7 @@ def test_a_killed_run_goes_on_as_if_undisturbed(reduced, tmp_path, monkeypatch):
         env={**os.environ, "KILL": "yes"}, capture_output=True, timeout=120, check=False,
     )  # fmt: skip
     assert killed.returncode == -9
-    with Study.open(tmp_path / "killed.db", readonly=True) as study:
+    with StudyFile.open(tmp_path / "killed.db", readonly=True) as study:
         assert 0 < len(study.finished_rows()) < 6
     with pytest.raises(cc.InputError, match=r"killed\.db: \d of its 6 scenarios have not been run yet"):
         cc.compare(reduced.parent / "study.db", tmp_path / "killed.db")
@@ -200,14 +203,14 @@ def test_what_has_run_is_judged_anew_by_other_requirements(explored, tmp_path):
     path = tmp_path / "run.db"
     cc.run_suite(explored / "reduced", path)
     before = stored(path)
-    with Study.open(path, readonly=True) as study:
+    with StudyFile.open(path, readonly=True) as study:
         assert judge_study(study) == {}
         spent = study.elapsed_by_stage()["simulate"]
     result = cc.run_suite(explored / "reduced", path, require=["ego.speed <= 1 m/s", "for *-0000?.xosc: no collision"])
     assert all(one.verdicts[0].state == "failed" for one in result.scenarios)
     assert all(len(one.verdicts) == 1 + ((one.origin or 0) < 10) for one in result.scenarios)
     assert stored(path) == before
-    with Study.open(path, readonly=True) as study:
+    with StudyFile.open(path, readonly=True) as study:
         assert study.elapsed_by_stage()["simulate"] == spent
         assert study.meta.requirements == result.requirements
     with pytest.raises(cc.InputError, match=r"other simulator settings \(driver of Ego: as the file says there"):

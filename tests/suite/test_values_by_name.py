@@ -16,7 +16,7 @@ from cornercase.scenario._file import ScenarioFile
 from cornercase.simulators import SIMULATORS, BuiltinSimulator
 from cornercase.simulators._create import create_simulator
 from cornercase.simulators._results import run_scenarios
-from cornercase.study import Study
+from cornercase.study import StudyFile
 from documentation.test_documentation import ROOT, blocks_of
 from helpers.fake_simulators import Plan
 
@@ -101,7 +101,7 @@ def test_42_1_one_file_alone_and_many_are_given_their_values(braking, tmp_path):
     cc.simulate(file, {"ego_start": 44.0}, simulator="noting")
     first = explored[kept.scenarios[0].id - 1]
     assert braking == [first, first, first | {"ego_start": 44.0}]
-    with Study.open(tmp_path / "s.db", readonly=True) as study:
+    with StudyFile.open(tmp_path / "s.db", readonly=True) as study:
         assert same_recording(alone, study.recording(kept.scenarios[0].id))
 
 

@@ -15,7 +15,7 @@ from cornercase.cli.profiling import Profile
 
 if TYPE_CHECKING:
     from cornercase.scenario._file import ScenarioFile
-    from cornercase.study import Study
+    from cornercase.study import StudyFile
 
 # Size of the suite of an example.
 _SUITE_SIZE: Final = 20
@@ -47,7 +47,7 @@ def demo(
     from cornercase.exploration._explore import explore_config
     from cornercase.exploration._paper_examples import paper_experiment_config, paper_experiment_mutant_count
     from cornercase.report import write_report
-    from cornercase.study import Study
+    from cornercase.study import StudyFile
 
     folder = output or Path("demo") / name
     configuration = paper_experiment_config(
@@ -56,7 +56,7 @@ def demo(
     scenario, study = configuration.logical.scenario_file, folder / "study.db"
     with compile_in_parallel():
         opt.print_ending(explore_config(configuration, study, progress=True))
-        with Study.open(study, readonly=False) as opened:
+        with StudyFile.open(study, readonly=False) as opened:
             clustering.analyze(opened, progress=True)
             # First, as the study stores only the last reduced set.
             if (mutants := paper_experiment_mutant_count(name)) is not None:
@@ -66,7 +66,7 @@ def demo(
     out.print(f"The report is {(folder / 'report.html').resolve()}")
 
 
-def _write_suite(study: Study, folder: Path, mutants: int, scenario: ScenarioFile) -> None:
+def _write_suite(study: StudyFile, folder: Path, mutants: int, scenario: ScenarioFile) -> None:
     """Write a suite that kills mutants of the ego's driver, and print how to run it."""
     from cornercase import reduction
     from cornercase.suite import analyze_mutants

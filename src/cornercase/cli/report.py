@@ -171,9 +171,9 @@ def export(
     Example:
       cornercase export study.db -o tables
     """
-    from cornercase.study import Study
+    from cornercase.study import StudyFile
 
-    with Study.open(study, readonly=True) as opened:
+    with StudyFile.open(study, readonly=True) as opened:
         opened.export(output, parquet=parquet)
     out.print(f"Written to {output}")
 

@@ -147,7 +147,7 @@ def reduce(
     """
     from cornercase import reduction
     from cornercase.clustering import read_analysis
-    from cornercase.study._study import open_study
+    from cornercase.study._study_file import open_study
     from cornercase.suite import analyze_mutants
 
     exposure = None

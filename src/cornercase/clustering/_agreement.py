@@ -13,7 +13,7 @@ from cornercase._common.text.sanitize import quote_name
 from cornercase._common.typing import IntArray
 from cornercase.clustering._ending import Outcome
 from cornercase.exploration._objective import Objective
-from cornercase.study import Study
+from cornercase.study import StudyFile
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ def compare_labels(ids: IntArray, labels_a: IntArray, labels_b: IntArray) -> Agr
     )
 
 
-def compare_clusterings(study: Study) -> dict[tuple[str, str], Agreement]:
+def compare_clusterings(study: StudyFile) -> dict[tuple[str, str], Agreement]:
     """Compare all pairs of a study's analyses that have the same scenarios; returned by the two aspects.
 
     Pairs with a single cluster (or only noise) on both sides are left out: they agree by construction.
@@ -66,7 +66,7 @@ def compare_clusterings(study: Study) -> dict[tuple[str, str], Agreement]:
     }
 
 
-def collect_facts(study: Study, outcomes: Sequence[Outcome]) -> dict[str, list[str]]:
+def collect_facts(study: StudyFile, outcomes: Sequence[Outcome]) -> dict[str, list[str]]:
     """Return facts that differ between scenarios, by name one value per scenario, to compare clusterings with.
 
     ``"outcome"`` (its text), ``"first"`` (None if ego and other collide), ``"ego first"``, ``"collision"``,
@@ -101,7 +101,7 @@ def mutual_information_with_facts(labels: IntArray, facts: Mapping[str, Sequence
     return {name: float(adjusted_mutual_info_score(list(values), labels)) for name, values in facts.items()}
 
 
-def mutual_information_with_critical(study: Study, ids: IntArray, labels: IntArray) -> dict[str, float]:
+def mutual_information_with_critical(study: StudyFile, ids: IntArray, labels: IntArray) -> dict[str, float]:
     """Return the agreement of labels and the fact ``"critical"``; empty if all scenarios or none are critical."""
     is_critical = dict(
         zip(

@@ -15,7 +15,7 @@ from cornercase.clustering._clustering import Candidate, Clustering
 from cornercase.clustering._embedding import Distances, EmbeddedDistances
 from cornercase.clustering.naming._profiles import Profile
 from cornercase.clustering.naming._rules import Rule
-from cornercase.study import Study
+from cornercase.study import StudyFile
 from cornercase.study._damage import dataclass_from_json, require_value, reraise_as_damage
 
 
@@ -97,9 +97,9 @@ class Analysis:
 
 
 def analysis_to_storage(
-    study: Study, analysis: Analysis, dtw_distances: FloatArray, distances: Distances
+    study: StudyFile, analysis: Analysis, dtw_distances: FloatArray, distances: Distances
 ) -> tuple[dict[str, npt.ArrayLike], dict[str, Any]]:
-    """Return the arrays and the info that `Study.save_analysis` stores of an analysis.
+    """Return the arrays and the info that `StudyFile.save_analysis` stores of an analysis.
 
     `dtw_distances` are between all scenarios or the landmarks, `distances` between all scenarios.
     """
@@ -136,7 +136,7 @@ def analysis_to_storage(
     return arrays, info
 
 
-def read_analysis(study: Study, by: str) -> Analysis:
+def read_analysis(study: StudyFile, by: str) -> Analysis:
     """Read back what `analyze` found by one aspect.
 
     Parameters
@@ -223,7 +223,7 @@ def _profiles_from_storage(info: Mapping[str, Any]) -> tuple[Profile, ...]:
     return tuple(profiles)
 
 
-def read_analyses(study: Study) -> dict[str, Analysis]:
+def read_analyses(study: StudyFile) -> dict[str, Analysis]:
     """Read back all analyses of a study.
 
     Parameters
@@ -239,7 +239,7 @@ def read_analyses(study: Study) -> dict[str, Analysis]:
     return {by: read_analysis(study, by) for by in study.analyzed_aspects()}
 
 
-def read_distances(study: Study, by: str) -> Distances:
+def read_distances(study: StudyFile, by: str) -> Distances:
     """Read the distances by which scenarios were clustered.
 
     Parameters
@@ -276,7 +276,7 @@ def read_distances(study: Study, by: str) -> Distances:
     return distances
 
 
-def read_landmark_distances(study: Study, by: str) -> FloatArray:
+def read_landmark_distances(study: StudyFile, by: str) -> FloatArray:
     """Read the distances between the landmarks of an analysis, shape (m, m)."""
     arrays, _ = study.read_analysis(by, "landmarks", "between")
     distances: FloatArray = arrays["between"]

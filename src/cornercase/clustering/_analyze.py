@@ -45,8 +45,8 @@ from cornercase.clustering._series import (
 from cornercase.clustering.naming._predicates import NamingFacts
 from cornercase.clustering.naming._profiles import profile_clusters
 from cornercase.clustering.naming._scenario_features import measure_features
-from cornercase.study import Study
-from cornercase.study._study import open_study
+from cornercase.study import StudyFile
+from cornercase.study._study_file import open_study
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -61,7 +61,7 @@ _BYTES_PER_SCENARIO: Final = 8_000
 
 
 def analyze(
-    study: Study | Path | str,
+    study: StudyFile | Path | str,
     by: str | Sequence[str] | None = None,
     *,
     gamma: float | Literal["auto"] = "auto",
@@ -172,7 +172,7 @@ class _Inputs:
 
 
 def _analyze_by_aspects(
-    study: Study,
+    study: StudyFile,
     aspects: Sequence[str],
     model: ScenarioClustering,
     window: float | None,
@@ -233,7 +233,7 @@ def _analyze_by_aspects(
     return results
 
 
-def _choose_stride(study: Study, ids: IntArray) -> int:
+def _choose_stride(study: StudyFile, ids: IntArray) -> int:
     """Stride of the series, from the lengths of some of the recordings; 1 if all pairs are compared."""
     if len(ids) <= MAX_ALL_PAIRS:
         return 1
@@ -242,7 +242,7 @@ def _choose_stride(study: Study, ids: IntArray) -> int:
 
 
 def _read_inputs(
-    study: Study,
+    study: StudyFile,
     ids: IntArray,
     strides: dict[str, int],
     memory_limit: MemoryLimit,
@@ -274,7 +274,7 @@ def _read_inputs(
 
 
 def _require_memory(
-    study: Study,
+    study: StudyFile,
     series_by_aspect: dict[str, list[FloatArray]],
     n_aspects: int,
     n_scenarios: int,
@@ -297,7 +297,7 @@ def _require_memory(
 
 
 def _cluster_by_aspect(
-    study: Study,
+    study: StudyFile,
     ids: IntArray,
     comparer: PairwiseComparer,
     model: ScenarioClustering,

@@ -14,7 +14,7 @@ from cornercase.clustering._landmarks import PairwiseComparer
 from cornercase.clustering._scenario_clustering import ScenarioClustering
 from cornercase.clustering._series import downsample, read_series, window_in_instants
 from cornercase.dtw import distance_matrix
-from cornercase.study import Study
+from cornercase.study import StudyFile
 
 
 def refit(analysis: Analysis, distances: FloatArray) -> ScenarioClustering:
@@ -29,7 +29,7 @@ def refit(analysis: Analysis, distances: FloatArray) -> ScenarioClustering:
     ).fit(distances)
 
 
-def assign_to_clusters(study: Study, analysis: Analysis, other_study: Study, ids: Sequence[int]) -> IntArray:
+def assign_to_clusters(study: StudyFile, analysis: Analysis, other_study: StudyFile, ids: Sequence[int]) -> IntArray:
     """Assign scenarios `ids` of another study to the clusters of an analysis; -1 is noise.
 
     Works as `ScenarioClustering.predict`. The other study has the same entities, and the same metric if the analysis is

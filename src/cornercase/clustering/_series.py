@@ -17,7 +17,7 @@ from cornercase.clustering._aspects import ASPECTS, EGO_TRAJECTORY, Aspect
 from cornercase.metrics import METRICS
 from cornercase.recordings import Recording
 from cornercase.recordings._recording import MOTION_ARRAYS
-from cornercase.study import Study
+from cornercase.study import StudyFile
 
 DEFAULT_ASPECTS: Final = (EGO_TRAJECTORY, "bearing", "interaction")
 """Aspects that `analyze` uses besides the metrics of the study."""
@@ -25,12 +25,12 @@ MAX_INSTANTS: Final = 100
 """Largest number of instants of a series of median length."""
 
 
-def default_aspects(study: Study) -> tuple[str, ...]:
+def default_aspects(study: StudyFile) -> tuple[str, ...]:
     """Return the aspects that `analyze` uses by default: `DEFAULT_ASPECTS`, then the metrics of the study."""
     return (*DEFAULT_ASPECTS, *study.meta.metrics)
 
 
-def require_aspect(study: Study, aspect: str) -> None:
+def require_aspect(study: StudyFile, aspect: str) -> None:
     """Raise `InputError` unless `aspect` is one of `ASPECTS` or a metric of the study."""
     if aspect in study.meta.metrics:
         return
@@ -55,7 +55,7 @@ def create_aspect(name: str) -> Aspect:
 
 
 def read_series(
-    study: Study, aspect: str, ids: Sequence[int] | None = None, other_entity: str | None = None
+    study: StudyFile, aspect: str, ids: Sequence[int] | None = None, other_entity: str | None = None
 ) -> list[FloatArray]:
     """Return one time series per finished scenario, or per scenario of `ids`: shape (T_i, k); (T_i,) for a metric.
 
@@ -74,7 +74,9 @@ def read_series(
     return series
 
 
-def aspect_series(study: Study, scenario: int, recording: Recording, aspect: Aspect, other_entity: str) -> FloatArray:
+def aspect_series(
+    study: StudyFile, scenario: int, recording: Recording, aspect: Aspect, other_entity: str
+) -> FloatArray:
     """Return the time series of one scenario for an aspect, shape (T, k), checked.
 
     `other_entity` is the entity that the aspect looks at besides the ego; it is the same in all scenarios that are
@@ -106,7 +108,7 @@ def aspect_series(study: Study, scenario: int, recording: Recording, aspect: Asp
     return series
 
 
-def require_same_channels(study: Study, aspect: str, ids: Sequence[int], series: Sequence[FloatArray]) -> None:
+def require_same_channels(study: StudyFile, aspect: str, ids: Sequence[int], series: Sequence[FloatArray]) -> None:
     """Raise `InputError` if the series differ in their number of channels."""
     for scenario, values in zip(ids, series, strict=True):
         if values.shape[1:] != series[0].shape[1:]:
@@ -116,7 +118,7 @@ def require_same_channels(study: Study, aspect: str, ids: Sequence[int], series:
             )
 
 
-def distance_unit(study: Study, aspect: str) -> str:
+def distance_unit(study: StudyFile, aspect: str) -> str:
     """Return the unit of DTW distances by an aspect: that of its series, since they are sums; "1" for none."""
     require_aspect(study, aspect)
     return METRICS.create(aspect).unit if aspect in study.meta.metrics else create_aspect(aspect).unit

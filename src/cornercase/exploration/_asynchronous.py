@@ -22,7 +22,7 @@ from cornercase.optimizers import Optimizer
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import Simulator
 from cornercase.simulators._stream import SimulatorStream
-from cornercase.study import ScenarioRecord, Study
+from cornercase.study import ScenarioRecord, StudyFile
 
 
 def max_pending_scenarios(n_parallel: int) -> int:
@@ -46,7 +46,7 @@ class AsynchronousExplorer(ScenarioExplorer):
         config: ExplorationConfig,
         simulator: Simulator,
         optimizer: Optimizer,
-        study: Study,
+        study: StudyFile,
         objective: Objective | None = None,
         references: Mapping[str, Simulator] | None = None,
     ) -> None:

@@ -33,7 +33,7 @@ from cornercase.scenario import LogicalScenario
 from cornercase.scenario._file import ScenarioFile
 from cornercase.simulators import Simulator
 from cornercase.simulators.pool._simulator import DEFAULT_MAX_FAILURES, MAX_WORKERS
-from cornercase.study import Study, StudyMeta
+from cornercase.study import StudyFile, StudyMeta
 from cornercase.study._meta import MAX_AUDIT_FRACTION
 from cornercase.study._run_rates import MIN_DECISIVE_RUNS
 from cornercase.study._scenario_file import find_explored_scenario
@@ -264,7 +264,7 @@ def _check_driver(entity: str, driver: object) -> str | Driver:
 
 
 def config_from_study(
-    study: Study,
+    study: StudyFile,
     file: Path,
     scenario: Path | str | ScenarioFile | None,
     simulator: str | None,

@@ -8,14 +8,14 @@ import numpy as np
 
 from cornercase._common.errors import InputError
 from cornercase.metrics import METRICS
-from cornercase.study import Study
+from cornercase.study import StudyFile
 from cornercase.study._damage import DamageError
 
 # Minimum number of finished scenarios.
 MIN_SCENARIOS_TO_COMPARE: Final = 10
 
 
-def describe_constant_metrics(study: Study) -> dict[str, str]:
+def describe_constant_metrics(study: StudyFile) -> dict[str, str]:
     """Describe each metric that has the same score in all scenarios of a study; empty before 10 have finished.
 
     If the metric is searched, the search had no gradient to follow; if not, this may be fine.

@@ -25,8 +25,8 @@ from cornercase.exploration._explore import simulator_from_config
 from cornercase.exploration._probability_estimator import ProbabilityEstimator
 from cornercase.scenario._file import ScenarioFile
 from cornercase.simulators.pool._simulator import DEFAULT_MAX_FAILURES
-from cornercase.study import Study
-from cornercase.study._study import open_or_create_study
+from cornercase.study import StudyFile
+from cornercase.study._study_file import open_or_create_study
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -126,7 +126,7 @@ def estimate(
     budget, seed = check_int("budget", budget, minimum=_MIN_BUDGET), check_int("seed", seed)
     encounter = check_float("encounter", encounter, minimum=0.0)
     check_bool("progress", progress)
-    with Study.open(study_file, readonly=True) as source:
+    with StudyFile.open(study_file, readonly=True) as source:
         if _ESTIMATE_OPTIMIZER_NAME.fullmatch(source.meta.optimizer):
             raise InputError(f"{study_file}: is an estimate itself; name the study that it is based on.")
         config = _estimate_config(source, scenario, budget, critical, seed, simulator, drivers or {})
@@ -154,7 +154,7 @@ def estimate(
 
 
 def _estimate_config(
-    study: Study,
+    study: StudyFile,
     scenario: Path | str | ScenarioFile | None,
     budget: int,
     critical: float | None,
@@ -184,7 +184,7 @@ def _estimate_config(
 def _stored_sample_sizes(output: Path, n_learn: int) -> tuple[int, int | None]:
     """Return the numbers of scenarios for learning and of the study; a resumed output keeps its own."""
     if output.exists():
-        with suppress(InputError), Study.open(output, readonly=True) as existing:
+        with suppress(InputError), StudyFile.open(output, readonly=True) as existing:
             if (match := _ESTIMATE_OPTIMIZER_NAME.fullmatch(existing.meta.optimizer)) is not None:
                 return int(match["learn"]), int(match["known"])
     return n_learn, None

@@ -31,8 +31,8 @@ from cornercase.simulators._create import create_simulator
 from cornercase.simulators._results import check_simulator_accepts, list_ignored_content
 from cornercase.simulators._run_notices import warn_if_ego_has_no_driver
 from cornercase.simulators.pool._simulator import DEFAULT_MAX_FAILURES
-from cornercase.study import Study
-from cornercase.study._study import open_or_create_study
+from cornercase.study import StudyFile
+from cornercase.study._study_file import open_or_create_study
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -152,7 +152,7 @@ def explore(
     max_repeats : int, optional
         Upper limit of runs per scenario. A scenario gets `repeats` further runs as long as it is undecided on which
         side of the threshold it is: while the 90 % interval of the probability that a run is critical
-        (`cornercase.study.Study.critical_run_rates`) contains 0.5. Default: each scenario is run `repeats` times.
+        (`cornercase.study.StudyFile.critical_run_rates`) contains 0.5. Default: each scenario is run `repeats` times.
     audit : float, default 0.0
         Fraction of the scenarios, up to 0.5, that are drawn at random and hidden from the search, to assess its result.
     time_step, duration : float
@@ -238,7 +238,7 @@ def _verify_proposals_of_study(config: ExplorationConfig, study: Path) -> Explor
     config.require_entities()
     objective, optimizer = _make_objective_and_optimizer(config)
     warm_start = _load_warm_start(config, study, objective, optimizer)
-    with Study.open(study, readonly=True) as opened_study:
+    with StudyFile.open(study, readonly=True) as opened_study:
         warm_start_info = opened_study.meta.elsewhere if warm_start is None else warm_start.study_info
         meta = config.make_study_meta(objective, opened_study.meta.settings, warm_start_info, study=study)
     return verify_proposals(study, meta, objective, optimizer)
@@ -279,7 +279,7 @@ def explore_config(
         return _run_exploration(config, file, progress, retry_failed)
     except KeyboardInterrupt:
         # Interrupted before or after the part in which the explorer handles it itself.
-        with suppress(InputError), Study.open(file, readonly=True) as opened:
+        with suppress(InputError), StudyFile.open(file, readonly=True) as opened:
             return ExplorationResult.from_study(opened, "it was interrupted", interrupted=True)
         raise
 

@@ -27,7 +27,7 @@ from cornercase.exploration._study_critical_set import source_study_model
 from cornercase.metrics import compute_features
 from cornercase.optimizers import Optimizer
 from cornercase.simulators import Simulator
-from cornercase.study import ScenarioRecord, Study
+from cornercase.study import ScenarioRecord, StudyFile
 
 # Largest space whose scenarios within the constraints are counted.
 _MAX_COUNTED_SPACE: Final = 1 << 18
@@ -67,7 +67,7 @@ class ExplorationResult:
 
     @classmethod
     def from_study(
-        cls, study: Study, reason: str, interrupted: bool = False, n_done_before: int | None = None
+        cls, study: StudyFile, reason: str, interrupted: bool = False, n_done_before: int | None = None
     ) -> ExplorationResult:
         """Create the result from an open study.
 
@@ -129,7 +129,7 @@ class ScenarioExplorer:
         config: ExplorationConfig,
         simulator: Simulator,
         optimizer: Optimizer,
-        study: Study,
+        study: StudyFile,
         objective: Objective | None = None,
         references: Mapping[str, Simulator] | None = None,
     ) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from cornercase._common.errors import InputError, suggest_name
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.metrics import METRICS, Metric
-from cornercase.study import Study, StudyMeta
+from cornercase.study import StudyFile, StudyMeta
 
 
 class Objective:
@@ -58,11 +58,11 @@ class Objective:
             values = scores[:, has_weight] @ self._score_factors[has_weight]
         return np.asarray(values if self.pareto else values[:, 0])
 
-    def minimized_scores(self, study: Study) -> FloatArray:
+    def minimized_scores(self, study: StudyFile) -> FloatArray:
         """Return scores to minimize for all successful scenarios of a study, shape (n,) or (n, metrics) for a front."""
         return self.minimized(self._raw_scores(study))
 
-    def _raw_scores(self, study: Study) -> FloatArray:
+    def _raw_scores(self, study: StudyFile) -> FloatArray:
         return np.stack([study.scores(metric.name) for metric in self.metrics], axis=1)
 
     def is_critical(self, scores: FloatArray, threshold: float | None) -> BoolArray:
@@ -74,7 +74,7 @@ class Objective:
             return np.zeros(len(scores), dtype=np.bool_)
         return np.asarray(self.minimized(scores) <= self.convert_orientation(threshold))
 
-    def is_critical_in_study(self, study: Study) -> BoolArray:
+    def is_critical_in_study(self, study: StudyFile) -> BoolArray:
         """Return which of the successful scenarios of a study are critical, shape (n,)."""
         return self.is_critical(self._raw_scores(study), study.critical)
 

@@ -26,7 +26,7 @@ from cornercase.exploration._objective import Objective
 from cornercase.exploration._runner import ScenarioRunner, StageTimer
 from cornercase.metrics import METRICS
 from cornercase.simulators import Simulator
-from cornercase.study import ScenarioRecord, Study
+from cornercase.study import ScenarioRecord, StudyFile
 
 # Scenarios per round after learning.
 _ROUND_SIZE: Final = 500
@@ -46,7 +46,7 @@ class ProbabilityEstimator:
         config: ExplorationConfig,
         simulator: Simulator,
         sampling: ImportanceSampling,
-        study: Study,
+        study: StudyFile,
         encounter_gap: float,
     ) -> None:
         self._config, self._sampling, self._study, self._encounter_gap = config, sampling, study, encounter_gap

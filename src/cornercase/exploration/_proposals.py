@@ -13,7 +13,7 @@ from cornercase._common.plugin_errors import convert_plugin_errors
 from cornercase._common.typing import FloatArray
 from cornercase.exploration._study_critical_set import audit_sampler
 from cornercase.optimizers import Optimizer
-from cornercase.study import ScenarioRecord, Study
+from cornercase.study import ScenarioRecord, StudyFile
 from cornercase.study._meta import count_audits
 
 
@@ -59,7 +59,7 @@ class AskTell:
 class ProposalSource:
     """Chooses the scenarios to run: proposals of a search, with random audits among them."""
 
-    def __init__(self, ask_tell: AskTell, study: Study) -> None:
+    def __init__(self, ask_tell: AskTell, study: StudyFile) -> None:
         self._ask_tell, self._study = ask_tell, study
         self._audit_sampler = audit_sampler(study.space, study.meta.seed)
 
@@ -92,7 +92,7 @@ class Round:
     proposed: tuple[ScenarioRecord, ...]
 
 
-def iter_rounds(study: Study) -> Iterator[Round]:
+def iter_rounds(study: StudyFile) -> Iterator[Round]:
     """Iterate over the rounds of a study.
 
     The results that came before each, what was pending then, and its proposals.

@@ -29,7 +29,7 @@ from cornercase.exploration._explorer import ScenarioExplorer
 from cornercase.exploration._proposals import AskTell, ProposalSource
 from cornercase.optimizers import create_optimizer
 from cornercase.scenario._file import ScenarioFile
-from cornercase.study import ScenarioRecord, Study, verify
+from cornercase.study import ScenarioRecord, StudyFile, verify
 from cornercase.study._import_recordings import IMPORTED_SIMULATOR
 from cornercase.study._recovery.file_lock import DamagedFileLock
 from cornercase.study._recovery.rebuild import RecoveredStudy, rebuild_study
@@ -239,7 +239,7 @@ def _require_repeatable_search(file: Path, recovered: RecoveredStudy) -> None:
 
 def _describe_changed_tables(repaired_file: Path, recovered: RecoveredStudy) -> list[str]:
     """Name tables that differ from their stored row counts and checksums."""
-    with Study.open(repaired_file) as opened:
+    with StudyFile.open(repaired_file) as opened:
         totals = opened.checksum_totals()
     skipped = ("notes", "outcomes", "analyses", "arrays")
     different = [
@@ -259,7 +259,7 @@ def _rerun_lost_scenarios(
     drivers: Mapping[str, str | Driver],
     workers: int,
 ) -> None:
-    with Study.open(repaired_file, readonly=False) as opened:
+    with StudyFile.open(repaired_file, readonly=False) as opened:
         config = replace(config_from_study(opened, file, scenario, simulator, drivers), workers=workers)
         objective = config.make_objective()
         optimizer = create_optimizer(

@@ -9,11 +9,11 @@ from cornercase._common.io.support_table import issue_notice_warning
 from cornercase.recordings import Recording
 from cornercase.recordings._compare import are_bitwise_equal, max_position_difference
 from cornercase.simulators import SIMULATORS
-from cornercase.study import ScenarioRecord, Study
+from cornercase.study import ScenarioRecord, StudyFile
 
 
 def check_repeatability(
-    study: Study, run_scenario: Callable[[ScenarioRecord], Recording | SimulationError], advice: str
+    study: StudyFile, run_scenario: Callable[[ScenarioRecord], Recording | SimulationError], advice: str
 ) -> bool:
     """Run the first finished scenario again by `again`, and store whether the recording is identical.
 

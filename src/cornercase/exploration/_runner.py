@@ -22,13 +22,13 @@ from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import Simulator
 from cornercase.simulators._results import run_scenarios
 from cornercase.simulators._run_notices import RunNotices
-from cornercase.study import ScenarioRecord, Study
+from cornercase.study import ScenarioRecord, StudyFile
 
 
 class StageTimer:
     """Adds up how long the stages of an exploration take, and stores the sums in the study."""
 
-    def __init__(self, study: Study) -> None:
+    def __init__(self, study: StudyFile) -> None:
         self._study = study
         self._seconds_by_stage: dict[str, float] = {}
 
@@ -62,7 +62,7 @@ class ScenarioRunner:
         config: ExplorationConfig,
         simulator: Simulator,
         objective: Objective,
-        study: Study,
+        study: StudyFile,
         clock: StageTimer,
         references: Mapping[str, Simulator] | None = None,
     ) -> None:

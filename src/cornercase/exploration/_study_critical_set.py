@@ -14,7 +14,7 @@ from cornercase.metrics import compute_features, registered_features
 from cornercase.optimizers import GridOptimizer, RandomOptimizer, SobolOptimizer
 from cornercase.optimizers._registry import optimizer_requirements
 from cornercase.scenario import ParameterSpace
-from cornercase.study import Study
+from cornercase.study import StudyFile
 
 # Separates the random numbers of audits from those of the search.
 _AUDIT_SEED_SALT = 0xA0D17
@@ -55,7 +55,7 @@ def uses_features(optimizer: str) -> bool:
         return False
 
 
-def source_study_model(study: Study, threshold: float) -> SourceStudyModel | None:
+def source_study_model(study: StudyFile, threshold: float) -> SourceStudyModel | None:
     """Model of the study that warm-started a study's search; None without one, or if all its scores are equal.
 
     `threshold` is a minimized score.
@@ -67,7 +67,7 @@ def source_study_model(study: Study, threshold: float) -> SourceStudyModel | Non
 
 
 def estimate_critical_set(
-    study: Study, scores: FloatArray, threshold: float, *, last_id: int | None = None, seed: int | None = None
+    study: StudyFile, scores: FloatArray, threshold: float, *, last_id: int | None = None, seed: int | None = None
 ) -> CriticalSet:
     """Estimate the critical set of a study; audits only assess it.
 

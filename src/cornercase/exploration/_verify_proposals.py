@@ -14,7 +14,7 @@ from cornercase.exploration._objective import Objective
 from cornercase.exploration._proposals import AskTell, ProposalSource, iter_rounds
 from cornercase.metrics import compute_features
 from cornercase.optimizers import Optimizer
-from cornercase.study import ScenarioRecord, Study, StudyMeta
+from cornercase.study import ScenarioRecord, StudyFile, StudyMeta
 
 
 def verify_proposals(path: Path, meta: StudyMeta, objective: Objective, optimizer: Optimizer) -> ExplorationResult:
@@ -24,7 +24,7 @@ def verify_proposals(path: Path, meta: StudyMeta, objective: Objective, optimize
     proposals agree; otherwise `reason` names the first that differs. Raises `InputError` if the study belongs to
     another exploration or is being written.
     """
-    with Study.open(path, readonly=True) as study, study.snapshot():
+    with StudyFile.open(path, readonly=True) as study, study.snapshot():
         study.meta.require_resumable(meta, path, same_budget="budget" in optimizer.requires)
         first_difference = _find_first_difference(study, objective, optimizer)
         count = len(study.rows())
@@ -36,7 +36,7 @@ def verify_proposals(path: Path, meta: StudyMeta, objective: Objective, optimize
         )
 
 
-def _find_first_difference(study: Study, objective: Objective, optimizer: Optimizer) -> int | None:
+def _find_first_difference(study: StudyFile, objective: Objective, optimizer: Optimizer) -> int | None:
     """Id of the first scenario that is proposed differently; None if all agree."""
     results = _StoredResults(study, objective, "features" in optimizer.requires)
     if (warm_start := study.warm_start_data()) is not None:
@@ -67,7 +67,7 @@ def _find_first_difference(study: Study, objective: Objective, optimizer: Optimi
 class _StoredResults:
     """The stored results, as a search receives them."""
 
-    def __init__(self, study: Study, objective: Objective, with_features: bool) -> None:
+    def __init__(self, study: StudyFile, objective: Objective, with_features: bool) -> None:
         self._study, self._with_features = study, with_features
         ids = [row.id for row in study.finished_rows()]
         self._scores = dict(zip(ids, objective.minimized_scores(study), strict=True))

@@ -15,7 +15,7 @@ from cornercase.exploration._objective import Objective
 from cornercase.metrics._measure import evaluate_metrics
 from cornercase.metrics.formulas._critical_if import find_critical_if_condition
 from cornercase.scenario import ParameterSpace, Value
-from cornercase.study import ScenarioRecord, Study
+from cornercase.study import ScenarioRecord, StudyFile
 from cornercase.study._meta import hash_points_and_scores
 
 _MIN_SCORES: Final = 10
@@ -44,7 +44,7 @@ def read_warm_start(
     recordings cannot be measured, or fewer than 10 different scores remain.
     """
     # A snapshot, since another process may be writing to it.
-    with Study.open(path, readonly=True) as study, study.snapshot():
+    with StudyFile.open(path, readonly=True) as study, study.snapshot():
         _require_same_parameters(path, study.space, space)
         all_rows = study.rows()
         finished = [row for row in all_rows if row.state == "done"]
@@ -95,7 +95,7 @@ def _contains_values(space: ParameterSpace, values: Mapping[str, Value]) -> bool
 
 
 def _minimized_scores(
-    study: Study, objective: Objective, rows: Sequence[ScenarioRecord], ego: str, others: tuple[str, ...]
+    study: StudyFile, objective: Objective, rows: Sequence[ScenarioRecord], ego: str, others: tuple[str, ...]
 ) -> FloatArray:
     """Minimized scores of scenarios of a study, shape (n,); measured if they are not stored."""
     meta = study.meta

@@ -6,10 +6,10 @@ import numpy as np
 
 from cornercase.clustering import Analysis
 from cornercase.exploration._objective import Objective
-from cornercase.study import Study
+from cornercase.study import StudyFile
 
 
-def find_critical_clusters(study: Study, analysis: Analysis) -> list[int]:
+def find_critical_clusters(study: StudyFile, analysis: Analysis) -> list[int]:
     """Return the clusters whose median score of the first metric is critical.
 
     If that holds for all clusters, or there is no threshold, the one cluster with the most critical median.

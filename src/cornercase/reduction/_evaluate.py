@@ -33,14 +33,14 @@ from cornercase.reduction._held_out_coverage import (
     summarize_held_out,
 )
 from cornercase.reduction._reduced_set import ReducedSet
-from cornercase.study import ScenarioRecord, Study
+from cornercase.study import ScenarioRecord, StudyFile
 
 
 @dataclass(frozen=True, eq=False)
 class StudyData:
     """All finished scenarios and analyses of a study; rows by id, scores by metric and id, the rest by aspect."""
 
-    study: Study
+    study: StudyFile
     rows: dict[int, ScenarioRecord]
     scores: dict[str, dict[int, float]]
     analyses: dict[str, Analysis]
@@ -51,7 +51,7 @@ class StudyData:
         return np.array([self.rows[i].point for i in analysis.ids.tolist()])
 
 
-def load_study_data(study: Study) -> StudyData:
+def load_study_data(study: StudyFile) -> StudyData:
     """Load all finished scenarios and analyses of a study."""
     rows = {row.id: row for row in study.finished_rows()}
     scores = {name: dict(zip(rows, study.scores(name).tolist(), strict=True)) for name in study.meta.metrics}
@@ -152,7 +152,7 @@ def evaluate_critical_coverage(
     return coverage
 
 
-def reevaluate(study: Study, reduced: ReducedSet) -> ReducedSet:
+def reevaluate(study: StudyFile, reduced: ReducedSet) -> ReducedSet:
     """Reevaluate a reduced set with the threshold of the opened study, if it was selected with another one.
 
     Nothing is said about held-out scenarios: they evaluated selections with the other threshold.

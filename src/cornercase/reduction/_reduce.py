@@ -40,11 +40,11 @@ from cornercase.reduction.selection._per_cluster import SCENARIOS_PER_SELECTED
 from cornercase.reduction.selection._select import SelectionInput, SelectionRequest, cross_validate, select
 from cornercase.scenario._concrete_file import build_concrete_file, read_companion_file
 from cornercase.scenario._file import ScenarioFile
-from cornercase.study import Study
+from cornercase.study import StudyFile
 from cornercase.study._damage import reraise_as_damage
 from cornercase.study._import_recordings import IMPORTED_SIMULATOR
 from cornercase.study._scenario_file import find_explored_scenario
-from cornercase.study._study import open_study
+from cornercase.study._study_file import open_study
 
 # Bytes per pair in a matrix and in what the selection derives from it, per scenario and aspect in embeddings and gaps
 # of random selections, and for blocks of distances.
@@ -65,7 +65,7 @@ _REASONS: Final = {
 
 
 def reduce(
-    study: Study | Path | str,
+    study: StudyFile | Path | str,
     folder: Path | str,
     *,
     by: str | None = None,
@@ -206,7 +206,7 @@ def _warn_fewer_selected(n_requested: int, n_selected: int, n_scenarios: int) ->
     )
 
 
-def _require_memory(study: Study, memory_limit: MemoryLimit) -> None:
+def _require_memory(study: StudyFile, memory_limit: MemoryLimit) -> None:
     """Raise an error if the distances will not fit, before they are read."""
     analyses = read_analyses(study).values()
     count = max(len(analysis.ids) for analysis in analyses)
@@ -284,7 +284,11 @@ def _hull_facets(points: FloatArray, parts: Sequence[IntArray], ids: Sequence[in
 
 
 def _write_files_and_store(
-    study: Study, scenario: ScenarioFile | None, reduced_set: ReducedSet, cluster_names: Mapping[int, str], folder: Path
+    study: StudyFile,
+    scenario: ScenarioFile | None,
+    reduced_set: ReducedSet,
+    cluster_names: Mapping[int, str],
+    folder: Path,
 ) -> None:
     """Write the selected scenarios and the manifest, and store them in the study: all of it or nothing."""
     drivers = {

@@ -18,7 +18,7 @@ from cornercase.reduction._held_out_coverage import HeldOut, HeldOutCritical
 from cornercase.reduction._kill_matrix import MutantSelection, MutationScore
 from cornercase.reduction._reduced_set import ReducedSet, SelectedScenario
 from cornercase.reduction._selection_state import Role
-from cornercase.study import Study
+from cornercase.study import StudyFile
 from cornercase.study._damage import dataclass_from_json, require_value, reraise_as_damage
 
 MANIFEST_FORMAT: Final = 2
@@ -32,7 +32,7 @@ _EVALUATION_NOTE: Final = (
 
 
 def make_manifest(
-    study: Study, reduced_set: ReducedSet, cluster_names: Mapping[int, str], files: Mapping[str, str]
+    study: StudyFile, reduced_set: ReducedSet, cluster_names: Mapping[int, str], files: Mapping[str, str]
 ) -> dict[str, Any]:
     """Return the content of ``manifest.json``: the reduced set, its origin, and how to run it again.
 
@@ -71,12 +71,12 @@ def make_manifest(
     )
 
 
-def _other_threshold(study: Study) -> dict[str, float | None]:
+def _other_threshold(study: StudyFile) -> dict[str, float | None]:
     """The threshold stored in the study, if another one was used."""
     return {} if study.critical == study.meta.critical else {"critical_threshold_of_the_study": study.meta.critical}
 
 
-def save_reduction(study: Study, reduced_set: ReducedSet) -> None:
+def save_reduction(study: StudyFile, reduced_set: ReducedSet) -> None:
     """Store a reduced set in a study, in place of the earlier one."""
     info = {
         "by": reduced_set.by,
@@ -92,7 +92,7 @@ def save_reduction(study: Study, reduced_set: ReducedSet) -> None:
     study.writer.save_analysis("reduction", {}, info)
 
 
-def read_reduction(study: Study) -> ReducedSet | None:
+def read_reduction(study: StudyFile) -> ReducedSet | None:
     """Read back the reduced set of a study.
 
     Parameters

@@ -18,10 +18,10 @@ from cornercase.drivers._resolve import create_driver_named_in_file
 from cornercase.metrics.formulas._critical_if import find_critical_if_condition
 from cornercase.scenario import LogicalScenario, Parameter, ParameterSpace
 from cornercase.scenario._file import ScenarioFile
-from cornercase.study import Study, StudyMeta
+from cornercase.study import StudyFile, StudyMeta
 from cornercase.study._import_recordings import IMPORTED_SIMULATOR
 from cornercase.study._scenario_file import find_explored_scenario
-from cornercase.study._study import open_study
+from cornercase.study._study_file import open_study
 
 OPTION_BY_SETTING: Final = {"time_step": "--time-step", "duration": "--duration", "on_collision": "--on-collision"}
 """Command option of each simulator setting."""
@@ -219,7 +219,7 @@ def _format_number(value: float) -> str:
     return repr(int(value)) if float(value).is_integer() and abs(value) < 1e15 else repr(float(value))
 
 
-def format_study_file(study: Study | Path | str) -> str:
+def format_study_file(study: StudyFile | Path | str) -> str:
     """Return a study file (TOML for ``explore --config``) that makes a study again; limits are comments.
 
     The scenario path is relative to the current folder. InputError if `explore` did not make the study.

@@ -15,7 +15,7 @@ from cornercase.evidence._proportions import proportion_interval
 from cornercase.evidence._sensitivity import estimate_sensitivity
 from cornercase.exploration._objective import Objective, is_on_pareto_front
 from cornercase.exploration._study_critical_set import estimate_critical_set, uses_features
-from cornercase.study import Study
+from cornercase.study import StudyFile
 
 # The missed share is estimated for this range of scenario counts, at this many sizes.
 _MIN_SCENARIOS, _MAX_SCENARIOS, _MAX_SIZES = 10, 1000, 8
@@ -76,7 +76,7 @@ class MissedFractionAfter:
     interval_unavailable: str | None  # why there is no interval; None if there is
 
 
-def estimate_missed_fractions(study: Study, estimates: SpaceEstimates) -> Iterator[MissedFractionAfter]:
+def estimate_missed_fractions(study: StudyFile, estimates: SpaceEstimates) -> Iterator[MissedFractionAfter]:
     """Estimate the missed share of the critical set after some rounds: up to eight, about doubling, and the last.
 
     With more than 1,000 scenarios, or a committee (slow to fit), only the last one is estimated.
@@ -102,7 +102,7 @@ def estimate_missed_fractions(study: Study, estimates: SpaceEstimates) -> Iterat
     )
 
 
-def estimate_space(study: Study) -> SpaceEstimates:
+def estimate_space(study: StudyFile) -> SpaceEstimates:
     """Estimate front, critical set and sensitivities of a study, as far as there are enough scores."""
     rows, meta = study.finished_rows(), study.meta
     if not rows:
@@ -120,7 +120,7 @@ def estimate_space(study: Study) -> SpaceEstimates:
     return SpaceEstimates(None, _estimate_critical(study, objective, oriented), sensitivity)
 
 
-def _estimate_critical(study: Study, objective: Objective, oriented: FloatArray) -> CriticalEstimates | None:
+def _estimate_critical(study: StudyFile, objective: Objective, oriented: FloatArray) -> CriticalEstimates | None:
     if study.critical is None:
         return None
     threshold = objective.convert_orientation(study.critical)

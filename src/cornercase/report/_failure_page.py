@@ -13,7 +13,7 @@ from cornercase.report.html._overview_sections import render_failure_reasons, re
 from cornercase.report.html._tables import render_table
 from cornercase.report.html._templates import render_template
 from cornercase.report.text._phrases import describe_roles, format_value
-from cornercase.study import ScenarioRecord, Study, StudyMeta
+from cornercase.study import ScenarioRecord, StudyFile, StudyMeta
 
 # Rows that somebody may still read.
 _MAX_ROWS: Final = 1000
@@ -24,7 +24,7 @@ _MISSING_TEXT: Final = (
 _POLICY: Final = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
 
 
-def render_failure_page(study: Study) -> str:
+def render_failure_page(study: StudyFile) -> str:
     """Render the page of an open study in which all scenarios that ended have failed; HTML without scripts."""
     summary, failed = summarize_with_collisions(study, []), study.failed_rows()
     meta = summary.meta

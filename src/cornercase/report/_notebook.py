@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from cornercase.report._page import write_report
-from cornercase.study import Study
+from cornercase.study import StudyFile
 
 _FRAME_HEIGHT: Final = 700
 
@@ -18,7 +18,7 @@ def render_notebook_report(path: Path, *, max_scenarios: int = 1000) -> str | No
 
     None without scenarios, and for larger studies, whose reports would make the notebook tens of megabytes large.
     """
-    with Study.open(path, readonly=True) as study:
+    with StudyFile.open(path, readonly=True) as study:
         if not 0 < len(study.finished_rows()) <= max_scenarios:
             return None
         with tempfile.TemporaryDirectory() as folder:

@@ -40,8 +40,8 @@ from cornercase.report.html._tables import Section
 from cornercase.report.html._templates import render_template
 from cornercase.report.html._verdict_section import render_verdicts
 from cornercase.scenario._file import ScenarioFile
-from cornercase.study import Study
-from cornercase.study._study import open_study
+from cornercase.study import StudyFile
+from cornercase.study._study_file import open_study
 
 _REPLAY_NAMES: Final = "motion sight clock camera road scene course neighbour pane controls panel"
 REPLAY_SCRIPTS: Final = tuple(f"replay/{name}.js" for name in _REPLAY_NAMES.split())
@@ -63,7 +63,7 @@ CONTENT_SECURITY_POLICY: Final = (
 
 
 def write_report(
-    study: Study | Path | str,
+    study: StudyFile | Path | str,
     path: Path | str,
     *,
     figures: Path | str | bool = False,

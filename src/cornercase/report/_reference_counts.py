@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from cornercase.metrics import CriticalIf
 from cornercase.metrics.formulas._critical_if import find_critical_if_condition
-from cornercase.study import Study
+from cornercase.study import StudyFile
 from cornercase.study._damage import reraise_as_damage
 from cornercase.suite import Requirement
 
@@ -26,7 +26,7 @@ class ReferenceCount:
         return self.n_prevented + self.n_colliding + self.n_not_applicable
 
 
-def count_reference_results(study: Study) -> dict[str, ReferenceCount]:
+def count_reference_results(study: StudyFile) -> dict[str, ReferenceCount]:
     """Count the results of each reference named in the condition or requirements of an open study, by name."""
     meta = study.meta
     with reraise_as_damage(study.path):

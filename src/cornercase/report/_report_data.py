@@ -21,7 +21,7 @@ from cornercase.report._road_drawing import recorded_bounds
 from cornercase.report._summary import Summary, entities_hit_by_ego, summarize_with_collisions
 from cornercase.roads._outline import Region
 from cornercase.scenario import Parameter
-from cornercase.study import ScenarioRecord, Study
+from cornercase.study import ScenarioRecord, StudyFile
 from cornercase.suite import Verdict
 from cornercase.suite._judge import judge_study
 
@@ -77,7 +77,7 @@ class ReportData:
 
 
 def read_report_data(
-    study: Study,
+    study: StudyFile,
     *,
     figures: bool = False,
     memory: MemoryLimit | None = None,
@@ -154,7 +154,7 @@ def _union_region(first: Region | None, second: Region | None) -> Region | None:
     return (min(first[0], second[0]), min(first[1], second[1]), max(first[2], second[2]), max(first[3], second[3]))
 
 
-def _read_examples(study: Study, analyses: Mapping[str, Analysis]) -> dict[int, Recording]:
+def _read_examples(study: StudyFile, analyses: Mapping[str, Analysis]) -> dict[int, Recording]:
     ids = {profile.example for analysis in analyses.values() for profile in analysis.profiles}
     other = study.primary_other()
     return {
@@ -176,7 +176,7 @@ def _order_by_influence(values: FloatArray, scores: FloatArray) -> tuple[int, ..
 
 
 def _measure_gaps(
-    study: Study, analyses: Mapping[str, Analysis], selected_ids: list[int]
+    study: StudyFile, analyses: Mapping[str, Analysis], selected_ids: list[int]
 ) -> dict[str, NearestDistances]:
     gaps = {}
     for name, analysis in analyses.items():

@@ -20,7 +20,7 @@ from cornercase.scenario import Value
 from cornercase.scenario._concrete_file import build_concrete_file
 from cornercase.scenario._file import ScenarioFile
 from cornercase.scenario._types import INTEGER_TYPES, convert_to_type, format_value
-from cornercase.study import ScenarioRecord, Study, StudyMeta
+from cornercase.study import ScenarioRecord, StudyFile, StudyMeta
 from cornercase.study._import_recordings import IMPORTED_SIMULATOR
 from cornercase.study._scenario_file import find_explored_scenario
 
@@ -28,7 +28,7 @@ _BUILTIN: Final = "builtin"
 
 
 def rerun_payload(
-    study: Study, scenario: Path | str | ScenarioFile | None = None, *, include_file: bool = True
+    study: StudyFile, scenario: Path | str | ScenarioFile | None = None, *, include_file: bool = True
 ) -> dict[str, Any]:
     """Return what the page needs to run a scenario again: name, key per search, command, and scenario file.
 
@@ -62,7 +62,7 @@ def rerun_payload(
     }
 
 
-def _find_scenario(study: Study, given: Path | str | ScenarioFile | None) -> tuple[ScenarioFile | None, str]:
+def _find_scenario(study: StudyFile, given: Path | str | ScenarioFile | None) -> tuple[ScenarioFile | None, str]:
     """Find the scenario that was explored, or explain why there is none."""
     try:
         scenario = find_explored_scenario(study, given)
@@ -72,7 +72,7 @@ def _find_scenario(study: Study, given: Path | str | ScenarioFile | None) -> tup
     return scenario, "" if scenario is not None else "There is no scenario file: the recordings were imported."
 
 
-def read_selection_reasons(study: Study) -> dict[int, str]:
+def read_selection_reasons(study: StudyFile) -> dict[int, str]:
     """Return why each scenario of the reduced set was selected, by id; empty before the study was reduced."""
     reduced = read_reduction(study)
     return {} if reduced is None else {scenario.id: scenario.why for scenario in reduced.scenarios}

@@ -19,7 +19,7 @@ from cornercase.scenario._file import ScenarioFile
 from cornercase.scenario._locate import find_scenario_file
 from cornercase.scenario._maps import MAPS_VARIABLE, describe_how_to_get_map
 from cornercase.scenario._road_choices import add_varied_roads
-from cornercase.study import Study
+from cornercase.study import StudyFile
 from cornercase.study._scenario_file import find_explored_scenario
 
 ROAD_MARGIN: Final = 40.0
@@ -27,7 +27,7 @@ ROAD_MARGIN: Final = 40.0
 
 
 def find_road_outline(
-    study: Study,
+    study: StudyFile,
     region: Region | None,
     scenario: Path | str | ScenarioFile | None = None,
     values: Mapping[str, Value] | None = None,
@@ -67,7 +67,7 @@ def is_missing_map(reason: str) -> bool:
     return MAPS_VARIABLE in reason
 
 
-def _describe_missing_scenario(study: Study, name: str) -> str:
+def _describe_missing_scenario(study: StudyFile, name: str) -> str:
     meta = study.meta
     default = f"The road is not drawn, as the scenario file {name} does not lie beside the study as it was."
     try:

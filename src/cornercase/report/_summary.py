@@ -22,9 +22,9 @@ from cornercase.reduction._evaluate import reevaluate
 from cornercase.report._estimates import SpaceEstimates, estimate_space
 from cornercase.report._reference_counts import ReferenceCount, count_reference_results
 from cornercase.scenario import Value
-from cornercase.study import ScenarioRecord, Study, StudyMeta
+from cornercase.study import ScenarioRecord, StudyFile, StudyMeta
 from cornercase.study._damage import require_value, reraise_as_damage
-from cornercase.study._study import open_study
+from cornercase.study._study_file import open_study
 
 # Reasons that somebody may still read.
 _MAX_REASONS: Final = 20
@@ -154,7 +154,7 @@ class Summary:
         return f"Summary({', '.join(parts)})"
 
 
-def summarize(study: Study | Path | str, *, critical: float | None = None) -> Summary:
+def summarize(study: StudyFile | Path | str, *, critical: float | None = None) -> Summary:
     """Summarize what was run in a study, and what was found.
 
     Parameters
@@ -195,7 +195,7 @@ def entities_hit_by_ego(meta: StudyMeta, collisions: Iterable[Collision]) -> fro
     return frozenset(name for pair in hits for name in pair if name != meta.ego)
 
 
-def summarize_with_collisions(study: Study, entities_hit: Sequence[frozenset[str]]) -> Summary:
+def summarize_with_collisions(study: StudyFile, entities_hit: Sequence[frozenset[str]]) -> Summary:
     """Like `summarize`, given for each run scenario the entities that the ego collides with."""
     states = [row.state for row in study.rows()]
     others = frozenset(study.meta.others)
@@ -232,7 +232,7 @@ def _summarize_failures(failed: Sequence[ScenarioRecord]) -> dict[str, FailureSu
     return {why: FailureSummary(count, first.id, first.values) for why, (count, first) in counts.items()}
 
 
-def _read_probability(study: Study) -> dict[str, Any] | None:
+def _read_probability(study: StudyFile) -> dict[str, Any] | None:
     estimate = study.read_estimate()
     if estimate is not None:
         with reraise_as_damage(study.path):
@@ -251,7 +251,7 @@ def _read_probability(study: Study) -> dict[str, Any] | None:
     return estimate
 
 
-def _summarize_metric(study: Study, name: str, constant_note: str) -> MetricSummary:
+def _summarize_metric(study: StudyFile, name: str, constant_note: str) -> MetricSummary:
     metric, scores = METRICS.create(name), study.scores(name)
     worst = int(metric.to_minimize(scores).argmin())
     row = study.finished_rows()[worst]

@@ -172,7 +172,7 @@ class Database:
             self._verified_versions[table] = version
 
     def data_version(self) -> int | None:
-        """Count writes of other connections; see `Study.data_version`."""
+        """Count writes of other connections; see `StudyFile.data_version`."""
         return int(self.query("PRAGMA data_version")[0][0]) if self._sees_other_writers else None
 
     def iter_query(self, sql: str) -> Generator[Any, None, None]:
@@ -257,7 +257,7 @@ class Database:
         if self._lost_reason:
             raise StudyLostError(self._lost_reason)
         if self._is_closed:
-            raise InputError(f"{self.path}: is closed; open it again with `Study.open`.")
+            raise InputError(f"{self.path}: is closed; open it again with `StudyFile.open`.")
 
 
 def create_tables(connection: sqlite3.Connection, *extra_tables: str) -> None:

@@ -28,7 +28,7 @@ from cornercase.scenario import Parameter, ParameterSpace, Value
 from cornercase.study._meta import StudyMeta
 from cornercase.study._scenario_table import ScenarioRecord
 from cornercase.study._stored_paths import stored_path
-from cornercase.study._study import Study, open_or_create_study
+from cornercase.study._study_file import StudyFile, open_or_create_study
 
 IMPORTED_SIMULATOR: Final = "imported"
 """Simulator of a study whose recordings come from files."""
@@ -193,7 +193,7 @@ def _describe_failure(file: Path, error: InputError | SimulationError) -> str:
     return str(error) if str(file) in str(error) else f"{file}: {error}"
 
 
-def _measure_recording(study: Study, row: ScenarioRecord, file: Path, metrics: Sequence[Metric]) -> None:
+def _measure_recording(study: StudyFile, row: ScenarioRecord, file: Path, metrics: Sequence[Metric]) -> None:
     try:
         recording = read_recording(file)
         courses = evaluate_metrics(metrics, recording, study.meta.ego, study.meta.others)

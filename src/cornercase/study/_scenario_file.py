@@ -10,11 +10,11 @@ from cornercase.scenario._locate import find_scenario_file, read_if_fingerprint_
 from cornercase.scenario._road_choices import add_varied_roads
 from cornercase.study._import_recordings import IMPORTED_SIMULATOR
 from cornercase.study._stored_paths import resolve_stored_path
-from cornercase.study._study import Study
+from cornercase.study._study_file import StudyFile
 
 
 def find_explored_scenario(
-    study: Study, scenario: Path | str | ScenarioFile | None = None, *, search_stored_path: bool = False
+    study: StudyFile, scenario: Path | str | ScenarioFile | None = None, *, search_stored_path: bool = False
 ) -> ScenarioFile | None:
     """Find the scenario file that was explored, and refuse any other one.
 

@@ -52,7 +52,7 @@ def build_scenario_table(
     score_sources: Mapping[str, Mapping[int, str | None]] | None = None,
     run_counts: Mapping[int, int] | None = None,
 ) -> pd.DataFrame:
-    """Build the table of `Study.table`, with one row per scenario.
+    """Build the table of `StudyFile.table`, with one row per scenario.
 
     `scores` has one value per scenario that ran, by column; `clusters` has ids and labels, by aspect; the others map
     ids.

@@ -25,7 +25,7 @@ from cornercase.study._connection import (
 from cornercase.study._damage import DamageError
 from cornercase.study._recovery.recover_rows import has_intact_rows
 from cornercase.study._schema import APPLICATION_ID, SCHEMA_VERSION, TABLES
-from cornercase.study._study import Study
+from cornercase.study._study_file import StudyFile
 
 # Largest number of listed problems, from SQLite and per table.
 _MAX_LISTED: Final = 20
@@ -117,7 +117,7 @@ def _iter_problems(path: Path) -> Iterator[str]:
         return
     # All checksums are valid. Reading the content shows whether it is that of a study.
     try:
-        with Study.open(path) as opened:
+        with StudyFile.open(path) as opened:
             for _ in opened.iter_recordings():
                 pass
             opened.table()

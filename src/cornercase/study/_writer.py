@@ -27,7 +27,7 @@ from cornercase.study._scenario_table import ScenarioRecord
 from cornercase.study._schema import CREATE_STATEMENTS, TABLES
 
 if TYPE_CHECKING:
-    from cornercase.study._study import Study
+    from cornercase.study._study_file import StudyFile
 
 # Tables with content, each before those that it refers to.
 _CONTENT_TABLES: Final = tuple(table for table in reversed(TABLES) if table not in ("meta", "tallies"))
@@ -38,7 +38,7 @@ _MUTABLE_FIELDS: Final = ("space", "critical", "budget", "kinds", "requirements"
 class StudyWriter:
     """Writes to an open study; each method is one transaction, which raises `InputError` if it cannot be written."""
 
-    def __init__(self, study: Study, database: Database) -> None:
+    def __init__(self, study: StudyFile, database: Database) -> None:
         self._study, self._database = study, database
 
     def resume(self, meta: StudyMeta, *, same_budget: bool = False) -> None:

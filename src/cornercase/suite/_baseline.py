@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Final
 
 from cornercase._common.errors import InputError
-from cornercase.study import ScenarioRecord, Study
+from cornercase.study import ScenarioRecord, StudyFile
 from cornercase.study._damage import reraise_as_damage
 from cornercase.suite._recording_difference import RecordingDifference, compare_recording_pair
 from cornercase.suite._suite import Suite
@@ -24,7 +24,7 @@ def find_baseline_study(suite: Suite, against: Path | None) -> tuple[Path | None
     `against` is of something else, or cannot be used.
     """
     if against is not None:
-        with Study.open(against, readonly=True) as study, reraise_as_damage(against):
+        with StudyFile.open(against, readonly=True) as study, reraise_as_damage(against):
             _read_baseline(suite, study)
         return against, ""
     if not suite.study:
@@ -35,7 +35,7 @@ def find_baseline_study(suite: Suite, against: Path | None) -> tuple[Path | None
         path = folder / name
         if name and len(name.encode(errors="replace")) <= _MAX_NAME_BYTES and path.is_file():
             try:
-                with Study.open(path, readonly=True) as study, reraise_as_damage(path):
+                with StudyFile.open(path, readonly=True) as study, reraise_as_damage(path):
                     _read_baseline(suite, study)
             except InputError:
                 continue
@@ -43,9 +43,9 @@ def find_baseline_study(suite: Suite, against: Path | None) -> tuple[Path | None
     return None, f"{name} was not found unchanged and readable beside the manifest or in the folder above"
 
 
-def compare_with_baseline(suite: Suite, baseline: Path, study: Study) -> dict[int, RecordingDifference]:
+def compare_with_baseline(suite: Suite, baseline: Path, study: StudyFile) -> dict[int, RecordingDifference]:
     """Compare the recordings of a suite with those of an earlier study, by id of each scenario that ran in both."""
-    with Study.open(baseline, readonly=True) as earlier, reraise_as_damage(baseline):
+    with StudyFile.open(baseline, readonly=True) as earlier, reraise_as_damage(baseline):
         sources = _match_baseline_rows(suite, earlier)
         differences = {}
         for row in study.finished_rows():
@@ -59,7 +59,7 @@ def compare_with_baseline(suite: Suite, baseline: Path, study: Study) -> dict[in
         return differences
 
 
-def _read_baseline(suite: Suite, study: Study) -> None:
+def _read_baseline(suite: Suite, study: StudyFile) -> None:
     """Read everything that is compared later, so that damage is reported before anything is run."""
     for row in _match_baseline_rows(suite, study).values():
         if row.state == "done":
@@ -67,7 +67,7 @@ def _read_baseline(suite: Suite, study: Study) -> None:
             study.scenario_scores(row.id)
 
 
-def _match_baseline_rows(suite: Suite, study: Study) -> Mapping[int, ScenarioRecord]:
+def _match_baseline_rows(suite: Suite, study: StudyFile) -> Mapping[int, ScenarioRecord]:
     """Scenario of the earlier study, by the id in that of the suite."""
     rows = {row.id: row for row in study.rows()}
     if study.meta.suite:

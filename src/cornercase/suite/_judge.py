@@ -16,7 +16,7 @@ from cornercase.metrics import Formula, Signals, signals_from_recording
 from cornercase.metrics._other_entities import present_others
 from cornercase.metrics.formulas._ast import Comparison
 from cornercase.recordings import Collision, Recording
-from cornercase.study import ScenarioRecord, Study
+from cornercase.study import ScenarioRecord, StudyFile
 from cornercase.study._damage import reraise_as_damage
 from cornercase.suite._at_fault import is_at_fault
 from cornercase.suite._requirement import Requirement, RequirementKind
@@ -318,7 +318,7 @@ _JUDGE_BY_KIND: Final[dict[RequirementKind, Callable[[Requirement, Recording, st
 }
 
 
-def judge_study(study: Study) -> dict[int, list[Verdict]]:
+def judge_study(study: StudyFile) -> dict[int, list[Verdict]]:
     """Judge the scenarios of an open study by the requirements that it holds; empty without requirements.
 
     Returns verdicts by id of each scenario that ended, one for each requirement that applies to it; inconclusive if the
@@ -331,7 +331,7 @@ def judge_study(study: Study) -> dict[int, list[Verdict]]:
         return {row.id: judge_scenario(study, row, requirements) for row in study.rows() if row.state != "pending"}
 
 
-def judge_scenario(study: Study, row: ScenarioRecord, requirements: list[Requirement]) -> list[Verdict]:
+def judge_scenario(study: StudyFile, row: ScenarioRecord, requirements: list[Requirement]) -> list[Verdict]:
     """Judge one scenario that has ended, by each requirement that applies to it."""
     meta = study.meta
     file, kind = (_entry_of_row(row, names) if meta.suite else "" for names in (meta.files, meta.kinds))

@@ -24,9 +24,9 @@ from cornercase.scenario._file import ScenarioFile
 from cornercase.simulators import Simulator
 from cornercase.simulators._create import create_simulator
 from cornercase.simulators._results import run_scenarios
-from cornercase.study import Study
+from cornercase.study import StudyFile
 from cornercase.study._scenario_file import find_explored_scenario
-from cornercase.study._study import open_study
+from cornercase.study._study_file import open_study
 from cornercase.suite._judge import judge
 from cornercase.suite._requirement import Requirement
 from cornercase.suite._suite import Suite
@@ -45,7 +45,7 @@ _OPTIONS: Final = ("time_step", "duration", "on_collision")
 
 
 def analyze_mutants(
-    study: Study | Path | str,
+    study: StudyFile | Path | str,
     mutants: int,
     *,
     require: Sequence[str] = (),

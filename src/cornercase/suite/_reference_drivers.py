@@ -8,13 +8,13 @@ from cornercase._common.errors import SimulationError
 from cornercase.drivers.references.r157._preventability import assess_preventability
 from cornercase.simulators import Simulator
 from cornercase.simulators._results import run_scenarios
-from cornercase.study import ScenarioRecord, Study
+from cornercase.study import ScenarioRecord, StudyFile
 from cornercase.suite._requirement import Requirement
 from cornercase.suite._suite import Suite
 
 
 def run_reference_drivers(
-    suite: Suite, study: Study, requirements: Sequence[Requirement], simulators_by_driver: Mapping[str, Simulator]
+    suite: Suite, study: StudyFile, requirements: Sequence[Requirement], simulators_by_driver: Mapping[str, Simulator]
 ) -> None:
     """Run each scenario in which the ego collides again with the reference drivers, and store the outcomes.
 
@@ -32,7 +32,9 @@ def run_reference_drivers(
                 study.writer.save_reference_outcome(row.id, name, outcome)
 
 
-def _needs_reference_run(suite: Suite, study: Study, row: ScenarioRecord, requirements: Sequence[Requirement]) -> bool:
+def _needs_reference_run(
+    suite: Suite, study: StudyFile, row: ScenarioRecord, requirements: Sequence[Requirement]
+) -> bool:
     scenario = suite.scenarios[row.id - 1]
     applies = any(requirement.applies_to(scenario.file_name, scenario.cluster_name) for requirement in requirements)
     if not applies or study.reference_outcome(row.id, requirements[0].reference) is not None:

@@ -20,8 +20,8 @@ from cornercase.recordings import Recording
 from cornercase.simulators import SIMULATORS, Simulator
 from cornercase.simulators._results import find_refusals, list_ignored_content, run_scenarios
 from cornercase.simulators._run_notices import RunNotices, warn_if_ego_has_no_driver
-from cornercase.study import ScenarioRecord, Study, StudyMeta
-from cornercase.study._study import open_or_create_study
+from cornercase.study import ScenarioRecord, StudyFile, StudyMeta
+from cornercase.study._study_file import open_or_create_study
 from cornercase.suite._suite import Suite, SuiteScenario
 
 _NONDETERMINISM_ADVICE: Final = (
@@ -99,7 +99,7 @@ def _warn_about_files(suite: Suite, simulator: Simulator, ego: str) -> None:
 
 
 def _run_pending(
-    study: Study,
+    study: StudyFile,
     rows: Sequence[ScenarioRecord],
     scenarios: Sequence[SuiteScenario],
     simulator: Simulator,

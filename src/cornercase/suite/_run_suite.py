@@ -31,7 +31,7 @@ from cornercase.simulators import Simulator
 from cornercase.simulators._create import create_simulator
 from cornercase.simulators._results import describe_file_error
 from cornercase.simulators.pool._simulator import DEFAULT_MAX_FAILURES, MAX_WORKERS
-from cornercase.study import Study, StudyMeta
+from cornercase.study import StudyFile, StudyMeta
 from cornercase.study._stored_paths import stored_path
 from cornercase.suite._baseline import compare_with_baseline, find_baseline_study
 from cornercase.suite._criteria_requirements import requirements_from_files
@@ -205,9 +205,9 @@ def run_suite(
                 contents, meta, started, path, n_parallel, check_bool("progress", progress)
             )
             if references:
-                with Study.open(path, readonly=False) as opened:
+                with StudyFile.open(path, readonly=False) as opened:
                     run_reference_drivers(contents, opened, parsed, references)
-        with Study.open(path, readonly=True) as opened:
+        with StudyFile.open(path, readonly=True) as opened:
             result = replace(_build_result(contents, opened, parsed, source, why), n_ran_before=n_before)
         for write, target in outputs:
             write(result, target)
@@ -414,7 +414,7 @@ def _build_meta(
 
 
 def _build_result(
-    suite: Suite, study: Study, requirements: list[Requirement], baseline: Path | None, no_baseline_reason: str
+    suite: Suite, study: StudyFile, requirements: list[Requirement], baseline: Path | None, no_baseline_reason: str
 ) -> SuiteResult:
     differences = {} if baseline is None else compare_with_baseline(suite, baseline, study)
     against = {name: study.score_sources(name) for name in study.meta.metrics if len(study.meta.others) > 1}

@@ -12,7 +12,7 @@ from cornercase.clustering._embedding import Distances, EmbeddedDistances
 from cornercase.clustering.naming._names import name_clusters
 from cornercase.clustering.naming._predicates import NamingFacts
 from cornercase.clustering.naming._rules import Rule, find_rules
-from cornercase.study import Study
+from cornercase.study import StudyFile
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,9 @@ class Profile:
         return f"{self.name}; {self.collisions} of {self.size} collide"
 
 
-def profile_clusters(study: Study, labels: IntArray, facts: NamingFacts, distances: Distances) -> tuple[Profile, ...]:
+def profile_clusters(
+    study: StudyFile, labels: IntArray, facts: NamingFacts, distances: Distances
+) -> tuple[Profile, ...]:
     """Return the profile of each cluster, noise last; `distances` are those they were clustered by."""
     ids = [row.id for row in study.finished_rows()]
     scores = {name: study.scores(name) for name in study.meta.metrics}

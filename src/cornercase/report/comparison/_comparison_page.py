@@ -19,8 +19,8 @@ from cornercase.report.comparison._charts import draw_charts
 from cornercase.report.encode._record_format import compress_records, encode_recording
 from cornercase.report.html._templates import render_template
 from cornercase.scenario._file import ScenarioFile
-from cornercase.study import Study
-from cornercase.study._study import open_study
+from cornercase.study import StudyFile
+from cornercase.study._study_file import open_study
 from cornercase.suite import Comparison, Example, Finding
 from cornercase.suite.compare._comparison import format_pair_ids
 from cornercase.suite.compare._describe_comparison import MAX_TABLE_SCENARIOS, describe_comparison
@@ -32,8 +32,8 @@ _POLICY: Final = "default-src 'none'; script-src 'unsafe-inline'; style-src 'uns
 
 def write_comparison(
     comparison: Comparison,
-    old: Study | Path | str,
-    new: Study | Path | str,
+    old: StudyFile | Path | str,
+    new: StudyFile | Path | str,
     path: Path | str,
     *,
     scenario: Path | str | ScenarioFile | None = None,
@@ -82,7 +82,9 @@ def write_comparison(
     return path
 
 
-def _render_page(comparison: Comparison, old: Study, new: Study, scenario: Path | str | ScenarioFile | None) -> str:
+def _render_page(
+    comparison: Comparison, old: StudyFile, new: StudyFile, scenario: Path | str | ScenarioFile | None
+) -> str:
     recordings, records = [], []
     for k, telling in enumerate(comparison.examples):
         for number, study, scenario_id in _scenarios_of_example(k, telling, old, new):
@@ -149,7 +151,9 @@ def _findings_payload(findings: Sequence[Finding], comparison: Comparison) -> li
     ]
 
 
-def _scenarios_of_example(index: int, example: Example, old: Study, new: Study) -> tuple[tuple[int, Study, int], ...]:
+def _scenarios_of_example(
+    index: int, example: Example, old: StudyFile, new: StudyFile
+) -> tuple[tuple[int, StudyFile, int], ...]:
     """Return the page's number, study and scenario id of each scenario of example `index`."""
     return (2 * index + 1, old, example.pair.ids[0]), (2 * index + 2, new, example.pair.ids[1])
 
@@ -159,12 +163,12 @@ def _format_ids(example: Example) -> str:
     return f"Scenario {first}" if first == second else f"Scenarios {first} and {second}"
 
 
-def _read_courses(study: Study, scenario: int, comparison: Comparison) -> dict[str, FloatArray]:
+def _read_courses(study: StudyFile, scenario: int, comparison: Comparison) -> dict[str, FloatArray]:
     names = [score.metric for score in comparison.scores]
     return {name: METRICS.create(name).clip_course(study.course(scenario, name)) for name in names}
 
 
-def _replay_payload(comparison: Comparison, old: Study, new: Study) -> dict[str, Any]:
+def _replay_payload(comparison: Comparison, old: StudyFile, new: StudyFile) -> dict[str, Any]:
     """Return the contents of the replays; the two scenarios of each pair have numbers of the page's own."""
     rows = [{row.id: row for row in study.rows()} for study in (old, new)]
     pairs = [example.pair for example in comparison.examples]
@@ -215,7 +219,7 @@ def _score_of_side(scores: Mapping[str, tuple[float, float]], name: str, side: i
 
 
 def _road_payload(
-    comparison: Comparison, old: Study, recordings: list[Recording], scenario: Path | str | ScenarioFile | None
+    comparison: Comparison, old: StudyFile, recordings: list[Recording], scenario: Path | str | ScenarioFile | None
 ) -> dict[str, Any]:
     values = comparison.examples[0].pair.values if comparison.examples else None
     road, missing = find_road_outline(old, recorded_bounds(recordings), scenario, values)

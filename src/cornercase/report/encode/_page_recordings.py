@@ -12,7 +12,7 @@ import numpy as np
 from cornercase.metrics import METRICS
 from cornercase.report._report_data import ReportData
 from cornercase.report.encode._record_format import compress_records, encode_recording
-from cornercase.study import Study
+from cornercase.study import StudyFile
 
 _RECORDINGS_PER_BLOCK: Final = 16
 # Number of recordings from which the total size is estimated.
@@ -27,7 +27,7 @@ class PackedRecordings:
     index: dict[str, list[int]]  # by id: block and offset in the unpacked block
 
 
-def encode_recordings(study: Study, ids: Sequence[int], *, max_characters: int | None = None) -> PackedRecordings:
+def encode_recordings(study: StudyFile, ids: Sequence[int], *, max_characters: int | None = None) -> PackedRecordings:
     """Pack recordings in the order of `ids`, up to about `max_characters`; neighbours are viewed together."""
     blocks: list[str] = []
     index: dict[str, list[int]] = {}
@@ -44,7 +44,7 @@ def encode_recordings(study: Study, ids: Sequence[int], *, max_characters: int |
 
 
 def encode_important_recordings(
-    study: Study,
+    study: StudyFile,
     data: ReportData,
     *,
     max_characters: int = 16_000_000,
@@ -99,7 +99,7 @@ def _van_der_corput_order(count: int) -> list[int]:
     return [k for k in mirrored if k < count]
 
 
-def _encode_records(study: Study, ids: Sequence[int]) -> Iterator[bytes]:
+def _encode_records(study: StudyFile, ids: Sequence[int]) -> Iterator[bytes]:
     metrics = [METRICS.create(name) for name in study.meta.metrics]
     for scenario in ids:
         courses = {metric.name: metric.clip_course(study.course(scenario, metric.name)) for metric in metrics}

@@ -20,7 +20,7 @@ from cornercase.report.html._overview_sections import render_provenance
 from cornercase.report.live._follower import StudyFollower
 from cornercase.report.text._answers import describe_study
 from cornercase.roads._outline import Region
-from cornercase.study import Study
+from cornercase.study import StudyFile
 
 # Pause between two computations: at least this many seconds, and this many times the computation time.
 _MIN_INTERVAL: Final = 3.0
@@ -59,7 +59,7 @@ class RoadAndRerunCache:
         self._roads: dict[str, Any] = {}
         self._warned: set[str] = set()
 
-    def payload(self, study: Study, data: ReportData) -> dict[str, Any]:
+    def payload(self, study: StudyFile, data: ReportData) -> dict[str, Any]:
         """Return ``roads``, ``roads_missing`` and ``rerun`` of the page's contents."""
         new, old = data.region, self._region
         is_known = study.meta.fingerprint == self._fingerprint and bool(self._roads.get("roads"))
@@ -152,7 +152,7 @@ def _key_by_id(clusters: dict[str, Any], ids: list[int]) -> dict[str, Any]:
 
 def _analyze_study(path: Path, surroundings: RoadAndRerunCache) -> tuple[dict[str, Any], dict[int, str]] | None:
     # The explorer continues to write; its write-ahead log grows during this snapshot.
-    with Study.open(path, readonly=True) as study, study.snapshot():
+    with StudyFile.open(path, readonly=True) as study, study.snapshot():
         if not study.finished_rows():
             return None
         data = read_report_data(study)

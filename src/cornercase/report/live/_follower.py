@@ -12,7 +12,7 @@ from typing import Any, Final, Literal
 
 from cornercase._common.errors import InputError
 from cornercase.report.live._scenario_digest import ScenarioDigest, ScenarioDigester
-from cornercase.study import Study, StudyMeta
+from cornercase.study import StudyFile, StudyMeta
 
 # Seconds between two polls of the study.
 _POLL_SECONDS: Final = 0.25
@@ -105,7 +105,7 @@ class StudyFollower:
         self._last_version: int | None = None
 
     def _run(self) -> None:
-        study: Study | None = None
+        study: StudyFile | None = None
         while not self._stop_event.is_set():
             try:
                 study = self._poll(study)
@@ -118,7 +118,7 @@ class StudyFollower:
         if study is not None:
             study.close()
 
-    def _drop_study(self, study: Study | None, why: str) -> None:
+    def _drop_study(self, study: StudyFile | None, why: str) -> None:
         if study is not None:
             study.close()
         if self._meta is not None:
@@ -126,7 +126,7 @@ class StudyFollower:
         else:
             self.state = StudyProgress(why=why)
 
-    def _poll(self, study: Study | None) -> Study | None:
+    def _poll(self, study: StudyFile | None) -> StudyFile | None:
         """Read what is new in the study and return it; None if it must be opened again."""
         stamp = _file_stamp(self.path)
         if stamp is None:
@@ -138,7 +138,7 @@ class StudyFollower:
             study.close()
             study = None
         if study is None:
-            study = Study.open(self.path, readonly=True)
+            study = StudyFile.open(self.path, readonly=True)
             if self._meta is not None and not (
                 self._file_stamp[0] == stamp[0] and _is_same_search(self._meta, study.meta)
             ):
@@ -156,7 +156,7 @@ class StudyFollower:
         self.n_changes += 1
         return study
 
-    def _read_new(self, study: Study) -> bool:
+    def _read_new(self, study: StudyFile) -> bool:
         """Read new scenarios; return False if the study has become a different one."""
         with study.snapshot():
             is_same_meta = study.read_meta() == study.meta

@@ -13,7 +13,7 @@ from cornercase.exploration._objective import Objective
 from cornercase.report._courses import encode_courses, resample_course
 from cornercase.report._payload import parameter_columns, round_score, score_source_column
 from cornercase.report._summary import entities_hit_by_ego
-from cornercase.study import ScenarioRecord, Study, StudyMeta
+from cornercase.study import ScenarioRecord, StudyFile, StudyMeta
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +32,7 @@ class ScenarioDigest:
 class ScenarioDigester:
     """Reads digests from an open study."""
 
-    def __init__(self, study: Study) -> None:
+    def __init__(self, study: StudyFile) -> None:
         self._study = study
         self._objective = Objective.from_study_meta(study.meta)
 

@@ -23,7 +23,7 @@ from cornercase.report._rerun import read_selection_reasons, render_concrete_sce
 from cornercase.report.encode._page_recordings import encode_recordings
 from cornercase.report.live._auth import TokenAuth
 from cornercase.report.live._events import Cursor, EventStream
-from cornercase.study import Study, write_note
+from cornercase.study import StudyFile, write_note
 from cornercase.study._notes import MAX_NOTE_LENGTH
 from cornercase.study._scenario_file import find_explored_scenario
 
@@ -76,14 +76,14 @@ class _Endpoints:
 
     def recording(self, request: Request) -> Response:
         self._require_same_epoch(request)
-        with Study.open(self._path, readonly=True) as study:
+        with StudyFile.open(self._path, readonly=True) as study:
             (block,) = encode_recordings(study, [_scenario_id(request)]).blocks
         return Response(base64.b64decode(block), media_type="application/octet-stream")
 
     def recording_csv(self, request: Request) -> Response:
         self._require_same_epoch(request)
         scenario = _scenario_id(request)
-        with Study.open(self._path, readonly=True) as study, tempfile.TemporaryDirectory() as folder:
+        with StudyFile.open(self._path, readonly=True) as study, tempfile.TemporaryDirectory() as folder:
             study.recording(scenario).to_csv(Path(folder) / "recording.csv")
             content = (Path(folder) / "recording.csv").read_bytes()
             return _download_response(content, f"{study.meta.title}-{scenario:05}.csv", "text/csv; charset=utf-8")
@@ -91,7 +91,7 @@ class _Endpoints:
     def scenario_file(self, request: Request) -> Response:
         self._require_same_epoch(request)
         scenario = _scenario_id(request)
-        with Study.open(self._path, readonly=True) as study:
+        with StudyFile.open(self._path, readonly=True) as study:
             explored = find_explored_scenario(study, self._scenario_path)
             if explored is None:
                 raise InputError("Imported recordings have no scenario file.")

@@ -18,7 +18,7 @@ from cornercase._common.process.signals import last_signal
 from cornercase.report.live._analysis_worker import AnalysisWorker
 from cornercase.report.live._events import EventStream
 from cornercase.report.live._follower import StudyFollower
-from cornercase.study._study import open_study
+from cornercase.study._study_file import open_study
 
 _MAX_PORT: Final = 65535
 # Seconds that open connections get to finish.

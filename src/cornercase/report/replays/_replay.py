@@ -17,8 +17,8 @@ from cornercase._common.typing import FloatArray
 from cornercase.report._road_drawing import is_missing_map
 from cornercase.report.replays._replay_data import ReplayData, read_replay_data
 from cornercase.scenario._file import ScenarioFile
-from cornercase.study import Study
-from cornercase.study._study import open_study
+from cornercase.study import StudyFile
+from cornercase.study._study_file import open_study
 
 if TYPE_CHECKING:
     from cornercase.report.replays._frames import Frame
@@ -34,7 +34,7 @@ _MAX_FRAMES: Final = 20_000
 
 
 def replay(
-    study: Study | Path | str,
+    study: StudyFile | Path | str,
     id: int,  # noqa: A002
     path: Path | str,
     *,

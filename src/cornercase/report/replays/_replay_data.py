@@ -17,7 +17,7 @@ from cornercase.report._road_drawing import find_road_outline, recorded_bounds
 from cornercase.roads._outline import RoadOutline
 from cornercase.scenario import Parameter
 from cornercase.scenario._file import ScenarioFile
-from cornercase.study import ScenarioRecord, Study, StudyMeta
+from cornercase.study import ScenarioRecord, StudyFile, StudyMeta
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +76,9 @@ class ReplayData:
         return max(float(take.recording.time[-1]) for take in self.items)
 
 
-def read_replay_data(study: Study, ids: Sequence[int], scenario: Path | str | ScenarioFile | None = None) -> ReplayData:
+def read_replay_data(
+    study: StudyFile, ids: Sequence[int], scenario: Path | str | ScenarioFile | None = None
+) -> ReplayData:
     """Read scenarios and their road for a replay; InputError if a scenario was not run or `scenario` does not match."""
     meta = study.meta
     metrics = tuple(METRICS.create(name) for name in meta.metrics)
@@ -103,7 +105,7 @@ def read_replay_data(study: Study, ids: Sequence[int], scenario: Path | str | Sc
     return ReplayData(study.path.name, meta, metrics, threshold, tuple(takes), road, missing)
 
 
-def _require_run_scenario(study: Study, rows: Mapping[int, ScenarioRecord], scenario_id: int) -> ScenarioRecord:
+def _require_run_scenario(study: StudyFile, rows: Mapping[int, ScenarioRecord], scenario_id: int) -> ScenarioRecord:
     row = rows.get(scenario_id)
     if row is None:
         count = f"its scenarios are 1 to {max(rows)}" if rows else "it has none yet"

@@ -18,8 +18,8 @@ from cornercase.drivers import DRIVERS
 from cornercase.drivers._description import driver_command_option, format_driver
 from cornercase.metrics import METRICS
 from cornercase.simulators import SIMULATORS
-from cornercase.study import Study, StudyMeta
-from cornercase.study._study import open_study
+from cornercase.study import StudyFile, StudyMeta
+from cornercase.study._study_file import open_study
 from cornercase.suite._judge import judge_study
 from cornercase.suite.compare._change_verdict import decide_verdict, find_findings, resolve_tolerances
 from cornercase.suite.compare._choose_examples import choose_examples
@@ -50,8 +50,8 @@ _SETTING_LABELS: Final = {
 
 
 def compare(
-    old: Study | Path | str,
-    new: Study | Path | str,
+    old: StudyFile | Path | str,
+    new: StudyFile | Path | str,
     *,
     metrics: str | Sequence[str] | None = None,
     critical: float | None = None,
@@ -152,7 +152,7 @@ def compare(
         )
 
 
-def _require_complete_suite(study: Study) -> None:
+def _require_complete_suite(study: StudyFile) -> None:
     """Raise `InputError` if a suite was interrupted: its few unchanged scenarios would look like no change."""
     n_pending = sum(row.state == "pending" for row in study.rows())
     if study.meta.suite and n_pending:
@@ -266,7 +266,7 @@ def _describe_setting_differences(old: StudyMeta, new: StudyMeta) -> Iterator[st
     yield from _describe_value_difference("", old.settings, new.settings)
 
 
-def _describe_nondeterminism(*studies: Study) -> Iterator[str]:
+def _describe_nondeterminism(*studies: StudyFile) -> Iterator[str]:
     """Yield which of the studies are not deterministic, in words."""
     for study in studies:
         if study.meta.nondeterminism_text:
@@ -310,7 +310,7 @@ def _format_setting(value: Any) -> str:
 
 
 def _count_cluster_changes(
-    old: Study, new: Study, pairs: Sequence[ScenarioPair]
+    old: StudyFile, new: StudyFile, pairs: Sequence[ScenarioPair]
 ) -> dict[str, tuple[ClusterChange, ...]]:
     """Count the pairs in each cluster of the old study, with each version; new scenarios are assigned to them."""
     clusters = {}

@@ -14,7 +14,7 @@ from cornercase.exploration._objective import Objective
 from cornercase.exploration._study_critical_set import is_score_independent
 from cornercase.recordings import Recording
 from cornercase.recordings._compare import NUMERIC_ARRAYS, are_bitwise_equal
-from cornercase.study import ScenarioRecord, Study, StudyMeta
+from cornercase.study import ScenarioRecord, StudyFile, StudyMeta
 from cornercase.study._import_recordings import IMPORTED_SIMULATOR
 from cornercase.suite._judge import compute_margin
 from cornercase.suite._requirement import Requirement
@@ -34,7 +34,7 @@ class StudySide:
     and of those that define criticality; `critical` is empty without a threshold.
     """
 
-    study: Study
+    study: StudyFile
     rows: tuple[ScenarioRecord, ...]
     fills_space: Mapping[int, bool]
     is_explored: bool
@@ -43,7 +43,9 @@ class StudySide:
     verdicts: Mapping[int, Sequence[Verdict]]
 
     @classmethod
-    def from_study(cls, study: Study, metrics: Sequence[str], verdicts: Mapping[int, Sequence[Verdict]]) -> StudySide:
+    def from_study(
+        cls, study: StudyFile, metrics: Sequence[str], verdicts: Mapping[int, Sequence[Verdict]]
+    ) -> StudySide:
         """Read everything about the scenarios of an open study except their recordings."""
         rows, done = study.rows(), [row.id for row in study.finished_rows()]
         first_rows: dict[tuple[object, ...], ScenarioRecord] = {}
@@ -79,12 +81,12 @@ class StudySide:
         return [row.id for row in self.rows if row.state == "done" and self.fills_space[row.id]]
 
 
-def has_threshold(study: Study) -> bool:
+def has_threshold(study: StudyFile) -> bool:
     """Tell whether the study has a threshold of a single score."""
     return study.critical is not None and not study.meta.pareto
 
 
-def scenario_key(study: Study, row: ScenarioRecord) -> tuple[object, ...]:
+def scenario_key(study: StudyFile, row: ScenarioRecord) -> tuple[object, ...]:
     """Parameter values of a scenario, by which its partner is found: a number, or the text of a choice, for each."""
     return tuple(
         str(value) if parameter.choices else float(value)
@@ -93,7 +95,7 @@ def scenario_key(study: Study, row: ScenarioRecord) -> tuple[object, ...]:
     )
 
 
-def criticality_metrics(study: Study) -> tuple[str, ...]:
+def criticality_metrics(study: StudyFile) -> tuple[str, ...]:
     """Names of the metrics whose scores define criticality in a study; empty without a threshold."""
     if not has_threshold(study):
         return ()
@@ -192,7 +194,7 @@ def _match_verdicts(old: Sequence[Verdict], new: Sequence[Verdict]) -> tuple[tup
     return tuple(verdict for verdict, _ in matched), tuple(other for _, other in matched)
 
 
-def choose_compared_metrics(old: Study, new: Study, metrics: Sequence[str] | None) -> tuple[str, ...]:
+def choose_compared_metrics(old: StudyFile, new: StudyFile, metrics: Sequence[str] | None) -> tuple[str, ...]:
     """Choose the metrics to compare; raise `InputError` if the studies are not comparable."""
     pair = f"{old.path} and {new.path}"
     a, b = old.meta, new.meta
@@ -244,7 +246,7 @@ def _have_same_scenarios(old: StudyMeta, new: StudyMeta) -> bool:
     return suite.origin == explored.fingerprint
 
 
-def _criticality_key(study: Study) -> tuple[object, ...]:
+def _criticality_key(study: StudyFile) -> tuple[object, ...]:
     meta = study.meta
     return study.critical, dict(meta.weights), meta.metrics[0] if not meta.weights else None
 

@@ -10,7 +10,7 @@ from cornercase.evidence._critical_set_estimate import CriticalSet
 from cornercase.evidence._proportions import proportion_interval
 from cornercase.exploration._objective import Objective
 from cornercase.exploration._study_critical_set import estimate_critical_set
-from cornercase.study import Study
+from cornercase.study import StudyFile
 from cornercase.suite.compare._comparison import ScenarioPair, SpaceChange
 from cornercase.suite.compare._match import StudySide
 from cornercase.suite.compare._significance import MIN_SAMPLE_SIZE
@@ -52,7 +52,7 @@ def estimate_space_change(old: StudySide, new: StudySide, pairs: tuple[ScenarioP
     return SpaceChange(len(independent), gained, lost, reason, sets, sets_reason, names, units)
 
 
-def _compare_critical_sets(old: Study, new: Study) -> tuple[SetDifference | None, str]:
+def _compare_critical_sets(old: StudyFile, new: StudyFile) -> tuple[SetDifference | None, str]:
     sets = []
     for study in (old, new):
         try:
@@ -70,7 +70,7 @@ def _compare_critical_sets(old: Study, new: Study) -> tuple[SetDifference | None
     return SetDifference.from_critical_sets(*sets), ""
 
 
-def _estimate_critical_set(study: Study) -> CriticalSet:
+def _estimate_critical_set(study: StudyFile) -> CriticalSet:
     objective = Objective.from_study_meta(study.meta)
     threshold = objective.convert_orientation(float(study.critical or 0.0))
     return estimate_critical_set(study, objective.minimized_scores(study), threshold, seed=_DRAW_SEED)

@@ -53,7 +53,7 @@ ELAPSED_STAGES: Final = (
 )  # fmt: skip
 
 
-class Study:
+class StudyFile:
     """An open study; use it as a context manager. Make one with `create` or `open`.
 
     Readers work while an exploration writes.
@@ -81,7 +81,7 @@ class Study:
         self._row_cache: tuple[tuple[int, int], list[ScenarioRecord]] | None = None
 
     @classmethod
-    def create(cls, path: Path | str, meta: StudyMeta) -> Study:
+    def create(cls, path: Path | str, meta: StudyMeta) -> StudyFile:
         """Create a study in a new file, and open it for writing.
 
         Parameters
@@ -108,7 +108,7 @@ class Study:
         return cls(Database.create(Path(path), rows, *optional_table_names(meta)))
 
     @classmethod
-    def open(cls, path: Path | str, readonly: bool = True) -> Study:
+    def open(cls, path: Path | str, readonly: bool = True) -> StudyFile:
         """Open a study.
 
         Parameters
@@ -893,7 +893,7 @@ class Study:
             write_table(folder, table, parquet)
             write_scenarios(folder, self.iter_recordings(), parquet)
 
-    def read_recording_pair(self, scenario: int, other: Study, other_scenario: int) -> tuple[Recording, Recording]:
+    def read_recording_pair(self, scenario: int, other: StudyFile, other_scenario: int) -> tuple[Recording, Recording]:
         """Recordings of a scenario and of one of another study.
 
         Parameters
@@ -979,25 +979,30 @@ class Study:
 
 
 @contextmanager
-def open_study(study: Study | Path | str, readonly: bool = False, critical: float | None = None) -> Iterator[Study]:
+def open_study(
+    study: StudyFile | Path | str, readonly: bool = False, critical: float | None = None
+) -> Iterator[StudyFile]:
     """Give an open study, or open the one at a path for as long as the block lasts.
 
     `critical` replaces the threshold of the study within the block; the file stays as it is. Raises `InputError` if an
     open study cannot be written but should be, or if the study has no single score that a threshold could apply to.
     """
     threshold = None if critical is None else check_float("critical", critical)
-    if isinstance(study, Study):
+    if isinstance(study, StudyFile):
         if study.readonly and not readonly:
             raise InputError(f"{study.path}: is open for reading only; open it with readonly=False, or give its path.")
         with _override_critical(study, threshold):
             yield study
         return
-    with Study.open(validation.check_path("study", study), readonly) as opened, _override_critical(opened, threshold):
+    with (
+        StudyFile.open(validation.check_path("study", study), readonly) as opened,
+        _override_critical(opened, threshold),
+    ):
         yield opened
 
 
 @contextmanager
-def _override_critical(study: Study, critical: float | None) -> Iterator[None]:
+def _override_critical(study: StudyFile, critical: float | None) -> Iterator[None]:
     """Replace the threshold of a study within the block."""
     if critical is None:
         yield
@@ -1019,16 +1024,16 @@ def _override_critical(study: Study, critical: float | None) -> Iterator[None]:
 
 
 @contextmanager
-def open_or_create_study(path: Path, meta: StudyMeta) -> Iterator[Study]:
+def open_or_create_study(path: Path, meta: StudyMeta) -> Iterator[StudyFile]:
     """Open a study for writing for as long as the block lasts; create it if there is none.
 
     A study that was created is removed again if the block raises `InputError` and no scenario has run.
     """
     if path.exists():
-        with Study.open(path, readonly=False) as study:
+        with StudyFile.open(path, readonly=False) as study:
             yield study
         return
-    with Study.create(path, meta) as study:
+    with StudyFile.create(path, meta) as study:
         try:
             yield study
         except InputError:
