@@ -1,8 +1,4 @@
 from ._agreement import Agreement as Agreement
-from ._analysis import Analysis as Analysis
-from ._analysis import read_analyses as read_analyses
-from ._analysis import read_analysis as read_analysis
-from ._analysis import read_distances as read_distances
 from ._analyze import analyze as analyze
 from ._aspects import ASPECTS as ASPECTS
 from ._aspects import Aspect as Aspect
@@ -11,5 +7,9 @@ from ._clustering import Clustering as Clustering
 from ._clustering import ClusteringMethod as ClusteringMethod
 from ._scenario_clustering import ScenarioClustering as ScenarioClustering
 from ._scenario_clustering import cluster as cluster
+from ._stored_analysis import Analysis as Analysis
+from ._stored_analysis import read_analyses as read_analyses
+from ._stored_analysis import read_analysis as read_analysis
+from ._stored_analysis import read_distances as read_distances
 from .naming._profiles import Profile as Profile
 from .naming._rules import Rule as Rule

@@ -17,13 +17,6 @@ from cornercase._common.progress import ProgressBar, show_bars
 from cornercase._common.typing import FloatArray, IntArray
 from cornercase._common.validation import check_str_sequence
 from cornercase.clustering._agreement import collect_facts, mutual_information_with_facts
-from cornercase.clustering._analysis import (
-    Analysis,
-    analysis_to_storage,
-    read_analysis,
-    read_distances,
-    read_landmark_distances,
-)
 from cornercase.clustering._assign import refit
 from cornercase.clustering._clustering import Clustering, ClusteringMethod
 from cornercase.clustering._embedding import Distances, EmbeddedDistances
@@ -41,6 +34,13 @@ from cornercase.clustering._series import (
     require_aspect,
     require_same_channels,
     window_in_instants,
+)
+from cornercase.clustering._stored_analysis import (
+    Analysis,
+    analysis_to_storage,
+    read_analysis,
+    read_distances,
+    read_landmark_distances,
 )
 from cornercase.clustering.naming._predicates import NamingFacts
 from cornercase.clustering.naming._profiles import profile_clusters

@@ -106,7 +106,7 @@ class EgoMotion(Aspect):
         return np.hstack((_positions(recording, ego), _LOOK_AHEAD_TIME * _speeds(recording, ego)))
 
 
-class Interaction(Aspect):
+class JointPositions(Aspect):
     """Positions of ego and other at the same time, jointly: x, y, x, y in m."""
 
     name, unit = "interaction", "m"
@@ -116,7 +116,7 @@ class Interaction(Aspect):
         return np.hstack((_positions(recording, ego), _positions(recording, other, ego)))
 
 
-class Relative(Aspect):
+class RelativePosition(Aspect):
     """Position of the other as seen from the ego: ahead and to the left, in m."""
 
     name, unit = "relative", "m"
@@ -161,7 +161,7 @@ class Behaviour(Aspect):
 ASPECTS: Final[Registry[Aspect]] = Registry("aspect", "cornercase.aspects", Aspect)
 """Aspects by name; the course of each metric of a study can be compared, too."""
 
-for _class in (EgoTrajectory, EgoSpeed, EgoMotion, Interaction, Relative, Bearing, Behaviour):
+for _class in (EgoTrajectory, EgoSpeed, EgoMotion, JointPositions, RelativePosition, Bearing, Behaviour):
     ASPECTS.register(_class.name, _class)
 
 

@@ -31,7 +31,7 @@ _BATCH_SIZE: Final = 1000
 
 
 @dataclass(frozen=True, eq=False)
-class ComparisonResult:
+class LandmarkClustering:
     """Clusters and embedding of scenarios that were compared with landmarks.
 
     `embedding`, shape (n, p), are coordinates for `EmbeddedDistances`; `landmark_distances`, shape (m, m), are the
@@ -95,13 +95,13 @@ def draw_landmarks(n_scenarios: int) -> IntArray:
     return np.sort(drawn).astype(np.int64)
 
 
-def cluster_by_landmarks(comparer: PairwiseComparer, model: ScenarioClustering) -> ComparisonResult:
+def cluster_by_landmarks(comparer: PairwiseComparer, model: ScenarioClustering) -> LandmarkClustering:
     """Cluster the landmarks with the settings of `model`, and assign all other scenarios to their clusters."""
     landmarks = draw_landmarks(len(comparer.series))
     landmark_distances = comparer.distances_between(landmarks)
     fitted = ScenarioClustering(**{**model.get_params(), "landmarks": None}).fit(landmark_distances)
     clustering, coordinates, error = _assign_all(comparer, landmarks, landmark_distances, fitted)
-    return ComparisonResult(
+    return LandmarkClustering(
         replace(clustering, labels=renumber_by_size(clustering.labels)), coordinates, landmark_distances, error
     )
 
@@ -112,7 +112,7 @@ def assign_by_landmarks(
     landmark_distances: FloatArray,
     existing: Clustering,
     labels: IntArray,
-) -> ComparisonResult:
+) -> LandmarkClustering:
     """Assign scenarios to clusters of an earlier analysis; landmarks keep their `labels`, shape (m,)."""
     dimensions = existing.embedding.shape[1]
     fitted = ScenarioClustering(
@@ -120,7 +120,9 @@ def assign_by_landmarks(
     ).fit(landmark_distances)
     fitted.result_ = replace(fitted.result_, labels=labels)
     clustering, coordinates, error = _assign_all(comparer, landmarks, landmark_distances, fitted)
-    return ComparisonResult(replace(clustering, candidates=existing.candidates), coordinates, landmark_distances, error)
+    return LandmarkClustering(
+        replace(clustering, candidates=existing.candidates), coordinates, landmark_distances, error
+    )
 
 
 def _assign_all(

@@ -46,8 +46,8 @@ def compute_distances_on_gpu(
     partners = rows if columns is None else columns
     dims = rows[0].shape[1]
     # Longest first, so that the threads of a warp finish together and the last launch is short.
-    row_order, row_lengths = _sort_by_decreasing_length(rows)
-    column_order, column_lengths = _sort_by_decreasing_length(partners)
+    row_order, row_lengths = _order_and_lengths_decreasing(rows)
+    column_order, column_lengths = _order_and_lengths_decreasing(partners)
     longest, width = int(column_lengths[0]), len(partners)
     interleaved = np.zeros((longest, dims, width), dtype=dtype)
     for position, j in enumerate(column_order):
@@ -89,7 +89,7 @@ def compute_distances_on_gpu(
     return out
 
 
-def _sort_by_decreasing_length(series: Sequence[Floats]) -> tuple[IntArray, IntArray]:
+def _order_and_lengths_decreasing(series: Sequence[Floats]) -> tuple[IntArray, IntArray]:
     lengths = np.array([len(values) for values in series], dtype=np.int64)
     order = np.argsort(-lengths, kind="stable")
     return order, lengths[order]

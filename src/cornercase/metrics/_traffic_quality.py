@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal, get_args
+from typing import Final, Literal, get_args
 
 import numpy as np
 
@@ -70,12 +70,9 @@ class TrafficQuality(Metric):
         """Traffic quality, or the chosen term of it, at each instant; `other` is not used."""
         scene = _TrafficScene(recording, ego)
         if self.term != "all":
-            term: FloatArray = getattr(scene, f"{self.term}_term")()
-            return np.where(scene.exists[scene.ego], term, np.nan)
-        squares = (
-            scene.macro_term() ** 2 + scene.micro_term() ** 2 + scene.nano_term() ** 2 + scene.individual_term() ** 2
-        )
-        return np.where(scene.exists[scene.ego], scene.penalty_term() * np.sqrt(squares), np.nan)
+            return np.where(scene.exists[scene.ego], _TERMS[self.term](scene), np.nan)
+        squares = sum(_TERMS[name](scene) ** 2 for name in ("macro", "micro", "nano", "individual"))
+        return np.where(scene.exists[scene.ego], scene.smallest_gap_penalty() * np.sqrt(squares), np.nan)
 
 
 class _TrafficScene:
@@ -93,17 +90,17 @@ class _TrafficScene:
         self.near: BoolArray = self.exists & (np.hypot(offsets[..., 0], offsets[..., 1]) <= radius)
         self.near[self.ego] = False
 
-    def macro_term(self) -> FloatArray:
+    def speed_variation_of_all(self) -> FloatArray:
         return _coefficient_of_variation(self.speed, self.exists)
 
-    def micro_term(self) -> FloatArray:
+    def share_near_ego(self) -> FloatArray:
         fraction: FloatArray = self.near.sum(0) / np.maximum(self.exists.sum(0), 1)
         return fraction
 
-    def nano_term(self) -> FloatArray:
+    def speed_variation_near_ego(self) -> FloatArray:
         return _coefficient_of_variation(self.speed, self.near)
 
-    def individual_term(self) -> FloatArray:
+    def ego_motion_term(self) -> FloatArray:
         time = self.recording.time
         # Stored times are rounded, so a sample that is 2 s old up to a small tolerance belongs to the window.
         first = np.searchsorted(time, time - _WINDOW - 1e-6)
@@ -111,7 +108,7 @@ class _TrafficScene:
         speed = _mean_from_index(first, self.speed[self.ego])
         return 0.5 * (np.abs(acceleration) / 1.5 + speed / 13.89)
 
-    def penalty_term(self) -> FloatArray:
+    def smallest_gap_penalty(self) -> FloatArray:
         a, b = np.triu_indices(len(self.centers), 1)
         offsets = self.centers[a] - self.centers[b]
         center_distance = np.where(self.exists[a] & self.exists[b], np.hypot(offsets[..., 0], offsets[..., 1]), np.inf)
@@ -125,6 +122,15 @@ class _TrafficScene:
         np.minimum.at(smallest, instant, box_distance(corners[a[pair], instant], corners[b[pair], instant]))
         penalty: FloatArray = np.exp(-smallest / 5.0)
         return penalty
+
+
+_TERMS: Final = {
+    "macro": _TrafficScene.speed_variation_of_all,
+    "micro": _TrafficScene.share_near_ego,
+    "nano": _TrafficScene.speed_variation_near_ego,
+    "individual": _TrafficScene.ego_motion_term,
+    "penalty": _TrafficScene.smallest_gap_penalty,
+}
 
 
 def _coefficient_of_variation(speed: FloatArray, is_counted: BoolArray) -> FloatArray:

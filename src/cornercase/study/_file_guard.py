@@ -101,7 +101,7 @@ class StudyFileGuard:
             self._connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
         self._lease.release(self._connection)
         self._connection.close()
-        self._remove_sqlite_files()
+        self._remove_orphaned_side_files()
 
     def _close_overwritten_file(self) -> None:
         self._lease.abandon()
@@ -111,9 +111,9 @@ class StudyFileGuard:
             with suppress(OSError):
                 os.truncate(log, 0)
         self._connection.close()
-        self._remove_sqlite_files()
+        self._remove_orphaned_side_files()
 
-    def _remove_sqlite_files(self) -> None:
+    def _remove_orphaned_side_files(self) -> None:
         # These files would be taken for the log of the new file.
         for file, identity in self._file_identities.items():
             if file != self._path and identity is not None and file_identity(file) == identity:

@@ -162,7 +162,7 @@ def _react_to_other(behaviour, time_step, lookahead, other, is_vulnerable, is_yi
         return limit, False
     if standing:
         if is_vulnerable and behaviour.standing_caution < 1.0:
-            return _caution_acceleration(behaviour, time_step, lookahead, other), False
+            return _acceleration_past_standing_person(behaviour, time_step, lookahead, other), False
         return math.inf, False
     return _yield_acceleration(behaviour, time_step, lookahead, margin, other, k > 0, is_yielding)
 
@@ -277,7 +277,7 @@ def _first_row_of_conflict_zone(lookahead, row, margin, other, horizon):
 
 
 @plain_kernel
-def _caution_acceleration(behaviour, time_step, lookahead, other):
+def _acceleration_past_standing_person(behaviour, time_step, lookahead, other):
     slow, samples, ego, v = (
         behaviour.standing_caution * lookahead.target_speed,
         lookahead.samples,

@@ -103,7 +103,7 @@ class SparsePosterior:
             self.points, self._whitening = base.points, base._whitening
             self._precision, self._moment = base._precision, base._moment
         for block in _block_slices(len(points)):
-            rows, deviation = self._whitened_covariances(points[block])
+            rows, deviation = self._project_on_inducing_points(points[block])
             rows /= deviation[:, None]
             # Only the lower half is used.
             self._precision = self._precision + gram_lower_half(rows.T)
@@ -138,14 +138,14 @@ class SparsePosterior:
 
     def _leave_one_out_block(self, points: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
         """As `leave_one_out`, for some of the known values."""
-        rows, root = self._whitened_covariances(points)
+        rows, root = self._project_on_inducing_points(points)
         projections = multiply_by_lower_transposed(rows, self._inverse_precision_factor)
         explained = np.einsum("ij,ij->i", projections, projections)
         precision = (1.0 - explained / root**2) / root**2
         error = (values - rows @ self._mean) / root**2 / precision
         return values - error, 1.0 / np.sqrt(precision)
 
-    def _whitened_covariances(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _project_on_inducing_points(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Whitened covariances with the inducing points, and the standard deviation that these leave unexplained."""
         rows = multiply_by_lower_transposed(self._kernel.covariance(points, self.points), self._whitening)
         variance = self._kernel.signal**2

@@ -97,7 +97,7 @@ def render_provenance(file_name: str, summary: Summary) -> Markup:
             f"time to {_STAGE_NAMES.get(name, name)} [s]": _format_seconds(time)
             for name, time in summary.seconds_by_stage.items()
         },
-        **_package_versions(meta),
+        **_study_and_page_versions(meta),
     }
     table = render_table(["what", "value"], [[key, str(value)] for key, value in facts.items()], left_aligned=(0, 1))
     limits = "".join(
@@ -124,7 +124,7 @@ def _format_setting(value: Any) -> str:
     return str(value) if path is None else path.name
 
 
-def _package_versions(meta: StudyMeta) -> dict[str, str]:
+def _study_and_page_versions(meta: StudyMeta) -> dict[str, str]:
     return {
         "cornercase that made the study": meta.version,
         "cornercase that wrote this page": __version__,

@@ -16,7 +16,7 @@ from typing import Any, Final
 
 from cornercase._common.errors import InputError, SimulationError, SimulatorError
 from cornercase.scenario import Value
-from cornercase.simulators.carmaker._result_files import ResultFileTracker
+from cornercase.simulators.carmaker._result_file_tracker import ResultFileTracker
 
 # Time limit in s for CarMaker to end.
 _END_TIMEOUT: Final = 5.0

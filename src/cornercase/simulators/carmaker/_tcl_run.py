@@ -10,7 +10,7 @@ from typing import Final
 
 from cornercase._common.errors import InputError, SimulationError, SimulatorError
 from cornercase.scenario import Value
-from cornercase.simulators.carmaker._result_files import ResultFileTracker
+from cornercase.simulators.carmaker._result_file_tracker import ResultFileTracker
 from cornercase.simulators.carmaker._tcl_client import TclClient
 
 _IDLE, _POSTPROCESSING, _FATAL, _LICENCE, _PAUSED = -2, -3, -6, -7, -8
