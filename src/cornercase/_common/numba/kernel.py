@@ -13,13 +13,14 @@ from pathlib import Path
 from typing import Any, cast
 from weakref import WeakSet
 
-from numba import njit, types
+from numba import types
 from numba.core import event
 from numba.core.caching import FunctionCache
 from numba.core.runtime.nrt import rtsys
 
 from cornercase._common.io.locks import lock
 from cornercase._common.numba.cache_key import kernel_digest
+from cornercase._common.numba.dispatcher import KernelDispatcher
 
 _LOG = logging.getLogger(__name__)
 _KERNELS: WeakSet[Any] = WeakSet()
@@ -83,10 +84,10 @@ def _tuple_fields(numba_type: Any) -> tuple[Any, ...]:
 
 
 def kernel(**options: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Decorator: compile with ``numba.njit(nogil=True, **options)``, and cache the machine code on disk."""
+    """Decorator: compile as ``numba.njit(nogil=True, **options)`` does, and cache the machine code on disk."""
 
     def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
-        compiled = njit(nogil=True, **options)(function)
+        compiled = KernelDispatcher(function, options)
         # Without a writable folder, each process compiles anew.
         with suppress(RuntimeError):
             compiled._cache = _SharedCache(function, options)
