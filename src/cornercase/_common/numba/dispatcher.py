@@ -9,21 +9,40 @@ function, and again for all that it calls, at each level of calls.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 from numba.core import compiler, typing
+from numba.core.caching import NullCache
 from numba.core.codegen import JITCodeLibrary
 from numba.core.registry import CPUDispatcher
+
+from cornercase._common.numba.interpret import can_interpret, interpret
 
 
 class KernelDispatcher(CPUDispatcher):
     """A kernel; if another kernel calls it, it becomes a part of that one's code."""
 
-    def __init__(self, function, options):
+    def __init__(self, function, options, estimate_seconds=None):
+        """`estimate_seconds` gives the time that Python would take for given arguments, if it may take the place."""
         options = {"nopython": True, "nogil": True, "no_cfunc_wrapper": True, **options}
         super().__init__(function, targetoptions=options, pipeline_class=_Compiler)
         # By argument types: compiled to LLVM's intermediate representation, but not further.
+        self._cache = _NoCache()
         self._parts: dict[Any, Any] = {}
+        self._estimate_seconds = estimate_seconds
+
+    def is_ready(self, *args):
+        """Whether there is machine code for arguments of these types, here or on disk."""
+        types = tuple(map(self.typeof_pyval, args))
+        return types in self.overloads or self._cache.has_overload(types, self.targetctx)
+
+    def _compile_for_args(self, *args, **kws):
+        # What is returned is then called.
+        estimate = self._estimate_seconds
+        if estimate is not None and can_interpret(estimate(*args)) and not self.is_ready(*args):
+            return partial(_interpret_call, self)
+        return super()._compile_for_args(*args, **kws)
 
     def get_call_template(self, args, kws):
         """Return the signatures for a call from another kernel."""
@@ -49,6 +68,15 @@ class KernelDispatcher(CPUDispatcher):
         )
         self.targetctx.insert_user_function(part.fndesc, part.fndesc, [library])
         return part
+
+
+class _NoCache(NullCache):
+    def has_overload(self, types, target_context):
+        return False
+
+
+def _interpret_call(kernel, *args):
+    return interpret(kernel, args)
 
 
 class _PartLibrary(JITCodeLibrary):

@@ -21,6 +21,7 @@ from numba.core.runtime.nrt import rtsys
 from cornercase._common.io.locks import lock
 from cornercase._common.numba.cache_key import kernel_digest
 from cornercase._common.numba.dispatcher import KernelDispatcher
+from cornercase._common.numba.interpret import compile_at_once
 
 _LOG = logging.getLogger(__name__)
 _KERNELS: WeakSet[Any] = WeakSet()
@@ -53,6 +54,15 @@ class _SharedCache(FunctionCache):
                 self.flush()
                 return None
 
+    def has_overload(self, sig, target_context):
+        """Whether there seems to be machine code on disk."""
+        self._set_source_stamp()
+        try:
+            with lock(self._lock_path()):
+                return self._index_key(sig, target_context.codegen()) in self._cache_file._load_index()
+        except Exception:
+            return False
+
     def save_overload(self, sig, data):
         self._set_source_stamp()
         try:
@@ -83,11 +93,17 @@ def _tuple_fields(numba_type: Any) -> tuple[Any, ...]:
     return (named, *map(_tuple_fields, inner))
 
 
-def kernel(**options: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Decorator: compile as ``numba.njit(nogil=True, **options)`` does, and cache the machine code on disk."""
+def kernel(
+    *, interpreted_seconds: Callable[..., float] | None = None, **options: Any
+) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Decorator: compile as ``numba.njit(nogil=True, **options)`` does, and cache the machine code on disk.
+
+    `interpreted_seconds` estimates from the arguments how long Python would take. While a kernel that has it is not
+    compiled, calls that take little time are interpreted.
+    """
 
     def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
-        compiled = KernelDispatcher(function, options)
+        compiled = KernelDispatcher(function, options, interpreted_seconds)
         # Without a writable folder, each process compiles anew.
         with suppress(RuntimeError):
             compiled._cache = _SharedCache(function, options)
@@ -148,7 +164,8 @@ def listen_to_compilation(listener: Callable[[str], None]) -> Iterator[None]:
     """Within the block, call `listener` with module and name of each kernel that numba compiles; log nothing."""
     _COMPILATION_LISTENER.listeners.append(listener)
     try:
-        yield
+        with compile_at_once():
+            yield
     finally:
         _COMPILATION_LISTENER.listeners.remove(listener)
 
