@@ -24,7 +24,6 @@ from numba.core.dispatcher import Dispatcher
 
 from cornercase._common.numba import pointers, references
 
-
 MAX_SECONDS: Final = 4.0
 """Time in s that a process interprets kernels at most: a fraction of what it takes to compile them."""
 
