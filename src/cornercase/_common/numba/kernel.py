@@ -13,13 +13,15 @@ from pathlib import Path
 from typing import Any, cast
 from weakref import WeakSet
 
-from numba import njit, types
 from numba.core import event
-from numba.core.caching import FunctionCache
+from numba.core.caching import FunctionCache, NullCache
 from numba.core.runtime.nrt import rtsys
 
 from cornercase._common.io.locks import lock
 from cornercase._common.numba.cache_key import kernel_digest
+from cornercase._common.numba.dispatcher import KernelDispatcher
+from cornercase._common.numba.interpret import compile_at_once
+from cornercase._common.numba.shipped import ShippedCode, tuple_fields
 
 _LOG = logging.getLogger(__name__)
 _KERNELS: WeakSet[Any] = WeakSet()
@@ -38,12 +40,16 @@ class _SharedCache(FunctionCache):
     def __init__(self, function, options):
         super().__init__(function)
         self._options = options
+        self._shipped = ShippedCode(function)
         self._cache_file._source_stamp = None
 
     def load_overload(self, sig, target_context):
         # Loading machine code needs only this; numba would load its whole compiler (a third of a second).
         rtsys.initialize(target_context)
         self._set_source_stamp()
+        shipped = self._shipped.load(self._cache_file._source_stamp, sig, target_context)
+        if shipped is not None:
+            return shipped
         with lock(self._lock_path()):
             try:
                 with self._guard_against_spurious_io_errors():
@@ -52,8 +58,20 @@ class _SharedCache(FunctionCache):
                 self.flush()
                 return None
 
+    def has_overload(self, sig, target_context):
+        """Whether there seems to be machine code on disk."""
+        self._set_source_stamp()
+        if self._shipped.has(self._cache_file._source_stamp, sig):
+            return True
+        try:
+            with lock(self._lock_path()):
+                return self._index_key(sig, target_context.codegen()) in self._cache_file._load_index()
+        except Exception:
+            return False
+
     def save_overload(self, sig, data):
         self._set_source_stamp()
+        self._shipped.save(self._cache_file._source_stamp, sig, data)
         try:
             with lock(self._lock_path()):
                 super().save_overload(sig, data)
@@ -63,7 +81,7 @@ class _SharedCache(FunctionCache):
 
     def _index_key(self, sig, codegen):
         # Machine code accesses the fields of a named tuple by position.
-        return (*super()._index_key(sig, codegen), tuple(_tuple_fields(kind) for kind in sig))
+        return (*super()._index_key(sig, codegen), tuple(tuple_fields(kind) for kind in sig))
 
     def _set_source_stamp(self):
         # Not at definition time: functions that it calls may be defined later.
@@ -74,22 +92,35 @@ class _SharedCache(FunctionCache):
         return Path(self.cache_path) / "cornercase.lock"
 
 
-def _tuple_fields(numba_type: Any) -> tuple[Any, ...]:
-    inner: Any = numba_type
-    if not isinstance(numba_type, types.BaseTuple):
-        return ()
-    named = inner.fields if isinstance(numba_type, types.BaseNamedTuple) else ()
-    return (named, *map(_tuple_fields, inner))
+class _ShippedCache(NullCache):
+    """Only the machine code that comes with the package."""
+
+    def __init__(self, function, options):
+        self._function, self._options, self._shipped = function, options, ShippedCode(function)
+
+    def load_overload(self, sig, target_context):
+        return self._shipped.load(kernel_digest(self._function, self._options), sig, target_context)
+
+    def has_overload(self, sig, target_context):
+        return self._shipped.has(kernel_digest(self._function, self._options), sig)
 
 
-def kernel(**options: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Decorator: compile with ``numba.njit(nogil=True, **options)``, and cache the machine code on disk."""
+def kernel(
+    *, interpreted_seconds: Callable[..., float] | None = None, **options: Any
+) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Decorator: compile as ``numba.njit(nogil=True, **options)`` does, and cache the machine code on disk.
+
+    `interpreted_seconds` estimates from the arguments how long Python would take. While a kernel that has it is not
+    compiled, calls that take little time are interpreted.
+    """
 
     def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
-        compiled = njit(nogil=True, **options)(function)
+        compiled = KernelDispatcher(function, options, interpreted_seconds)
         # Without a writable folder, each process compiles anew.
-        with suppress(RuntimeError):
+        try:
             compiled._cache = _SharedCache(function, options)
+        except RuntimeError:
+            compiled._cache = _ShippedCache(function, options)
         _KERNELS.add(compiled)
         return cast(Callable[..., Any], compiled)
 
@@ -147,7 +178,8 @@ def listen_to_compilation(listener: Callable[[str], None]) -> Iterator[None]:
     """Within the block, call `listener` with module and name of each kernel that numba compiles; log nothing."""
     _COMPILATION_LISTENER.listeners.append(listener)
     try:
-        yield
+        with compile_at_once():
+            yield
     finally:
         _COMPILATION_LISTENER.listeners.remove(listener)
 

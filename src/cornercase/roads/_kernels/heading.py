@@ -107,7 +107,7 @@ def _geometry_coefficients(geometry: ReferenceGeometry) -> tuple[float, ...]:
     return ()
 
 
-@kernel(error_model="numpy")
+@kernel(interpreted_seconds=lambda heading: 1e-6 * heading.size, error_model="numpy")
 def _cos_and_sin(heading):
     """Return cosines and sines with the last digits that kernels compute, which NumPy's may not have."""
     cos, sin = np.empty(heading.size), np.empty(heading.size)

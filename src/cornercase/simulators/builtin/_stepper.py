@@ -32,8 +32,8 @@ from cornercase.simulators.builtin.kernels._loop import (
     NEEDS_STORYBOARD,
     LoopOptions,
     LoopState,
-    run_until_storyboard,
 )
+from cornercase.simulators.builtin.kernels._run import run_scenarios
 from cornercase.simulators.builtin.kernels._simulation_state import SimulationState, make_state_arrays
 from cornercase.simulators.builtin.storyboard._element import RUNNING
 from cornercase.simulators.builtin.storyboard._storyboard import Storyboard
@@ -237,7 +237,7 @@ class Stepper:
         tracks = self._track_pool.update(self._world.tracks)
         self._plan_routes()
         arguments = (self.scene, tracks, self._roads, self._fleet, self._actions, self._condition_table)
-        run = partial(run_until_storyboard, *arguments, self._loop_state, self._options)
+        run = partial(run_scenarios, *arguments, self._loop_state, self._options)
         with release_gil_lock(self._gil_lock):
             list(self._parallel_map(run, self._bounds[:-1], self._bounds[1:]))
 

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from cornercase._common.numba.kernel import kernel
+from cornercase._common.numba.references import reference_to
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.drivers._kernels.decide import compute_acceleration, find_route_row, make_workspace
 from cornercase.drivers._kernels.structs import DrivenState, Workspace
@@ -102,7 +103,17 @@ def run_until_storyboard(scene, tracks, roads, fleet, actions, conditions, loop,
     saved, rest = alloc_saved(actions.options.shape[0]), np.empty(entities, dtype=np.int8)
     others, watchlist = np.empty((4, entities - 1)), alloc_watchlist(conditions)
     buffers = Buffers(first, last, saved, watchlist, rest, others, make_workspace(entities - 1))
-    _run_scenarios(scene, tracks, roads, fleet, actions, conditions, loop, options, buffers)
+    _run_scenarios(
+        reference_to(scene),
+        reference_to(tracks),
+        reference_to(roads),
+        reference_to(fleet),
+        reference_to(actions),
+        reference_to(conditions),
+        reference_to(loop),
+        options,
+        reference_to(buffers),
+    )
 
 
 # In a kernel that allocates, numba would count references of each array, in each frame, with atomic operations.

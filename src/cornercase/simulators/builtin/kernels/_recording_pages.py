@@ -32,7 +32,13 @@ def copy_motion(
         return motion, _copy_pages(scene.pages, scene.page_numbers, scene.n_frames, scenarios, targets)
 
 
-@kernel(error_model="numpy")
+def _interpreted_seconds(
+    pages: FloatArray, _: IntArray, n_frames: IntArray, scenarios: IntArray, __: IntArray
+) -> float:
+    return 3e-7 * pages.shape[1] * pages.shape[2] * int(n_frames[scenarios].sum())
+
+
+@kernel(interpreted_seconds=_interpreted_seconds, error_model="numpy")
 def _copy_pages(pages, page_numbers, n_frames, scenarios, targets):
     placed = np.zeros(scenarios.size, dtype=np.bool_)
     rows = pages.shape[1] * pages.shape[2]

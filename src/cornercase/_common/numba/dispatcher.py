@@ -1,0 +1,127 @@
+"""Compilation of kernels that call kernels: all code that one call from Python needs is optimized together, once.
+
+By itself, numba optimizes a function, translates it to machine code and makes a wrapper for calls from Python for each
+function, and again for all that it calls, at each level of calls.
+"""
+
+# numba's internals have no type hints.
+# mypy: disable-error-code="no-untyped-call, no-untyped-def, misc"
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+import llvmlite.binding as llvm
+from numba.core import compiler, typing
+from numba.core.codegen import JITCodeLibrary
+from numba.core.registry import CPUDispatcher
+
+from cornercase._common.numba.interpret import can_interpret, interpret
+
+
+class KernelDispatcher(CPUDispatcher):
+    """A kernel; if another kernel calls it, it becomes a part of that one's code."""
+
+    def __init__(self, function, options, estimate_seconds=None):
+        """`estimate_seconds` gives the time that Python would take for given arguments, if it may take the place."""
+        options = {"nopython": True, "nogil": True, "no_cfunc_wrapper": True, **options}
+        super().__init__(function, targetoptions=options, pipeline_class=_Compiler)
+        # By argument types: compiled to LLVM's intermediate representation, but not further.
+        self._parts: dict[Any, Any] = {}
+        self._estimate_seconds = estimate_seconds
+
+    def is_ready(self, *args):
+        """Whether there is machine code for arguments of these types, here or on disk."""
+        types = tuple(map(self.typeof_pyval, args))
+        return types in self.overloads or self._cache.has_overload(types, self.targetctx)
+
+    def _compile_for_args(self, *args, **kws):
+        # What is returned is then called.
+        estimate = self._estimate_seconds
+        if estimate is not None and can_interpret(estimate(*args)) and not self.is_ready(*args):
+            return partial(_interpret_call, self)
+        return super()._compile_for_args(*args, **kws)
+
+    def get_call_template(self, args, kws):
+        """Return the signatures for a call from another kernel."""
+        pysig, args = self._compiler.fold_argument_types(args, kws)
+        args = tuple(args)
+        if args not in self._parts:
+            self._parts[args] = self._compile_part(args)
+        signatures = [part.signature for part in self._parts.values()]
+        name = self.py_func.__name__
+        return typing.make_concrete_template(f"CallTemplate({name})", name, signatures), pysig, args, {}
+
+    def get_overload(self, args):
+        """Return the key of the code that another kernel calls."""
+        return self._parts[tuple(args)].fndesc
+
+    def _compile_part(self, args):
+        flags = compiler.Flags()
+        self.targetdescr.options.parse_as_flags(flags, self.targetoptions)
+        flags.no_compile = flags.no_cpython_wrapper = True
+        library = _PartLibrary(self.targetctx.codegen(), self.py_func.__qualname__)
+        part = compiler.compile_extra(
+            self.typingctx, self.targetctx, self.py_func, args, None, flags, self.locals, library, _Compiler
+        )
+        self.targetctx.insert_user_function(part.fndesc, part.fndesc, [library])
+        return part
+
+
+def _interpret_call(kernel, *args):
+    return interpret(kernel, args)
+
+
+class _PartLibrary(JITCodeLibrary):
+    """Code of a part, which the kernels that contain it optimize and translate to machine code."""
+
+    def finalize(self):
+        self._raise_if_finalized()
+        self._finalized = True
+
+    def add_linking_library(self, library):
+        library._ensure_finalized()
+        self._linking_libraries.append(library)
+
+
+class _KernelLibrary(JITCodeLibrary):
+    """Code of a kernel and its parts."""
+
+    def serialize_using_object_code(self):
+        """Return name, kind and machine code, as numba does, but nothing for kernels that call it: they have parts."""
+        names = [function.name for function in self._final_module.functions if not function.is_declaration]
+        definitions = "".join(f'define void @"{name}"() {{ ret void }}\n' for name in names)
+        return self.name, "object", (self._get_compiled_object(), llvm.parse_assembly(definitions).as_bitcode())
+
+    def finalize(self):
+        own = {function.name for function in self._final_module.functions if not function.is_declaration}
+        libraries = list(_with_parts(self._linking_libraries, set()))
+        self._linking_libraries = []
+        for library in libraries:
+            self._reload_init.update(library._reload_init)
+            self._final_module.link_in(library._get_module_for_linking(), preserve=True)
+        for function in self._final_module.functions:
+            # Nobody else calls it: it can be inlined and left out.
+            if not function.is_declaration and function.name not in own:
+                function.linkage = "internal"
+        super().finalize()
+
+
+def _with_parts(libraries, seen):
+    for library in libraries:
+        if library not in seen:
+            seen.add(library)
+            yield library
+            if isinstance(library, _PartLibrary):
+                yield from _with_parts(library._linking_libraries, seen)
+
+
+class _Compiler(compiler.Compiler):
+    """numba's compiler for kernels."""
+
+    def __init__(self, typing_context, target_context, library, *others):
+        if library is None:
+            library = _KernelLibrary(target_context.codegen(), "kernel")
+            library.enable_object_caching()
+        super().__init__(typing_context, target_context, library, *others)

@@ -1,0 +1,190 @@
+"""Kernels run by Python's interpreter: the same source, with the arithmetic of compiled code.
+
+For a few scenarios that takes less time than compiling. Results are the same to the last digit, since all functions of
+`math` end in the same library, and the rest is exact.
+"""
+
+from __future__ import annotations
+
+import ast
+import ctypes
+import math
+import operator
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import cache
+from pathlib import Path
+from types import CodeType, FunctionType, ModuleType, SimpleNamespace
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+from numba.core.dispatcher import Dispatcher
+
+from cornercase._common.numba import pointers, references
+
+MAX_SECONDS: Final = 4.0
+"""Time in s that a process interprets kernels at most: a fraction of what it takes to compile them."""
+
+
+class _Clock:
+    """Time for which this process has interpreted kernels."""
+
+    spent = 0.0  # s
+    is_stopped = False  # whether all kernels are compiled at once
+
+
+def can_interpret(seconds: float) -> bool:
+    """Whether this process may interpret kernels for so many more seconds."""
+    return not _Clock.is_stopped and _Clock.spent + seconds <= MAX_SECONDS
+
+
+@contextmanager
+def compile_at_once() -> Iterator[None]:
+    """Context in which no kernel is interpreted, since it will be needed often."""
+    before, _Clock.is_stopped = _Clock.is_stopped, True
+    try:
+        yield
+    finally:
+        _Clock.is_stopped = before
+
+
+def interpret(kernel: Any, args: tuple[Any, ...]) -> Any:
+    """Do in Python what a kernel does, and add the time to what this process has spent so."""
+    start = time.perf_counter()
+    with np.errstate(all="ignore"):
+        result = _interpreted_function(kernel.py_func)(*args)
+    _Clock.spent += time.perf_counter() - start
+    return result
+
+
+@cache
+def _interpreted_function(function: FunctionType) -> FunctionType:
+    path = function.__code__.co_filename
+    code = _codes_of_file(path)[function.__name__, function.__code__.co_firstlineno]
+    return FunctionType(code, _Globals.of_module(function.__globals__), function.__name__, function.__defaults__)
+
+
+@cache
+def _codes_of_file(path: str) -> dict[tuple[str, int], CodeType]:
+    """Code of all functions of a file, by name and first line, with divisions as compiled code does them."""
+    tree = ast.fix_missing_locations(_Division().visit(ast.parse(Path(path).read_text("utf-8"))))
+    return {(code.co_name, code.co_firstlineno): code for code in _nested_codes(compile(tree, path, "exec"))}
+
+
+def _nested_codes(code: CodeType) -> Iterator[CodeType]:
+    yield code
+    for constant in code.co_consts:
+        if isinstance(constant, CodeType):
+            yield from _nested_codes(constant)
+
+
+class _Division(ast.NodeTransformer):
+    """Replaces operators that Python refuses for a divisor of 0, and powers, which compiled code multiplies."""
+
+    functions: Final = {ast.Div: "_divide", ast.Mod: "_remainder", ast.Pow: "_power"}
+
+    def visit_BinOp(self, node: ast.BinOp) -> ast.AST:
+        """Replace the operator by a call of a function."""
+        self.generic_visit(node)
+        name = self.functions.get(type(node.op))
+        if name is None:
+            return node
+        return ast.copy_location(ast.Call(ast.Name(name, ast.Load()), [node.left, node.right], []), node)
+
+
+def _without_exceptions(compute: Callable[..., Any]) -> Callable[..., Any]:
+    """As a function of floats, but infinite or not a number where Python raises an exception."""
+
+    def run(*args: Any) -> Any:
+        try:
+            return compute(*args)
+        except (ValueError, OverflowError):
+            return math.nan
+
+    return run
+
+
+def _divide(a: Any, b: Any) -> Any:
+    try:
+        return a / b
+    except ZeroDivisionError:
+        return np.float64(a) / np.float64(b)
+
+
+def _remainder(a: Any, b: Any) -> Any:
+    try:
+        return operator.mod(a, b)
+    except ZeroDivisionError:
+        return math.nan
+
+
+def _power(a: Any, exponent: int) -> Any:
+    assert exponent == 2
+    return a * a
+
+
+# Python's own hypot rounds otherwise than that of the C library.
+_MATH: Final = SimpleNamespace(**vars(math))
+for _name in ("acos", "asin", "atan", "atan2", "cos", "exp", "fmod", "log", "sin", "sqrt", "tan"):
+    setattr(_MATH, _name, _without_exceptions(getattr(math, _name)))
+_MATH.hypot = np.hypot
+
+
+def _array_at(kind: Any) -> Callable[[int, int], npt.NDArray[Any]]:
+    def array(address: int, count: int) -> npt.NDArray[Any]:
+        return np.ctypeslib.as_array((kind * int(count)).from_address(int(address)))
+
+    return array
+
+
+_REPLACED: Final[dict[Any, Any]] = {
+    math: _MATH,
+    pointers.floats_at_address: _array_at(ctypes.c_double),
+    pointers.ints_at_address: _array_at(ctypes.c_int64),
+    pointers.bools_at_address: _array_at(ctypes.c_bool),
+    references.reference_to: lambda table: table,
+}
+
+
+def _replaced(value: Any) -> Any:
+    """What takes a value's place in interpreted code."""
+    if isinstance(value, Dispatcher):
+        return _interpreted_function(value.py_func)
+    if isinstance(value, ModuleType) and value.__name__.startswith("cornercase."):
+        return _Module(value)
+    try:
+        return _REPLACED.get(value, value)
+    except TypeError:
+        return value
+
+
+class _Module:
+    """A module whose kernels are interpreted."""
+
+    def __init__(self, module: ModuleType) -> None:
+        self._module = module
+
+    def __getattr__(self, name: str) -> Any:
+        value = _replaced(getattr(self._module, name))
+        setattr(self, name, value)
+        return value
+
+
+class _Globals(dict[str, Any]):
+    """Global variables of a module whose kernels are interpreted."""
+
+    modules: Final[dict[int, _Globals]] = {}
+
+    @classmethod
+    def of_module(cls, namespace: dict[str, Any]) -> _Globals:
+        """Global variables for the functions of a module, made once."""
+        made = cls.modules.get(id(namespace))
+        if made is None:
+            made = cls.modules[id(namespace)] = cls(_divide=_divide, _remainder=_remainder, _power=_power)
+            made["__builtins__"] = namespace["__builtins__"]
+            # Kernels may call one another in a circle of modules.
+            for name, value in namespace.items():
+                made.setdefault(name, _replaced(value))
+        return made

@@ -1,0 +1,91 @@
+"""References to tuples of arrays, as which kernels pass them on.
+
+Passed by value, each array would be seven or more arguments of each call, all of which have to be compiled.
+"""
+
+# numba's extension API has no type hints.
+# mypy: disable-error-code="no-untyped-call, no-untyped-def, misc, untyped-decorator, attr-defined"
+
+from __future__ import annotations
+
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils, imputils
+from numba.core.datamodel import models
+from numba.core.datamodel.registry import register_default
+from numba.core.typing.templates import AttributeTemplate, infer_getattr
+from numba.extending import intrinsic
+
+
+class _Reference(types.Type):
+    """numba type of a reference to a named tuple."""
+
+    def __init__(self, table):
+        self.table = table
+        super().__init__(f"reference({table})")
+
+
+@register_default(_Reference)
+class _ReferenceModel(models.PrimitiveModel):
+    def __init__(self, manager, reference):
+        super().__init__(manager, reference, manager.lookup(reference.table).get_value_type().as_pointer())
+
+
+@intrinsic
+def reference_to(context, table):
+    """Refer to a named tuple in the calling kernel, whose fields then never change; nested ones are references, too.
+
+    The tuple lives until the calling kernel returns, and is not reference-counted.
+    """
+    if not isinstance(table, types.BaseNamedTuple):
+        return None
+
+    def emit_reference(context, builder, signature, values):
+        slot = cgutils.alloca_once(builder, values[0].type)
+        builder.store(values[0], slot)
+        # Hides where the pointer comes from: what is read from it later is declared constant, which it is only by now.
+        function_type = ir.FunctionType(slot.type, [slot.type])
+        return builder.asm(function_type, "", "=r,0,~{memory}", [slot], side_effect=True)
+
+    return _Reference(table)(table), emit_reference
+
+
+@infer_getattr
+class _ReferenceAttributes(AttributeTemplate):
+    key = _Reference
+
+    def generic_resolve(self, reference, name):
+        if name not in reference.table.fields:
+            return None
+        field = reference.table[reference.table.fields.index(name)]
+        return _Reference(field) if isinstance(field, types.BaseNamedTuple) else field
+
+
+@imputils.lower_getattr_generic(_Reference)
+def _emit_field(context, builder, reference, value, name):
+    index = reference.table.fields.index(name)
+    pointer = cgutils.gep_inbounds(builder, value, 0, index)
+    field = reference.table[index]
+    if isinstance(field, types.BaseNamedTuple):
+        return pointer
+    return imputils.impl_ret_borrowed(context, builder, field, _load_constant(builder, pointer))
+
+
+def _load_constant(builder, pointer):
+    """Load a value that never changes; the members of a struct one by one, as not all may be needed."""
+    kind = pointer.type.pointee
+    if isinstance(kind, ir.LiteralStructType):
+        value = ir.Constant(kind, ir.Undefined)
+        for k in range(len(kind.elements)):
+            member = _load_constant(builder, cgutils.gep_inbounds(builder, pointer, 0, k))
+            value = builder.insert_value(value, member, k)
+        return value
+    if isinstance(kind, ir.ArrayType):
+        value = ir.Constant(kind, ir.Undefined)
+        for k in range(kind.count):
+            member = _load_constant(builder, cgutils.gep_inbounds(builder, pointer, 0, k))
+            value = builder.insert_value(value, member, k)
+        return value
+    loaded = builder.load(pointer)
+    loaded.set_metadata("invariant.load", builder.module.add_metadata([]))
+    return loaded

@@ -1,0 +1,46 @@
+"""Run the time loop, compiled or, for a few scenarios on a machine where it is not, interpreted."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+
+from cornercase._common.numba.interpret import can_interpret, interpret
+from cornercase.simulators.builtin.kernels._loop import IDLE, LoopState, run_until_storyboard
+
+
+def run_scenarios(
+    scene: Any,
+    tracks: Any,
+    roads: Any,
+    fleet: Any,
+    actions: Any,
+    conditions: Any,
+    loop: LoopState,
+    options: Any,
+    first: int,
+    last: int,
+) -> None:
+    """Call `run_until_storyboard`; scenarios are interpreted one by one as long as that takes less than compiling."""
+    arguments = (scene, tracks, roads, fleet, actions, conditions, loop, options, first, last)
+    if not can_interpret(0.0) or run_until_storyboard.is_ready(*arguments):
+        run_until_storyboard(*arguments)
+        return
+    waiting = first + np.flatnonzero(loop.status[first:last] != IDLE)
+    status = loop.status[waiting]
+    begin, n_done = time.perf_counter(), 0
+    while n_done < len(waiting):
+        seconds = (time.perf_counter() - begin) / max(n_done, 1)
+        if not can_interpret(seconds * (len(waiting) - n_done)):
+            break
+        loop.status[waiting] = IDLE
+        loop.status[waiting[n_done]] = status[n_done]
+        interpret(run_until_storyboard, arguments)
+        status[n_done] = loop.status[waiting[n_done]]
+        n_done += 1
+    loop.status[waiting[:n_done]], loop.status[waiting[n_done:]] = IDLE, status[n_done:]
+    if n_done < len(waiting):
+        run_until_storyboard(*arguments)
+    loop.status[waiting[:n_done]] = status[:n_done]
