@@ -126,10 +126,7 @@ class DriverControl:
                         f" not an acceleration in m/s²"
                     )
                     world.fail(np.arange(world.scenarios) == i, PluginError(why))
-                if not self.in_fleet:
-                    acceleration = self._clip_acceleration(
-                        acceleration, rows & np.isfinite(acceleration), situation.time
-                    )
+                acceleration = self._clip_acceleration(acceleration, rows & np.isfinite(acceleration), situation.time)
                 speed = np.maximum(world.speed[e] + acceleration * dt, 0.0)
                 world.speed[e][rows] = np.minimum(speed, world.entities[e].max_speed)[rows]
 
