@@ -147,7 +147,8 @@ class Stepper:
         """Step until every scenario has ended, in at most `n_threads` threads; release `gil_lock` in kernels."""
         self._gil_lock = gil_lock
         n_threads = min(n_threads, self._world.scenarios // _MIN_SCENARIOS_PER_THREAD)
-        if n_threads < 2:
+        # Between two questions to a driver there is too little to do for several threads.
+        if n_threads < 2 or any(self._speed_setters):
             self._run_all(map)
             return
         self._bounds = np.linspace(0, self._world.scenarios, 4 * n_threads + 1).astype(int).tolist()
