@@ -9,6 +9,8 @@ from threading import Lock
 from typing import Final, Protocol
 
 import numpy as np
+from numba import int64, typeof
+from numba.core.dispatcher import Dispatcher
 
 from cornercase._common.masks import any_true
 from cornercase._common.typing import BoolArray
@@ -40,7 +42,7 @@ from cornercase.simulators.builtin.storyboard._element import RUNNING
 from cornercase.simulators.builtin.storyboard._storyboard import Storyboard
 from cornercase.simulators.builtin.storyboard._triggers import Condition, DelayBuffer
 from cornercase.simulators.builtin.tracks._track import Trajectory
-from cornercase.simulators.builtin.tracks._track_pool import TrackPool
+from cornercase.simulators.builtin.tracks._track_pool import TrackPool, TrackTable
 from cornercase.simulators.builtin.world._track_motion import extend_lane_paths, update_off_road_times
 from cornercase.simulators.builtin.world._trailers import place_trailers
 from cornercase.simulators.builtin.world._world import World
@@ -110,6 +112,7 @@ class Stepper:
         self._bounds = [0, world.scenarios]
         self._parallel_map: _ParallelMap = map
         self._gil_lock: Lock | None = None
+        self._bound_tables: tuple[TrackTable | None, Fleet | None] = None, None
         self._loop_state = LoopState(
             status=np.full(world.scenarios, IDLE, dtype=np.int8),
             evaluates_each_frame=np.zeros(world.scenarios, dtype=np.bool_),
@@ -281,10 +284,13 @@ class Stepper:
         self._plan_routes()
 
     def _run_compiled_loop(self) -> None:
-        tables = (self.scene, self._track_pool.tracks, self._roads, self._fleet, self._actions, self._condition_table)
-        run = partial(run_until_storyboard, *tables, self._loop_state, self._options)
+        tracks, fleet = self._track_pool.tracks, self._fleet
+        if self._bound_tables[0] is not tracks or self._bound_tables[1] is not fleet:
+            tables = self.scene, tracks, self._roads, fleet, self._actions, self._condition_table
+            self._run_range = _bind_arguments(run_until_storyboard, *tables, self._loop_state, self._options)
+            self._bound_tables = tracks, fleet
         with release_gil_lock(self._gil_lock):
-            list(self._parallel_map(run, self._bounds[:-1], self._bounds[1:]))
+            list(self._parallel_map(self._run_range, self._bounds[:-1], self._bounds[1:]))
 
     def _plan_routes(self) -> None:
         """Let compiled drivers plan their routes along the tracks they follow now."""
@@ -302,6 +308,18 @@ class Stepper:
                 if self._planned_routes.get((d, k)) != version:
                     self._fleet = set_route(self._fleet, d, k, driving.path_of_track(k, track))
                     self._planned_routes[d, k] = version
+
+
+def _bind_arguments(loop: Callable[..., object], *arguments: object) -> Callable[[int, int], object]:
+    """Bind all arguments of the compiled loop but the range of scenarios.
+
+    Numba looks at the types of all arrays in each call, which takes longer than one frame of a scenario.
+    """
+    if isinstance(loop, Dispatcher):
+        types = (*map(typeof, arguments), int64, int64)
+        if types in loop.overloads:
+            loop = loop.get_overload(types)
+    return partial(loop, *arguments)
 
 
 def _build_driver_fleet(world: World, driver_actions: list[DriverControl]) -> Fleet:

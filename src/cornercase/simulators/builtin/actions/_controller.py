@@ -130,8 +130,9 @@ class DriverControl:
         if any_true(is_missing):
             for i in np.flatnonzero(is_missing).tolist():
                 instant = format_time_of_failure(situation.time)
-                why = f"{self._display_name} returned {acceleration[i]:g}{instant}, which is not an acceleration in m/s²"
-                world.fail(np.arange(world.scenarios) == i, PluginError(why))
+                returned = f"{self._display_name} returned {acceleration[i]:g}{instant}"
+                is_failing = np.arange(world.scenarios) == i
+                world.fail(is_failing, PluginError(f"{returned}, which is not an acceleration in m/s²"))
             rows = rows & ~is_missing
         acceleration = self._clip_acceleration(acceleration, rows, situation.time)
         next_speed = np.maximum(speed + acceleration * situation.time_step, 0.0)
