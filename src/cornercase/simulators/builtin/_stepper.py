@@ -20,11 +20,12 @@ from cornercase.roads._kernels.heading import build_road_tables
 from cornercase.simulators.builtin._gil import release_gil_lock
 from cornercase.simulators.builtin.actions._controller import DriverControl
 from cornercase.simulators.builtin.kernels._action_table import build_action_table
-from cornercase.simulators.builtin.kernels._conditions import build_condition_table
+from cornercase.simulators.builtin.kernels._conditions import ConditionSpec, build_condition_table
 from cornercase.simulators.builtin.kernels._loop import (
     ACT,
     ACTION_ENDED,
     ACTIONS_DONE,
+    EVALUATE_LEAVES,
     FINISHED,
     IDLE,
     MOVE,
@@ -107,6 +108,7 @@ class Stepper:
         self._read_triggers()
         self._roads = build_road_tables([]) if world.network is None else world.network.road_tables
         self._track_pool, self._planned_routes = TrackPool(), dict[tuple[int, int], int]()
+        self._tracks = self._track_pool.update(world.tracks)
         # Time of the last lookup: if it did not help, the storyboard handles the scenario.
         self._last_lookup = np.full(world.scenarios, -1.0)
         self._bounds = [0, world.scenarios]
@@ -123,28 +125,36 @@ class Stepper:
     def _read_triggers(self) -> None:
         """Make the condition tables of all triggers; remember the conditions that tables cannot express."""
         specs, self._python_triggers = [], set[int]()
+        in_tables, others = list[tuple[Condition, ConditionSpec]](), list[tuple[Condition, ConditionSpec]]()
         self._condition_histories: list[DelayBuffer] = []
-        self._constant_conditions: list[tuple[int, Condition]] = []
-        n_conditions = 0
         for t, (trigger, _) in enumerate(self._storyboard.iter_pending_triggers()):
             groups = [[(condition, condition.kernel_spec) for condition in group] for group in trigger.groups]
-            if any(spec is None for group in groups for _, spec in group):
+            known = [[(condition, spec) for condition, spec in group if spec is not None] for group in groups]
+            conditions = [pair for group in known for pair in group]
+            if known == groups:
+                specs.append([[spec for _, spec in group] for group in known])
+                in_tables += conditions
+            else:
                 self._python_triggers.add(t)
-                groups = []
-            for condition, spec in (item for group in groups for item in group):
-                if condition.constant_value(self._world) is not None:
-                    self._constant_conditions.append((n_conditions, condition))
-                n_conditions += len(spec.leaves)
+                specs.append([])
+                others += conditions
             self._condition_histories += [
                 condition.delay_buffer
                 for group in trigger.groups
                 for condition in group
                 if condition.delay_buffer is not None
             ]
-            specs.append([[spec for _, spec in group] for group in groups])
-        self._condition_table = build_condition_table(
-            specs, [past.delay for past in self._condition_histories], self._world.scenarios
-        )
+        delays = [past.delay for past in self._condition_histories]
+        table = build_condition_table(specs, [spec for _, spec in others], delays, self._world.scenarios)
+        self._constant_conditions: list[tuple[int, Condition]] = []
+        first = 0
+        for condition, spec in in_tables + others:
+            condition.use_leaf_values(table.last_values[:, first : first + len(spec.leaves)])
+            if condition.constant_value(self._world) is not None:
+                self._constant_conditions.append((first, condition))
+            first += len(spec.leaves)
+        self._condition_table = table
+        self._world.evaluate_leaves = self._evaluate_leaves
 
     def run(self, n_threads: int, gil_lock: Lock | None = None) -> None:
         """Step until every scenario has ended, in at most `n_threads` threads; release `gil_lock` in kernels."""
@@ -172,6 +182,10 @@ class Stepper:
                 break
         if world.needs_road_check:
             update_off_road_times(world, status == FINISHED)
+        # Whether a storyboard would go on is asked later.
+        world.running[:] = True
+        world.has_leaf_values = False
+        world.update_leaf_values()
         world.running[:] = False
 
     def _evaluate_storyboard(self, evaluated: BoolArray, is_first: bool) -> None:
@@ -184,8 +198,8 @@ class Stepper:
         world.before[:, evaluated] = world.speed[:, evaluated]
         for controller in world.signal_controllers.values():
             controller.update_signals(world.signals, world.time, evaluated)
-        self._storyboard.evaluate_triggers(dt)
         loop.status[evaluated] = IDLE
+        self._storyboard.evaluate_triggers(dt)
         if not (is_first or self._python_step):
             # Usually no other action ends in this frame.
             self._storyboard.end_instantaneous_actions()
@@ -205,6 +219,11 @@ class Stepper:
             loop.evaluates_each_frame[acting] = evaluates_next[acting]
             loop.status[world.running] = ACTIONS_DONE
             self._run_until_stopped()
+
+    def _evaluate_leaves(self) -> None:
+        """Evaluate the leaves of all conditions in the running scenarios, none of which is in the compiled loop."""
+        self._loop_state.status[self._world.running] = EVALUATE_LEAVES
+        self._run_compiled_loop()
 
     def _ask_drivers(self, waiting: BoolArray) -> None:
         """Let Python decide speeds in those scenarios of a mask that are behind the others, and run them on.
@@ -280,11 +299,11 @@ class Stepper:
             has_new_tracks = True
 
     def _update_tracks(self) -> None:
-        self._track_pool.update(self._world.tracks)
+        self._tracks = self._track_pool.update(self._world.tracks)
         self._plan_routes()
 
     def _run_compiled_loop(self) -> None:
-        tracks, fleet = self._track_pool.tracks, self._fleet
+        tracks, fleet = self._tracks, self._fleet
         if self._bound_tables[0] is not tracks or self._bound_tables[1] is not fleet:
             tables = self.scene, tracks, self._roads, fleet, self._actions, self._condition_table
             self._run_range = _bind_arguments(run_until_storyboard, *tables, self._loop_state, self._options)

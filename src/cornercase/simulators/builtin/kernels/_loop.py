@@ -47,6 +47,7 @@ from cornercase.simulators.builtin.world._state_layout import (
     ACT,
     ACTIONS_DONE,
     MOVE,
+    EVALUATE_LEAVES,
     FINISHED,
     NEEDS_STORYBOARD,
     NEEDS_DRIVER,
@@ -54,9 +55,10 @@ from cornercase.simulators.builtin.world._state_layout import (
     NEEDS_LANE,
     NEEDS_LOOKUP_ACT,
     NEEDS_LOOKUP_MOVE,
-) = range(11)
+) = range(12)
 """State of a scenario in the loop. It has ended early (`IDLE`). It runs if its storyboard is evaluated (`ACT`), if its
-actions are applied, too (`ACTIONS_DONE`), or if nothing happens (`MOVE`). It has stopped because it is finished; its
+actions are applied, too (`ACTIONS_DONE`), or if nothing happens (`MOVE`). `EVALUATE_LEAVES` asks only for the values of
+all leaves of conditions, and leaves it idle. It has stopped because it is finished; its
 storyboard has to be evaluated; a driver has to be asked in Python, after its actions; an action ends or cannot be
 applied; an entity needs the next part of its lane path; or an entity has to be located on its road before the actions
 are applied, or before it moves on."""
@@ -114,6 +116,10 @@ def run_until_storyboard(scene, tracks, roads, fleet, actions, conditions, loop,
 def _run_scenarios(scene, tracks, roads, fleet, actions, conditions, loop, options, buffers):
     for n in range(buffers.first, buffers.last):
         status = loop.status[n]
+        if status == EVALUATE_LEAVES:
+            store_leaf_values(scene, conditions, n)
+            loop.status[n] = IDLE
+            continue
         if status not in (MOVE, ACT, ACTIONS_DONE):
             continue
         _prepare_scenario(scene, actions, loop, n, buffers)
@@ -143,8 +149,6 @@ def _run_scenarios(scene, tracks, roads, fleet, actions, conditions, loop, optio
                 status = NEEDS_STORYBOARD
         if status == NEEDS_STORYBOARD and scene.n_frames[n] >= options.max_frames:
             status = FINISHED
-        if status == NEEDS_STORYBOARD or (loop.evaluates_each_frame[n] and status != NEEDS_DRIVER):
-            store_leaf_values(scene, conditions, n)
         loop.status[n] = status
 
 

@@ -110,6 +110,8 @@ class Storyboard:
             update_overlaps(world)
             for story in self.stories:
                 story.start(world.running.copy())
+        world.has_leaf_values = False
+        world.update_leaf_values()
         stopped = self._stop.fires(world, world.running.copy())
         ends = stopped | (self._stopped & world.running)
         self._stopped |= stopped
