@@ -39,7 +39,6 @@ from cornercase.simulators.builtin.kernels._loop import (
     run_until_storyboard,
 )
 from cornercase.simulators.builtin.kernels._simulation_state import SimulationState, make_state_arrays
-from cornercase.simulators.builtin.storyboard._element import RUNNING
 from cornercase.simulators.builtin.storyboard._storyboard import Storyboard
 from cornercase.simulators.builtin.storyboard._triggers import Condition, DelayBuffer
 from cornercase.simulators.builtin.tracks._track import Trajectory
@@ -124,10 +123,10 @@ class Stepper:
 
     def _read_triggers(self) -> None:
         """Make the condition tables of all triggers; remember the conditions that tables cannot express."""
-        specs, self._python_triggers = [], set[int]()
+        specs, self._python_triggers = [], list[int]()
         in_tables, others = list[tuple[Condition, ConditionSpec]](), list[tuple[Condition, ConditionSpec]]()
         self._condition_histories: list[DelayBuffer] = []
-        for t, (trigger, _) in enumerate(self._storyboard.iter_pending_triggers()):
+        for t, trigger in enumerate(self._storyboard.triggers):
             groups = [[(condition, condition.kernel_spec) for condition in group] for group in trigger.groups]
             known = [[(condition, spec) for condition, spec in group if spec is not None] for group in groups]
             conditions = [pair for group in known for pair in group]
@@ -135,7 +134,7 @@ class Stepper:
                 specs.append([[spec for _, spec in group] for group in known])
                 in_tables += conditions
             else:
-                self._python_triggers.add(t)
+                self._python_triggers.append(t)
                 specs.append([])
                 others += conditions
             self._condition_histories += [
@@ -154,6 +153,9 @@ class Stepper:
                 self._constant_conditions.append((first, condition))
             first += len(spec.leaves)
         self._condition_table = table
+        has_memory = table.triggers[:, 2] == 0
+        has_memory[self._python_triggers] = False
+        self._triggers_with_memory = np.flatnonzero(has_memory)
         self._world.evaluate_leaves = self._evaluate_leaves
 
     def run(self, n_threads: int, gil_lock: Lock | None = None) -> None:
@@ -253,21 +255,16 @@ class Stepper:
 
         Return the scenarios whose triggers must be evaluated in Python in the next frame.
         """
-        world, leaves = self._world, self._condition_table
-        in_python = self._storyboard.waits_without_trigger()
-        for t, (_, waits) in enumerate(self._storyboard.iter_pending_triggers()):
-            leaves.is_watched[:, t] = waits
-            if t in self._python_triggers:
-                in_python |= waits
-            elif not leaves.triggers[t, 2]:
-                # Depends on earlier values: one more evaluation shows whether the condition fires.
-                in_python |= waits & world.changed
+        world, leaves, waiting = self._world, self._condition_table, self._storyboard.find_waiting_triggers()
+        leaves.is_watched[:] = waiting.T
+        # Triggers that depend on earlier values: one more evaluation shows whether they fire.
+        in_python = waiting[self._triggers_with_memory].any(axis=0) & world.changed
+        in_python |= waiting[self._python_triggers].any(axis=0) | self._storyboard.waits_without_trigger()
         for k, condition in self._constant_conditions:
             leaves.values[:, k, 0] = condition.constant_value(world)
         for d, past in enumerate(self._condition_histories):
             leaves.pending_since[:, d] = past.oldest_pending_time()
-        for j, action in enumerate(self._storyboard.actions):
-            self._actions.is_running[:, j] = action.state == RUNNING
+        self._actions.is_running[:] = self._storyboard.find_running_actions().T
         return in_python
 
     def _run_until_stopped(self, has_new_tracks: bool = True) -> None:
