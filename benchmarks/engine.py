@@ -4,9 +4,11 @@
         [--json FILE]
 
 Without a scenario it takes the X-intersection of the examples. NAME drives the entity ``Ego``; without one it is who
-the file names. Each row is measured in a process of its own, which has run a few such scenarios before, for S seconds
-of CPU at least; large batches are run once. ``first`` is what a new simulator needs there for one scenario: reading
-and preparing the file. Recordings are not kept. Memory is the most that the process held.
+the file names, and more rows compare the built-in ``normal`` with a plain driver of NumPy's such as users write
+(``own``), which Python asks in each time step. Each row is measured in a process of its own, which has run a few such
+scenarios before, for S seconds of CPU at least; large batches are run once. ``first`` is what a new simulator needs
+there for one scenario: reading and preparing the file. Recordings are not kept. Memory is the most that the process
+held.
 
 Beside it stands esmini's library, where ``CORNERCASE_ESMINI`` names it: the same concrete scenarios, one after the
 other, each loaded anew, stepped as often, nothing read of what happens, its own controllers switched off. It has no
@@ -36,6 +38,7 @@ from typing import Any, ParamSpec, TypeVar
 import numpy as np
 
 from cornercase import ConcreteScenario, LogicalScenario
+from cornercase.drivers import Driver, Situation
 from cornercase.optimizers import RandomOptimizer
 from cornercase.simulators import BuiltinSimulator, EsminiSimulator
 from cornercase.simulators.esmini._library import (
@@ -54,9 +57,18 @@ TIME_STEP, DURATION = 0.05, 60.0
 REPEATED = 3375
 
 
+class OwnDriver(Driver):
+    """Keeps the target speed and ignores all others, as the first driver of the documentation."""
+
+    def acceleration(self, situation: Situation) -> np.ndarray:
+        """Approach the target speed."""
+        wanted = np.where(np.isfinite(situation.target_speed), situation.target_speed, 10.0)
+        return np.clip(wanted - situation.speed, -3.0, 2.0)
+
+
 @dataclass(frozen=True)
 class Case:
-    """A logical scenario, and who drives in it."""
+    """A logical scenario, and who drives in it; ``own`` is a driver of NumPy's."""
 
     path: Path
     ranges: tuple[str, ...] = ()
@@ -71,7 +83,7 @@ class Case:
 
     def simulator(self) -> BuiltinSimulator:
         """Make a simulator that has prepared nothing yet."""
-        drivers = {} if self.driver is None else {"Ego": self.driver}
+        drivers = {} if self.driver is None else {"Ego": OwnDriver() if self.driver == "own" else self.driver}
         return BuiltinSimulator(time_step=TIME_STEP, duration=DURATION, drivers=drivers)
 
 
@@ -208,6 +220,10 @@ def row_of(name: str, goal: float | None, one: Rate, peer: Rate | None) -> dict[
     return {"row": name, "goal": goal, "per second": speed, **asdict(one), "esmini": asdict(peer) if peer else None}
 
 
+def name_of(size: int) -> str:
+    return f"{size:,} at once" if size > 1 else "one at a time"
+
+
 def tell_missing_esmini() -> None:
     if missing := EsminiSimulator.availability().problem:
         print(f"Without esmini: {missing}")
@@ -216,7 +232,7 @@ def tell_missing_esmini() -> None:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scenario", nargs="*")
-    parser.add_argument("--driver", metavar="NAME", help="of the entity Ego")
+    parser.add_argument("--driver", metavar="NAME", help="of the entity Ego, or 'own'")
     parser.add_argument("--quick", action="store_true", help="up to 1,000 at once, for 1 s of CPU each")
     parser.add_argument("--seconds", type=float, default=5.0, metavar="S")
     parser.add_argument("--json", type=Path, metavar="FILE")
@@ -233,7 +249,11 @@ def main() -> int:
     table = []
     for size in (1, 10, 100, 1000) if options.quick else (1, 10, 100, 1000, 3375, 10_000, 50_000):
         found = apart(rate, case, size, seconds if size <= REPEATED else 0.0)
-        table.append(row_of(f"{size:,} at once" if size > 1 else "one at a time", None, found, peer))
+        table.append(row_of(name_of(size), None, found, peer))
+    for size in () if options.driver else (1, 10, 1000):
+        for driver in ("normal", "own"):
+            found = apart(rate, replace(case, driver=driver), size, seconds)
+            table.append(row_of(f"{driver}, {name_of(size)}", None, found, None))
     if options.json:
         options.json.write_text(json.dumps(table, indent=1) + "\n", encoding="utf-8")
     return 0

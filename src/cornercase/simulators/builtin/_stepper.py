@@ -1,4 +1,4 @@
-"""Step all scenarios of a batch: storyboards are evaluated in Python when needed, compiled code does the rest."""
+"""Step all scenarios of a batch: storyboards and own drivers run in Python when needed, compiled code does the rest."""
 
 from __future__ import annotations
 
@@ -9,37 +9,41 @@ from threading import Lock
 from typing import Final, Protocol
 
 import numpy as np
-import numpy.typing as npt
+from numba import int64, typeof
+from numba.core.dispatcher import Dispatcher
 
 from cornercase._common.masks import any_true
 from cornercase._common.typing import BoolArray
 from cornercase.drivers._compiled import build_fleet, set_route
-from cornercase.drivers._kernels.structs import NOT_COMPILED, Fleet
+from cornercase.drivers._kernels.structs import Fleet
 from cornercase.roads._kernels.heading import build_road_tables
 from cornercase.simulators.builtin._gil import release_gil_lock
 from cornercase.simulators.builtin.actions._controller import DriverControl
 from cornercase.simulators.builtin.kernels._action_table import build_action_table
-from cornercase.simulators.builtin.kernels._conditions import build_condition_table
+from cornercase.simulators.builtin.kernels._conditions import ConditionSpec, build_condition_table
 from cornercase.simulators.builtin.kernels._loop import (
     ACT,
     ACTION_ENDED,
     ACTIONS_DONE,
+    EVALUATE_LEAVES,
+    FINISHED,
     IDLE,
     MOVE,
+    NEEDS_DRIVER,
     NEEDS_LANE,
     NEEDS_LOOKUP_ACT,
     NEEDS_LOOKUP_MOVE,
     NEEDS_STORYBOARD,
     LoopOptions,
     LoopState,
+    run_until_storyboard,
 )
 from cornercase.simulators.builtin.kernels._run import run_scenarios
 from cornercase.simulators.builtin.kernels._simulation_state import SimulationState, make_state_arrays
-from cornercase.simulators.builtin.storyboard._element import RUNNING
 from cornercase.simulators.builtin.storyboard._storyboard import Storyboard
 from cornercase.simulators.builtin.storyboard._triggers import Condition, DelayBuffer
 from cornercase.simulators.builtin.tracks._track import Trajectory
-from cornercase.simulators.builtin.tracks._track_pool import TrackPool
+from cornercase.simulators.builtin.tracks._track_pool import TrackPool, TrackTable
 from cornercase.simulators.builtin.world._track_motion import extend_lane_paths, update_off_road_times
 from cornercase.simulators.builtin.world._trailers import place_trailers
 from cornercase.simulators.builtin.world._world import World
@@ -65,9 +69,10 @@ class Coupling(Protocol):
 class Stepper:
     """Runs N scenarios of one file, each with a clock of its own.
 
-    A scenario runs in compiled code until a condition changes or an action ends. Then its storyboard is evaluated,
-    together with all others that wait for it. `scene` holds the state and the recordings; `max_frames` is the maximum
-    number of frames; `is_cancelled` is True once nobody waits for results.
+    A scenario runs in compiled code until a condition changes, an action ends, or a driver without compiled code has to
+    decide. Then its storyboard is evaluated, or the driver asked, together with all others that wait for it. `scene`
+    holds the state and the recordings; `max_frames` is the maximum number of frames; `is_cancelled` is True once nobody
+    waits for results.
     """
 
     def __init__(
@@ -90,56 +95,76 @@ class Stepper:
         self.is_cancelled = False
         self._driver_actions = [driver for driver in world.drivers if isinstance(driver, DriverControl)]
         self._fleet = _build_driver_fleet(world, self._driver_actions)
-        needs_python = bool((self._fleet.kind == NOT_COMPILED).any()) or len(self._driver_actions) < len(world.drivers)
-        self._options = LoopOptions(time_step, max_frames, stop_at_collision, not needs_python)
+        # What sets speeds in Python, in the order of the drivers; None for compiled drivers.
+        self._speed_setters: list[Callable[[float], None] | None] = [
+            None if driver.in_fleet else driver.step for driver in self._driver_actions
+        ]
+        if coupling is not None:
+            self._speed_setters.append(partial(coupling.step, world))
+        self._options = LoopOptions(time_step, max_frames, stop_at_collision, coupling is not None)
         # Whether the storyboard has to be evaluated in each frame.
-        self._python_step = (
-            needs_python or coupling is not None or world.needs_road_check or bool(world.signal_controllers)
-        )
+        self._python_step = world.needs_road_check or bool(world.signal_controllers)
         self._actions = build_action_table([running.action for running in storyboard.actions], world.scenarios)
         self._read_triggers()
         self._roads = build_road_tables([]) if world.network is None else world.network.road_tables
         self._track_pool, self._planned_routes = TrackPool(), dict[tuple[int, int], int]()
-        driven_entities = np.array([driver.entity for driver in self._driver_actions], dtype=np.int64)
-        status = np.full(world.scenarios, IDLE, dtype=np.int8)
+        self._tracks = self._track_pool.update(world.tracks)
         # Time of the last lookup: if it did not help, the storyboard handles the scenario.
         self._last_lookup = np.full(world.scenarios, -1.0)
         self._bounds = [0, world.scenarios]
         self._parallel_map: _ParallelMap = map
         self._gil_lock: Lock | None = None
-        self._loop_state = LoopState(status, np.zeros(world.scenarios, dtype=np.bool_), driven_entities)
+        self._bound_tables: tuple[TrackTable | None, Fleet | None] = None, None
+        self._loop_state = LoopState(
+            status=np.full(world.scenarios, IDLE, dtype=np.int8),
+            evaluates_each_frame=np.zeros(world.scenarios, dtype=np.bool_),
+            driven_entities=np.array([driver.entity for driver in self._driver_actions], dtype=np.int64),
+            next_driver=np.zeros(world.scenarios, dtype=np.int64),
+        )
 
     def _read_triggers(self) -> None:
         """Make the condition tables of all triggers; remember the conditions that tables cannot express."""
-        specs, self._python_triggers = [], set[int]()
+        specs, self._python_triggers = [], list[int]()
+        in_tables, others = list[tuple[Condition, ConditionSpec]](), list[tuple[Condition, ConditionSpec]]()
         self._condition_histories: list[DelayBuffer] = []
-        self._constant_conditions: list[tuple[int, Condition]] = []
-        n_conditions = 0
-        for t, (trigger, _) in enumerate(self._storyboard.iter_pending_triggers()):
+        for t, trigger in enumerate(self._storyboard.triggers):
             groups = [[(condition, condition.kernel_spec) for condition in group] for group in trigger.groups]
-            if any(spec is None for group in groups for _, spec in group):
-                self._python_triggers.add(t)
-                groups = []
-            for condition, spec in (item for group in groups for item in group):
-                if condition.constant_value(self._world) is not None:
-                    self._constant_conditions.append((n_conditions, condition))
-                n_conditions += len(spec.leaves)
+            known = [[(condition, spec) for condition, spec in group if spec is not None] for group in groups]
+            conditions = [pair for group in known for pair in group]
+            if known == groups:
+                specs.append([[spec for _, spec in group] for group in known])
+                in_tables += conditions
+            else:
+                self._python_triggers.append(t)
+                specs.append([])
+                others += conditions
             self._condition_histories += [
                 condition.delay_buffer
                 for group in trigger.groups
                 for condition in group
                 if condition.delay_buffer is not None
             ]
-            specs.append([[spec for _, spec in group] for group in groups])
-        self._condition_table = build_condition_table(
-            specs, [past.delay for past in self._condition_histories], self._world.scenarios
-        )
+        delays = [past.delay for past in self._condition_histories]
+        table = build_condition_table(specs, [spec for _, spec in others], delays, self._world.scenarios)
+        self._constant_conditions: list[tuple[int, Condition]] = []
+        first = 0
+        for condition, spec in in_tables + others:
+            condition.use_leaf_values(table.last_values[:, first : first + len(spec.leaves)])
+            if condition.constant_value(self._world) is not None:
+                self._constant_conditions.append((first, condition))
+            first += len(spec.leaves)
+        self._condition_table = table
+        has_memory = table.triggers[:, 2] == 0
+        has_memory[self._python_triggers] = False
+        self._triggers_with_memory = np.flatnonzero(has_memory)
+        self._world.evaluate_leaves = self._evaluate_leaves
 
     def run(self, n_threads: int, gil_lock: Lock | None = None) -> None:
         """Step until every scenario has ended, in at most `n_threads` threads; release `gil_lock` in kernels."""
         self._gil_lock = gil_lock
         n_threads = min(n_threads, self._world.scenarios // _MIN_SCENARIOS_PER_THREAD)
-        if n_threads < 2:
+        # Between two questions to a driver there is too little to do for several threads.
+        if n_threads < 2 or any(self._speed_setters):
             self._run_all(map)
             return
         self._bounds = np.linspace(0, self._world.scenarios, 4 * n_threads + 1).astype(int).tolist()
@@ -148,105 +173,149 @@ class Stepper:
 
     def _run_all(self, parallel_map: _ParallelMap) -> None:
         self._parallel_map = parallel_map
-        world, loop, is_first = self._world, self._loop_state, True
-        evaluated, dt = world.running.copy(), 0.0
-        while evaluated.any() and not self.is_cancelled:
-            world.running[:] = evaluated
-            world.changed[:] = False
-            world.before[:, evaluated] = world.speed[:, evaluated]
-            for controller in world.signal_controllers.values():
-                controller.update_signals(world.signals, world.time, evaluated)
-            self._storyboard.evaluate_triggers(dt)
-            started = world.running.copy()
-            settled = np.full_like(loop.status, IDLE)
-            if not (is_first or self._python_step):
-                # Usually no other action ends in this frame.
-                self._storyboard.end_instantaneous_actions()
-                loop.evaluates_each_frame[:] = self._publish_triggers()
-                self._run_until_settled(np.where(started, ACT, IDLE), settled)
-                world.running[:] = settled == ACTION_ENDED
-            if world.running.any():
-                self._run_python_actions(dt)
-                loop.evaluates_each_frame[:] = self._publish_triggers() | is_first | self._python_step
-                self._run_until_settled(np.where(world.running, ACTIONS_DONE, IDLE), settled)
-            if world.needs_road_check:
-                update_off_road_times(world, started)
-            evaluated, dt, is_first = settled == NEEDS_STORYBOARD, self._options.time_step, False
+        world, status, is_first = self._world, self._loop_state.status, True
+        status[world.running] = NEEDS_STORYBOARD
+        while not self.is_cancelled:
+            if any_true(waiting := status == NEEDS_STORYBOARD):
+                self._evaluate_storyboard(waiting, is_first)
+                is_first = False
+            elif any_true(waiting := status == NEEDS_DRIVER):
+                self._ask_drivers(waiting)
+            else:
+                break
+        if world.needs_road_check:
+            update_off_road_times(world, status == FINISHED)
+        # Whether a storyboard would go on is asked later.
+        world.running[:] = True
+        world.has_leaf_values = False
+        world.update_leaf_values()
         world.running[:] = False
 
-    def _run_python_actions(self, dt: float) -> None:
-        world = self._world
-        self._storyboard.step_actions(dt)
-        if not self._options.drives_compiled:
-            for driving in world.drivers:
-                driving.step(dt)
-        if self._coupling is not None:
-            self._coupling.step(world, dt)
-        place_trailers(world)
-        world.started = True
+    def _evaluate_storyboard(self, evaluated: BoolArray, is_first: bool) -> None:
+        """Evaluate the storyboard in the scenarios of a mask, then run them until they stop again."""
+        world, loop, dt = self._world, self._loop_state, 0.0 if is_first else self._options.time_step
+        if world.needs_road_check and not is_first:
+            update_off_road_times(world, evaluated)
+        world.running[:] = evaluated
+        world.changed[:] = False
+        world.before[:, evaluated] = world.speed[:, evaluated]
+        for controller in world.signal_controllers.values():
+            controller.update_signals(world.signals, world.time, evaluated)
+        loop.status[evaluated] = IDLE
+        self._storyboard.evaluate_triggers(dt)
+        if not (is_first or self._python_step):
+            # Usually no other action ends in this frame.
+            self._storyboard.end_instantaneous_actions()
+            loop.evaluates_each_frame[evaluated] = self._publish_triggers()[evaluated]
+            loop.status[world.running] = ACT
+            self._run_until_stopped()
+            world.running[:] = loop.status == ACTION_ENDED
+            loop.status[world.running] = IDLE
+        if any_true(world.running):
+            acting = world.running.copy()
+            self._storyboard.step_actions(dt)
+            if is_first and self._coupling is not None:
+                self._coupling.step(world, dt)
+            place_trailers(world)
+            world.started = True
+            evaluates_next = self._publish_triggers() | is_first | self._python_step
+            loop.evaluates_each_frame[acting] = evaluates_next[acting]
+            loop.status[world.running] = ACTIONS_DONE
+            self._run_until_stopped()
+
+    def _evaluate_leaves(self) -> None:
+        """Evaluate the leaves of all conditions in the running scenarios, none of which is in the compiled loop."""
+        self._loop_state.status[self._world.running] = EVALUATE_LEAVES
+        self._run_compiled_loop()
+
+    def _ask_drivers(self, waiting: BoolArray) -> None:
+        """Let Python decide speeds in those scenarios of a mask that are behind the others, and run them on.
+
+        So a driver is asked once in each time step, for all scenarios.
+        """
+        world, loop, frames = self._world, self._loop_state, self.scene.n_frames
+        waiting = waiting & (frames == frames[waiting].min())
+        number = int(loop.next_driver[waiting].min())
+        asked = np.zeros_like(waiting)
+        for set_speeds in self._speed_setters[number:]:
+            if set_speeds is None:
+                break
+            asked |= waiting & (loop.next_driver == number)
+            loop.status[asked] = IDLE
+            world.running[:] = asked
+            set_speeds(self._options.time_step)
+            # Scenarios that failed are no longer running.
+            asked &= world.running
+            number += 1
+        loop.next_driver[asked] = number
+        loop.status[asked] = ACTIONS_DONE
+        self._run_until_stopped(has_new_tracks=False)
 
     def _publish_triggers(self) -> BoolArray:
         """Publish pending triggers to the compiled loop.
 
         Return the scenarios whose triggers must be evaluated in Python in the next frame.
         """
-        world, leaves = self._world, self._condition_table
-        in_python = self._storyboard.waits_without_trigger()
-        for t, (_, waits) in enumerate(self._storyboard.iter_pending_triggers()):
-            leaves.is_watched[:, t] = waits
-            if t in self._python_triggers:
-                in_python |= waits
-            elif not leaves.triggers[t, 2]:
-                # Depends on earlier values: one more evaluation shows whether the condition fires.
-                in_python |= waits & world.changed
+        world, leaves, waiting = self._world, self._condition_table, self._storyboard.find_waiting_triggers()
+        leaves.is_watched[:] = waiting.T
+        # Triggers that depend on earlier values: one more evaluation shows whether they fire.
+        in_python = waiting[self._triggers_with_memory].any(axis=0) & world.changed
+        in_python |= waiting[self._python_triggers].any(axis=0) | self._storyboard.waits_without_trigger()
         for k, condition in self._constant_conditions:
             leaves.values[:, k, 0] = condition.constant_value(world)
         for d, past in enumerate(self._condition_histories):
             leaves.pending_since[:, d] = past.oldest_pending_time()
-        for j, action in enumerate(self._storyboard.actions):
-            self._actions.is_running[:, j] = action.state == RUNNING
+        self._actions.is_running[:] = self._storyboard.find_running_actions().T
         return in_python
 
-    def _run_until_settled(self, status: npt.NDArray[np.int8], settled: npt.NDArray[np.int8]) -> None:
-        """Run the compiled loop from a status, and store in `settled` the state that each scenario reached.
+    def _run_until_stopped(self, has_new_tracks: bool = True) -> None:
+        """Run the compiled loop until all scenarios have stopped.
 
         Scenarios that need another lane, or an entity located on its road, get it and continue.
         """
-        world, loop = self._world, self._loop_state
-        loop.status[:] = status
+        world, status = self._world, self._loop_state.status
         while True:
+            if has_new_tracks:
+                self._update_tracks()
             self._run_compiled_loop()
-            state = loop.status.copy()
-            has_run, needs_lane = state != IDLE, state == NEEDS_LANE
-            settled[has_run] = _FALLBACK_STATE[state[has_run]]
-            needs_lookup = ((state == NEEDS_LOOKUP_ACT) | (state == NEEDS_LOOKUP_MOVE)) & (
-                self._last_lookup < world.time
-            )
+            if status.max() < ACTION_ENDED:
+                return
+            needs_lane = status == NEEDS_LANE
+            needs_act, needs_move = status == NEEDS_LOOKUP_ACT, status == NEEDS_LOOKUP_MOVE
+            needs_lookup = (needs_act | needs_move) & (self._last_lookup < world.time)
+            status[:] = _FALLBACK_STATE[status]
             if not (any_true(needs_lane) or any_true(needs_lookup)):
                 return
-            loop.status[:] = np.where(needs_lane & ~loop.evaluates_each_frame, MOVE, IDLE)
             if any_true(needs_lane):
                 world.running[:] = needs_lane
                 extend_lane_paths(world)
+                status[needs_lane & ~self._loop_state.evaluates_each_frame] = MOVE
             if any_true(needs_lookup):
                 self._last_lookup[needs_lookup] = world.time[needs_lookup]
                 self._storyboard.look_up_positions(needs_lookup)
-                loop.status[needs_lookup] = np.where(state == NEEDS_LOOKUP_ACT, ACT, MOVE)[needs_lookup]
+                status[needs_lookup & needs_act], status[needs_lookup & needs_move] = ACT, MOVE
+            has_new_tracks = True
+
+    def _update_tracks(self) -> None:
+        self._tracks = self._track_pool.update(self._world.tracks)
+        self._plan_routes()
 
     def _run_compiled_loop(self) -> None:
-        tracks = self._track_pool.update(self._world.tracks)
-        self._plan_routes()
-        arguments = (self.scene, tracks, self._roads, self._fleet, self._actions, self._condition_table)
-        run = partial(run_scenarios, *arguments, self._loop_state, self._options)
+        tracks, fleet = self._tracks, self._fleet
+        if self._bound_tables[0] is not tracks or self._bound_tables[1] is not fleet:
+            tables = self.scene, tracks, self._roads, fleet, self._actions, self._condition_table
+            self._run_range, is_compiled = _bind_arguments(*tables, self._loop_state, self._options)
+            if is_compiled:
+                self._bound_tables = tracks, fleet
         with release_gil_lock(self._gil_lock):
-            list(self._parallel_map(run, self._bounds[:-1], self._bounds[1:]))
+            list(self._parallel_map(self._run_range, self._bounds[:-1], self._bounds[1:]))
 
     def _plan_routes(self) -> None:
         """Let compiled drivers plan their routes along the tracks they follow now."""
         world = self._world
-        if not self._options.drives_compiled:
-            return
         for driving in self._driver_actions:
+            if not driving.in_fleet:
+                continue
             e, d = driving.entity, driving.number
             is_driving = world.present[e] & world.driven[e] & (world.driver[e] == d)
             for k in sorted(set(world.track[e][is_driving].tolist())):
@@ -257,6 +326,18 @@ class Stepper:
                 if self._planned_routes.get((d, k)) != version:
                     self._fleet = set_route(self._fleet, d, k, driving.path_of_track(k, track))
                     self._planned_routes[d, k] = version
+
+
+def _bind_arguments(*arguments: object) -> tuple[Callable[[int, int], object], bool]:
+    """Bind all arguments of the time loop but the range of scenarios; also return whether it is compiled.
+
+    Numba looks at the types of all arrays in each call, which takes longer than one frame of a scenario.
+    """
+    if isinstance(run_until_storyboard, Dispatcher):
+        types = (*map(typeof, arguments), int64, int64)
+        if types in run_until_storyboard.overloads:
+            return partial(run_until_storyboard.overloads[types].entry_point, *arguments), True
+    return partial(run_scenarios, *arguments), False
 
 
 def _build_driver_fleet(world: World, driver_actions: list[DriverControl]) -> Fleet:

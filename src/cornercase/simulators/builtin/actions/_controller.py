@@ -9,6 +9,7 @@ from lxml import etree
 
 from cornercase._common.errors import InputError, PluginError, SimulationError
 from cornercase._common.io.tracked_xml import find_by_name, find_untracked
+from cornercase._common.masks import any_true
 from cornercase._common.plugin_errors import (
     format_time_of_failure,
     is_built_in,
@@ -26,6 +27,7 @@ from cornercase.roads._lane_path import LanePath
 from cornercase.scenario._file import DRIVER_PROPERTY
 from cornercase.scenario._scope import Scope
 from cornercase.simulators.builtin.actions._action import Action
+from cornercase.simulators.builtin.kernels._driver_inputs import OTHERS_ROWS, OWN_ROWS, copy_driver_inputs
 from cornercase.simulators.builtin.tracks._lane import LaneTrack
 from cornercase.simulators.builtin.tracks._track import Track, Trajectory
 from cornercase.simulators.builtin.world._world import World
@@ -63,7 +65,10 @@ class DriverControl:
         self._world, self.entity, self.driver = world, entity, driver
         self.number = len(world.drivers)
         world.drivers.append(self)
-        self._others = [a for a in range(len(world.entities)) if a != entity]
+        self._others = [other for e, other in enumerate(world.entities) if e != entity]
+        boxes = [(other.length, other.width, other.center_x) for other in self._others]
+        self._others_boxes = np.array(boxes, dtype=np.float64).reshape(-1, 3).T.copy()
+        self._others_object_type = tuple(other.kind for other in self._others)
         self._paths: dict[int, DrivenPath] = {}
         self._sampled_versions: dict[int, int] = {}
         self.limit_notices: dict[str, str] = {}
@@ -111,27 +116,27 @@ class DriverControl:
         """Decide the entity's speed at the end of the coming time step."""
         world, e = self._world, self.entity
         active = world.running & world.present[e] & world.driven[e] & (world.driver[e] == self.number)
-        if dt == 0.0 or not active.any():
-            return
+        track_numbers = world.track[e]
         for k, track in enumerate(world.tracks[e]):
-            rows = active & (world.track[e] == k)
-            timed = isinstance(track, Trajectory) and track.times is not None
-            if rows.any() and not timed:
-                situation = self._make_situation(k, track, dt, rows)
-                acceleration = self._call_driver(situation)
-                for i in np.flatnonzero(rows & ~np.isfinite(acceleration)).tolist():
-                    instant = format_time_of_failure(situation.time)
-                    why = (
-                        f"{self._display_name} returned {acceleration[i]:g}{instant}, which is"
-                        f" not an acceleration in m/s²"
-                    )
-                    world.fail(np.arange(world.scenarios) == i, PluginError(why))
-                if not self.in_fleet:
-                    acceleration = self._clip_acceleration(
-                        acceleration, rows & np.isfinite(acceleration), situation.time
-                    )
-                speed = np.maximum(world.speed[e] + acceleration * dt, 0.0)
-                world.speed[e][rows] = np.minimum(speed, world.entities[e].max_speed)[rows]
+            rows = active & (track_numbers == k)
+            if any_true(rows) and not (isinstance(track, Trajectory) and track.times is not None):
+                self._set_speed(self._make_situation(k, track, dt, rows), rows)
+
+    def _set_speed(self, situation: Situation, rows: BoolArray) -> None:
+        """Ask the driver, and set the speed in the scenarios of a mask; those without an acceleration fail."""
+        world, speed = self._world, self._world.speed[self.entity]
+        acceleration = self._call_driver(situation)
+        is_missing = rows & ~np.isfinite(acceleration)
+        if any_true(is_missing):
+            for i in np.flatnonzero(is_missing).tolist():
+                instant = format_time_of_failure(situation.time)
+                returned = f"{self._display_name} returned {acceleration[i]:g}{instant}"
+                is_failing = np.arange(world.scenarios) == i
+                world.fail(is_failing, PluginError(f"{returned}, which is not an acceleration in m/s²"))
+            rows = rows & ~is_missing
+        acceleration = self._clip_acceleration(acceleration, rows, situation.time)
+        next_speed = np.maximum(speed + acceleration * situation.time_step, 0.0)
+        np.copyto(speed, np.minimum(next_speed, world.entities[self.entity].max_speed), where=rows)
 
     def _call_driver(self, situation: Situation) -> FloatArray:
         """Call the driver, which may be user code, and check its accelerations."""
@@ -159,12 +164,16 @@ class DriverControl:
         """Clip accelerations to what the vehicle can do."""
         entity = self._world.entities[self.entity]
         highest, lowest = entity.max_acceleration, -entity.max_deceleration
-        for limit, excess in (("acceleration", acceleration - highest), ("deceleration", lowest - acceleration)):
-            worst = float(excess[rows].max(initial=0.0))
-            if limit not in self.limit_notices and worst > _ROUNDING:
-                requested = worst + (entity.max_acceleration if limit == "acceleration" else entity.max_deceleration)
-                self._record_exceeded_limit(limit, f"first {requested:.6g} m/s²{format_time_of_failure(time)}")
-        return np.clip(acceleration, lowest, highest)
+        if highest == np.inf == -lowest:
+            return acceleration
+        clipped = acceleration.clip(lowest, highest)
+        if len(self.limit_notices) < 2 and any_true(rows & (clipped != acceleration)):
+            for limit, excess in (("acceleration", acceleration - highest), ("deceleration", lowest - acceleration)):
+                worst = float(excess[rows].max())
+                if limit not in self.limit_notices and worst > _ROUNDING:
+                    requested = worst + (highest if limit == "acceleration" else -lowest)
+                    self._record_exceeded_limit(limit, f"first {requested:.6g} m/s²{format_time_of_failure(time)}")
+        return clipped
 
     def _record_exceeded_limit(self, limit: str, requested: str) -> None:
         entity = self._world.entities[self.entity]
@@ -175,32 +184,36 @@ class DriverControl:
         )
 
     def _make_situation(self, track_number: int, track: Track, dt: float, rows: BoolArray) -> Situation:
-        world, e, others = self._world, self.entity, self._others
-        box, boxes = world.entities[e], [world.entities[a] for a in others]
-        is_visible = (world.present & world.visible)[others].T
-        # A driver may store or modify its input: pass copies.
+        world, e, box = self._world, self.entity, self._world.entities[self.entity]
+        # A driver may store or modify its input: give it arrays of its own.
+        own = np.empty((len(OWN_ROWS), world.scenarios))
+        others = np.empty((len(OTHERS_ROWS), len(self._others), world.scenarios))
+        copy_driver_inputs(world.floats, world.flags, e, own, others)
+        distance, x, y, heading, speed, acceleration, target_speed = own
+        others_x, others_y, others_heading, others_speed = others.transpose(0, 2, 1)
+        others_length, others_width, others_center_x = self._others_boxes.copy()
         return Situation(
             time=float(world.time[rows].max()),
             time_step=dt,
             path=self.path_of_track(track_number, track),
-            distance=world.distance[e].copy(),
-            x=world.x[e].copy(),
-            y=world.y[e].copy(),
-            heading=world.heading[e].copy(),
-            speed=world.speed[e].copy(),
-            acceleration=world.acceleration[e].copy(),
+            distance=distance,
+            x=x,
+            y=y,
+            heading=heading,
+            speed=speed,
+            acceleration=acceleration,
             length=box.length,
             width=box.width,
             center_x=box.center_x,
-            target_speed=world.target_speed[e].copy(),
-            others_x=np.where(is_visible, world.x[others].T, np.nan),
-            others_y=np.where(is_visible, world.y[others].T, np.nan),
-            others_heading=np.where(is_visible, world.heading[others].T, np.nan),
-            others_speed=np.where(is_visible, world.speed[others].T, np.nan),
-            others_length=np.array([other.length for other in boxes]),
-            others_width=np.array([other.width for other in boxes]),
-            others_center_x=np.array([other.center_x for other in boxes]),
-            others_object_type=tuple(other.kind for other in boxes),
+            target_speed=target_speed,
+            others_x=others_x,
+            others_y=others_y,
+            others_heading=others_heading,
+            others_speed=others_speed,
+            others_length=others_length,
+            others_width=others_width,
+            others_center_x=others_center_x,
+            others_object_type=self._others_object_type,
             active=rows.copy(),
         )
 

@@ -93,7 +93,7 @@ class ConditionTable(NamedTuple):
 
     codes: IntArray  # (L, 5): kind, entity (-1 for none), other entity, rule, option
     values: FloatArray  # (N, L, 4)
-    last_values: BoolArray  # (N, L): values in the last frame that the storyboard has evaluated
+    last_values: BoolArray  # (N, L): values when the storyboard was last evaluated
     conditions: IntArray  # (C, 3): range [first, last) of leaves, whether it has to hold for every entity
     groups: IntArray  # (G, 2): range [first, last) of conditions
     triggers: IntArray  # (T, 3): range [first, last) of groups, whether it is independent of earlier values
@@ -103,9 +103,15 @@ class ConditionTable(NamedTuple):
 
 
 def build_condition_table(
-    specs: list[list[list[ConditionSpec]]], delays: list[FloatArray], n_scenarios: int
+    specs: list[list[list[ConditionSpec]]],
+    others: list[ConditionSpec],
+    delays: list[FloatArray],
+    n_scenarios: int,
 ) -> ConditionTable:
-    """Build the condition tables of triggers, given by trigger and group, and the delays, arrays (N,)."""
+    """Build the condition tables of triggers, given by trigger and group, and the delays, arrays (N,).
+
+    The leaves of `others`, which belong to no such trigger, come last.
+    """
     leaves: list[tuple[int, LeafCondition]] = []
     conditions: list[tuple[int, int, bool]] = []
     groups: list[tuple[int, int]] = []
@@ -119,6 +125,7 @@ def build_condition_table(
                 leaves += spec.leaves
             groups.append((first_condition, len(conditions)))
         triggers.append((first_group, len(groups), all(spec.is_memoryless for group in trigger for spec in group)))
+    leaves += [leaf for spec in others for leaf in spec.leaves]
     codes = [(leaf.kind, e, leaf.other, leaf.rule, leaf.option) for e, leaf in leaves]
     values = np.zeros((n_scenarios, len(leaves), N_VALUES))
     for c, (_, leaf) in enumerate(leaves):
@@ -222,9 +229,13 @@ def _group_holds(scene, table, n, group):
 
 @_kernel
 def store_leaf_values(scene, table, n):
-    """Store the current values of all leaves of a scenario, to be compared with later."""
+    """Store the current values of all leaves of a scenario."""
     for k in range(table.codes.shape[0]):
-        table.last_values[n, k] = leaf_holds(scene, table, n, k)
+        if table.codes[k, 0] == COLLISION_CONDITION:
+            # An action may have moved an entity since the last frame was recorded.
+            table.last_values[n, k] = entities_overlap(scene, n, table.codes[k, 1], table.codes[k, 2])
+        else:
+            table.last_values[n, k] = leaf_holds(scene, table, n, k)
 
 
 @_inlined_kernel

@@ -1,4 +1,4 @@
-"""The compiled time loop: runs scenarios until their storyboard has to be evaluated."""
+"""The compiled time loop: runs scenarios until Python has to evaluate a storyboard or to ask a driver."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, untyped-decorator"
@@ -15,7 +15,7 @@ from cornercase._common.numba.kernel import kernel
 from cornercase._common.numba.references import reference_to
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.drivers._kernels.decide import compute_acceleration, find_route_row, make_workspace
-from cornercase.drivers._kernels.structs import DrivenState, Workspace
+from cornercase.drivers._kernels.structs import NOT_COMPILED, DrivenState, Workspace
 from cornercase.simulators.builtin.kernels._action_table import PYTHON_ACTION
 from cornercase.simulators.builtin.kernels._actions import SavedState, alloc_saved, apply_actions, list_running_actions
 from cornercase.simulators.builtin.kernels._conditions import (
@@ -48,16 +48,21 @@ from cornercase.simulators.builtin.world._state_layout import (
     ACT,
     ACTIONS_DONE,
     MOVE,
-    ACTION_ENDED,
-    NEEDS_STORYBOARD,
-    NEEDS_LANE,
+    EVALUATE_LEAVES,
     FINISHED,
+    NEEDS_STORYBOARD,
+    NEEDS_DRIVER,
+    ACTION_ENDED,
+    NEEDS_LANE,
     NEEDS_LOOKUP_ACT,
     NEEDS_LOOKUP_MOVE,
-) = range(10)
-"""State of a scenario in the loop: idle; storyboard evaluated; actions applied, too; moving on; an action ends or
-cannot be applied; the storyboard has to be evaluated; an entity needs the next part of its lane path; finished; an
-entity has to be located on its road before its actions are applied, or before it moves on."""
+) = range(12)
+"""State of a scenario in the loop. It has ended early (`IDLE`). It runs if its storyboard is evaluated (`ACT`), if its
+actions are applied, too (`ACTIONS_DONE`), or if nothing happens (`MOVE`). `EVALUATE_LEAVES` asks only for the values of
+all leaves of conditions, and leaves it idle. It has stopped because it is finished; its
+storyboard has to be evaluated; a driver has to be asked in Python, after its actions; an action ends or cannot be
+applied; an entity needs the next part of its lane path; or an entity has to be located on its road before the actions
+are applied, or before it moves on."""
 
 _kernel = kernel(error_model="numpy", _nrt=False)
 # Inlined: passing the tables would cost more than the work, and code that is called once does not grow.
@@ -67,9 +72,10 @@ _inlined_kernel = kernel(error_model="numpy", _nrt=False, forceinline=True)
 class LoopState(NamedTuple):
     """State of the loop for N scenarios."""
 
-    status: npt.NDArray[np.int8]  # (N,): `ACT`, `ACTIONS_DONE`, `MOVE` or `IDLE` before; the state reached after
+    status: npt.NDArray[np.int8]  # (N,): `ACT` and so on
     evaluates_each_frame: BoolArray  # (N,): whether the storyboard has to be evaluated in each frame
     driven_entities: IntArray  # (D,): entity of each driver
+    next_driver: IntArray  # (N,): driver to decide next in the frame; D for the coupling
 
 
 class LoopOptions(NamedTuple):
@@ -78,7 +84,7 @@ class LoopOptions(NamedTuple):
     time_step: float  # s
     max_frames: int  # maximum number of frames
     stop_at_collision: bool
-    drives_compiled: bool  # whether drivers decide in the loop
+    is_coupled: bool  # whether another simulator decides in each frame, after all drivers
 
 
 class Buffers(NamedTuple):
@@ -95,7 +101,7 @@ class Buffers(NamedTuple):
 
 @kernel(error_model="numpy")
 def run_until_storyboard(scene, tracks, roads, fleet, actions, conditions, loop, options, first, last):
-    """Run scenarios [first, last) until their storyboard has to be evaluated.
+    """Run scenarios [first, last) until their storyboard has to be evaluated, or a driver to be asked.
 
     Each runs on its own, so the distribution to threads does not matter; a range is always the same.
     """
@@ -121,7 +127,11 @@ def run_until_storyboard(scene, tracks, roads, fleet, actions, conditions, loop,
 def _run_scenarios(scene, tracks, roads, fleet, actions, conditions, loop, options, buffers):
     for n in range(buffers.first, buffers.last):
         status = loop.status[n]
-        if status == IDLE:
+        if status == EVALUATE_LEAVES:
+            store_leaf_values(scene, conditions, n)
+            loop.status[n] = IDLE
+            continue
+        if status not in (MOVE, ACT, ACTIONS_DONE):
             continue
         _prepare_scenario(scene, actions, loop, n, buffers)
         fill_watchlist(conditions, buffers.watchlist, n)
@@ -150,8 +160,6 @@ def _run_scenarios(scene, tracks, roads, fleet, actions, conditions, loop, optio
                 status = NEEDS_STORYBOARD
         if status == NEEDS_STORYBOARD and scene.n_frames[n] >= options.max_frames:
             status = FINISHED
-        if status == NEEDS_STORYBOARD or loop.evaluates_each_frame[n]:
-            store_leaf_values(scene, conditions, n)
         loop.status[n] = status
 
 
@@ -176,9 +184,20 @@ def _prepare_scenario(scene, actions, loop, n, buffers):
 @_inlined_kernel
 def _finish_frame(scene, tracks, fleet, loop, options, n, dt, buffers):
     """Do the part of a frame after the storyboard: drivers, motion, recording. Return the new state."""
-    if options.drives_compiled and dt > 0.0:
-        for d in range(loop.driven_entities.shape[0]):
-            _apply_driver(scene, tracks, fleet, n, d, loop.driven_entities[d], dt, buffers)
+    if dt > 0.0:
+        d, drivers = loop.next_driver[n], loop.driven_entities.shape[0]
+        while d < drivers:
+            e = loop.driven_entities[d]
+            if _is_in_charge(scene, tracks, n, d, e):
+                if fleet.kind[d] == NOT_COMPILED:
+                    loop.next_driver[n] = d
+                    return NEEDS_DRIVER
+                _apply_driver(scene, fleet, n, d, e, dt, buffers)
+            d += 1
+        if options.is_coupled and d == drivers:
+            loop.next_driver[n] = d
+            return NEEDS_DRIVER
+        loop.next_driver[n] = 0
     needs_lane = move_entities(scene, tracks, n, dt, buffers.activity)
     collides = record_frame(scene, n, buffers.first, dt, buffers.activity)
     if collides and options.stop_at_collision:
@@ -187,15 +206,19 @@ def _finish_frame(scene, tracks, fleet, loop, options, n, dt, buffers):
 
 
 @_inlined_kernel
-def _apply_driver(scene, tracks, fleet, n, driver, e, dt, buffers):
-    """Let a compiled driver set the speed of its entity at the end of the time step, if it is in charge."""
-    state, flags, numbers, others = scene.floats[n], scene.flags[n], scene.integers[n], buffers.visible_entities
-    track = numbers[TRACK, e]
-    if not (flags[PRESENT, e] and flags[DRIVEN, e] and numbers[DRIVER, e] == driver and track >= 0):
-        return
-    # A trajectory with times leaves the driver nothing to decide.
-    route = find_route_row(fleet, driver, track, n)
-    if tracks.has_times[tracks.rows[e, track]] or route < 0:
+def _is_in_charge(scene, tracks, n, driver, e):
+    """Whether a driver decides the speed of its entity; a trajectory with times leaves it nothing to decide."""
+    flags, numbers = scene.flags[n], scene.integers[n]
+    is_driving = flags[PRESENT, e] and flags[DRIVEN, e] and numbers[DRIVER, e] == driver and numbers[TRACK, e] >= 0
+    return is_driving and not tracks.has_times[tracks.rows[e, numbers[TRACK, e]]]
+
+
+@_inlined_kernel
+def _apply_driver(scene, fleet, n, driver, e, dt, buffers):
+    """Let a compiled driver in charge set the speed of its entity at the end of the time step."""
+    state, flags, others = scene.floats[n], scene.flags[n], buffers.visible_entities
+    route = find_route_row(fleet, driver, scene.integers[n, TRACK, e], n)
+    if route < 0:
         return
     for i in range(others.shape[1]):
         k = i if i < e else i + 1

@@ -120,12 +120,12 @@ class Element:
         """Report all changes to a condition from now on."""
         self._watches.append(watcher)
 
-    def iter_pending_triggers(self) -> Iterator[tuple[ElementTrigger, BoolArray]]:
-        """Yield the element's triggers, and where each may fire in the next frame."""
+    def iter_triggers(self) -> Iterator[tuple[ElementTrigger, int]]:
+        """Yield the element's triggers, and the state in which each may fire."""
         if self._start is not None:
-            yield self._start, self.state == STANDBY
+            yield self._start, STANDBY
         if self._stop is not None:
-            yield self._stop, self.state == RUNNING
+            yield self._stop, RUNNING
 
     @property
     def has_no_start_trigger(self) -> bool:

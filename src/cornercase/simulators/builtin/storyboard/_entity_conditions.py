@@ -25,7 +25,6 @@ from cornercase.simulators.builtin.paths._positions import (
     read_entity_refs,
     read_position,
 )
-from cornercase.simulators.builtin.world._collisions import do_boxes_overlap
 from cornercase.simulators.builtin.world._entity_distances import box_lengths_between_references, distance_along_roads
 from cornercase.simulators.builtin.world._road_position import (
     has_drivable_lane_in_range,
@@ -36,18 +35,8 @@ from cornercase.simulators.builtin.world._road_position import (
 )
 from cornercase.simulators.builtin.world._world import World
 
-EntityTest = Callable[[World, int], BoolArray]
-
-
-class CompiledTest:
-    """A test that kernels can evaluate too: one leaf for each other entity involved."""
-
-    def __init__(self, test: EntityTest, *kernel_leaves: LeafCondition) -> None:
-        self._test, self.leaves = test, kernel_leaves
-
-    def __call__(self, world: World, entity: int) -> BoolArray:
-        """Evaluate the test for one entity, shape (N,)."""
-        return self._test(world, entity)
+EntityTest = Callable[[World, int], BoolArray] | tuple[LeafCondition, ...]
+"""A function of the state and an entity's row that returns an array (N,), or leaves any of which has to hold."""
 
 
 def _is_equal(a: Any, b: Any) -> Any:
@@ -91,111 +80,54 @@ _COMPONENTS: Final = {
 
 def _traveled_distance_condition(element: etree._Element, scope: Scope, world: World) -> EntityTest:
     value = scope.read_numbers(element, "value")
-    return CompiledTest(
-        lambda world, e: np.asarray(world.odometer[e] >= value),
-        LeafCondition(conditions.TRAVELED_DISTANCE_CONDITION, values=(value,)),
-    )
+    return (LeafCondition(conditions.TRAVELED_DISTANCE_CONDITION, values=(value,)),)
 
 
 def _reach_position_condition(element: etree._Element, scope: Scope, world: World) -> EntityTest:
     holder = require_child(element, "Position", scope)
     position, tolerance = read_position(holder, scope, world), scope.read_numbers(element, "tolerance")
     oriented = holder.find("*/Orientation") is not None
-
-    # A fixed position is looked up once.
-    fixed_pose = position(world) if is_static_position(holder) else None
+    if is_static_position(holder):
+        # A fixed position is looked up once.
+        pose = position(world)
+        values = (pose.x, pose.y, pose.heading, tolerance)
+        return (LeafCondition(conditions.REACH_POSITION_CONDITION, option=int(oriented), values=values),)
 
     def reached(world: World, e: int) -> BoolArray:
-        pose = position(world) if fixed_pose is None else fixed_pose
+        pose = position(world)
         near = np.hypot(pose.x - world.x[e], pose.y - world.y[e]) < tolerance
         turn = wrap_angle(pose.heading - world.heading[e])
         return np.asarray(near & (np.abs(turn) < MAX_HEADING_DIFFERENCE) if oriented else near)
 
-    if fixed_pose is None:
-        return reached
-    values = (fixed_pose.x, fixed_pose.y, fixed_pose.heading, tolerance)
-    return CompiledTest(
-        reached, LeafCondition(conditions.REACH_POSITION_CONDITION, option=int(oriented), values=values)
-    )
-
-
-def _vector_component(
-    world: World, vector: tuple[FloatArray, FloatArray], entity: int, axes: int, direction: str
-) -> FloatArray:
-    """Component of a vector of an entity along or across the heading of `axes`, or 0 upwards, (N,)."""
-    x, y, cos, sin = vector[0][entity], vector[1][entity], np.cos(world.heading[axes]), np.sin(world.heading[axes])
-    if direction == "longitudinal":
-        return np.asarray(x * cos + y * sin)
-    return np.asarray(y * cos - x * sin) if direction == "lateral" else np.zeros(world.scenarios)
+    return reached
 
 
 def _speed_condition(element: etree._Element, scope: Scope, world: World) -> EntityTest:
+    return (_read_velocity_leaf(conditions.SPEED_CONDITION, element, scope),)
+
+
+def _read_velocity_leaf(kind: int, element: etree._Element, scope: Scope, other: int = -1) -> LeafCondition:
+    """Read the rule, the value and the component that a condition on a velocity or acceleration compares."""
     rule, value = read_comparison_rule(element, scope), scope.read_numbers(element, "value")
-    direction = scope.read_text(element, "direction", "")
-    option = _COMPONENTS.get(direction, distances.VERTICAL_COMPONENT)
-    leaf = LeafCondition(conditions.SPEED_CONDITION, rule=comparison_rule_index(rule), option=option, values=(value,))
-    if not direction:
-        return CompiledTest(lambda world, e: np.asarray(rule(world.speed[e], value)), leaf)
-    return CompiledTest(
-        lambda world, e: np.asarray(rule(_vector_component(world, world.step_velocity, e, e, direction), value)), leaf
-    )
+    option = _COMPONENTS.get(scope.read_text(element, "direction", ""), distances.VERTICAL_COMPONENT)
+    return LeafCondition(kind, other, comparison_rule_index(rule), option, (value,))
 
 
 def _relative_speed_condition(element: etree._Element, scope: Scope, world: World) -> EntityTest:
-    rule, value = read_comparison_rule(element, scope), scope.read_numbers(element, "value")
-    other, direction = read_entity_index(element, scope, world), scope.read_text(element, "direction", "")
-
-    def holds(world: World, e: int) -> BoolArray:
-        if not direction:
-            difference = world.speed[e] - world.speed[other]
-        else:
-            own_component, other_component = (
-                _vector_component(world, world.step_velocity, entity, other, direction) for entity in (e, other)
-            )
-            difference = own_component - other_component
-        return np.asarray(rule(difference, value) & world.present[other])
-
-    option = _COMPONENTS.get(direction, distances.VERTICAL_COMPONENT)
-    return CompiledTest(
-        holds, LeafCondition(conditions.RELATIVE_SPEED_CONDITION, other, comparison_rule_index(rule), option, (value,))
-    )
+    other = read_entity_index(element, scope, world)
+    return (_read_velocity_leaf(conditions.RELATIVE_SPEED_CONDITION, element, scope, other),)
 
 
 def _acceleration_condition(element: etree._Element, scope: Scope, world: World) -> EntityTest:
-    rule, value = read_comparison_rule(element, scope), scope.read_numbers(element, "value")
-    direction = scope.read_text(element, "direction", "")
-
-    def holds(world: World, e: int) -> BoolArray:
-        if direction:
-            return np.asarray(rule(_vector_component(world, world.step_acceleration, e, e, direction), value))
-        # Negative against the heading.
-        size = np.hypot(world.step_acceleration[0][e], world.step_acceleration[1][e])
-        return np.asarray(
-            rule(
-                np.where(_vector_component(world, world.step_acceleration, e, e, "longitudinal") < 0.0, -size, size),
-                value,
-            )
-        )
-
-    option = _COMPONENTS.get(direction, distances.VERTICAL_COMPONENT)
-    return CompiledTest(
-        holds,
-        LeafCondition(
-            conditions.ACCELERATION_CONDITION, rule=comparison_rule_index(rule), option=option, values=(value,)
-        ),
-    )
+    return (_read_velocity_leaf(conditions.ACCELERATION_CONDITION, element, scope),)
 
 
 def _stand_still_condition(element: etree._Element, scope: Scope, world: World) -> EntityTest:
-    duration = scope.read_numbers(element, "duration")
-    leaf = LeafCondition(conditions.STAND_STILL_CONDITION, values=(duration,))
-    return CompiledTest(lambda world, e: np.asarray(world.time - world.standing_since[e] > duration), leaf)
+    return (LeafCondition(conditions.STAND_STILL_CONDITION, values=(scope.read_numbers(element, "duration"),)),)
 
 
 def _end_of_road_condition(element: etree._Element, scope: Scope, world: World) -> EntityTest:
-    duration = scope.read_numbers(element, "duration")
-    leaf = LeafCondition(conditions.END_OF_ROAD_CONDITION, values=(duration,))
-    return CompiledTest(lambda world, e: np.asarray(world.time - world.at_end_since[e] > duration - TOLERANCE), leaf)
+    return (LeafCondition(conditions.END_OF_ROAD_CONDITION, values=(scope.read_numbers(element, "duration"),)),)
 
 
 def _off_road_condition(element: etree._Element, scope: Scope, world: World) -> EntityTest:
@@ -214,13 +146,7 @@ def _collision_condition(element: etree._Element, scope: Scope, world: World) ->
     if by_type is None and not others:
         raise InputError(f"{scope.file_name}, line {element.sourceline}: <CollisionCondition> names no entity.")
 
-    def holds(world: World, e: int) -> BoolArray:
-        result = np.zeros(world.scenarios, dtype=np.bool_)
-        for other in others:
-            result |= do_boxes_overlap(world, e, other)
-        return result
-
-    return CompiledTest(holds, *(LeafCondition(conditions.COLLISION_CONDITION, other) for other in others))
+    return tuple(LeafCondition(conditions.COLLISION_CONDITION, other) for other in others)
 
 
 def _object_type_of_category(category: str) -> str:
@@ -230,38 +156,32 @@ def _object_type_of_category(category: str) -> str:
 def _relative_distance_condition(element: etree._Element, scope: Scope, world: World) -> EntityTest:
     other, gap = read_entity_index(element, scope, world), read_distance_measure(element, scope)
     rule, value = read_comparison_rule(element, scope), scope.read_numbers(element, "value")
+    option = _kernel_gap_option(gap, to_entity=True)
+    if option is not None:
+        index = comparison_rule_index(rule)
+        return (LeafCondition(conditions.RELATIVE_DISTANCE_CONDITION, other, index, option, (value,)),)
 
     def holds(world: World, e: int) -> BoolArray:
         return np.asarray(rule(np.abs(gap.measure_to_entity(world, e, other)), value) & world.present[other])
 
-    option = _kernel_gap_option(gap, to_entity=True)
-    return (
-        holds
-        if option is None
-        else CompiledTest(
-            holds,
-            LeafCondition(conditions.RELATIVE_DISTANCE_CONDITION, other, comparison_rule_index(rule), option, (value,)),
-        )
-    )
+    return holds
 
 
 def _distance_condition(element: etree._Element, scope: Scope, world: World) -> EntityTest:
     holder = require_child(element, "Position", scope)
     position, gap = read_position(holder, scope, world), read_distance_measure(element, scope)
     rule, value = read_comparison_rule(element, scope), scope.read_numbers(element, "value")
+    option = _kernel_gap_option(gap, to_entity=False)
     fixed_pose = position(world) if is_static_position(holder) else None
+    if option is not None and fixed_pose is not None:
+        values = (fixed_pose.x, fixed_pose.y, value)
+        return (LeafCondition(conditions.DISTANCE_CONDITION, -1, comparison_rule_index(rule), option, values),)
 
     def holds(world: World, e: int) -> BoolArray:
         pose = position(world) if fixed_pose is None else fixed_pose
         return np.asarray(rule(np.abs(gap.measure_to_point(world, e, pose)), value))
 
-    option = _kernel_gap_option(gap, to_entity=False)
-    if option is None or fixed_pose is None:
-        return holds
-    leaf = LeafCondition(
-        conditions.DISTANCE_CONDITION, -1, comparison_rule_index(rule), option, (fixed_pose.x, fixed_pose.y, value)
-    )
-    return CompiledTest(holds, leaf)
+    return holds
 
 
 def _kernel_gap_option(gap: DistanceMeasure, to_entity: bool) -> int | None:
@@ -279,21 +199,17 @@ def _kernel_gap_option(gap: DistanceMeasure, to_entity: bool) -> int | None:
 def _time_headway_condition(element: etree._Element, scope: Scope, world: World) -> EntityTest:
     other, gap = read_entity_index(element, scope, world), read_distance_measure(element, scope)
     rule, value = read_comparison_rule(element, scope), scope.read_numbers(element, "value")
+    option = _kernel_gap_option(gap, to_entity=True)
+    if option is not None:
+        index = comparison_rule_index(rule)
+        return (LeafCondition(conditions.TIME_HEADWAY_CONDITION, other, index, option, (value,)),)
 
     def holds(world: World, e: int) -> BoolArray:
         distance, speed = gap.measure_to_entity(world, e, other), world.speed[e]
         defined = (distance >= 0.0) & (speed >= TOLERANCE) & world.present[other]
         return np.asarray(defined & rule(distance / np.where(defined, speed, 1.0), value))
 
-    option = _kernel_gap_option(gap, to_entity=True)
-    return (
-        holds
-        if option is None
-        else CompiledTest(
-            holds,
-            LeafCondition(conditions.TIME_HEADWAY_CONDITION, other, comparison_rule_index(rule), option, (value,)),
-        )
-    )
+    return holds
 
 
 def _time_to_collision_condition(element: etree._Element, scope: Scope, world: World) -> EntityTest:
@@ -308,16 +224,10 @@ def _time_to_collision_condition(element: etree._Element, scope: Scope, world: W
     if reference is not None:
         other = read_entity_index(reference, scope, world)
         option = _kernel_gap_option(gap, to_entity=True)
-
-        def collides(world: World, e: int) -> BoolArray:
-            return _time_to_entity_holds(world, e, other, gap, rule, value)
-
         if option is None:
-            return collides
-        return CompiledTest(
-            collides,
-            LeafCondition(conditions.TIME_TO_COLLISION_CONDITION, other, comparison_rule_index(rule), option, (value,)),
-        )
+            return lambda world, e: _time_to_entity_holds(world, e, other, gap, rule, value)
+        index = comparison_rule_index(rule)
+        return (LeafCondition(conditions.TIME_TO_COLLISION_CONDITION, other, index, option, (value,)),)
     if holder is None:
         raise InputError(
             f"{scope.file_name}, line {element.sourceline}: <TimeToCollisionCondition> names neither an entity nor a"
@@ -401,37 +311,24 @@ def _angle_condition(element: etree._Element, scope: Scope, world: World) -> Ent
         scope.read_text(element, "coordinateSystem", "world"),
     )
     other = read_entity_index(element, scope, world) if element.get("entityRef") is not None else None
+    network, is_heading = world.network, angle_type == "heading"
+    if network is None or other is not None or not is_heading or system not in ("road", "lane"):
+        is_relevant = is_heading and (other is not None or system != "entity")
+        entity, values = -1 if other is None or not is_heading else other, (angle, tolerance)
+        return (LeafCondition(conditions.RELATIVE_ANGLE_CONDITION, entity, option=int(is_relevant), values=values),)
 
     def holds(world: World, e: int) -> BoolArray:
-        current = world.heading[e]
-        if angle_type != "heading":
-            current = np.zeros(world.scenarios)
-        elif other is not None:
-            current = current - world.heading[other]
-        elif system == "entity":
-            current = np.zeros(world.scenarios)
-        elif system in ("road", "lane") and world.network is not None:
-            pose = road_pose(world, e)
-            current = current - road_heading(world, pose)
-            if system == "lane" and pose.lane is not None and pose.road is not None and pose.s is not None:
-                against = [
-                    not world.network.is_traffic_forward(int(r), int(k), float(s))
-                    for r, k, s in zip(pose.road, pose.lane, pose.s, strict=True)
-                ]
-                current = current - np.where(against, np.pi, 0.0)
-        difference = np.abs(wrap_angle(current - angle))
-        return np.asarray(difference < tolerance + TOLERANCE)
+        pose = road_pose(world, e)
+        current = world.heading[e] - road_heading(world, pose)
+        if system == "lane" and pose.lane is not None and pose.road is not None and pose.s is not None:
+            against = [
+                not network.is_traffic_forward(int(r), int(k), float(s))
+                for r, k, s in zip(pose.road, pose.lane, pose.s, strict=True)
+            ]
+            current = current - np.where(against, np.pi, 0.0)
+        return np.asarray(np.abs(wrap_angle(current - angle)) < tolerance + TOLERANCE)
 
-    if angle_type == "heading" and other is None and system in ("road", "lane") and world.network is not None:
-        return holds
-    if angle_type != "heading" or (other is None and system == "entity"):
-        return CompiledTest(holds, LeafCondition(conditions.RELATIVE_ANGLE_CONDITION, values=(angle, tolerance)))
-    return CompiledTest(
-        holds,
-        LeafCondition(
-            conditions.RELATIVE_ANGLE_CONDITION, -1 if other is None else other, option=1, values=(angle, tolerance)
-        ),
-    )
+    return holds
 
 
 ENTITY_CONDITION_READERS: Final[dict[str, Callable[[etree._Element, Scope, World], EntityTest]]] = {

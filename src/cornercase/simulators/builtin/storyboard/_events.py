@@ -53,6 +53,7 @@ class ActionElement(Element):
             self._world.current_action = self._location
             self.action.start(self._world, where)
             self._world.current_action = None
+            self._world.has_leaf_values = False
 
     def end_conflicting_actions(self, where: BoolArray) -> None:
         """End all actions of the same entity with a common domain, in the scenarios of a mask."""
@@ -92,6 +93,7 @@ class ActionElement(Element):
     def _release_entity(self, where: BoolArray) -> None:
         if self.action is not None and where.any():
             self.action.release(self._world, where)
+            self._world.has_leaf_values = False
 
 
 class Event(Element):

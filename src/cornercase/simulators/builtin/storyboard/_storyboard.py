@@ -42,7 +42,7 @@ _RELATIVE_POSITION_TAGS: Final = (
 class Storyboard:
     """A file's storyboard for all scenarios of a batch.
 
-    `actions`: all of its actions in the order in which they act.
+    `actions`: all of its actions in the order in which they act. `triggers`: all triggers, in a fixed order.
     """
 
     def __init__(self, scenario: ScenarioFile, scope: Scope, world: World) -> None:
@@ -53,7 +53,7 @@ class Storyboard:
         # By entity; None for global actions.
         self._actions: dict[int | None, list[ActionElement]] = {}
         self.actions: list[ActionElement] = []
-        self._triggered: list[Element] = []
+        self._registered: list[Element] = []
         root = scenario.root.find("Storyboard")
         assert root is not None
         self._init_actions = list(self._read_init(root, scope))
@@ -67,20 +67,38 @@ class Storyboard:
             if element is None:
                 raise InputError(f"{where}: there is no {kind} '{reference}' in the storyboard.")
             element.add_watcher(watch)
+        self._gather_states()
 
-    def iter_pending_triggers(self) -> Iterator[tuple[ElementTrigger, BoolArray]]:
-        """Yield all triggers in a fixed order, and where each may fire in the next frame."""
-        yield self._stop, np.ones(self._world.scenarios, dtype=np.bool_)
-        for element in self._triggered:
-            yield from element.iter_pending_triggers()
+    def _gather_states(self) -> None:
+        """Gather the states of all elements in one table, of which each element keeps its row."""
+        elements = list(dict.fromkeys([*self._registered, *self.actions]))
+        self._states = np.array([element.state for element in elements]).reshape(-1, self._world.scenarios)
+        for element, state in zip(elements, self._states, strict=True):
+            element.state = state
+        rows = {element: k for k, element in enumerate(elements)}
+        triggers = [(trigger, rows[e], state) for e in self._registered for trigger, state in e.iter_triggers()]
+        self.triggers: list[ElementTrigger] = [self._stop, *(trigger for trigger, _, _ in triggers)]
+        self._trigger_rows = np.array([row for _, row, _ in triggers], dtype=np.int64)
+        self._awaited_states = np.array([[state] for _, _, state in triggers], dtype=np.int8).reshape(-1, 1)
+        self._untriggered_rows = [rows[element] for element in self._registered if element.has_no_start_trigger]
+        self._action_rows = [rows[action] for action in self.actions]
+
+    def find_waiting_triggers(self) -> BoolArray:
+        """Where each trigger may fire in the next frame, shape (T, N)."""
+        return np.concatenate(
+            [
+                np.ones((1, self._world.scenarios), dtype=np.bool_),
+                self._states[self._trigger_rows] == self._awaited_states,
+            ]
+        )
+
+    def find_running_actions(self) -> BoolArray:
+        """Where each of `actions` runs, shape (J, N)."""
+        return np.asarray(self._states[self._action_rows] == RUNNING)
 
     def waits_without_trigger(self) -> BoolArray:
         """Scenarios in which an element without a start trigger waits for the next frame, shape (N,)."""
-        result = self._stopped.copy()
-        for element in self._triggered:
-            if element.has_no_start_trigger:
-                result |= element.state == STANDBY
-        return result
+        return self._stopped | (self._states[self._untriggered_rows] == STANDBY).any(axis=0)
 
     def watch_element(self, kind: str, name: str, watch: StateWatcher, location: str) -> None:
         """Connect a condition to the element of a kind and name once all elements are read."""
@@ -110,6 +128,8 @@ class Storyboard:
             update_overlaps(world)
             for story in self.stories:
                 story.start(world.running.copy())
+        world.has_leaf_values = False
+        world.update_leaf_values()
         stopped = self._stop.fires(world, world.running.copy())
         ends = stopped | (self._stopped & world.running)
         self._stopped |= stopped
@@ -269,7 +289,7 @@ class Storyboard:
 
     def _register_element(self, element: E) -> E:
         self._elements.setdefault((element.kind, element.name), []).append((element, tuple(self._parents)))
-        self._triggered.append(element)
+        self._registered.append(element)
         return element
 
     @contextmanager

@@ -23,7 +23,6 @@ from cornercase.simulators.builtin.paths._positions import read_entity_refs
 from cornercase.simulators.builtin.storyboard._element import StateWatcher
 from cornercase.simulators.builtin.storyboard._entity_conditions import (
     ENTITY_CONDITION_READERS,
-    CompiledTest,
     EntityTest,
     comparison_rule_index,
     read_comparison_rule,
@@ -100,14 +99,15 @@ class Condition:
             return ConditionSpec([(-1, test.leaf)], True, plain)
         return ConditionSpec([], True, False) if isinstance(test, StateWatcher) else None
 
+    def use_leaf_values(self, leaf_values: BoolArray) -> None:
+        """Take the values of the leaves of its `kernel_spec` from here, a view (N, L) of what kernels evaluate."""
+        if isinstance(self.test, EntityCondition | ValueCondition):
+            self.test.leaf_values = leaf_values
+
     def constant_value(self, world: World) -> BoolArray | None:
         """Its value (N,) if only the storyboard can change it; otherwise None."""
         test = self.test
-        return (
-            test.value(world)
-            if isinstance(test, ValueCondition) and test.leaf.kind == conditions_module.CONSTANT_CONDITION
-            else None
-        )
+        return test.value(world) if isinstance(test, ValueCondition) and test.value is not None else None
 
     @property
     def delay_buffer(self) -> DelayBuffer | None:
@@ -295,37 +295,55 @@ def _read_condition_test(condition: etree._Element, scope: Scope, world: World, 
 
 
 class EntityCondition:
-    """A condition on entities: true for any, or for all, triggering entities."""
+    """A condition on entities: true for any, or for all, triggering entities.
+
+    `leaf_values` (N, L): values of its leaves, which kernels have evaluated.
+    """
 
     def __init__(self, entities: list[int], requires_all: bool, test: EntityTest) -> None:
         self.entities = entities
         self.requires_all, self._test = requires_all, test
-        self._last_results: list[BoolArray] = []
+        self.leaf_values: BoolArray | None = None
+        # By entity and scenario.
+        self._last_results = np.zeros((len(entities), 0), dtype=np.bool_)
 
     @property
     def leaves(self) -> list[tuple[int, LeafCondition]] | None:
         """Leaves to evaluate for each entity; None if kernels cannot."""
-        test = self._test
-        return [(e, leaf) for e in self.entities for leaf in test.leaves] if isinstance(test, CompiledTest) else None
+        return [(e, leaf) for e in self.entities for leaf in self._test] if isinstance(self._test, tuple) else None
 
     def __call__(self, world: World, where: BoolArray) -> BoolArray:
-        self._last_results = [self._test(world, e) & world.present[e] for e in self.entities]
-        result = np.stack(self._last_results)
-        return np.asarray(result.all(axis=0) if self.requires_all else result.any(axis=0))
+        if callable(self._test):
+            self._last_results = np.stack([self._test(world, e) & world.present[e] for e in self.entities])
+        else:
+            assert self.leaf_values is not None
+            world.update_leaf_values()
+            values = self.leaf_values.T.reshape(len(self.entities), len(self._test), world.scenarios)
+            self._last_results = values.any(axis=1)
+        results = self._last_results
+        return np.asarray(results.all(axis=0) if self.requires_all else results.any(axis=0))
 
     def last_result_for(self, entity: int) -> BoolArray:
         """Scenarios in which it was last true for an entity, shape (N,)."""
-        return self._last_results[self.entities.index(entity)]
+        return np.asarray(self._last_results[self.entities.index(entity)])
 
 
 class ValueCondition:
-    """A condition on time, or on values that only the storyboard changes, which kernels can evaluate too."""
+    """A condition on time, which kernels evaluate, or on values that only the storyboard changes.
 
-    def __init__(self, value: Callable[[World], BoolArray], leaf: LeafCondition = _CONSTANT) -> None:
+    `value` returns an array (N,); None for a condition on time. `leaf_values` (N, 1): what kernels have evaluated.
+    """
+
+    def __init__(self, value: Callable[[World], BoolArray] | None, leaf: LeafCondition = _CONSTANT) -> None:
         self.value, self.leaf = value, leaf
+        self.leaf_values: BoolArray | None = None
 
     def __call__(self, world: World, where: BoolArray) -> BoolArray:
-        return self.value(world)
+        if self.value is not None:
+            return self.value(world)
+        assert self.leaf_values is not None
+        world.update_leaf_values()
+        return self.leaf_values[:, 0].copy()
 
 
 def _read_triggering_entities(element: etree._Element, scope: Scope, world: World, test: EntityTest) -> Test:
@@ -340,7 +358,7 @@ def _read_triggering_entities(element: etree._Element, scope: Scope, world: Worl
 def _simulation_time_condition(element: etree._Element, scope: Scope, world: World, elements: ElementLookup) -> Test:
     rule, value = read_comparison_rule(element, scope), scope.read_numbers(element, "value")
     leaf = LeafCondition(conditions_module.TIME_CONDITION, rule=comparison_rule_index(rule), values=(value,))
-    return ValueCondition(lambda world: np.asarray(rule(world.time, value)), leaf)
+    return ValueCondition(None, leaf)
 
 
 def _element_state_condition(element: etree._Element, scope: Scope, world: World, elements: ElementLookup) -> Test:

@@ -5,7 +5,7 @@ Arrays are indexed (entity, scenario), so that an entity's row is contiguous ove
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -93,7 +93,9 @@ class World:
     `drivers`: all that may control entities; `has_fixed_driver` (E): the driver was chosen by the user, and the file
     cannot change it. `tracks`: all tracks that an entity has followed. `routes`: all assigned routes, as (road, lane,
     s). `lane_tracks`: cache of tracks along lanes. `current_action`: line and name of the acting action, for errors.
-    `errors`: by scenario. `notices`: sentences on deviations from the file, without a full stop, each once.
+    `errors`: by scenario. `evaluate_leaves`: evaluates the leaves of all conditions in the running scenarios;
+    `has_leaf_values`: that has been done, and no action has changed the state since. `notices`: sentences on deviations
+    from the file, without a full stop, each once.
     """
 
     x: FloatArray
@@ -173,6 +175,8 @@ class World:
         self.lane_tracks: dict[tuple[object, ...], LaneTrack | None] = {}
         self.errors: dict[int, SimulationError] = {}
         self.current_action: str | None = None
+        self.evaluate_leaves: Callable[[], None] = lambda: None
+        self.has_leaf_values = False
         self.notices: dict[str, None] = {}
         for tow in tows:
             self.pulled_by[tow.trailer] = tow.vehicle
@@ -201,6 +205,12 @@ class World:
         sentence = f"{NoticeLabel.ADAPTED}: {subject} ({location}): {reason}"
         if first.size and not any(notice.startswith(f"{sentence}; ") for notice in self.notices):
             self.notices[f"{sentence}; first at {self.time[first[0]]:.6g} s"] = None
+
+    def update_leaf_values(self) -> None:
+        """Evaluate the leaves of all conditions, unless that has been done."""
+        if not self.has_leaf_values:
+            self.evaluate_leaves()
+            self.has_leaf_values = True
 
     def set_speed(self, entity: int, where: BoolArray, speed: FloatArray) -> None:
         """Set an entity's speed, or its driver's target speed, in the scenarios of the mask."""
