@@ -19,6 +19,7 @@ from cornercase.roads._kernels.heading import build_road_tables
 from cornercase.simulators.builtin._gil import release_gil_lock
 from cornercase.simulators.builtin.actions._controller import DriverControl
 from cornercase.simulators.builtin.kernels._action_table import build_action_table
+from cornercase.simulators.builtin.kernels._compiled_world import CompiledWorld
 from cornercase.simulators.builtin.kernels._conditions import build_condition_table
 from cornercase.simulators.builtin.kernels._loop import (
     ACT,
@@ -100,6 +101,7 @@ class Stepper:
         self._read_triggers()
         self._roads = build_road_tables([]) if world.network is None else world.network.road_tables
         self._track_pool, self._planned_routes = TrackPool(), dict[tuple[int, int], int]()
+        world.compiled = CompiledWorld(world, self.scene, self._track_pool, self._roads, self._actions)
         driven_entities = np.array([driver.entity for driver in self._driver_actions], dtype=np.int64)
         status = np.full(world.scenarios, IDLE, dtype=np.int8)
         # Time of the last lookup: if it did not help, the storyboard handles the scenario.

@@ -25,7 +25,6 @@ from cornercase.simulators.builtin.paths._positions import (
     read_entity_refs,
     read_position,
 )
-from cornercase.simulators.builtin.world._collisions import do_boxes_overlap
 from cornercase.simulators.builtin.world._entity_distances import box_lengths_between_references, distance_along_roads
 from cornercase.simulators.builtin.world._road_position import (
     has_drivable_lane_in_range,
@@ -217,7 +216,7 @@ def _collision_condition(element: etree._Element, scope: Scope, world: World) ->
     def holds(world: World, e: int) -> BoolArray:
         result = np.zeros(world.scenarios, dtype=np.bool_)
         for other in others:
-            result |= do_boxes_overlap(world, e, other)
+            result |= world.compiled.find_overlaps(e, other)
         return result
 
     return CompiledTest(holds, *(LeafCondition(conditions.COLLISION_CONDITION, other) for other in others))
