@@ -12,7 +12,7 @@ from cornercase._common.errors import InputError, suggest_name
 from cornercase._common.io.tracked_xml import find_by_name, find_untracked, note_adaptation
 from cornercase._common.text.source_lines import format_location
 from cornercase.scenario._scope import Scope
-from cornercase.simulators.builtin.tracks._track import ALONG_SEGMENTS, AT_CORNERS, AT_VERTICES
+from cornercase.simulators.builtin.track_kernels._track_layout import ALONG_SEGMENTS, AT_CORNERS, AT_VERTICES
 from cornercase.simulators.builtin.world._trailers import MAX_TRAILERS, read_tow, sort_front_to_back
 from cornercase.simulators.builtin.world._world import Entity, Tow
 
@@ -122,7 +122,7 @@ def _read_entity(body: etree._Element, name: str, scope: Scope) -> Entity:
     elements = {key: find_by_name(items, key) for key in ("ignoreHeadingForTrajMotion", "plineInterpolation")}
     properties = {key: "" if item is None else scope.read_text(item, "value") for key, item in elements.items()}
     slides = properties["ignoreHeadingForTrajMotion"] == "true"
-    turning = _HEADING_INTERPOLATIONS.get(properties["plineInterpolation"], "")
+    turning = _HEADING_INTERPOLATIONS.get(properties["plineInterpolation"])
     body_and_scope = body, scope
     return Entity(name, kind, length, width, center_x, limits[0], limits[1], limits[2], slides, turning, body_and_scope)
 

@@ -20,6 +20,7 @@ from cornercase.roads._kernels.heading import build_road_tables
 from cornercase.simulators.builtin._gil import release_gil_lock
 from cornercase.simulators.builtin.actions._controller import DriverControl
 from cornercase.simulators.builtin.kernels._action_table import build_action_table
+from cornercase.simulators.builtin.kernels._compiled_world import CompiledWorld
 from cornercase.simulators.builtin.kernels._conditions import ConditionSpec, build_condition_table
 from cornercase.simulators.builtin.kernels._loop import (
     ACT,
@@ -109,6 +110,7 @@ class Stepper:
         self._roads = build_road_tables([]) if world.network is None else world.network.road_tables
         self._track_pool, self._planned_routes = TrackPool(), dict[tuple[int, int], int]()
         self._tracks = self._track_pool.update(world.tracks)
+        world.compiled = CompiledWorld(world, self.scene, self._track_pool, self._roads, self._actions)
         # Time of the last lookup: if it did not help, the storyboard handles the scenario.
         self._last_lookup = np.full(world.scenarios, -1.0)
         self._bounds = [0, world.scenarios]

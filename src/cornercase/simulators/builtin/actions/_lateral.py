@@ -12,7 +12,7 @@ from lxml import etree
 from cornercase._common.errors import InputError
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.scenario._scope import Scope
-from cornercase.simulators.builtin.actions._action import Action
+from cornercase.simulators.builtin.actions._action import Action, CompiledAction
 from cornercase.simulators.builtin.actions._longitudinal import require_child
 from cornercase.simulators.builtin.kernels._action_table import (
     DYNAMICS_DIMENSIONS,
@@ -24,31 +24,22 @@ from cornercase.simulators.builtin.paths._dynamics import (
     TransitionDynamics,
     check_dynamics_shape,
     duration_at_peak_acceleration,
-    transition_fraction,
-    transition_slope,
 )
 from cornercase.simulators.builtin.paths._positions import read_entity_index, shift_lane
 from cornercase.simulators.builtin.world._entity_distances import offset_of_entity
 from cornercase.simulators.builtin.world._lane_following import attach_to_lane, change_lane
 from cornercase.simulators.builtin.world._road_position import is_heading_along_road, road_pose
-from cornercase.simulators.builtin.world._track_motion import move_along_track, update_pose_on_track
+from cornercase.simulators.builtin.world._track_motion import update_pose_on_track
 from cornercase.simulators.builtin.world._world import LATERAL, World
-
-# rad; purely lateral motion turns the entity by slightly less than 90°, so that it still points along its lane, also in
-# bends, where lane headings are accurate to a fraction of the difference.
-_MAX_TURN: Final = 0.5 * np.pi - 1e-3
 
 # m/s²; esmini's default for lane offsets.
 _DEFAULT_ACCELERATION: Final = 0.5
 
-# Tolerances in m or s of offsets and distances.
-_OFFSET_TOLERANCE: Final = 1e-6
+# m; tolerance of a lateral distance.
 _DISTANCE_TOLERANCE: Final = 0.01
-# Lane offsets, and the duration of a change in s or m, are accurate to about 1e-5.
-_EXTENT_TOLERANCE: Final = 1e-4
 
 
-class LaneChangeAction(Action):
+class LaneChangeAction(CompiledAction):
     """Moves an entity to another lane; part of its speed becomes lateral motion."""
 
     domains = (LATERAL,)
@@ -101,48 +92,6 @@ class LaneChangeAction(Action):
         world.turn[e][where] = 0.0
         update_pose_on_track(world, e, where)
 
-    def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
-        e, change = self._entity, self._to - self._from
-        step_length = longitudinal = np.abs(world.speed[e]) * dt
-        moves = where & (np.abs(world.speed[e]) > 1e-6)
-        abrupt = self._extent <= 1e-6
-        extent = np.where(abrupt, 1.0, self._extent)
-        rate = change / extent * self._transition.fraction_slope(self._done / extent)
-        if self._transition.dimension == "distance":
-            longitudinal = step_length / np.sqrt(1.0 + rate**2)
-            progress = self._done + longitudinal
-            share = self._transition.fraction_done(progress / extent)
-            # As in esmini, the heading is that of driving forwards even if the entity drives backwards.
-            turn = np.arctan(rate)
-        else:
-            lateral = np.minimum(dt * np.abs(rate), step_length)
-            # An entity that is too slow for the change moves only sideways, at constant speed.
-            slow = dt * np.abs(rate) > step_length + 1e-6
-            with np.errstate(divide="ignore", invalid="ignore"):
-                progress = self._done + np.where(slow, step_length * extent / np.abs(change), dt)
-            share = np.where(
-                slow, np.clip(progress / extent, 0.0, 1.0), self._transition.fraction_done(progress / extent)
-            )
-            longitudinal = np.sqrt(np.maximum(step_length**2 - lateral**2, 0.0))
-            turn = np.arctan2(np.sign(rate) * lateral, longitudinal)
-            turn = np.sign(world.speed[e]) * np.where(slow, np.sign(rate) * _MAX_TURN, turn)
-        offset = np.where(abrupt, self._to, self._from + share * change)
-        arrived = (
-            abrupt | (progress > self._extent - _EXTENT_TOLERANCE) | (np.abs(offset - self._to) < _OFFSET_TOLERANCE)
-        )
-        self._done[moves] = progress[moves]
-        world.offset[e][moves] = offset[moves]
-        world.turn[e][moves] = np.where(arrived, 0.0, turn)[moves]
-        world.changes_lanes[e][moves & arrived] = False
-        # It moves even if it was just placed; a speed set by another action in this frame applies from the next frame.
-        world.pace[e][where] = world.speed[e][where]
-        step_length = np.sign(world.speed[e]) * np.where(abrupt, step_length, longitudinal)
-        move_along_track(world, e, where, np.where(moves, step_length, 0.0))
-        # It ends at the end of the road, even between lanes.
-        stuck = moves & ~arrived & np.isfinite(world.at_end_since[e])
-        self.release(world, stuck)
-        return np.asarray(moves & arrived | stuck)
-
     def release(self, world: World, where: BoolArray) -> None:
         """Leave the entity in its current lane, or in the target lane if it follows a route."""
         world.changes_lanes[self._entity][where] = False
@@ -166,7 +115,7 @@ class LaneChangeAction(Action):
         return shift_lane(pose.lane, self._value * forward)
 
 
-class LaneOffsetAction(Action):
+class LaneOffsetAction(CompiledAction):
     """Moves an entity within its lane; the lateral motion does not slow it down."""
 
     domains = (LATERAL,)
@@ -215,23 +164,6 @@ class LaneOffsetAction(Action):
             self._shape, self._to - self._from, self._max_acceleration
         )[where]
         self._elapsed[where] = 0.0
-
-    def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
-        e, change = self._entity, self._to - self._from
-        duration = np.where(self._duration > 0, self._duration, 1.0)
-        share = np.where(self._duration > 0, self._elapsed / duration, 1.0)
-        offset = self._from + transition_fraction(self._shape, share) * change
-        arrived = (self._elapsed > self._duration - _OFFSET_TOLERANCE) | (np.abs(offset - self._to) < _OFFSET_TOLERANCE)
-        offset = np.where(arrived, self._to, offset)
-        slope = change / duration * transition_slope(self._shape, share)
-        world.offset[e][where] = offset[where]
-        speed = world.speed[e]
-        turn = np.arctan(slope / np.where(np.abs(speed) > 1e-6, speed, 1e-6))
-        world.turn[e][where] = np.where(arrived, 0.0, turn)[where]
-        self._elapsed[where] += dt
-        # Later actions of the frame see the new position.
-        update_pose_on_track(world, e, where)
-        return np.asarray(where & arrived)
 
 
 class LateralDistanceAction(Action):

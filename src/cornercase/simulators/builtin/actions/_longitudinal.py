@@ -10,29 +10,30 @@ from lxml import etree
 from cornercase._common.errors import InputError
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.scenario._scope import Scope
-from cornercase.simulators.builtin.actions._action import Action
+from cornercase.simulators.builtin.actions._action import CompiledAction
 from cornercase.simulators.builtin.kernels._action_table import (
     DISTANCE_ACTION,
     DYNAMICS_DIMENSIONS,
     DYNAMICS_SHAPES,
     SPEED_ACTION,
 )
-from cornercase.simulators.builtin.kernels._synchronize import DISTANCE_TOLERANCE, SPRING_STIFFNESS
+from cornercase.simulators.builtin.kernels._distances import FREE_SPACE, LONGITUDINAL_DISTANCE
+from cornercase.simulators.builtin.kernels._synchronize import DISTANCE_TOLERANCE
 from cornercase.simulators.builtin.paths._dynamics import TransitionDynamics
 from cornercase.simulators.builtin.paths._positions import read_entity_index
-from cornercase.simulators.builtin.world._entity_distances import distance_ahead, distance_along_roads, longitudinal_gap
+from cornercase.simulators.builtin.world._entity_distances import distance_along_roads
 from cornercase.simulators.builtin.world._road_position import distance_ahead_on_road, road_pose
 from cornercase.simulators.builtin.world._track_motion import shift_along_track
 from cornercase.simulators.builtin.world._world import LONGITUDINAL, World
 
-# Tolerance of speeds and times in m/s and s.
+# Tolerance of limits.
 _TINY: Final = 1e-6
 
 # Larger than all limits.
 _UNLIMITED: Final = 1e10
 
 
-class SpeedAction(Action):
+class SpeedAction(CompiledAction):
     """Brings an entity to a speed; if it has a driver, sets the driver's target speed."""
 
     domains = (LONGITUDINAL,)
@@ -82,36 +83,6 @@ class SpeedAction(Action):
         at_once &= ~(world.driven[e] & (world.time > 0.0))
         world.speed[e][at_once] = target[at_once]
 
-    def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
-        e, entity = self._entity, world.entities[self._entity]
-        if self._reference is not None:
-            self._to[where] = np.clip(self._target_speed(world), -entity.max_speed, entity.max_speed)[where]
-            if self._transition.dimension == "rate":
-                self._span[where] = self._transition.duration_at_rate(self._to - self._from)[where]
-        current, driven = world.speed[e], world.driven[e]
-        highest, lowest = current + entity.max_acceleration * dt, current - entity.max_deceleration * dt
-        # If the change exceeds the vehicle's limits, it takes longer: the parameter lags behind the time.
-        settled = (self._span > 0.0) & (self._parameter > self._span - _TINY)
-        parameter = np.clip(self._parameter + dt / self._stretch, 0.0, self._span)
-        planned = self._transition.value_at(self._from, self._to, parameter, self._span)
-        requested = np.where(settled, self._to, planned)
-        speed = np.clip(requested, lowest, highest) if dt > 0 else np.where(settled, current, planned)
-        speed = np.where(driven, requested, speed)
-        late = (np.abs(speed - requested) > _TINY * dt) & ~settled & (dt > 0)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            share = np.where(late, (speed - current) / (planned - current), 1.0)
-        behind = np.clip(parameter - dt * (1.0 - share) / self._stretch, 0.0, self._span)
-        speed = np.where(late | settled, speed, requested)
-        parameter = np.where(settled, self._parameter, np.where(late, behind, parameter))
-        self._parameter[where] = parameter[where]
-        arrived = (parameter > self._span - _TINY) & (np.abs(speed - self._to) < _TINY)
-        self._reached[where & arrived] = 1.0
-        speed = np.where(arrived, self._to, speed)
-        world.set_speed(e, where, speed)
-        begins = where & (world.time == 0.0)
-        world.speed[e][begins] = speed[begins]
-        return np.asarray(where & (self._reached > 0.0) & (not self._continuous))
-
     def _target_speed(self, world: World) -> FloatArray:
         target = self._value
         if self._reference is not None:
@@ -120,7 +91,7 @@ class SpeedAction(Action):
         return np.asarray(target)
 
 
-class LongitudinalDistanceAction(Action):
+class LongitudinalDistanceAction(CompiledAction):
     """Keeps a distance or a time gap to another entity, like a critically damped spring.
 
     Missing limits are the vehicle's own; without any constraints the entity jumps to its position.
@@ -128,7 +99,9 @@ class LongitudinalDistanceAction(Action):
 
     domains = (LONGITUDINAL,)
     # The kernels use the same order.
-    memory_attributes = ("_acceleration", "_behind", "_wanted", "_up", "_down", "_fastest", "_jerk_up", "_jerk_down")
+    memory_attributes = (
+        "_acceleration", "_behind", "_wanted", "_up", "_down", "_fastest", "_jerk_up", "_jerk_down", "_located",
+    )  # fmt: skip
 
     def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int) -> None:
         self._entity = entity
@@ -153,56 +126,49 @@ class LongitudinalDistanceAction(Action):
         # With "any", the entity stays on the side where it starts.
         self._undecided = np.full(n, side == "any")
         self._acceleration = np.zeros(n)
+        # Distance along roads, measured in each frame.
+        self._located = np.full(n, np.nan)
 
     def kernel_options(self) -> tuple[int, ...]:
-        if self._rigid or self._on_roads:
+        if self._rigid:
             return super().kernel_options()
-        return DISTANCE_ACTION, self._entity, self._other, self._continuous, self._free, self._timed
+        options = self._continuous, self._free, self._timed, self._on_roads
+        return DISTANCE_ACTION, self._entity, self._other, *options
 
     def start(self, world: World, where: BoolArray) -> None:
         new = where & self._undecided
         if new.any():
-            measure = longitudinal_gap if self._free else distance_ahead
-            self._behind[new] = np.where(measure(world, self._entity, self._other) >= 0.0, 1.0, 0.0)[new]
+            kind = LONGITUDINAL_DISTANCE + FREE_SPACE if self._free else LONGITUDINAL_DISTANCE
+            distance = world.compiled.measure_to_entity(self._entity, self._other, kind)
+            self._behind[new] = np.where(distance >= 0.0, 1.0, 0.0)[new]
             self._undecided[new] = False
 
     def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
-        e, o = self._entity, self._other
-        speed, other = world.speed[e], world.speed[o]
+        if not self._rigid:
+            return super().step(world, dt, where)
+        e, other = self._entity, world.speed[self._other]
         target = np.abs(np.abs(other) * self._wanted if self._timed else self._wanted)
         distance = self._signed_distance(world)
         # Without a connecting road there is no distance: keep the speed.
         where = where & np.isfinite(distance)
         error = np.where(np.isfinite(distance), distance, 0.0) - np.where(self._behind > 0.0, target, -target)
-        if self._rigid:
-            shift_along_track(world, e, where, error)
-            world.set_speed(e, where, other)
-        else:
-            a = self._spring_acceleration(error, speed - other, dt)
-            self._acceleration[where] = a[where]
-            world.set_speed(e, where, np.clip(speed + a * dt, -self._fastest, self._fastest))
+        shift_along_track(world, e, where, error)
+        world.set_speed(e, where, other)
         reached = (np.abs(error) < DISTANCE_TOLERANCE) & (not self._continuous)
         return np.asarray(where & reached)
 
-    def _spring_acceleration(self, error: FloatArray, closing: FloatArray, dt: float) -> FloatArray:
-        """Acceleration within the limits in m/s², shape (N,)."""
-        stiffness = SPRING_STIFFNESS * np.where(error < 0, self._up, self._down)
-        a = np.clip(error * stiffness - 2.0 * np.sqrt(stiffness) * closing, -self._down, self._up)
-        before = self._acceleration
-        sinks, rises = (a < 0) & (a < before), (a >= 0) & (a > before)
-        lowest, highest = before - self._jerk_down * dt, before + self._jerk_up * dt
-        return np.where(sinks, np.maximum(a, lowest), np.where(rises, np.minimum(a, highest), a))
+    def look_up_present_positions(self, world: World, where: BoolArray) -> None:
+        if self._on_roads:
+            self._located[where] = self._signed_distance(world)[where]
 
     def _signed_distance(self, world: World) -> FloatArray:
         """Signed distance ahead to the other entity, shape (N,)."""
-        if self._free:
-            return longitudinal_gap(world, self._entity, self._other)
         if self._on_roads:
             other_pose = road_pose(world, self._other)
-            return distance_ahead_on_road(
-                world, self._entity, other_pose, distance_along_roads(world, self._entity, other_pose)
-            )
-        return distance_ahead(world, self._entity, self._other)
+            along_roads = distance_along_roads(world, self._entity, other_pose)
+            return distance_ahead_on_road(world, self._entity, other_pose, along_roads)
+        kind = LONGITUDINAL_DISTANCE + FREE_SPACE if self._free else LONGITUDINAL_DISTANCE
+        return world.compiled.measure_to_entity(self._entity, self._other, kind)
 
 
 def _read_limit(

@@ -20,6 +20,11 @@ from cornercase._common.typing import BoolArray, FloatArray, IntArray
 ) = range(7)
 """Types of actions. A `PYTHON_ACTION` has no kernel; only whether it runs is known here."""
 
+NEEDS_PYTHON, NEEDS_LOOKUP, ACTION_APPLIED, ACTION_ENDED, TRACK_ENDED = range(5)
+"""Outcome of an action in a frame: it has no kernel, or needs an entity located on its road after the actions before
+it; it needs an entity located on its track or road, which may be done before the frame; applied; applied, and it has
+ended; applied, and its entity needs another track."""
+
 DYNAMICS_SHAPES: Final = ("linear", "cubic", "sinusoidal", "step")
 """Transition shapes, indexed by their numbers in compiled code."""
 DYNAMICS_DIMENSIONS: Final = ("time", "rate", "distance")
@@ -45,6 +50,7 @@ class CompilableAction(Protocol):
     """An action that may have a compiled kernel, and arrays (N,) named in `memory_attributes` that both share."""
 
     memory_attributes: tuple[str, ...]
+    table_row: int
 
     def kernel_options(self) -> tuple[int, ...]:
         """Type, entity and type-specific integers of the action; only `PYTHON_ACTION` for one without a kernel."""
@@ -57,7 +63,7 @@ def build_action_table(actions: Sequence[CompilableAction | None], n_scenarios: 
     memory = np.zeros((n_scenarios, len(actions), MEMORY_SIZE))
     for j, action in enumerate(actions):
         if action is not None:
-            values = action.kernel_options()
+            action.table_row, values = j, action.kernel_options()
             assert len(values) <= N_OPTIONS
             options[j, : len(values)] = values
             for k, name in enumerate(action.memory_attributes):

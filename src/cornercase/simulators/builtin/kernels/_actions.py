@@ -1,4 +1,4 @@
-"""Kernels of actions for one scenario and one time step in which none of them ends; NumPy versions are in `actions`."""
+"""What actions do in one time step, for one scenario at a time."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, untyped-decorator"
@@ -13,33 +13,33 @@ import numpy as np
 from cornercase._common.numba.kernel import kernel
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.simulators.builtin.kernels._action_table import (
+    ACTION_APPLIED,
+    ACTION_ENDED,
     DISTANCE_ACTION,
     LANE_CHANGE_ACTION,
     LANE_OFFSET_ACTION,
     N_SAVED,
+    NEEDS_PYTHON,
     PYTHON_ACTION,
     SPEED_ACTION,
     SYNCHRONIZE_ACTION,
+    TRACK_ENDED,
     TRAJECTORY_ACTION,
 )
 from cornercase.simulators.builtin.kernels._move import advance_along_track, place_on_track, set_speed
 from cornercase.simulators.builtin.kernels._simulation_state import MAX_ACCELERATION, MAX_DECELERATION, MAX_SPEED
-from cornercase.simulators.builtin.kernels._synchronize import (
-    ACTION_APPLIED,
-    ACTION_NOT_APPLIED,
-    apply_distance_action,
-    apply_synchronize_action,
-)
+from cornercase.simulators.builtin.kernels._synchronize import apply_distance_action, apply_synchronize_action
 from cornercase.simulators.builtin.track_kernels._track_dispatch import (
+    pose_on_track,
     trajectory_direction,
     trajectory_distance_at_time,
     trajectory_end_time,
     trajectory_has_heading,
     trajectory_length,
 )
-from cornercase.simulators.builtin.track_kernels._track_layout import LANE_TRACK, PYTHON_TRACK
 from cornercase.simulators.builtin.world._state_layout import (
     AT_END_SINCE,
+    CHANGES_LANES,
     DECIDED,
     DISTANCE,
     DRIVEN,
@@ -48,12 +48,11 @@ from cornercase.simulators.builtin.world._state_layout import (
     MOVED,
     OFFSET,
     PACE,
-    ROAD_SPEED,
+    ROAD_HEADING,
     SPEED,
     TARGET_SPEED,
     TRACK,
     TURN,
-    UNKNOWN_ROAD_SPEED,
     X,
     Y,
 )
@@ -63,7 +62,8 @@ _RATE, _DISTANCE = 1, 2
 _EPSILON: Final = 1e-6
 # Lane offsets, and the extent of a change (s or m), are accurate to about 1e-5.
 _EXTENT_TOLERANCE: Final = 1e-4
-# rad; heading of an entity that moves only sideways: a little less than a right angle.
+# rad; purely lateral motion turns the entity by slightly less than a right angle, so that it still points along its
+# lane, also in bends, where lane headings are accurate to a fraction of the difference.
 _SIDEWAYS_HEADING: Final = 0.5 * math.pi - 1e-3
 
 # Rows that actions change of their own entity: those that control speed, follow a trajectory, or move laterally.
@@ -84,6 +84,7 @@ class SavedState(NamedTuple):
     running: IntArray  # (J + 1,): running actions in order, then -1
     floats: FloatArray  # (J, 10)
     flag: BoolArray  # (J,)
+    changes_lanes: BoolArray  # (J,)
     memory: FloatArray  # (J, 8)
 
 
@@ -91,7 +92,8 @@ class SavedState(NamedTuple):
 def alloc_saved(n_actions):
     """Allocate the saved state of a scenario's actions."""
     floats, flag = np.empty((n_actions, len(_LATERAL_ACTION_ROWS) + 1)), np.empty(n_actions, dtype=np.bool_)
-    return SavedState(np.empty(n_actions + 1, dtype=np.int64), floats, flag, np.empty((n_actions, N_SAVED)))
+    running, memory = np.empty(n_actions + 1, dtype=np.int64), np.empty((n_actions, N_SAVED))
+    return SavedState(running, floats, flag, np.empty(n_actions, dtype=np.bool_), memory)
 
 
 @_inlined_kernel
@@ -109,33 +111,38 @@ def list_running_actions(actions, saved, n):
 def apply_actions(scene, tracks, roads, actions, saved, n, dt):
     """Apply all actions of a scenario for one time step.
 
-    Returns `ACTION_APPLIED`, or the outcome of the first action that could not be applied; then all changes are undone.
+    Returns `ACTION_APPLIED`, or the outcome of the first action that ends or could not be applied; then all changes are
+    undone.
     """
     i = 0
     while saved.running[i] >= 0:
         j = saved.running[i]
-        action_type, is_applied, outcome = actions.options[j, 0], False, ACTION_NOT_APPLIED
         _save(scene, actions, saved, n, j)
-        if action_type == SPEED_ACTION:
-            is_applied = _apply_speed_action(scene, actions, n, j, dt)
-        elif action_type == TRAJECTORY_ACTION:
-            is_applied = _apply_trajectory_action(scene, tracks, actions, n, j, dt)
-        elif action_type == LANE_CHANGE_ACTION:
-            is_applied = _apply_lane_change(scene, tracks, actions, n, j, dt)
-        elif action_type == LANE_OFFSET_ACTION:
-            is_applied = _apply_lane_offset(scene, tracks, actions, n, j, dt)
-        elif action_type == SYNCHRONIZE_ACTION:
-            outcome = apply_synchronize_action(scene, tracks, roads, actions, n, j, dt)
-            is_applied = outcome == ACTION_APPLIED
-        elif action_type == DISTANCE_ACTION:
-            is_applied = apply_distance_action(scene, actions, n, j, dt)
-        if not is_applied:
+        outcome = apply_action(scene, tracks, roads, actions, n, j, dt)
+        if outcome != ACTION_APPLIED:
             while i >= 0:
                 _restore(scene, actions, saved, n, saved.running[i])
                 i -= 1
             return outcome
         i += 1
     return ACTION_APPLIED
+
+
+@_inlined_kernel
+def apply_action(scene, tracks, roads, actions, n, j, dt):
+    """Apply one action of a scenario for one time step, and return the outcome: `ACTION_APPLIED` and so on."""
+    action_type = actions.options[j, 0]
+    if action_type == SPEED_ACTION:
+        return _apply_speed_action(scene, actions, n, j, dt)
+    if action_type == TRAJECTORY_ACTION:
+        return _apply_trajectory_action(scene, tracks, actions, n, j, dt)
+    if action_type == LANE_CHANGE_ACTION:
+        return _apply_lane_change(scene, tracks, actions, n, j, dt)
+    if action_type == LANE_OFFSET_ACTION:
+        return _apply_lane_offset(scene, tracks, actions, n, j, dt)
+    if action_type == SYNCHRONIZE_ACTION:
+        return apply_synchronize_action(scene, tracks, roads, actions, n, j, dt)
+    return apply_distance_action(scene, actions, n, j, dt) if action_type == DISTANCE_ACTION else NEEDS_PYTHON
 
 
 @_inlined_kernel
@@ -148,12 +155,14 @@ def _save(scene, actions, saved, n, j):
     if action_type == TRAJECTORY_ACTION:
         for k in range(len(_TRAJECTORY_ACTION_ROWS)):
             saved.floats[j, k] = state[_TRAJECTORY_ACTION_ROWS[k], e]
-        saved.memory[j, 1] = actions.memory[n, j, 1]
+        for k in range(2):
+            saved.memory[j, k] = actions.memory[n, j, k]
         return
     if _is_speed_controlling(action_type):
         for k in range(len(_SPEED_ACTION_ROWS)):
             saved.floats[j, k] = state[_SPEED_ACTION_ROWS[k], e]
     else:
+        saved.changes_lanes[j] = scene.flags[n, CHANGES_LANES, e]
         for k in range(len(_LATERAL_ACTION_ROWS)):
             saved.floats[j, k] = state[_LATERAL_ACTION_ROWS[k], e]
     for k in range(_N_SAVED_USUALLY):
@@ -185,19 +194,21 @@ def _restore(scene, actions, saved, n, j):
     if action_type == TRAJECTORY_ACTION:
         for k in range(len(_TRAJECTORY_ACTION_ROWS)):
             state[_TRAJECTORY_ACTION_ROWS[k], e] = saved.floats[j, k]
-        actions.memory[n, j, 1] = saved.memory[j, 1]
+        for k in range(2):
+            actions.memory[n, j, k] = saved.memory[j, k]
         return
     if _is_speed_controlling(action_type):
         for k in range(len(_SPEED_ACTION_ROWS)):
             state[_SPEED_ACTION_ROWS[k], e] = saved.floats[j, k]
     else:
+        scene.flags[n, CHANGES_LANES, e] = saved.changes_lanes[j]
         for k in range(len(_LATERAL_ACTION_ROWS)):
             state[_LATERAL_ACTION_ROWS[k], e] = saved.floats[j, k]
     for k in range(N_SAVED if action_type == SPEED_ACTION else _N_SAVED_USUALLY):
         actions.memory[n, j, k] = saved.memory[j, k]
     if action_type == SYNCHRONIZE_ACTION:
         state[LAST_S, master] = saved.floats[j, len(_LATERAL_ACTION_ROWS)]
-        state[ROAD_SPEED, e] = state[ROAD_SPEED, master] = UNKNOWN_ROAD_SPEED
+        state[ROAD_HEADING, e] = state[ROAD_HEADING, master] = math.nan
 
 
 @_kernel
@@ -218,20 +229,19 @@ def _transition_slope(shape, fraction):
 
 @_kernel
 def _apply_speed_action(scene, actions, n, j, dt):
-    """NumPy version: `SpeedAction.step`. Memory: from, to, parameter, span, stretch, reached, value, rate."""
+    """Memory: from, to, parameter, span, stretch, reached, value, rate.
+
+    The speed changes while the parameter grows from 0 to the span, in s.
+    """
     options, memory, state = actions.options[j], actions.memory[n, j], scene.floats[n]
     e, shape, dimension, reference, factor, continuous = options[1:7]
     limits = scene.dimensions[e]
     if reference >= 0:
         target = state[SPEED, reference] * memory[6] if factor else state[SPEED, reference] + memory[6]
         memory[1] = min(max(target, -limits[MAX_SPEED]), limits[MAX_SPEED])
-        if dimension == _RATE:
-            peak_rate = 1.5 if shape == _CUBIC else 0.5 * math.pi if shape == _SINUSOIDAL else 1.0
-            memory[3] = (
-                0.0
-                if shape == _STEP
-                else max(peak_rate * abs(memory[1] - memory[0]) / max(abs(memory[7]), _EPSILON), _EPSILON)
-            )
+    if dimension == _RATE and shape != _STEP:
+        peak_rate = 1.5 if shape == _CUBIC else 0.5 * math.pi if shape == _SINUSOIDAL else 1.0
+        memory[3] = max(peak_rate * abs(memory[1] - memory[0]) / max(abs(memory[7]), _EPSILON), _EPSILON)
     begin, end, span, stretch = memory[0], memory[1], memory[3], memory[4]
     current, has_driver = state[SPEED, e], scene.flags[n, DRIVEN, e]
     is_complete = span > 0.0 and memory[2] > span - _EPSILON
@@ -260,109 +270,138 @@ def _apply_speed_action(scene, actions, n, j, dt):
     set_speed(scene, n, e, speed)
     if scene.time[n] == 0.0:
         state[SPEED, e] = speed
-    return continuous or not memory[5] > 0.0
+    return ACTION_ENDED if memory[5] > 0.0 and not continuous else ACTION_APPLIED
 
 
 @_kernel
 def _apply_trajectory_action(scene, tracks, actions, n, j, dt):
-    """NumPy version: `FollowTrajectoryAction.step`. Memory: sign, whether it was oriented, clock offset."""
+    """Memory: sign, whether it was oriented, clock offset, number of the trajectory among the entity's tracks.
+
+    The sign is -1 if the entity points against the line, so that driving forwards leads back along it.
+    """
     options, memory, state = actions.options[j], actions.memory[n, j], scene.floats[n]
     e, is_timed = options[1], options[2]
-    track = scene.integers[n, TRACK, e]
-    row = tracks.rows[e, track] if track >= 0 else -1
-    if row < 0 or tracks.kind[row] == LANE_TRACK or tracks.kind[row] == PYTHON_TRACK:
-        return False
-    before = state[DISTANCE, e]
+    row = tracks.rows[e, int(memory[3])]
+    before, beyond = state[DISTANCE, e], 0.0
     if is_timed:
         time, end_time = scene.time[n] + dt + memory[2], trajectory_end_time(tracks, row, n)
-        if time > end_time - _EPSILON:
-            return False
+        is_over = time > end_time - _EPSILON
         distance = trajectory_distance_at_time(tracks, row, n, time)
-        if dt > 0.0:
+        if dt > 0.0 and time < end_time + _EPSILON:
+            # An entity that points against the line drives backwards.
             is_against = math.cos(state[HEADING, e] - trajectory_direction(tracks, row, n, before)) < -_EPSILON
             size = abs(distance - before) / dt
             state[SPEED, e] = -size if (distance < before) != is_against else size
+        beyond = (time - end_time) * state[SPEED, e]
     else:
         step, length = state[SPEED, e] * memory[0] * dt, trajectory_length(tracks, row, n)
         distance = min(max(before + step, 0.0), length)
-        if (distance > length - _EPSILON and step > 0.0) or (distance < _EPSILON and step < 0.0):
-            return False
+        is_at_end = distance > length - _EPSILON and step > 0.0
+        is_over = is_at_end or (distance < _EPSILON and step < 0.0)
+        # At the start, the rest of the step is dropped, as in esmini.
+        beyond = max(abs(step) - abs(distance - before), 0.0) if is_at_end else 0.0
     is_oriented = trajectory_has_heading(tracks, row, n, distance)
     if not is_oriented and memory[1] > 0.0:
-        # From here on only the line gives the heading; the storyboard handles that.
-        return False
+        # From here on the line determines the heading: keep the current direction.
+        heading, direction = (
+            pose_on_track(tracks, row, n, distance, 0.0)[2],
+            trajectory_direction(tracks, row, n, distance),
+        )
+        memory[0] = -1.0 if math.cos(heading - direction) < -_EPSILON else 1.0
     memory[1] = 1.0 if is_oriented else 0.0
     state[TURN, e] = 0.0 if is_oriented or memory[0] > 0.0 else math.pi
     state[DISTANCE, e] = distance
     scene.flags[n, MOVED, e] = True
-    place_on_track(scene, tracks, n, e, row)
-    return True
+    track = scene.integers[n, TRACK, e]
+    if track >= 0:
+        place_on_track(scene, tracks, n, e, tracks.rows[e, track])
+    if not is_over:
+        return ACTION_APPLIED
+    heading = state[HEADING, e] - state[TURN, e]
+    state[X, e] += beyond * math.cos(heading)
+    state[Y, e] += beyond * math.sin(heading)
+    return TRACK_ENDED
 
 
 @_kernel
 def _apply_lane_change(scene, tracks, actions, n, j, dt):
-    """NumPy version: `LaneChangeAction.step`. Memory: from, to, done, extent."""
+    """Memory: from, to, done, extent."""
     options, memory, state, flags = actions.options[j], actions.memory[n, j], scene.floats[n], scene.flags[n]
     e, shape, dimension = options[1], options[2], options[3]
     track = scene.integers[n, TRACK, e]
     row = tracks.rows[e, track] if track >= 0 else -1
     begin, end, extent = memory[0], memory[1], memory[3]
-    if row < 0 or extent <= _EPSILON:
-        return False
-    speed, change = state[SPEED, e], end - begin
+    speed, change, has_arrived = state[SPEED, e], end - begin, False
     path = ahead = abs(speed) * dt
     if abs(speed) > _EPSILON:
-        rate = change / extent * _transition_slope(shape, memory[2] / extent)
-        if dimension == _DISTANCE:
-            ahead = path / math.sqrt(1.0 + rate * rate)
-            done = memory[2] + ahead
-            fraction = _transition_value(shape, done / extent)
-            # As in esmini, the heading is that of driving forwards, even if the entity drives backwards.
-            turn = math.atan(rate)
-        else:
-            across = min(dt * abs(rate), path)
-            side = 1.0 if rate > 0.0 else -1.0 if rate < 0.0 else 0.0
-            ahead = math.sqrt(max(path * path - across * across, 0.0))
-            if dt * abs(rate) > path + _EPSILON:
-                # An entity that is too slow for the change moves only sideways, at constant speed.
-                done = memory[2] + path * extent / abs(change)
-                fraction, turn = min(max(done / extent, 0.0), 1.0), side * _SIDEWAYS_HEADING
+        offset, turn, is_abrupt = end, 0.0, extent <= _EPSILON
+        if not is_abrupt:
+            rate = change / extent * _transition_slope(shape, memory[2] / extent)
+            if dimension == _DISTANCE:
+                ahead = path / math.sqrt(1.0 + rate * rate)
+                done = memory[2] + ahead
+                fraction = _transition_value(shape, done / extent)
+                # As in esmini, the heading is that of driving forwards, even if the entity drives backwards.
+                turn = math.atan(rate)
             else:
-                done = memory[2] + dt
-                fraction, turn = _transition_value(shape, done / extent), math.atan2(side * across, ahead)
-            turn = turn if speed > 0.0 else -turn
-        offset = begin + fraction * change
-        if done > extent - _EXTENT_TOLERANCE or abs(offset - end) < _EPSILON:
-            return False
-        memory[2], state[OFFSET, e], state[TURN, e] = done, offset, turn
+                across = min(dt * abs(rate), path)
+                side = 1.0 if rate > 0.0 else -1.0 if rate < 0.0 else 0.0
+                ahead = math.sqrt(max(path * path - across * across, 0.0))
+                if dt * abs(rate) > path + _EPSILON:
+                    # An entity that is too slow for the change moves only sideways, at constant speed.
+                    done = memory[2] + path * extent / abs(change)
+                    fraction, turn = min(max(done / extent, 0.0), 1.0), side * _SIDEWAYS_HEADING
+                else:
+                    done = memory[2] + dt
+                    fraction, turn = _transition_value(shape, done / extent), math.atan2(side * across, ahead)
+                turn = turn if speed > 0.0 else -turn
+            offset, memory[2] = begin + fraction * change, done
+        has_arrived = is_abrupt or done > extent - _EXTENT_TOLERANCE or abs(offset - end) < _EPSILON
+        state[OFFSET, e], state[TURN, e] = offset, 0.0 if has_arrived else turn
+        flags[CHANGES_LANES, e] = flags[CHANGES_LANES, e] and not has_arrived
     else:
         ahead = 0.0
+    # It moves even if it was just placed; a speed set by another action in this frame applies from the next frame.
     state[PACE, e] = speed
     flags[MOVED, e] = True
     previous_step = scene.last_step[n]
     arrived = scene.time[n] + previous_step if previous_step > 0.0 else math.inf
-    advance_along_track(scene, tracks, n, e, row, ahead if speed > 0.0 else -ahead if speed < 0.0 else 0.0, arrived)
+    if row >= 0:
+        advance_along_track(scene, tracks, n, e, row, ahead if speed > 0.0 else -ahead if speed < 0.0 else 0.0, arrived)
+    if has_arrived:
+        return ACTION_ENDED
     # It ends at the end of the road, even between lanes.
-    return not (abs(speed) > _EPSILON and math.isfinite(state[AT_END_SINCE, e]))
+    is_stuck = abs(speed) > _EPSILON and math.isfinite(state[AT_END_SINCE, e])
+    return TRACK_ENDED if is_stuck else ACTION_APPLIED
 
 
 @_kernel
 def _apply_lane_offset(scene, tracks, actions, n, j, dt):
-    """NumPy version: `LaneOffsetAction.step`. Memory: from, to, elapsed, duration."""
+    """Memory: from, to, elapsed, duration."""
     options, memory, state = actions.options[j], actions.memory[n, j], scene.floats[n]
     e, shape = options[1], options[2]
     begin, end, elapsed, duration = memory[0], memory[1], memory[2], memory[3]
-    if not duration > 0.0 or elapsed > duration - _EPSILON:
-        return False
-    offset = begin + _transition_value(shape, elapsed / duration) * (end - begin)
-    if abs(offset - end) < _EPSILON:
-        return False
-    slope = (end - begin) / duration * _transition_slope(shape, elapsed / duration)
-    speed = state[SPEED, e]
-    state[OFFSET, e] = offset
-    state[TURN, e] = math.atan(slope / (speed if abs(speed) > _EPSILON else _EPSILON))
+    fraction = elapsed / duration if duration > 0.0 else 1.0
+    offset = begin + _transition_value(shape, fraction) * (end - begin)
+    has_arrived = elapsed > duration - _EPSILON or abs(offset - end) < _EPSILON
+    if has_arrived:
+        state[OFFSET, e], state[TURN, e] = end, 0.0
+    else:
+        slope, speed = (end - begin) / duration * _transition_slope(shape, fraction), state[SPEED, e]
+        state[OFFSET, e] = offset
+        state[TURN, e] = math.atan(slope / (speed if abs(speed) > _EPSILON else _EPSILON))
     memory[2] = elapsed + dt
+    # Later actions of the frame see the new position.
     track = scene.integers[n, TRACK, e]
     if track >= 0:
         place_on_track(scene, tracks, n, e, tracks.rows[e, track])
-    return True
+    return ACTION_ENDED if has_arrived else ACTION_APPLIED
+
+
+@kernel(error_model="numpy")
+def apply_action_in(scene, tracks, roads, actions, scenarios, j, dt):
+    """Apply an action for one time step in some scenarios, shape (K,), and return the outcomes, shape (K,)."""
+    outcomes = np.empty(scenarios.size, dtype=np.int64)
+    for i in range(scenarios.size):
+        outcomes[i] = apply_action(scene, tracks, roads, actions, scenarios[i], j, dt)
+    return outcomes

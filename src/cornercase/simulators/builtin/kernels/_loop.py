@@ -16,7 +16,7 @@ from cornercase._common.numba.references import reference_to
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.drivers._kernels.decide import compute_acceleration, find_route_row, make_workspace
 from cornercase.drivers._kernels.structs import NOT_COMPILED, DrivenState, Workspace
-from cornercase.simulators.builtin.kernels._action_table import PYTHON_ACTION
+from cornercase.simulators.builtin.kernels._action_table import ACTION_APPLIED, NEEDS_LOOKUP, PYTHON_ACTION
 from cornercase.simulators.builtin.kernels._actions import SavedState, alloc_saved, apply_actions, list_running_actions
 from cornercase.simulators.builtin.kernels._conditions import (
     Watchlist,
@@ -27,7 +27,6 @@ from cornercase.simulators.builtin.kernels._conditions import (
 )
 from cornercase.simulators.builtin.kernels._move import AWAKE, EXTERNALLY_MOVED, move_entities, record_frame
 from cornercase.simulators.builtin.kernels._simulation_state import MAX_SPEED
-from cornercase.simulators.builtin.kernels._synchronize import ACTION_APPLIED, NEEDS_LOOKUP
 from cornercase.simulators.builtin.world._state_layout import (
     BEFORE,
     DISTANCE,

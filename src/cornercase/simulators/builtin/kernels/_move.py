@@ -13,7 +13,7 @@ from cornercase.simulators.builtin.kernels._box_overlap import entities_overlap
 from cornercase.simulators.builtin.kernels._simulation_state import PAGE_LENGTH
 from cornercase.simulators.builtin.track_kernels._lane_track import advance_on_lane, needs_next_lane
 from cornercase.simulators.builtin.track_kernels._track_dispatch import pose_on_track
-from cornercase.simulators.builtin.track_kernels._track_layout import LANE_TRACK, PYTHON_TRACK
+from cornercase.simulators.builtin.track_kernels._track_layout import LANE_TRACK
 from cornercase.simulators.builtin.world._state_layout import (
     ACCELERATION,
     AT_END_SINCE,
@@ -154,8 +154,6 @@ def advance_along_track(scene, tracks, n, e, row, step, arrival_time):
         is_at_end = distance >= tracks.length[row] - _END_TOLERANCE or (distance <= _END_TOLERANCE and is_backwards)
         state[AT_END_SINCE, e] = min(at_end_since, arrival_time) if is_at_end else math.inf
         state[DISTANCE, e] = distance
-    elif tracks.kind[row] == PYTHON_TRACK:
-        return
     else:
         state[DISTANCE, e] += step
     place_on_track(scene, tracks, n, e, row)

@@ -1,4 +1,4 @@
-"""Kernels of actions that synchronize an entity with another or keep a distance; NumPy versions are in `actions`."""
+"""What actions do that synchronize an entity with another, or keep a distance."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, untyped-decorator"
@@ -11,6 +11,7 @@ from typing import Final
 from cornercase._common.geometry.boxes import COS_RIGHT_ANGLE_TOLERANCE
 from cornercase._common.numba.kernel import kernel
 from cornercase.roads._kernels.heading import reference_cos_and_sin, reference_heading, stays_on_road
+from cornercase.simulators.builtin.kernels._action_table import ACTION_APPLIED, ACTION_ENDED, NEEDS_LOOKUP, NEEDS_PYTHON
 from cornercase.simulators.builtin.kernels._distances import FREE_SPACE, LONGITUDINAL_DISTANCE, distance_to_entity
 from cornercase.simulators.builtin.kernels._move import set_speed
 from cornercase.simulators.builtin.kernels._simulation_state import MAX_SPEED
@@ -28,11 +29,10 @@ from cornercase.simulators.builtin.world._state_layout import (
     MAX_LANE_OFFSET,
     OFFSET,
     PRESENT,
-    ROAD_SPEED,
+    ROAD_HEADING,
     SPEED,
     TRACK,
     TURN,
-    UNKNOWN_ROAD_SPEED,
     X,
     Y,
 )
@@ -58,10 +58,6 @@ DISTANCE_TOLERANCE: Final = 0.1
 SPRING_STIFFNESS: Final = 0.4
 """1/m; stiffness of the distance controller, per m/s² of maximum acceleration."""
 
-ACTION_NOT_APPLIED, ACTION_APPLIED, NEEDS_LOOKUP = range(3)
-"""Outcome of an action in a frame: it ends or cannot be applied here; applied; an entity has to be located on its track
-or road first."""
-
 _EPSILON: Final = 1e-6
 
 # Memory layout: phase and last distances, both destinations, final speed.
@@ -73,7 +69,7 @@ _PHASE, _IS_FASTER_FIRST, _LAST_DISTANCE, _LAST_MASTER_DISTANCE, _OWN_DESTINATIO
     4,
     11,
 )
-_STEADY_DISTANCE, _STEADY_TIME, _FINAL_SPEED = 18, 19, 20
+_STEADY_DISTANCE, _STEADY_TIME, _FINAL_SPEED, _IS_LOCATED = 18, 19, 20, 21
 # Offsets within each destination.
 _X, _Y, _ROAD, _S, _TRACK, _DISTANCE_ON_TRACK, _TOLERANCE = range(7)
 
@@ -86,89 +82,100 @@ _X, _Y, _ROAD, _S, _TRACK, _DISTANCE_ON_TRACK, _TOLERANCE = range(7)
     _MAX_SPEED,
     _MAX_JERK_UP,
     _MAX_JERK_DOWN,
-) = range(8)
+    _LOCATED_DISTANCE,
+) = range(9)
 
 _kernel = kernel(error_model="numpy", forceinline=True, _nrt=False)
 
 
-@_kernel
+@kernel(error_model="numpy", _nrt=False)
 def apply_synchronize_action(scene, tracks, roads, actions, n, j, dt):
-    """Apply a `SynchronizeAction` for one time step; NumPy version: `SynchronizeAction.step`.
-
-    Returns `ACTION_NOT_APPLIED` (it ends or cannot act here), `ACTION_APPLIED` or `NEEDS_LOOKUP`.
-    """
+    """Apply a `SynchronizeAction` for one time step, and return the outcome."""
     e, master, final_kind = actions.options[j, 1], actions.options[j, 2], actions.options[j, 3]
     memory, state, has_driver = actions.memory[n, j], scene.floats[n], scene.flags[n, DRIVEN, e]
+    outcome, distance = _distance_to_destination(scene, tracks, roads, memory, _OWN_DESTINATION, n, e)
     master_outcome, signed_distance = _distance_to_destination(
         scene, tracks, roads, memory, _MASTER_DESTINATION, n, master
     )
-    outcome, distance = _distance_to_destination(scene, tracks, roads, memory, _OWN_DESTINATION, n, e)
     if outcome != ACTION_APPLIED or master_outcome != ACTION_APPLIED:
-        return ACTION_NOT_APPLIED if ACTION_NOT_APPLIED in (outcome, master_outcome) else NEEDS_LOOKUP
-    distance, master_distance = abs(distance), abs(signed_distance)
-    if (
-        distance < memory[_OWN_DESTINATION + _TOLERANCE] + _EPSILON
-        or master_distance < memory[_MASTER_DESTINATION + _TOLERANCE] + _EPSILON
-    ):
-        return ACTION_NOT_APPLIED
-    if (
-        distance > memory[_LAST_DISTANCE] + PASSED_TOLERANCE
-        or master_distance > memory[_LAST_MASTER_DISTANCE] + PASSED_TOLERANCE
-    ):
-        return ACTION_NOT_APPLIED
-    memory[_LAST_DISTANCE], memory[_LAST_MASTER_DISTANCE] = distance, master_distance
-    distance = max(distance - memory[_OWN_DESTINATION + _TOLERANCE], _EPSILON)
-    master_distance = max(master_distance - memory[_MASTER_DESTINATION + _TOLERANCE], _EPSILON)
+        return NEEDS_PYTHON if NEEDS_PYTHON in (outcome, master_outcome) else NEEDS_LOOKUP
     # Only the master's speed along its road and towards its destination counts.
     is_known, master_speed = _speed_along_road(scene, tracks, roads, n, master)
     if not is_known:
         return NEEDS_LOOKUP
+    distance, master_distance = abs(distance), abs(signed_distance)
+    if not math.isfinite(distance + master_distance):
+        # A destination relative to an absent entity is nowhere.
+        set_speed(scene, n, e, state[SPEED, e])
+        return ACTION_APPLIED
+    has_ended = (
+        distance < memory[_OWN_DESTINATION + _TOLERANCE] + _EPSILON
+        or master_distance < memory[_MASTER_DESTINATION + _TOLERANCE] + _EPSILON
+        or distance > memory[_LAST_DISTANCE] + PASSED_TOLERANCE
+        or master_distance > memory[_LAST_MASTER_DISTANCE] + PASSED_TOLERANCE
+    )
+    last_distance, last_master_distance = distance, master_distance
+    distance = max(distance - memory[_OWN_DESTINATION + _TOLERANCE], _EPSILON)
+    master_distance = max(master_distance - memory[_MASTER_DESTINATION + _TOLERANCE], _EPSILON)
     # Usually it does not turn off its path.
     direction = signed_distance if state[TURN, master] == 0.0 else signed_distance * math.cos(state[TURN, master])
     direction = 1.0 if direction > 0.0 else -1.0 if direction < 0.0 else direction
     master_speed = _sign(state[SPEED, master]) * direction * master_speed
-    is_approaching = master_speed > _EPSILON
+    is_approaching = master_speed > _EPSILON and dt > 0.0
     time = master_distance / master_speed if is_approaching else NEVER_ARRIVES
-    if is_approaching and time < dt:
-        return ACTION_NOT_APPLIED
+    has_ended = has_ended or (is_approaching and time < dt)
+    keeps_speed = False
     if final_kind == NO_FINAL_SPEED:
+        # An arriving entity keeps its speed, unless its master has just stopped approaching.
+        keeps_speed = has_ended and (is_approaching or memory[_PHASE] == WAITING_FOR_MASTER)
         wanted = _speed_for_arrival(state[SPEED, e], has_driver, memory, distance, time, is_approaching, dt)
     else:
-        final = memory[_FINAL_SPEED]
+        wanted = memory[_FINAL_SPEED]
         if final_kind == FINAL_SPEED_DIFFERENCE:
-            final = state[SPEED, master] + final
+            wanted = state[SPEED, master] + wanted
         elif final_kind == FINAL_SPEED_FACTOR:
-            final = state[SPEED, master] * final
-        is_known, road_speed = _speed_along_road(scene, tracks, roads, n, e)
-        if not is_known:
-            return NEEDS_LOOKUP
-        wanted = _speed_for_arrival_with_final_speed(
-            state[SPEED, e], _sign(state[SPEED, e]) * road_speed, memory, distance, time, final, is_approaching, dt
-        )
+            wanted = state[SPEED, master] * wanted
+        if not has_ended:
+            is_known, road_speed = _speed_along_road(scene, tracks, roads, n, e)
+            if not is_known:
+                return NEEDS_LOOKUP
+            wanted = _speed_for_arrival_with_final_speed(
+                state[SPEED, e], _sign(state[SPEED, e]) * road_speed, memory, distance, time, wanted, is_approaching, dt
+            )
+    memory[_LAST_DISTANCE], memory[_LAST_MASTER_DISTANCE] = last_distance, last_master_distance
+    memory[_IS_LOCATED] = 0.0
+    state[ROAD_HEADING, e] = state[ROAD_HEADING, master] = math.nan
     if has_driver:
         # An entity with a driver gets a target speed that it can reach.
         wanted = min(max(wanted, 0.0), scene.dimensions[e, MAX_SPEED])
     elif not math.isfinite(wanted):
         wanted = state[SPEED, e]
-    set_speed(scene, n, e, wanted)
-    return ACTION_APPLIED
+    if not keeps_speed:
+        set_speed(scene, n, e, wanted)
+    return ACTION_ENDED if has_ended else ACTION_APPLIED
 
 
-@_kernel
+@kernel(error_model="numpy", _nrt=False)
 def apply_distance_action(scene, actions, n, j, dt):
-    """Apply a `LongitudinalDistanceAction` with limits along the heading; False if it ends.
+    """Apply a `LongitudinalDistanceAction` with limits for one time step, and return the outcome.
 
-    NumPy version: `LongitudinalDistanceAction.step`.
+    It acts like a critically damped spring. Python measures distances along roads, in each frame.
     """
     e, other, continuous = actions.options[j, 1], actions.options[j, 2], actions.options[j, 3]
-    between_boxes, is_time_gap = actions.options[j, 4], actions.options[j, 5]
+    between_boxes, is_time_gap, is_along_roads = actions.options[j, 4], actions.options[j, 5], actions.options[j, 6]
     memory, state = actions.memory[n, j], scene.floats[n]
     wanted = abs(abs(state[SPEED, other]) * memory[_TARGET_DISTANCE] if is_time_gap else memory[_TARGET_DISTANCE])
-    distance = distance_to_entity(
-        scene, n, e, other, LONGITUDINAL_DISTANCE + FREE_SPACE if between_boxes else LONGITUDINAL_DISTANCE
-    )
+    if is_along_roads:
+        distance, memory[_LOCATED_DISTANCE] = memory[_LOCATED_DISTANCE], math.nan
+        if math.isnan(distance):
+            return NEEDS_PYTHON
+    else:
+        distance = distance_to_entity(
+            scene, n, e, other, LONGITUDINAL_DISTANCE + FREE_SPACE if between_boxes else LONGITUDINAL_DISTANCE
+        )
+    # Without a connecting road there is no distance: keep the speed.
     if not math.isfinite(distance):
-        return True
+        return ACTION_APPLIED
     error = distance - (wanted if memory[_IS_BEHIND] > 0.0 else -wanted)
     stiffness = SPRING_STIFFNESS * (memory[_MAX_ACCELERATION] if error < 0.0 else memory[_MAX_DECELERATION])
     acceleration = error * stiffness - 2.0 * math.sqrt(stiffness) * (state[SPEED, e] - state[SPEED, other])
@@ -180,7 +187,7 @@ def apply_distance_action(scene, actions, n, j, dt):
         acceleration = min(acceleration, previous + memory[_MAX_JERK_UP] * dt)
     memory[_ACCELERATION] = acceleration
     set_speed(scene, n, e, min(max(state[SPEED, e] + acceleration * dt, -memory[_MAX_SPEED]), memory[_MAX_SPEED]))
-    return not (abs(error) < DISTANCE_TOLERANCE and not continuous)
+    return ACTION_ENDED if abs(error) < DISTANCE_TOLERANCE and not continuous else ACTION_APPLIED
 
 
 @_kernel
@@ -200,23 +207,28 @@ def _road_position(scene, tracks, n, e, row):
 
 @_kernel
 def _distance_to_destination(scene, tracks, roads, memory, destination, n, e):
-    """Outcome, and signed distance in m to the entity's destination of a `SynchronizeAction`."""
+    """Outcome, and distance to an entity's destination in m, negative once passed.
+
+    It is measured along the road's reference line, else along the trajectory. Where an entity on a lane has to be
+    located on its road is known only after the actions before.
+    """
     state, track = scene.floats[n], scene.integers[n, TRACK, e]
     row = tracks.rows[e, track] if track >= 0 else -1
     x, y = memory[destination + _X], memory[destination + _Y]
-    if not math.isfinite(x + y):
-        return ACTION_NOT_APPLIED, math.nan
     if row >= 0 and tracks.kind[row] == LANE_TRACK and roads.length.size > 0:
         road, s = _road_position(scene, tracks, n, e, row)
-        if road < 0 or not roads.heading_known[road]:
-            return ACTION_NOT_APPLIED, math.nan
+        if road >= 0 and roads.heading_known[road]:
+            heading = reference_heading(roads, road, s)
+        elif memory[_IS_LOCATED] > 0.0:
+            road, s, heading = scene.integers[n, LAST_ROAD, e], state[LAST_S, e], state[ROAD_HEADING, e]
+        else:
+            return NEEDS_PYTHON, math.nan
         if road == memory[destination + _ROAD]:
-            signed_distance = memory[destination + _S] - s
-            return ACTION_APPLIED, signed_distance if math.cos(
-                state[HEADING, e] - reference_heading(roads, road, s)
-            ) > -COS_RIGHT_ANGLE_TOLERANCE else -signed_distance
+            signed = memory[destination + _S] - s
+            is_forward = math.cos(state[HEADING, e] - heading) > -COS_RIGHT_ANGLE_TOLERANCE
+            return ACTION_APPLIED, signed if is_forward else -signed
     signed = math.inf
-    if row >= 0:
+    if row >= 0 and math.isfinite(x + y):
         if memory[destination + _TRACK] != track or math.isnan(memory[destination + _DISTANCE_ON_TRACK]):
             return NEEDS_LOOKUP, math.nan
         signed = memory[destination + _DISTANCE_ON_TRACK] - state[DISTANCE, e]
@@ -225,15 +237,17 @@ def _distance_to_destination(scene, tracks, roads, memory, destination, n, e):
 
 @_kernel
 def _speed_along_road(scene, tracks, roads, n, e):
-    """Whether an entity's speed along its road is known, and the speed in m/s; NumPy version: `speed_along_road`."""
+    """Whether an entity's speed along its road is known, and the absolute speed of the last step in m/s.
+
+    In a bend it is the speed along the chord, projected onto the road's direction at the end of the step; without
+    roads, onto the heading.
+    """
     state, numbers = scene.floats[n], scene.integers[n]
-    speed = state[ROAD_SPEED, e]
-    if speed != UNKNOWN_ROAD_SPEED:
-        state[ROAD_SPEED, e] = UNKNOWN_ROAD_SPEED
-        return True, speed
     track = numbers[TRACK, e]
     row = tracks.rows[e, track] if track >= 0 else -1
-    if roads.length.size > 0 and row >= 0 and tracks.kind[row] == LANE_TRACK:
+    if not math.isnan(state[ROAD_HEADING, e]):
+        cos, sin = math.cos(state[ROAD_HEADING, e]), math.sin(state[ROAD_HEADING, e])
+    elif roads.length.size > 0 and row >= 0 and tracks.kind[row] == LANE_TRACK:
         road, s = _road_position(scene, tracks, n, e, row)
         if road < 0 or not roads.heading_known[road]:
             return False, math.nan
@@ -329,7 +343,12 @@ def _speed_in_first_phase(speed, road_speed, memory, distance, time, final_speed
 
 @_kernel
 def _first_phase(start_speed, end_speed, distance, time):
-    """Acceleration and speed at the end of the first phase; NumPy version: same name in `actions.synchronise`."""
+    """Acceleration of the first of two phases, and speed at its end.
+
+    The phases have accelerations a and -a, cover `distance` in `time`, begin with v0 and end with v1. With vx between
+    them after the time x: distance = x (v0 + vx) / 2 + (time - x) (v1 + vx) / 2 and (vx - v0) / x =
+    (vx - v1) / (time - x).
+    """
     mean_speed = distance / time
     if abs(end_speed - start_speed) < _EPSILON:
         apex = 2.0 * mean_speed - start_speed

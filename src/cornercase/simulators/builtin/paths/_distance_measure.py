@@ -3,23 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from lxml import etree
 
 from cornercase._common.errors import InputError
-from cornercase._common.geometry.boxes import box_corners
 from cornercase._common.typing import FloatArray
 from cornercase.scenario._scope import Scope
+from cornercase.simulators.builtin.kernels._distances import (
+    EUCLIDEAN_DISTANCE,
+    FREE_SPACE,
+    LATERAL_DISTANCE,
+    LONGITUDINAL_DISTANCE,
+)
 from cornercase.simulators.builtin.tracks._track import Pose
-from cornercase.simulators.builtin.world._collisions import do_boxes_overlap
+from cornercase.simulators.builtin.world._collisions import all_box_corners
 from cornercase.simulators.builtin.world._entity_distances import (
     box_lengths_between_references,
-    distance_ahead,
     distance_along_roads,
-    distance_left,
-    lateral_gap,
-    longitudinal_gap,
     offset_of_entity,
     offset_of_point,
 )
@@ -30,6 +32,10 @@ from cornercase.simulators.builtin.world._free_space import (
 )
 from cornercase.simulators.builtin.world._road_position import distance_ahead_on_road, road_pose
 from cornercase.simulators.builtin.world._world import World
+
+_KERNEL_KINDS: Final = {
+    "euclidean": EUCLIDEAN_DISTANCE, "longitudinal": LONGITUDINAL_DISTANCE, "lateral": LATERAL_DISTANCE,
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -46,69 +52,54 @@ class DistanceMeasure:
 
     def measure_to_entity(self, world: World, e: int, other: int) -> FloatArray:
         """Signed distance in m to another entity, shape (N,); negative behind, and to the right if lateral."""
-        if self.kind == "euclidean":
-            if self.is_free_space:
-                return np.where(longitudinal_gap(world, e, other) < 0.0, -1.0, 1.0) * _box_distance(world, e, other)
-            sign = np.where(distance_ahead(world, e, other) > 0.0, 1.0, -1.0)
-            return np.asarray(sign * _distance_to_point(world, e, world.x[other], world.y[other]))
+        if self.kind == "euclidean" and self.is_free_space:
+            is_behind = world.compiled.measure_to_entity(e, other, LONGITUDINAL_DISTANCE + FREE_SPACE) < 0.0
+            return np.where(is_behind, -1.0, 1.0) * _box_distance(world, e, other)
+        if self.kind == "euclidean" or not self.along_road:
+            return world.compiled.measure_to_entity(e, other, self._kernel_kind)
+        position = road_pose(world, other)
         if self.kind == "lateral":
-            if self.along_road:
-                position = road_pose(world, other)
-                is_linked = np.isfinite(distance_along_roads(world, e, position))
-                offset = np.where(is_linked, offset_of_entity(world, e, other) - world.offset[e], np.inf)
-                half = 0.5 * (world.entities[e].width + world.entities[other].width)
-                if not self.is_free_space:
-                    return lateral_distance_on_road(world, e, position, offset)
-                narrowed = np.sign(offset) * np.maximum(np.abs(offset) - half, 0.0)
-                return free_space_to_entity_on_road(world, e, other, True, narrowed)
-            return lateral_gap(world, e, other) if self.is_free_space else distance_left(world, e, other)
-        if self.along_road:
-            position = road_pose(world, other)
-            distance = distance_ahead_on_road(world, e, position, distance_along_roads(world, e, position))
+            is_linked = np.isfinite(distance_along_roads(world, e, position))
+            offset = np.where(is_linked, offset_of_entity(world, e, other) - world.offset[e], np.inf)
+            half = 0.5 * (world.entities[e].width + world.entities[other].width)
             if not self.is_free_space:
-                return distance
-            ahead, behind = box_lengths_between_references(world, e, other)
-            shortened = np.where(distance > 0, np.maximum(distance - ahead, 0.0), np.minimum(distance + behind, 0.0))
-            return free_space_to_entity_on_road(world, e, other, False, shortened)
-        return longitudinal_gap(world, e, other) if self.is_free_space else distance_ahead(world, e, other)
+                return lateral_distance_on_road(world, e, position, offset)
+            narrowed = np.sign(offset) * np.maximum(np.abs(offset) - half, 0.0)
+            return free_space_to_entity_on_road(world, e, other, True, narrowed)
+        distance = distance_ahead_on_road(world, e, position, distance_along_roads(world, e, position))
+        if not self.is_free_space:
+            return distance
+        ahead, behind = box_lengths_between_references(world, e, other)
+        shortened = np.where(distance > 0, np.maximum(distance - ahead, 0.0), np.minimum(distance + behind, 0.0))
+        return free_space_to_entity_on_road(world, e, other, False, shortened)
 
     def measure_to_point(self, world: World, e: int, pose: Pose) -> FloatArray:
         """Signed distance in m to a point, shape (N,); negative behind, and to the right if lateral."""
-        entity = world.entities[e]
-        front, rear = 0.5 * entity.length + entity.center_x, 0.5 * entity.length - entity.center_x
-        dx, dy = pose.x - world.x[e], pose.y - world.y[e]
-        if self.kind == "euclidean":
-            cos, sin = np.cos(world.heading[e]), np.sin(world.heading[e])
-            along, across = dx * cos + dy * sin, dy * cos - dx * sin
-            if not self.is_free_space:
-                return np.where(along > 0.0, np.hypot(dx, dy), -np.hypot(dx, dy))
-            along = along - entity.center_x
-            beyond = np.maximum(np.abs(along) - 0.5 * entity.length, 0.0)
-            sign = np.where(along < -0.5 * entity.length, -1.0, 1.0)
-            return np.asarray(sign * np.hypot(beyond, np.maximum(np.abs(across) - 0.5 * entity.width, 0.0)))
-        cos, sin = np.cos(world.heading[e]), np.sin(world.heading[e])
+        if self.kind == "euclidean" or not self.along_road:
+            return world.compiled.measure_to_point(e, pose.x, pose.y, self._kernel_kind)
+        entity, along_roads = world.entities[e], distance_along_roads(world, e, pose)
         if self.kind == "lateral":
-            across = dy * cos - dx * sin
-            if self.along_road:
-                is_linked = np.isfinite(distance_along_roads(world, e, pose))
-                across = np.where(is_linked, offset_of_point(world, e, pose.x, pose.y) - world.offset[e], np.inf)
+            offset = offset_of_point(world, e, pose.x, pose.y) - world.offset[e]
+            across = np.where(np.isfinite(along_roads), offset, np.inf)
             result = np.asarray(
                 np.sign(across) * np.maximum(np.abs(across) - 0.5 * entity.width * self.is_free_space, 0.0)
             )
-            if not self.along_road:
-                return result
             return (
                 free_space_to_point_on_road(world, e, pose, True, result)
                 if self.is_free_space
                 else lateral_distance_on_road(world, e, pose, result)
             )
-        distance = dx * cos + dy * sin
-        if self.along_road:
-            distance = distance_ahead_on_road(world, e, pose, distance_along_roads(world, e, pose))
-        if self.is_free_space:
-            distance = np.where(distance > 0, np.maximum(distance - front, 0.0), np.minimum(distance + rear, 0.0))
-            distance = free_space_to_point_on_road(world, e, pose, False, distance) if self.along_road else distance
-        return np.asarray(distance)
+        distance = distance_ahead_on_road(world, e, pose, along_roads)
+        if not self.is_free_space:
+            return distance
+        front, rear = 0.5 * entity.length + entity.center_x, 0.5 * entity.length - entity.center_x
+        distance = np.where(distance > 0, np.maximum(distance - front, 0.0), np.minimum(distance + rear, 0.0))
+        return free_space_to_point_on_road(world, e, pose, False, distance)
+
+    @property
+    def _kernel_kind(self) -> int:
+        """Its number in compiled code, which measures along the entity's axes."""
+        return _KERNEL_KINDS[self.kind] + (FREE_SPACE if self.is_free_space else 0)
 
 
 def read_distance_measure(element: etree._Element, scope: Scope) -> DistanceMeasure:
@@ -133,12 +124,8 @@ def read_distance_measure(element: etree._Element, scope: Scope) -> DistanceMeas
     return DistanceMeasure(kinds[kind], system in ("lane", "road"), scope.read_boolean(element, "freespace", False))
 
 
-def _distance_to_point(world: World, e: int, x: FloatArray, y: FloatArray) -> FloatArray:
-    return np.asarray(np.hypot(x - world.x[e], y - world.y[e]))
-
-
 def _box_distance(world: World, e: int, other: int) -> FloatArray:
-    corners_a, corners_b = (_entity_corners(world, k) for k in (e, other))
+    corners_a, corners_b = all_box_corners(world)[[e, other]]
     smallest = np.full(world.scenarios, np.inf)
     for points, box in ((corners_a, corners_b), (corners_b, corners_a)):
         for k in range(4):
@@ -149,11 +136,4 @@ def _box_distance(world: World, e: int, other: int) -> FloatArray:
                 fraction = np.clip(((points[:, p] - a) * edge).sum(axis=1) / length, 0.0, 1.0)
                 nearest = a + fraction[:, None] * edge
                 smallest = np.minimum(smallest, np.hypot(*(points[:, p] - nearest).T))
-    return np.where(do_boxes_overlap(world, e, other), 0.0, smallest)
-
-
-def _entity_corners(world: World, e: int) -> FloatArray:
-    entity = world.entities[e]
-    x = world.x[e] + entity.center_x * np.cos(world.heading[e])
-    y = world.y[e] + entity.center_x * np.sin(world.heading[e])
-    return box_corners(x, y, world.heading[e], np.array(entity.length), np.array(entity.width))
+    return np.where(world.compiled.find_overlaps(e, other), 0.0, smallest)

@@ -41,13 +41,14 @@ class TransitionDynamics:
         """Duration of a change of speed, and the factor by which it is stretched, each (N,).
 
         `unlimited_end` is `end` without the vehicle's maximum speed; `max_slope` the largest slope in m/s², which the
-        stretched change does not exceed. All speeds in m/s.
+        stretched change does not exceed. All speeds in m/s. The duration at a rate is left to kernels, as it changes
+        with the speed of another entity.
         """
         change, peak = np.abs(end - start), _PEAK_SLOPE[self.shape]
         if self.shape == "step":
             return np.zeros_like(start), np.ones_like(start)
         if self.dimension == "rate":
-            span, slope = self.duration_at_rate(end - start), np.abs(self.value)
+            span, slope = np.zeros_like(start), np.abs(self.value)
         else:
             span = self.value if self.dimension == "time" else self._time_for_distance(start, unlimited_end)
             with np.errstate(divide="ignore"):
@@ -55,22 +56,9 @@ class TransitionDynamics:
         with np.errstate(divide="ignore"):
             return span, np.maximum(slope / np.maximum(max_slope, _EPSILON), 1.0)
 
-    def duration_at_rate(self, change: FloatArray) -> FloatArray:
-        """Duration of a change whose largest slope is the rate, shape (N,)."""
-        if self.shape == "step":
-            return np.zeros_like(change)
-        span = _PEAK_SLOPE[self.shape] * np.abs(change) / np.maximum(np.abs(self.value), _EPSILON)
-        return np.asarray(np.maximum(span, _EPSILON))
-
     def is_immediate(self, span: FloatArray) -> BoolArray:
         """Whether the change is immediate, shape (N,)."""
         return np.asarray((span < _EPSILON) & (self.shape == "step" or self.dimension != "rate"))
-
-    def value_at(self, start: FloatArray, end: FloatArray, parameter: FloatArray, span: FloatArray) -> FloatArray:
-        """Value after a part of the span, shape (N,)."""
-        step = self.is_immediate(span)
-        fraction = self.fraction_done(parameter / np.where(step, 1.0, np.maximum(span, _EPSILON)))
-        return np.where(step, end, start + fraction * (end - start))
 
     def lateral_extent(self, start: FloatArray, end: FloatArray) -> FloatArray:
         """Duration or distance of a lateral change, shape (N,)."""
@@ -81,14 +69,6 @@ class TransitionDynamics:
         with np.errstate(divide="ignore", invalid="ignore"):
             change = np.abs(end - start)
             return np.where(change > 0, _PEAK_SLOPE[self.shape] * change / np.abs(self.value), 0.0)
-
-    def fraction_done(self, time_fraction: FloatArray) -> FloatArray:
-        """Fraction of the change done after a fraction of the time, shape (N,)."""
-        return transition_fraction(self.shape, time_fraction)
-
-    def fraction_slope(self, time_fraction: FloatArray) -> FloatArray:
-        """Derivative of `fraction_done`, shape (N,)."""
-        return transition_slope(self.shape, time_fraction)
 
     def _time_for_distance(self, start: FloatArray, end: FloatArray) -> FloatArray:
         # A change of sign is a change to 0 and one from 0; their distances have the ratio of the squared speeds.
@@ -110,26 +90,6 @@ def check_dynamics_shape(shape: str, element: etree._Element, scope: Scope) -> N
             f"{scope.file_name}, line {element.sourceline}: dynamicsShape '{shape}' of <{element.tag}> is not one of"
             f" {', '.join(_PEAK_SLOPE)}."
         )
-
-
-def transition_fraction(shape: str, time_fraction: FloatArray) -> FloatArray:
-    """Fraction of a change done after a fraction of the time, clipped to [0, 1], shape (N,)."""
-    time_fraction = np.clip(time_fraction, 0.0, 1.0)
-    if shape == "cubic":
-        return time_fraction * time_fraction * (3.0 - 2.0 * time_fraction)
-    if shape == "sinusoidal":
-        return np.asarray(0.5 - 0.5 * np.cos(np.pi * time_fraction))
-    return time_fraction
-
-
-def transition_slope(shape: str, time_fraction: FloatArray) -> FloatArray:
-    """Derivative of `transition_fraction`, shape (N,)."""
-    time_fraction = np.clip(time_fraction, 0.0, 1.0)
-    if shape == "cubic":
-        return 6.0 * time_fraction * (1.0 - time_fraction)
-    if shape == "sinusoidal":
-        return np.asarray(0.5 * np.pi * np.sin(np.pi * time_fraction))
-    return np.ones_like(time_fraction)
 
 
 def duration_at_peak_acceleration(shape: str, change: FloatArray, max_acceleration: FloatArray) -> FloatArray:

@@ -14,10 +14,11 @@ from cornercase._common.io.tracked_xml import cached_on_element, note_adaptation
 from cornercase._common.typing import FloatArray
 from cornercase.scenario._batch_split import BatchSplitError
 from cornercase.scenario._scope import Scope
+from cornercase.simulators.builtin.track_kernels._track_layout import ALONG_SEGMENTS, AT_CORNERS
 from cornercase.simulators.builtin.tracks._clothoid_spline import ClothoidSpline
 from cornercase.simulators.builtin.tracks._nurbs import evaluate_nurbs
 from cornercase.simulators.builtin.tracks._polyline import Polyline
-from cornercase.simulators.builtin.tracks._track import ALONG_SEGMENTS, AT_CORNERS, Pose, Trajectory
+from cornercase.simulators.builtin.tracks._track import Pose, Trajectory
 from cornercase.simulators.builtin.world._world import World
 
 PositionResolver = Callable[[World], Pose]
@@ -153,8 +154,8 @@ def _read_polyline(
         world: World, smooth: bool = False, clock: TimeConversion | None = None, entity: int | None = None
     ) -> Trajectory:
         turning, begin_speed = ALONG_SEGMENTS if smooth else AT_CORNERS, None
-        if entity is not None:
-            turning = world.entities[entity].polyline_turning or turning
+        chosen = None if entity is None else world.entities[entity].polyline_turning
+        turning = turning if chosen is None else chosen
         if smooth:
             begin_speed = np.zeros(world.scenarios) if entity is None else world.speed[entity].copy()
         x, y, heading, times = resolve_vertices(world)

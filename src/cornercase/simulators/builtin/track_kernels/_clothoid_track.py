@@ -70,6 +70,20 @@ def spline_distance_at_time(tracks, row, n, time):
 
 
 @_kernel
+def spline_time_and_speed(tracks, row, n, distance):
+    """Time in s of its own clock, and speed in m/s, at a distance along a spline with times."""
+    count = tracks.n_curvatures[row]
+    times = floats_at_address(tracks.addresses[row, track_layout.TIME] + 8 * count * n, count)
+    table = floats_at_address(tracks.addresses[row, track_layout.DISTANCE] + 8 * count * n, count)
+    k = 0
+    while k + 2 < count and table[k + 1] <= distance:
+        k += 1
+    length, span = table[k + 1] - table[k], times[k + 1] - times[k]
+    fraction = (distance - table[k]) / (length if length > 0.0 else 1.0)
+    return times[k] + fraction * span, length / (span if span > 0.0 else math.inf)
+
+
+@_kernel
 def _interpolate(tracks, row, n, column, k, after, fraction):
     count = tracks.size[row]
     values = floats_at_address(tracks.addresses[row, column] + (0 if tracks.is_uniform[row] else 8 * count * n), count)

@@ -10,9 +10,12 @@ import math
 from cornercase._common.numba.kernel import kernel
 from cornercase._common.numba.pointers import floats_at_address
 from cornercase.simulators.builtin.track_kernels import _track_layout as track_layout
-from cornercase.simulators.builtin.track_kernels._track_layout import CORNER_HALF_LENGTH, VERTEX_TOLERANCE
-
-_ALONG_SEGMENTS, _AT_CORNERS = 0, 1
+from cornercase.simulators.builtin.track_kernels._track_layout import (
+    ALONG_SEGMENTS,
+    AT_CORNERS,
+    CORNER_HALF_LENGTH,
+    VERTEX_TOLERANCE,
+)
 
 _kernel = kernel(error_model="numpy", forceinline=True, _nrt=False)
 
@@ -101,6 +104,18 @@ def polyline_distance_at_time(tracks, row, n, time):
 
 
 @_kernel
+def polyline_time_and_speed(tracks, row, n, distance):
+    """Time in s of its own clock, and speed in m/s, at a distance along a polyline with times."""
+    count = tracks.size[row]
+    table = floats_at_address(_vertex_array_address(tracks, row, n, track_layout.DISTANCE), count)
+    times = floats_at_address(_vertex_array_address(tracks, row, n, track_layout.TIME), count)
+    speeds = floats_at_address(_vertex_array_address(tracks, row, n, track_layout.SPEED), count)
+    _, segment, fraction = _locate_on_segment(table, distance, VERTEX_TOLERANCE)
+    time, speed = times[segment], speeds[segment]
+    return time + fraction * (times[segment + 1] - time), speed + fraction * (speeds[segment + 1] - speed)
+
+
+@_kernel
 def _vertex_array_address(tracks, row, n, column):
     count = tracks.size[row]
     return tracks.addresses[row, column] + (0 if tracks.is_uniform[row] else 8 * count * n)
@@ -150,11 +165,11 @@ def _heading_on_polyline(tracks, row, n, table, distance):
     )
     current, after = vertex_headings[segment], vertex_headings[segment + 1]
     at_end = clipped > table[last + 1] - VERTEX_TOLERANCE
-    if tracks.heading_interpolation[row] == _ALONG_SEGMENTS:
+    if tracks.heading_interpolation[row] == ALONG_SEGMENTS:
         return current + (1.0 if at_end else fraction) * (after - current)
     if at_end:
         return after
-    if tracks.heading_interpolation[row] != _AT_CORNERS:
+    if tracks.heading_interpolation[row] != AT_CORNERS:
         return current
     span = table[segment + 1] - table[segment]
     reach = max(min(CORNER_HALF_LENGTH, 0.5 * span), VERTEX_TOLERANCE)

@@ -1,9 +1,13 @@
-"""Poses on tracks of any compiled kind, for one scenario at a time."""
+"""Questions to a track of any kind, for one scenario at a time, and for many."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, untyped-decorator"
 
 from __future__ import annotations
+
+import math
+
+import numpy as np
 
 from cornercase._common.numba.kernel import kernel
 from cornercase.simulators.builtin.track_kernels import _clothoid_track as clothoid_track
@@ -62,3 +66,32 @@ def trajectory_distance_at_time(tracks, row, n, time):
     if tracks.kind[row] == track_layout.POLYLINE_TRACK:
         return polyline_track.polyline_distance_at_time(tracks, row, n, time)
     return clothoid_track.spline_distance_at_time(tracks, row, n, time)
+
+
+@_kernel
+def trajectory_time_and_speed(tracks, row, n, distance):
+    """Time in s of its own clock, and speed in m/s, at a distance along a trajectory with times."""
+    if tracks.kind[row] == track_layout.POLYLINE_TRACK:
+        return polyline_track.polyline_time_and_speed(tracks, row, n, distance)
+    return clothoid_track.spline_time_and_speed(tracks, row, n, distance)
+
+
+@kernel(error_model="numpy")
+def evaluate_track(tracks, scenarios, points):
+    """Evaluate the only track of a table at `points`, (2, R): distances and offsets in m; `scenarios` has shape (R,).
+
+    Returns x, y, heading, direction, whether the file gives the heading, time and speed, shape (7, R).
+    """
+    result = np.empty((7, scenarios.size))
+    for i in range(scenarios.size):
+        n, distance = scenarios[i], points[0, i]
+        x, y, heading = pose_on_track(tracks, 0, n, distance, points[1, i])
+        direction, has_heading, time, speed = heading, False, math.nan, math.nan
+        if tracks.kind[0] != track_layout.LANE_TRACK:
+            direction = trajectory_direction(tracks, 0, n, distance)
+            has_heading = trajectory_has_heading(tracks, 0, n, distance)
+        if tracks.has_times[0]:
+            time, speed = trajectory_time_and_speed(tracks, 0, n, distance)
+        result[0, i], result[1, i], result[2, i], result[3, i] = x, y, heading, direction
+        result[4, i], result[5, i], result[6, i] = has_heading, time, speed
+    return result

@@ -1,12 +1,18 @@
-"""Columns of `TrackTable.addresses`: arrays of a track.
+"""Tables of tracks for compiled code.
 
-Arrays of a lane, in the order of its path's arrays, have an element per sample or curvature; arrays of a polyline have
-a row of vertices or segments per scenario.
+The constants are columns of `TrackTable.addresses`: arrays of a track. Arrays of a lane, in the order of its path's
+arrays, have an element per sample or curvature; arrays of a polyline have a row of vertices or segments per scenario.
 """
 
 from __future__ import annotations
 
-from typing import Final
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from cornercase._common.numba.pointers import memory_address
+from cornercase._common.typing import BoolArray, FloatArray, IntArray
 
 DISTANCE: Final = 0
 X: Final = 1
@@ -46,10 +52,54 @@ POLYLINE_TRACK: Final = 1
 """Kind of a track through vertices."""
 CLOTHOID_TRACK: Final = 2
 """Kind of a track along the chords of a clothoid spline."""
-PYTHON_TRACK: Final = 3
-"""Kind of a track without kernels."""
 
 CORNER_HALF_LENGTH: Final = 2.0
 """m; half the length over which the heading turns at a corner of a polyline (esmini's value)."""
 VERTEX_TOLERANCE: Final = 1e-6
 """m or s; closer vertices coincide."""
+
+ALONG_SEGMENTS: Final = 0
+AT_CORNERS: Final = 1
+AT_VERTICES: Final = 2
+"""Where the heading changes along a polyline: over whole segments, near corners, or at each vertex at once."""
+
+
+class TrackTable(NamedTuple):
+    """Tables of G tracks of E entities."""
+
+    rows: IntArray  # (E, K): index of each entity's tracks among all tracks; -1 for none
+    kind: IntArray  # (G,): `LANE_TRACK`, `POLYLINE_TRACK` or `CLOTHOID_TRACK`
+    addresses: IntArray  # (G, 14): memory addresses of its arrays
+    size: IntArray  # (G,): samples of a lane, vertices of a polyline, chord ends of a spline
+    n_curvatures: IntArray  # (G,): curvature samples of a lane's reference line; segment ends of a spline
+    max_sample_gap: FloatArray  # (G,): largest gap in m between consecutive samples of a lane
+    length: FloatArray  # (G,): of a lane in m; NaN for others, which depend on the scenario
+    span: FloatArray  # (G, 2): distances in m between which a lane is followed; beyond, another track continues
+    is_closed: BoolArray  # (G,): whether a polyline is a loop
+    has_times: BoolArray  # (G,): whether a trajectory has times
+    heading_interpolation: IntArray  # (G,): `ALONG_SEGMENTS` and so on, of a polyline
+    is_uniform: BoolArray  # (G,): whether a trajectory is the same in all scenarios, and stored in one row
+
+
+def alloc_track_table(n_tracks: int) -> TrackTable:
+    """Allocate the tables of tracks that no entity follows."""
+    n = n_tracks
+    kind, size, n_curvatures, heading_interpolation = (np.zeros(n, dtype=np.int64) for _ in range(4))
+    is_closed, has_times, is_uniform = (np.zeros(n, dtype=np.bool_) for _ in range(3))
+    addresses, numbers = np.zeros((n, N_COLUMNS), dtype=np.int64), (np.full(n, np.nan) for _ in range(2))
+    return TrackTable(
+        np.full((0, 1), -1), kind, addresses, size, n_curvatures, *numbers, np.full((n, 2), np.nan),
+        is_closed, has_times, heading_interpolation, is_uniform,
+    )  # fmt: skip
+
+
+def make_trajectory_table(kind: int, is_uniform: bool, arrays: Sequence[FloatArray | IntArray | None]) -> TrackTable:
+    """Make the tables of one trajectory from its arrays, in the order of the columns; None for missing times."""
+    table = alloc_track_table(1)
+    table.kind[0], table.is_uniform[0] = kind, is_uniform
+    for column, array in enumerate(arrays):
+        table.addresses[0, column] = 0 if array is None else memory_address(array)
+    x, times = arrays[X], arrays[TIME]
+    assert x is not None
+    table.size[0], table.has_times[0] = x.shape[1], times is not None
+    return table

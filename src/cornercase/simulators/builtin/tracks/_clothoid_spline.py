@@ -8,6 +8,11 @@ from typing import Final
 import numpy as np
 
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
+from cornercase.simulators.builtin.track_kernels._track_layout import (
+    CLOTHOID_TRACK,
+    TrackTable,
+    make_trajectory_table,
+)
 from cornercase.simulators.builtin.tracks._track import Pose, Trajectory, is_uniform
 
 # Chord length of a spline in m, and maximum number of chords; longer splines get longer chords.
@@ -106,27 +111,11 @@ class ClothoidSpline(Trajectory):
         poses = [self._pose_on_curve(np.minimum(k * self.chord_length, lengths), rows) for k in indices]
         self.x, self.y, self.heading = (np.stack(parts, axis=1) for parts in zip(*poses, strict=True))
 
-    def pose_at(
-        self, distance: FloatArray, offset: FloatArray, rows: IntArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        length = self.lengths.take(rows)
-        clipped = np.clip(distance, 0.0, length)
-        chord = self.chord_length.take(rows)
-        k = np.minimum(np.nan_to_num(clipped / chord).astype(np.int64), self.last_chord.take(rows))
-        before = chord * k
-        span = np.minimum(before + chord, length) - before
-        fraction = (clipped - before) / np.where(span > 0.0, span, 1.0)
-        node = k if self.is_uniform else rows * self.x.shape[1] + k
-        after = node + min(1, self.x.shape[1] - 1)
-        x, y, heading = (
-            table.take(node) + fraction * (table.take(after) - table.take(node))
-            for table in (self.x, self.y, self.heading)
-        )
-        beyond = distance - clipped
-        if beyond.any() or offset.any():
-            cos, sin = np.cos(heading), np.sin(heading)
-            x, y = x + beyond * cos - offset * sin, y + beyond * sin + offset * cos
-        return x, y, heading
+    def _make_table(self) -> TrackTable:
+        ends, poses = self.segment_distances, (self.x, self.y, self.heading)
+        arrays = (ends, *poses, self.lengths, self.chord_length, self._times, self.last_chord)
+        table = make_trajectory_table(CLOTHOID_TRACK, self.is_uniform, arrays)
+        return table._replace(n_curvatures=np.array([ends.shape[1]]))
 
     def _pose_on_curve(self, distance: FloatArray, rows: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         segment, node = self._segment_and_node(distance, rows)
@@ -178,33 +167,9 @@ class ClothoidSpline(Trajectory):
         super().copy_rows_from(other, rows)
         self._sample_chords()
 
-    def has_heading_at(self, distance: FloatArray, rows: IntArray) -> BoolArray:
-        return np.zeros(len(rows), dtype=np.bool_)
-
-    def direction_at(self, distance: FloatArray, rows: IntArray) -> FloatArray:
-        return self.pose_at(distance, np.zeros_like(distance), rows)[2]
-
     @property
     def times(self) -> FloatArray | None:
         return self._times
-
-    def distance_at_time(self, time: FloatArray) -> FloatArray:
-        assert self._times is not None
-        rows = np.arange(len(time))
-        k = np.clip((self._times <= time[:, None]).sum(axis=1) - 1, 0, self._times.shape[1] - 2)
-        begin, end = self._times[rows, k], self._times[rows, k + 1]
-        segment_length = self.segment_distances[rows, k + 1] - self.segment_distances[rows, k]
-        speed = segment_length / np.where(end > begin, end - begin, 1.0)
-        return np.asarray(self.segment_distances[rows, k] + np.clip(time - begin, 0.0, end - begin) * speed)
-
-    def time_and_speed_at(self, distance: FloatArray) -> tuple[FloatArray, FloatArray]:
-        assert self._times is not None
-        rows = np.arange(len(distance))
-        k = np.clip((self.segment_distances <= distance[:, None]).sum(axis=1) - 1, 0, self._times.shape[1] - 2)
-        begin, end = self._times[rows, k], self._times[rows, k + 1]
-        segment_length = self.segment_distances[rows, k + 1] - self.segment_distances[rows, k]
-        fraction = (distance - self.segment_distances[rows, k]) / np.where(segment_length > 0.0, segment_length, 1.0)
-        return begin + fraction * (end - begin), segment_length / np.where(end > begin, end - begin, np.inf)
 
 
 def evaluate_clothoid(

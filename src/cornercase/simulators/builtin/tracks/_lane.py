@@ -12,6 +12,7 @@ from cornercase.roads._lane_path import LanePath
 from cornercase.roads._network import RoadNetwork
 from cornercase.simulators.builtin.track_kernels._lane_track import advance_on_lane_path
 from cornercase.simulators.builtin.track_kernels._projection import project_on_lane_path
+from cornercase.simulators.builtin.track_kernels._track_layout import LANE_TRACK, TrackTable, alloc_track_table
 from cornercase.simulators.builtin.tracks._track import Pose, Track
 
 # m; largest margin before the cut end of a path at which an entity changes to the next path.
@@ -45,18 +46,16 @@ class LaneTrack(Track):
         path = network.lane_path_from(road, lane, s, along, via)
         return None if path is None else cls(path)
 
+    def _make_table(self) -> TrackTable:
+        table, path = alloc_track_table(1), self.path
+        table.kind[0], table.addresses[0] = LANE_TRACK, path.array_addresses
+        table.size[0], table.n_curvatures[0] = path.x.size, path.curvature_distance.size
+        table.max_sample_gap[0], table.length[0], table.span[0] = path.max_chord, self.length, self.span
+        return table
+
     def distance_at_s(self, s: FloatArray) -> FloatArray:
         """Distance along the track for s on the road that it was made for."""
         return self.path.distance_of_s(s)
-
-    def pose_at(
-        self, distance: FloatArray, offset: FloatArray, rows: IntArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        x, y, heading, _ = self.path.pose_at(distance, offset)
-        return x, y, heading
-
-    def curvature_at(self, distance: FloatArray, rows: IntArray) -> FloatArray:
-        return self.path.pose_at(distance, np.zeros_like(distance))[3]
 
     def advance(self, distance: FloatArray, offset: FloatArray, step: FloatArray) -> FloatArray:
         """Distance along the track after a step, each (R,) in m.

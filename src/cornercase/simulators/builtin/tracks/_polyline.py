@@ -5,8 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
-from cornercase.simulators.builtin.track_kernels._track_layout import CORNER_HALF_LENGTH, VERTEX_TOLERANCE
-from cornercase.simulators.builtin.tracks._track import ALONG_SEGMENTS, AT_CORNERS, Trajectory, is_uniform
+from cornercase.simulators.builtin.track_kernels._track_layout import (
+    AT_CORNERS,
+    POLYLINE_TRACK,
+    VERTEX_TOLERANCE,
+    TrackTable,
+    make_trajectory_table,
+)
+from cornercase.simulators.builtin.tracks._track import Trajectory, is_uniform
 
 
 class Polyline(Trajectory):
@@ -43,7 +49,7 @@ class Polyline(Trajectory):
         heading: FloatArray,
         time: FloatArray | None = None,
         closed: bool = False,
-        heading_interpolation: str = AT_CORNERS,
+        heading_interpolation: int = AT_CORNERS,
         begin_speed: FloatArray | None = None,
     ) -> None:
         if closed:
@@ -88,20 +94,14 @@ class Polyline(Trajectory):
     def times(self) -> FloatArray | None:
         return self._time
 
-    def pose_at(
-        self, distance: FloatArray, offset: FloatArray, rows: IntArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        distance = self._wrap_closed(distance, rows)
-        clipped, segment, fraction = self._locate_on_segment(distance, rows, 0.0)
-        x0, y0 = self.x[rows, segment], self.y[rows, segment]
-        x = x0 + fraction * (self.x[rows, segment + 1] - x0)
-        y = y0 + fraction * (self.y[rows, segment + 1] - y0)
-        beyond = distance - clipped
-        if beyond.any() or offset.any():
-            direction = self.directions[rows, segment]
-            cos, sin = np.cos(direction), np.sin(direction)
-            x, y = x + beyond * cos - offset * sin, y + beyond * sin + offset * cos
-        return x, y, self._heading_at(distance, rows)
+    def _make_table(self) -> TrackTable:
+        arrays = (
+            self.distance, self.x, self.y, self.heading, self.directions, self.vertex_headings,
+            self._time, self.speeds, self.accelerations,
+        )  # fmt: skip
+        return make_trajectory_table(POLYLINE_TRACK, self.is_uniform, arrays)._replace(
+            is_closed=np.array([self.closed]), heading_interpolation=np.array([self.heading_interpolation])
+        )
 
     def curvature_at(self, distance: FloatArray, rows: IntArray) -> FloatArray:
         return np.zeros_like(distance)
@@ -117,84 +117,6 @@ class Polyline(Trajectory):
         best = gap.argmin(axis=1)
         rows_of_x = np.arange(len(x))
         return np.asarray(distance[rows_of_x, best] + fraction[rows_of_x, best] * np.diff(distance)[rows_of_x, best])
-
-    def has_heading_at(self, distance: FloatArray, rows: IntArray) -> BoolArray:
-        distance = self._wrap_closed(distance, rows)
-        _, segment, _ = self._locate_on_segment(distance, rows)
-        # On a segment, the vertex at its beginning counts.
-        vertex = np.where(distance > self._total_length[rows] - VERTEX_TOLERANCE, self.heading.shape[1] - 1, segment)
-        return np.asarray(~np.isnan(self.heading[rows, vertex]))
-
-    def direction_at(self, distance: FloatArray, rows: IntArray) -> FloatArray:
-        distance = self._wrap_closed(distance, rows)
-        return np.asarray(self.directions[rows, self._locate_on_segment(distance, rows)[1]])
-
-    def _wrap_closed(self, distance: FloatArray, rows: IntArray) -> FloatArray:
-        return np.mod(distance, self._total_length[rows]) if self.closed else distance
-
-    def distance_at_time(self, time: FloatArray) -> FloatArray:
-        assert self._time is not None
-        assert self.speeds is not None
-        assert self.accelerations is not None
-        rows = np.arange(len(time))
-        segment = (self._time[:, 1:-1] <= time[:, None]).sum(axis=1)
-        elapsed = np.maximum(time - self._time[rows, segment], 0.0)
-        speed, rate = self.speeds[rows, segment], self.accelerations[rows, segment]
-        begin, length = self.distance[rows, segment], self.distance[rows, segment + 1] - self.distance[rows, segment]
-        span = self._time[rows, segment + 1] - self._time[rows, segment]
-        at_constant_speed = begin + np.clip(elapsed / np.where(span > 0.0, span, np.inf), 0.0, 1.0) * length
-        # An entity that brakes to a stop waits there for the rest of the segment's time.
-        stops = rate < 0.0
-        elapsed = np.where(stops, np.minimum(elapsed, -speed / np.where(stops, rate, 1.0)), elapsed)
-        accelerated = begin + speed * elapsed + 0.5 * rate * elapsed**2
-        distance = np.where(rate == 0.0, at_constant_speed, accelerated)
-        return np.asarray(np.where(time > self._time[:, -1], self._total_length, distance))
-
-    def time_and_speed_at(self, distance: FloatArray) -> tuple[FloatArray, FloatArray]:
-        assert self._time is not None
-        assert self.speeds is not None
-        rows = np.arange(len(distance))
-        _, segment, fraction = self._locate_on_segment(distance, rows)
-        t0, t1 = self._time[rows, segment], self._time[rows, segment + 1]
-        v0, v1 = self.speeds[rows, segment], self.speeds[rows, segment + 1]
-        return t0 + fraction * (t1 - t0), v0 + fraction * (v1 - v0)
-
-    def _locate_on_segment(
-        self, distance: FloatArray, rows: IntArray, tolerance: float = VERTEX_TOLERANCE
-    ) -> tuple[FloatArray, IntArray, FloatArray]:
-        """Distance clipped to the line, its segment, and the fraction of the segment.
-
-        A segment begins `tolerance` after its vertex.
-        """
-        table = self.distance[rows]
-        clipped = np.clip(distance, 0.0, table[:, -1])
-        segment = (table[:, 1:-1] + tolerance <= clipped[:, None]).sum(axis=1)
-        indices = np.arange(len(rows))
-        span = table[indices, segment + 1] - table[indices, segment]
-        fraction = (clipped - table[indices, segment]) / np.where(span > 0, span, 1.0)
-        return clipped, segment, np.where(span > 0, fraction, 0.0)
-
-    def _heading_at(self, distance: FloatArray, rows: IntArray) -> FloatArray:
-        clipped, segment, fraction = self._locate_on_segment(distance, rows)
-        current, after = self.vertex_headings[rows, segment], self.vertex_headings[rows, segment + 1]
-        table, indices, last = self.distance[rows], np.arange(len(rows)), self.distance.shape[1] - 2
-        at_end = clipped > table[:, -1] - VERTEX_TOLERANCE
-        if self.heading_interpolation == ALONG_SEGMENTS:
-            return np.asarray(current + np.where(at_end, 1.0, fraction) * (after - current))
-        heading = current
-        if self.heading_interpolation == AT_CORNERS:
-            before = self.vertex_headings[rows, np.maximum(segment - 1, 0)]
-            span = table[indices, segment + 1] - table[indices, segment]
-            reach = np.maximum(np.minimum(CORNER_HALF_LENGTH, 0.5 * span), VERTEX_TOLERANCE)
-            since_start = clipped - table[indices, segment]
-            until_end = span - since_start
-            begins, ends = since_start < reach, until_end < reach
-            # The last segment turns fully to its end heading, any other halfway.
-            fraction_at_end = np.where(segment < last, 0.5 * (1.0 - until_end / reach), 1.0 - until_end / reach)
-            entered = before + 0.5 * (1.0 + since_start / reach) * (current - before)
-            leaving = np.where(ends, current + fraction_at_end * (after - current), current)
-            heading = np.where(begins, np.where(segment > 0, entered, current), leaving)
-        return np.where(at_end, after, heading)
 
 
 def _unwrap_shortest(heading: FloatArray, nudged: FloatArray) -> FloatArray:

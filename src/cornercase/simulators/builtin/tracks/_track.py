@@ -4,17 +4,16 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
+from cornercase.simulators.builtin.track_kernels._track_dispatch import evaluate_track
+from cornercase.simulators.builtin.track_kernels._track_layout import TrackTable
 
 NO_TRACK: Final = -1
 """Track number of an entity that follows none, and moves along its heading."""
-
-ALONG_SEGMENTS, AT_CORNERS, AT_VERTICES = "legs", "corners", "vertices"
-"""Where the heading changes along a trajectory: over whole segments, near corners, or at each vertex at once."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,17 +48,47 @@ def is_uniform(*arrays: FloatArray | None) -> bool:
     return all(bool((array == array[:1]).all()) for array in bits)
 
 
+class TrackPoints(NamedTuple):
+    """Points of a track in R scenarios, each (R,)."""
+
+    x: FloatArray
+    y: FloatArray
+    heading: FloatArray  # rad
+    direction: FloatArray  # rad, of the line, whatever the entity's heading is
+    has_heading: BoolArray  # whether the file gives the heading there
+    time: FloatArray  # s, on the track's own clock; NaN without times
+    speed: FloatArray  # m/s; NaN without times
+
+
 class Track(ABC):
-    """A curve that an entity follows, by distance along it.
+    """A curve that an entity follows, by distance along it; compiled code evaluates it.
 
     It may differ between scenarios; methods take R scenarios, the `rows`.
     """
 
+    _table: TrackTable | None = None
+
+    @property
+    def table(self) -> TrackTable:
+        """Tables for compiled code with this track alone; another object after each change."""
+        if self._table is None:
+            self._table = self._make_table()
+        return self._table
+
     @abstractmethod
+    def _make_table(self) -> TrackTable:
+        """Make the tables of this track, which keeps the arrays alive."""
+
+    def evaluate(self, distance: FloatArray, offset: FloatArray, rows: IntArray) -> TrackPoints:
+        """Evaluate the track at distances and left offsets in m, each (R,)."""
+        result = evaluate_track(self.table, np.array(rows), np.array([distance, offset]))
+        return TrackPoints(*result[:4], result[4] > 0.0, *result[5:])
+
     def pose_at(
         self, distance: FloatArray, offset: FloatArray, rows: IntArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """x, y (m) and heading (rad) at distances and left offsets in m, each (R,)."""
+        return self.evaluate(distance, offset, rows)[:3]
 
     @abstractmethod
     def nearest_distance(
@@ -69,10 +98,6 @@ class Track(ABC):
 
         If it passes the point more than once, the first time after the distance `after` counts.
         """
-
-    @abstractmethod
-    def curvature_at(self, distance: FloatArray, rows: IntArray) -> FloatArray:
-        """Curvature in 1/m, positive to the left, at distances of shape (R,)."""
 
 
 class Trajectory(Track):
@@ -90,20 +115,8 @@ class Trajectory(Track):
         """Times in s of its vertices, or of start and end, shape (N, V); None without times."""
 
     @abstractmethod
-    def distance_at_time(self, time: FloatArray) -> FloatArray:
-        """Distance along the trajectory in m at its own times, shape (N,)."""
-
-    @abstractmethod
-    def time_and_speed_at(self, distance: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Its own time in s and speed in m/s at distances along it, each (N,)."""
-
-    @abstractmethod
-    def has_heading_at(self, distance: FloatArray, rows: IntArray) -> BoolArray:
-        """Whether the file gives the heading at a distance, shape (R,)."""
-
-    @abstractmethod
-    def direction_at(self, distance: FloatArray, rows: IntArray) -> FloatArray:
-        """Direction of the line in rad, whatever the entity's heading is, shape (R,)."""
+    def curvature_at(self, distance: FloatArray, rows: IntArray) -> FloatArray:
+        """Curvature in 1/m, positive to the left, at distances of shape (R,)."""
 
     def copy_rows_from(self, other: Trajectory, rows: BoolArray) -> None:
         """Copy another trajectory of the same kind in the scenarios of a mask, shape (N,)."""
@@ -112,6 +125,7 @@ class Trajectory(Track):
             if own is not None:
                 own[rows] = getattr(other, name)[rows]
         self.version += 1
+        self._table = None
 
     _scenario_arrays: tuple[str, ...]
     """Names of the arrays with a row for each scenario."""

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.simulators.builtin.tracks._lane import LaneTrack
 from cornercase.simulators.builtin.tracks._track import Pose, Track
-from cornercase.simulators.builtin.world._collisions import all_box_corners
 from cornercase.simulators.builtin.world._road_position import is_heading_along_road, road_pose
 from cornercase.simulators.builtin.world._world import World
 
@@ -17,33 +16,19 @@ from cornercase.simulators.builtin.world._world import World
 _MAX_TRACK_DISTANCE: Final = 20.0
 
 
-class TargetCache(NamedTuple):
-    """Cache of a fixed target's position on the entity's track: track number, and distance in m, each (N,).
+def locate_target(
+    world: World, entity: int, target: Pose, number: FloatArray, distance: FloatArray, where: BoolArray
+) -> None:
+    """Locate a fixed target on the track that an entity follows, in the scenarios of a mask.
 
-    The distance is infinite if the track does not lead to the target, and NaN if not computed yet.
+    Stores the track's number and the distance along it in m, (N,); infinite if the track does not lead to the target.
+    A trajectory leads to its point nearest to the target.
     """
-
-    track: FloatArray
-    distance: FloatArray
-
-
-def remaining_distance(world: World, entity: int, target: Pose, cache: TargetCache, where: BoolArray) -> FloatArray:
-    """Distance along the entity's track to a target in m, shape (N,); negative once passed.
-
-    A trajectory leads to its point nearest to the target. Without a track that leads there: the straight-line distance.
-    Results are added to `cache`.
-    """
-    distance = np.full(world.scenarios, np.inf)
     for k, track, rows in world.iter_followed_tracks(entity, where & np.isfinite(target.x + target.y)):
-        new = rows[(cache.track[rows] != k) | np.isnan(cache.distance[rows])]
+        new = rows[(number[rows] != k) | np.isnan(distance[rows])]
         if new.size:
-            cache.track[new], cache.distance[new] = (
-                k,
-                _distance_on_track(world, entity, track, target, new, allow_any_lateral=True),
-            )
-        distance[rows] = cache.distance[rows] - world.distance[entity][rows]
-    straight_line = np.hypot(target.x - world.x[entity], target.y - world.y[entity])
-    return np.where(np.isfinite(distance), distance, straight_line)
+            number[new] = k
+            distance[new] = _distance_on_track(world, entity, track, target, new, allow_any_lateral=True)
 
 
 def distance_along_roads(world: World, entity: int, target: Pose) -> FloatArray:
@@ -107,46 +92,9 @@ def _position_after_lateral_step(world: World, entity: int) -> tuple[FloatArray,
     return x, y
 
 
-def distance_ahead(world: World, entity: int, other: int) -> FloatArray:
-    """Distance in m to another reference point along the entity's heading, shape (N,); negative behind."""
-    dx, dy = world.x[other] - world.x[entity], world.y[other] - world.y[entity]
-    return np.asarray(dx * np.cos(world.heading[entity]) + dy * np.sin(world.heading[entity]))
-
-
-def distance_left(world: World, entity: int, other: int) -> FloatArray:
-    """Distance in m to another reference point across the entity's heading, shape (N,); positive to the left."""
-    dx, dy = world.x[other] - world.x[entity], world.y[other] - world.y[entity]
-    return np.asarray(dy * np.cos(world.heading[entity]) - dx * np.sin(world.heading[entity]))
-
-
-def longitudinal_gap(world: World, entity: int, other: int) -> FloatArray:
-    """Signed gap in m to another box along the entity's heading, shape (N,); 0 if side by side."""
-    near, far, _, _ = relative_box_extent(world, entity, other)
-    half = 0.5 * world.entities[entity].length
-    return np.where(near > half, near - half, np.where(far < -half, far + half, 0.0))
-
-
-def lateral_gap(world: World, entity: int, other: int) -> FloatArray:
-    """Signed gap in m to another box across the entity's heading, (N,); positive to the left, 0 if overlapping."""
-    _, _, near, far = relative_box_extent(world, entity, other)
-    half = 0.5 * world.entities[entity].width
-    return np.where(near > half, near - half, np.where(far < -half, far + half, 0.0))
-
-
 def box_lengths_between_references(world: World, entity: int, other: int) -> tuple[float, float]:
     """Box lengths between two reference points in m: with the other ahead, and with it behind."""
     own_box, other_box = world.entities[entity], world.entities[other]
     fronts = [0.5 * box.length + box.center_x for box in (own_box, other_box)]
     rears = [0.5 * box.length - box.center_x for box in (own_box, other_box)]
     return fronts[0] + rears[1], rears[0] + fronts[1]
-
-
-def relative_box_extent(world: World, entity: int, other: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Range of another box relative to an entity's centre in m: min and max ahead, min and max left, each (N,)."""
-    corners = all_box_corners(world)[other]
-    box = world.entities[entity]
-    cos, sin = np.cos(world.heading[entity]), np.sin(world.heading[entity])
-    x = corners[..., 0] - (world.x[entity] + box.center_x * cos)[:, None]
-    y = corners[..., 1] - (world.y[entity] + box.center_x * sin)[:, None]
-    longitudinal, lateral = x * cos[:, None] + y * sin[:, None], y * cos[:, None] - x * sin[:, None]
-    return longitudinal.min(axis=1), longitudinal.max(axis=1), lateral.min(axis=1), lateral.max(axis=1)

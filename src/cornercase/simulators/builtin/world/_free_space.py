@@ -8,7 +8,7 @@ import numpy as np
 
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.simulators.builtin.tracks._track import Pose
-from cornercase.simulators.builtin.world._collisions import all_box_corners, do_boxes_overlap
+from cornercase.simulators.builtin.world._collisions import all_box_corners
 from cornercase.simulators.builtin.world._road_position import is_heading_along_road, road_pose
 from cornercase.simulators.builtin.world._world import World
 
@@ -40,7 +40,7 @@ def free_space_to_entity_on_road(
     abreast = (behind.any(axis=2) & ~behind.all(axis=2)).any(axis=1)
     flat = differences.reshape(world.scenarios, -1)
     smallest = flat[np.arange(world.scenarios), np.abs(flat).argmin(axis=1)]
-    return np.where(same_road, np.where(abreast | do_boxes_overlap(world, entity, other), 0.0, smallest), default)
+    return np.where(same_road, np.where(abreast | world.compiled.find_overlaps(entity, other), 0.0, smallest), default)
 
 
 def free_space_to_point_on_road(

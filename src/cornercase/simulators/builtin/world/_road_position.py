@@ -83,24 +83,21 @@ def is_heading_along_road(world: World, pose: Pose) -> BoolArray:
     return is_facing_forward(pose.heading - road_heading(world, pose))
 
 
-def speed_along_road(world: World, entity: int, where: BoolArray) -> FloatArray:
-    """Absolute speed of the last step along the entity's road in m/s, (N,); along its heading without roads.
-
-    In a bend it is the speed along the chord, projected onto the road's direction at the end of the step.
-    """
-    direction = world.heading[entity].copy()
-    if world.network is not None:
-        lane = follows_lane(world, entity)
-        if lane.any():
-            direction = np.where(lane, road_heading(world, road_pose(world, entity)), direction)
-        at = np.flatnonzero(~lane & where & world.present[entity])
-        x, y, heading = world.x[entity][at], world.y[entity][at], world.heading[entity][at]
-        road, s = world.network.track_road(world.last_road[entity][at], world.last_s[entity][at], x, y, heading)
-        world.last_road[entity][at], world.last_s[entity][at] = road, s
-        direction[at] = _road_headings(world.network, road, s)
-    return np.asarray(
-        np.abs(world.step_velocity[0][entity] * np.cos(direction) + world.step_velocity[1][entity] * np.sin(direction))
-    )
+def locate_on_road(world: World, entity: int, where: BoolArray) -> None:
+    """Locate an entity on its road, for kernels in the coming frame, in the scenarios of a mask."""
+    if world.network is None:
+        return
+    follows = follows_lane(world, entity)
+    if (where & follows).any():
+        pose, at = road_pose(world, entity), np.flatnonzero(where & follows)
+        road, _, s = pose.road_coordinates()
+        world.last_road[entity][at], world.last_s[entity][at] = road[at], s[at]
+        world.road_heading[entity][at] = _road_headings(world.network, road[at], s[at])
+    at = np.flatnonzero(~follows & where & world.present[entity])
+    x, y, heading = world.x[entity][at], world.y[entity][at], world.heading[entity][at]
+    road, s = world.network.track_road(world.last_road[entity][at], world.last_s[entity][at], x, y, heading)
+    world.last_road[entity][at], world.last_s[entity][at] = road, s
+    world.road_heading[entity][at] = _road_headings(world.network, road, s)
 
 
 def _road_headings(network: RoadNetwork, road: IntArray, s: FloatArray) -> FloatArray:

@@ -10,7 +10,7 @@ from typing import Final
 (
     X, Y, HEADING, SPEED, ACCELERATION, ODOMETER, STANDING_SINCE, DISTANCE, OFFSET, TURN, SIDEWAYS, PACE, VELOCITY,
     LAST_S, AT_END_SINCE, OFF_ROAD_SINCE, TARGET_SPEED, FROM_X, FROM_Y, FROM_HEADING, GONE_X, GONE_Y, PULL_X, PULL_Y,
-    BEFORE, ROAD_SPEED,
+    BEFORE, ROAD_HEADING,
 ) = range(26)  # fmt: skip
 """Rows of `World.floats`."""
 
@@ -23,9 +23,6 @@ N_FLOAT_ROWS: Final = 26
 
 TRACK, ROUTE, LAST_ROAD, DRIVER, PULLED_BY = range(5)
 """Rows of `World.numbers`."""
-
-UNKNOWN_ROAD_SPEED: Final = -1.0
-"""Value of `World.road_speed` if it has not been computed."""
 
 FLOAT_ROWS: Final = {
     "x": (X, float("nan")),
@@ -49,7 +46,7 @@ FLOAT_ROWS: Final = {
     "from_y": (FROM_Y, float("nan")),
     "from_heading": (FROM_HEADING, float("nan")),
     "before": (BEFORE, 0.0),
-    "road_speed": (ROAD_SPEED, UNKNOWN_ROAD_SPEED),
+    "road_heading": (ROAD_HEADING, float("nan")),
 }
 """Row and initial value by name of the array in `World`; velocities have two rows each."""
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Final
-
 import numpy as np
 
 from cornercase._common.geometry.boxes import wrap_angle
@@ -13,9 +11,6 @@ from cornercase.simulators.builtin.tracks._track import Track
 from cornercase.simulators.builtin.world._lane_following import extend_lane_path
 from cornercase.simulators.builtin.world._road_position import is_on_road
 from cornercase.simulators.builtin.world._world import World
-
-# Distance in m to the end of a road that counts as the end.
-_END_TOLERANCE: Final = 1e-3
 
 
 def update_off_road_times(world: World, where: BoolArray) -> None:
@@ -53,18 +48,14 @@ def update_pose_on_track(world: World, entity: int, where: BoolArray) -> None:
         _set_pose_from_track(world, entity, track, at)
 
 
-def move_along_track(world: World, entity: int, where: BoolArray, distance: FloatArray) -> None:
-    """Move an entity by `distance` m (N,) along its track and to its offset within the frame."""
-    world.moved[entity] |= where
-    for _, track, at in world.iter_followed_tracks(entity, where & world.running):
-        _advance_on_track(world, entity, track, at, distance[at])
-
-
 def shift_along_track(world: World, entity: int, where: BoolArray, distance: FloatArray) -> None:
     """Shift an entity by `distance` m (N,) along its track before it moves in the frame."""
     for _, track, at in world.iter_followed_tracks(entity, where):
-        world.distance[entity][at] = _advance_distance(
-            track, world.distance[entity][at], world.offset[entity][at], distance[at]
+        before = world.distance[entity][at]
+        world.distance[entity][at] = (
+            track.advance(before, world.offset[entity][at], distance[at])
+            if isinstance(track, LaneTrack)
+            else before + distance[at]
         )
         _set_pose_from_track(world, entity, track, at)
 
@@ -81,22 +72,6 @@ def set_external_motion(
         world.distance[entity][at] = along
         world.offset[entity][at] = (y[at] - on_y) * np.cos(track_heading) - (x[at] - on_x) * np.sin(track_heading)
         world.turn[entity][at] = wrap_angle(heading[at] - track_heading)
-
-
-def _advance_on_track(world: World, entity: int, track: Track, rows: IntArray, step: FloatArray) -> None:
-    distance = _advance_distance(track, world.distance[entity][rows], world.offset[entity][rows], step)
-    if isinstance(track, LaneTrack):
-        since = world.at_end_since[entity][rows]
-        backwards = (step < 0.0) | ((step == 0.0) & np.isfinite(since))
-        at_end = (distance >= track.length - _END_TOLERANCE) | ((distance <= _END_TOLERANCE) & backwards)
-        arrived = np.where(world.last_step > 0.0, world.time + world.last_step, np.inf)[rows]
-        world.at_end_since[entity][rows] = np.where(at_end, np.minimum(since, arrived), np.inf)
-    world.distance[entity][rows] = distance
-    _set_pose_from_track(world, entity, track, rows)
-
-
-def _advance_distance(track: Track, distance: FloatArray, offset: FloatArray, step: FloatArray) -> FloatArray:
-    return track.advance(distance, offset, step) if isinstance(track, LaneTrack) else distance + step
 
 
 def _set_pose_from_track(world: World, entity: int, track: Track, rows: IntArray) -> None:

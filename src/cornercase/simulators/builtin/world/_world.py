@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -33,6 +33,9 @@ from cornercase.simulators.builtin.world._state_layout import (
 )
 from cornercase.simulators.builtin.world._traffic_signals import SignalController
 
+if TYPE_CHECKING:
+    from cornercase.simulators.builtin.kernels._compiled_world import CompiledWorld
+
 LONGITUDINAL, LATERAL = "longitudinal", "lateral"
 
 
@@ -50,7 +53,7 @@ class Entity:
 
     `kind`: vehicle category, ``"pedestrian"`` or ``"misc"``. Box in m; limits in m/s and m/s², infinite if not set.
     `slides`: follows trajectories with any heading they prescribe. `polyline_turning`: where its heading turns along a
-    polyline (`ALONG_SEGMENTS`, `AT_CORNERS`, `AT_VERTICES`), or empty if the following mode decides. `body`: its
+    polyline (`ALONG_SEGMENTS`, `AT_CORNERS`, `AT_VERTICES`), or None if the following mode decides. `body`: its
     element and scope.
     """
 
@@ -63,7 +66,7 @@ class Entity:
     max_acceleration: float
     max_deceleration: float
     slides: bool = False
-    polyline_turning: str = ""
+    polyline_turning: int | None = None
     body: tuple[etree._Element, Scope] | None = field(default=None, repr=False, compare=False)
 
 
@@ -93,9 +96,10 @@ class World:
     `drivers`: all that may control entities; `has_fixed_driver` (E): the driver was chosen by the user, and the file
     cannot change it. `tracks`: all tracks that an entity has followed. `routes`: all assigned routes, as (road, lane,
     s). `lane_tracks`: cache of tracks along lanes. `current_action`: line and name of the acting action, for errors.
-    `errors`: by scenario. `evaluate_leaves`: evaluates the leaves of all conditions in the running scenarios;
-    `has_leaf_values`: that has been done, and no action has changed the state since. `notices`: sentences on deviations
-    from the file, without a full stop, each once.
+    `errors`: by scenario. `compiled`: what compiled code answers, once the run is prepared. `evaluate_leaves`:
+    evaluates the leaves of all conditions in the running scenarios; `has_leaf_values`: that has been done, and no
+    action has changed the state since. `notices`: sentences on deviations from the file, without a full stop, each
+    once.
     """
 
     x: FloatArray
@@ -112,7 +116,7 @@ class World:
     pace: FloatArray
     velocity: FloatArray
     last_s: FloatArray
-    road_speed: FloatArray
+    road_heading: FloatArray
     at_end_since: FloatArray
     off_road_since: FloatArray
     target_speed: FloatArray
@@ -134,6 +138,7 @@ class World:
     last_road: IntArray
     driver: IntArray
     pulled_by: IntArray
+    compiled: CompiledWorld
 
     def __init__(
         self,

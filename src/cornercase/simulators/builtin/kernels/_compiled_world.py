@@ -1,0 +1,71 @@
+"""What Python asks of compiled code between the runs of the compiled loop: actions, distances and overlaps."""
+
+# Compiled functions have no static types.
+# mypy: disable-error-code="no-untyped-def, untyped-decorator"
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from cornercase._common.numba.kernel import kernel
+from cornercase._common.typing import BoolArray, FloatArray
+from cornercase.roads._kernels.heading import RoadTables
+from cornercase.simulators.builtin.kernels._action_table import ACTION_APPLIED, ActionTable
+from cornercase.simulators.builtin.kernels._actions import apply_action_in
+from cornercase.simulators.builtin.kernels._box_overlap import entities_overlap
+from cornercase.simulators.builtin.kernels._distances import distance_to_entity, distance_to_point
+from cornercase.simulators.builtin.kernels._simulation_state import SimulationState
+from cornercase.simulators.builtin.tracks._track_pool import TrackPool
+from cornercase.simulators.builtin.world._world import World
+
+_OVERLAP: Final = -1
+_NO_POINTS: Final = np.empty((2, 0))
+
+
+class CompiledWorld:
+    """The tables of a batch that compiled code works on."""
+
+    def __init__(
+        self, world: World, scene: SimulationState, pool: TrackPool, roads: RoadTables, actions: ActionTable
+    ) -> None:
+        self._world, self._scene, self._pool, self._roads, self._actions = world, scene, pool, roads, actions
+
+    def apply_action(self, number: int, dt: float, where: BoolArray) -> npt.NDArray[np.int64]:
+        """Apply an action for one time step in the scenarios of a mask, and return the outcomes, shape (N,).
+
+        `number` is the action's row in the table. The outcome is `ACTION_APPLIED` elsewhere.
+        """
+        outcomes = np.full(where.shape, ACTION_APPLIED)
+        tracks, scenarios = self._pool.update(self._world.tracks), np.flatnonzero(where)
+        outcomes[scenarios] = apply_action_in(
+            self._scene, tracks, self._roads, self._actions, scenarios, number, float(dt)
+        )
+        return outcomes
+
+    def measure_to_entity(self, entity: int, other: int, distance_kind: int) -> FloatArray:
+        """Signed distance in m to another entity, shape (N,); kinds as for `distance_to_entity`."""
+        return np.asarray(_measure(self._scene, entity, other, _NO_POINTS, distance_kind))
+
+    def measure_to_point(self, entity: int, x: FloatArray, y: FloatArray, distance_kind: int) -> FloatArray:
+        """Signed distance in m to a point, shape (N,); kinds as for `distance_to_point`."""
+        return np.asarray(_measure(self._scene, entity, -1, np.array([x, y]), distance_kind))
+
+    def find_overlaps(self, entity: int, other: int) -> BoolArray:
+        """Return where the boxes of two entities overlap now, shape (N,)."""
+        return np.asarray(_measure(self._scene, entity, other, _NO_POINTS, _OVERLAP) > 0.0)
+
+
+@kernel(error_model="numpy")
+def _measure(scene, e, other, points, distance_kind):
+    result = np.empty(scene.time.size)
+    for n in range(result.size):
+        if distance_kind == _OVERLAP:
+            result[n] = entities_overlap(scene, n, e, other)
+        elif other >= 0:
+            result[n] = distance_to_entity(scene, n, e, other, distance_kind)
+        else:
+            result[n] = distance_to_point(scene, n, e, points[0, n], points[1, n], distance_kind)
+    return result
