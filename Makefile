@@ -69,11 +69,12 @@ bench: $(VENV)/.installed-dev
 	$(PIP_INSTALL) --editable ".[bench]"
 	for benchmark in benchmarks/*.py; do $(BIN)/python $$benchmark --quick || exit 1; done
 
-# Wheel and sdist, looked at as an index would.
+# Wheels and sdist, looked at as an index would: a wheel for all, and one with machine code for this Python and platform.
 dist: $(VENV)/.installed-dev
 	$(PIP_INSTALL) build check-wheel-contents twine
 	rm -rf dist
 	$(BIN)/python -m build
+	CORNERCASE_COMPILE=1 $(BIN)/python -m build --wheel
 	$(BIN)/python -m twine check --strict dist/*
 	$(BIN)/check-wheel-contents dist/*.whl
 

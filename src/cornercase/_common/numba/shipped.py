@@ -38,26 +38,25 @@ LEVELS: Final = {
 }
 """Processor levels by family, the highest first, and the features that tell whether a machine has them."""
 
-LEVEL_VARIABLE: Final = "CORNERCASE_SHIP_LEVEL"
-"""Environment variable: while a wheel is built, the level that machine code is compiled for."""
+SHIP_VARIABLE: Final = "CORNERCASE_SHIP"
+"""Environment variable: while a wheel is built, the folder into which machine code is written, too."""
 
 
-def processor_family() -> str:
-    """Family of this machine's processor: a key of `LEVELS`, if there is machine code for it."""
-    return {"amd64": "x86_64", "aarch64": "arm64"}.get(platform.machine().lower(), platform.machine().lower())
+def runnable_levels() -> list[str]:
+    """Levels of this machine's processor, the highest first."""
+    machine = platform.machine().lower()
+    levels = LEVELS.get({"amd64": "x86_64", "aarch64": "arm64"}.get(machine, machine), {})
+    present = llvm.get_host_cpu_features()
+    lacking = {level for level, features in levels.items() if not all(map(present.get, features))}
+    return [level for k, level in enumerate(levels) if not lacking.intersection(list(levels)[k:])]
 
 
 @cache
-def _level() -> str:
-    """Highest level of this machine for which there can be machine code; empty if there is none."""
-    if not FOLDER.is_dir():
-        return ""
-    present, higher = llvm.get_host_cpu_features(), list[str]()
-    for level, features in reversed(LEVELS.get(processor_family(), {}).items()):
-        if not all(present.get(feature) for feature in features):
-            break
-        higher.append(level)
-    return next((level for level in reversed(higher) if (FOLDER / level).is_dir()), "")
+def _folder() -> Path | None:
+    """Folder with machine code of the highest level that this machine has."""
+    if SHIP_VARIABLE in os.environ or not FOLDER.is_dir():
+        return None
+    return next((FOLDER / level for level in runnable_levels() if (FOLDER / level).is_dir()), None)
 
 
 class ShippedCode:
@@ -84,16 +83,14 @@ class ShippedCode:
         return path is not None and path.is_file()
 
     def save(self, source_digest: str, signature: Any, result: Any) -> None:
-        """Write a compile result into the package, if a wheel is being built."""
-        level = os.environ.get(LEVEL_VARIABLE)
-        if level:
-            path = FOLDER / level / self._file_name(source_digest, signature)
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_bytes(dumps(result._reduce()))
+        """Write a compile result to where `SHIP_VARIABLE` says, if a wheel is being built."""
+        folder = os.environ.get(SHIP_VARIABLE)
+        if folder:
+            Path(folder, self._file_name(source_digest, signature)).write_bytes(dumps(result._reduce()))
 
     def _path(self, source_digest: str, signature: Any) -> Path | None:
-        level = "" if LEVEL_VARIABLE in os.environ else _level()
-        return FOLDER / level / self._file_name(source_digest, signature) if level else None
+        folder = _folder()
+        return None if folder is None else folder / self._file_name(source_digest, signature)
 
     def _file_name(self, source_digest: str, signature: Any) -> str:
         function = self._function
