@@ -101,7 +101,7 @@ def _drive(network: RoadNetwork, r: int, section: int, lane: int) -> DrivenLane:
         return DrivenLane(road.road_id, lane, start)
     after = track.advance(distance, np.zeros(len(distance)), np.full(len(distance), way))
     assert (after > distance).all() or until - begin < _SHORT, "stands still"
-    s, to = path.s_at(distance), path.s_at(after)
+    s, to = track.s_at(distance), track.s_at(after)
     jumps = _jumps(road, section, lane)[:, None]
     clear = ~((jumps > np.minimum(s, to) - _MIXED) & (jumps < np.maximum(s, to) + _MIXED)).any(axis=0)
     long = min(until - begin, end - start) > _SHORT

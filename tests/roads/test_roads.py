@@ -14,6 +14,7 @@ from cornercase.roads._network import RoadNetwork
 from cornercase.roads._reference_line import ReferenceGeometry
 from cornercase.scenario._xml import XmlFileCache
 from cornercase.simulators import check
+from cornercase.simulators.builtin.tracks._lane import LaneTrack
 from helpers import road_networks as rn
 
 REFERENCE = Path(__file__).parents[3] / "shared" / "reference" / "openscenario"
@@ -74,10 +75,11 @@ def test_between_samples_s_is_that_of_the_reference_line():
     # In the middle of the turn, the lane is longer or shorter than the reference line.
     turn = np.flatnonzero(np.abs(path.curvature) > 0.1)[10:-10]
     distance = path.distance[turn][:, None] + np.array([0.0, 0.05, 0.0999])
-    s = np.apply_along_axis(path.s_at, 1, distance)
+    track = LaneTrack(path)
+    s = np.apply_along_axis(track.s_at, 1, distance)
     road = network.roads[int(path.road[turn[0]])]
     x, y, _ = road.pose_at(s.ravel(), np.interp(distance.ravel(), path.distance, path.center_offset))
-    at_x, at_y, _, _ = path.pose_at(distance.ravel(), np.zeros(distance.size))
+    at_x, at_y, _ = track.pose_at(distance.ravel(), np.zeros(distance.size), np.zeros(distance.size, dtype=np.int64))
     np.testing.assert_allclose(np.hypot(x - at_x, y - at_y), 0.0, atol=2e-3)
     np.testing.assert_allclose(path.advance_along_reference(distance[:, 0], s[:, 1] - s[:, 0]), distance[:, 1])
 

@@ -10,6 +10,7 @@ import pytest
 from conftest import moving, private, run, scenario_file, speed_action, teleport
 from cornercase._common.errors import InputError
 from cornercase.roads._network import RoadNetwork
+from cornercase.simulators.builtin.tracks._lane import LaneTrack
 from helpers import road_networks as rn
 
 # m; below, at and above the tolerance for rounding.
@@ -154,7 +155,7 @@ def test_43_1_somebody_at_the_end_of_a_lane_is_not_on_the_next_that_lies_beside_
     network = RoadNetwork.read(tmp_path / "road.xodr")
     path = network.lane_path_from(0, -1, 25.0, True)
     assert path is not None
-    x, y, *_ = path.pose_at(path.distance_of_s(np.array([49.97, 50.0])), np.zeros(2))
+    x, y, _ = LaneTrack(path).pose_at(path.distance_of_s(np.array([49.97, 50.0])), np.zeros(2), np.array([0, 0]))
     np.testing.assert_allclose(x, [49.97, 50.0], atol=0.03)
     np.testing.assert_allclose(y, -2.0, atol=0.5)
 

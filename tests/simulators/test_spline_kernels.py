@@ -20,21 +20,22 @@ def test_a_spline_bends_by_its_curvature(seed: int, scenarios: int, segments: in
     shape = (1 if same else scenarios, segments)
     length, (x, y, heading) = random.uniform(0.1, 30.0, shape), random.normal(0.0, 10.0, (3, shape[0]))
     start, end = random.normal(0.0, 0.05, (2, *shape))
-    inputs = (part.repeat(scenarios // shape[0], 0) for part in (x, y, heading, start, end, length))
-    spline = ClothoidSpline(*inputs)
+    x, y, heading, start, end, length = (
+        part.repeat(scenarios // shape[0], 0) for part in (x, y, heading, start, end, length)
+    )
+    spline = ClothoidSpline(x, y, heading, start, end, length)
     for n in range(scenarios):
-        own = min(n, shape[0] - 1)
         # The midpoint rule on short steps.
         count = 4000
-        step = np.repeat(length[own] / count, count)
+        step = np.repeat(length[n] / count, count)
         share = np.tile((np.arange(count) + 0.5) / count, segments)
-        bend = np.repeat(start[own], count) + share * np.repeat(end[own] - start[own], count)
-        turned = heading[own] + np.concatenate([[0.0], np.cumsum(bend * step)])
+        bend = np.repeat(start[n], count) + share * np.repeat(end[n] - start[n], count)
+        turned = heading[n] + np.concatenate([[0.0], np.cumsum(bend * step)])
         middle = 0.5 * (turned[1:] + turned[:-1])
         gone = np.concatenate([[0.0], np.cumsum(step)])
         expected = (
-            np.concatenate([x[own : own + 1], x[own] + np.cumsum(np.cos(middle) * step)]),
-            np.concatenate([y[own : own + 1], y[own] + np.cumsum(np.sin(middle) * step)]),
+            np.concatenate([x[n : n + 1], x[n] + np.cumsum(np.cos(middle) * step)]),
+            np.concatenate([y[n : n + 1], y[n] + np.cumsum(np.sin(middle) * step)]),
             turned,
         )
         for distance in (*np.arange(0.0, gone[-1], 1.0), gone[-1]):
@@ -46,8 +47,8 @@ def test_a_spline_bends_by_its_curvature(seed: int, scenarios: int, segments: in
             for value, values in zip(between[:2], expected[:2], strict=True):
                 assert value[0] == pytest.approx(np.interp(min(distance + 0.5, gone[-1]), gone, values), abs=0.03)
         beside = spline.pose_at(np.zeros(1), np.array([2.0]), np.array([n]))
-        assert np.hypot(beside[0][0] - x[own], beside[1][0] - y[own]) == pytest.approx(2.0)
-        assert kernels.trajectory_length(spline.table, 0, n) == pytest.approx(length[own].sum())
+        assert np.hypot(beside[0][0] - x[n], beside[1][0] - y[n]) == pytest.approx(2.0)
+        assert kernels.trajectory_length(spline.table, 0, n) == pytest.approx(length[n].sum())
 
 
 @given(st.integers(0, 1000), st.integers(1, 4))
@@ -64,7 +65,7 @@ def test_each_segment_is_travelled_at_constant_speed(seed: int, segments: int) -
         assert kernels.trajectory_distance_at_time(spline.table, 0, 0, time) == pytest.approx(distance)
         point = spline.evaluate(np.array([distance]), np.zeros(1), np.zeros(1, dtype=np.int64))
         assert point.time[0] == pytest.approx(time)
-        k = min(np.searchsorted(ends, distance, "right") - 1, segments - 1)
+        k = min(int(np.searchsorted(ends, distance, "right")) - 1, segments - 1)
         if min(abs(distance - ends)) > 1e-6:
             assert point.speed[0] == pytest.approx(length[0, k] / (clock[0, k + 1] - clock[0, k]))
 

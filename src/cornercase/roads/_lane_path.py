@@ -149,12 +149,6 @@ class LanePath:
         """Return the index of the last sample up to each distance in m, shape (N,); clipped."""
         return np.clip(np.searchsorted(self.distance, distance, "right") - 1, 0, self.x.size - 1)
 
-    def s_at(self, distance: FloatArray) -> FloatArray:
-        """Return the road coordinate s at distances along the path, in m, shape (N,)."""
-        sample = self.sample_index(distance)
-        beyond = np.interp(distance, self.distance, self.reference_distance) - self.reference_distance[sample]
-        return np.asarray(self.s[sample] + np.where(self.forward[sample], beyond, -beyond))
-
     def distance_of_s(self, s: FloatArray) -> FloatArray:
         """Return the distances along the path of coordinates s on the requested lane, in m, shape (N,); clipped."""
         low, high = sorted(self.lane_s)
@@ -166,21 +160,6 @@ class LanePath:
         """Return positions further along the reference lines, as distances along the path; m, shape (N,)."""
         along = np.interp(distance, self.distance, self.reference_distance)
         return np.interp(along + reference_step, self.reference_distance, self.distance)
-
-    def pose_at(
-        self, distance: FloatArray, offset: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Return x, y, heading and curvature at distances along the path and offsets to the left, shape (N,)."""
-        step = self.distance[1]
-        position = np.clip(distance, 0.0, self.distance[-1]) / step
-        k = np.minimum(position.astype(np.int64), len(self.distance) - 2)
-        part = position - k
-        heading = self.heading[k] + part * (self.heading[k + 1] - self.heading[k])
-        x = self.x[k] + part * (self.x[k + 1] - self.x[k])
-        y = self.y[k] + part * (self.y[k + 1] - self.y[k])
-        curvature = self.curvature[k] + part * (self.curvature[k + 1] - self.curvature[k])
-        offset = offset - _arc_offset_from_chord(curvature, part, step)
-        return x - offset * np.sin(heading), y + offset * np.cos(heading), heading, curvature
 
 
 def _distances_along_line(

@@ -76,7 +76,7 @@ class FollowTrajectoryAction(CompiledAction):
         world.offset[e][where] = world.turn[e][where] = 0.0
         world.stranded[e][where] = False
         points = track.evaluate(self._skip, np.zeros(world.scenarios), scenarios)
-        x, y, heading, line, oriented, clock, speed = points
+        x, y, heading, line, oriented, clock, speed, _ = points
         backwards = world.speed[e] < 0.0
         if track.times is not None:
             decreases = (np.diff(track.times) < -_TINY).any(axis=1)

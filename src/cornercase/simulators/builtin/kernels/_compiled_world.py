@@ -12,7 +12,6 @@ import numpy.typing as npt
 
 from cornercase._common.numba.kernel import kernel
 from cornercase._common.typing import BoolArray, FloatArray
-from cornercase.roads._kernels.heading import RoadTables
 from cornercase.simulators.builtin.kernels._action_table import ACTION_APPLIED, ActionTable
 from cornercase.simulators.builtin.kernels._actions import apply_action_in
 from cornercase.simulators.builtin.kernels._box_overlap import entities_overlap
@@ -29,14 +28,14 @@ class CompiledWorld:
     """The tables of a batch that compiled code works on."""
 
     def __init__(
-        self, world: World, scene: SimulationState, pool: TrackPool, roads: RoadTables, actions: ActionTable
+        self, world: World, scene: SimulationState, pool: TrackPool, roads: tuple[object, ...], actions: ActionTable
     ) -> None:
         self._world, self._scene, self._pool, self._roads, self._actions = world, scene, pool, roads, actions
 
     def apply_action(self, number: int, dt: float, where: BoolArray) -> npt.NDArray[np.int64]:
         """Apply an action for one time step in the scenarios of a mask, and return the outcomes, shape (N,).
 
-        `number` is the action's row in the table. The outcome is `ACTION_APPLIED` elsewhere.
+        `number` is the action's row in the table. In other scenarios the outcome is `ACTION_APPLIED`.
         """
         outcomes = np.full(where.shape, ACTION_APPLIED)
         tracks, scenarios = self._pool.update(self._world.tracks), np.flatnonzero(where)

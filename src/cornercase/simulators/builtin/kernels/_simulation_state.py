@@ -22,7 +22,7 @@ PAGE_LENGTH: Final = 32
 class SimulationState(NamedTuple):
     """State of E entities in N scenarios, and their recordings, stored in pages of 32 instants."""
 
-    floats: FloatArray  # (N, K, E): the world's table; rows as in `world/layout.py`
+    floats: FloatArray  # (N, K, E): the world's table; rows as in `world/_state_layout.py`
     flags: BoolArray  # (N, K, E)
     integers: IntArray  # (N, K, E)
     overlaps: BoolArray  # (N, E, E)

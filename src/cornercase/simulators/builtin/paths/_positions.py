@@ -156,7 +156,7 @@ def _move_along_roads(world: World, base: Pose, ds: FloatArray) -> Pose:
             start_distance = np.interp(track.distance_at_s(start[i : i + 1]), path.distance, path.reference_distance)
             is_too_short[i] = bool(end_distance - start_distance < distance_to_go - _END_TOLERANCE)
             k = int(path.sample_index(distance)[0])
-            road[i], lane[i], s[i] = path.road[k], path.lane[k], path.s_at(distance)[0]
+            road[i], lane[i], s[i] = path.road[k], path.lane[k], track.s_at(distance)[0]
     return Pose(base.x, base.y, base.heading, road, lane, s, base.offset, is_too_short)
 
 

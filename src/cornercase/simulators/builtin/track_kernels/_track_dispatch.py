@@ -13,7 +13,7 @@ from cornercase._common.numba.kernel import kernel
 from cornercase.simulators.builtin.track_kernels import _clothoid_track as clothoid_track
 from cornercase.simulators.builtin.track_kernels import _polyline_track as polyline_track
 from cornercase.simulators.builtin.track_kernels import _track_layout as track_layout
-from cornercase.simulators.builtin.track_kernels._lane_track import pose_on_lane
+from cornercase.simulators.builtin.track_kernels._lane_track import pose_on_lane, road_position_on_lane
 
 _kernel = kernel(error_model="numpy", forceinline=True, _nrt=False)
 
@@ -80,18 +80,20 @@ def trajectory_time_and_speed(tracks, row, n, distance):
 def evaluate_track(tracks, scenarios, points):
     """Evaluate the only track of a table at `points`, (2, R): distances and offsets in m; `scenarios` has shape (R,).
 
-    Returns x, y, heading, direction, whether the file gives the heading, time and speed, shape (7, R).
+    Returns x, y, heading, direction, whether the file gives the heading, time, speed and s, shape (8, R).
     """
-    result = np.empty((7, scenarios.size))
+    result = np.empty((8, scenarios.size))
     for i in range(scenarios.size):
         n, distance = scenarios[i], points[0, i]
         x, y, heading = pose_on_track(tracks, 0, n, distance, points[1, i])
-        direction, has_heading, time, speed = heading, False, math.nan, math.nan
-        if tracks.kind[0] != track_layout.LANE_TRACK:
+        direction, has_heading, time, speed, s = heading, False, math.nan, math.nan, math.nan
+        if tracks.kind[0] == track_layout.LANE_TRACK:
+            s = road_position_on_lane(tracks, 0, distance)[2]
+        else:
             direction = trajectory_direction(tracks, 0, n, distance)
             has_heading = trajectory_has_heading(tracks, 0, n, distance)
         if tracks.has_times[0]:
             time, speed = trajectory_time_and_speed(tracks, 0, n, distance)
         result[0, i], result[1, i], result[2, i], result[3, i] = x, y, heading, direction
-        result[4, i], result[5, i], result[6, i] = has_heading, time, speed
+        result[4, i], result[5, i], result[6, i], result[7, i] = has_heading, time, speed, s
     return result

@@ -86,10 +86,10 @@ def alloc_track_table(n_tracks: int) -> TrackTable:
     n = n_tracks
     kind, size, n_curvatures, heading_interpolation = (np.zeros(n, dtype=np.int64) for _ in range(4))
     is_closed, has_times, is_uniform = (np.zeros(n, dtype=np.bool_) for _ in range(3))
-    addresses, numbers = np.zeros((n, N_COLUMNS), dtype=np.int64), (np.full(n, np.nan) for _ in range(2))
+    max_sample_gap, length = (np.full(n, np.nan) for _ in range(2))
     return TrackTable(
-        np.full((0, 1), -1), kind, addresses, size, n_curvatures, *numbers, np.full((n, 2), np.nan),
-        is_closed, has_times, heading_interpolation, is_uniform,
+        np.full((0, 1), -1), kind, np.zeros((n, N_COLUMNS), dtype=np.int64), size, n_curvatures,
+        max_sample_gap, length, np.full((n, 2), np.nan), is_closed, has_times, heading_interpolation, is_uniform,
     )  # fmt: skip
 
 

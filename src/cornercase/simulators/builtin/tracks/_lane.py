@@ -57,6 +57,10 @@ class LaneTrack(Track):
         """Distance along the track for s on the road that it was made for."""
         return self.path.distance_of_s(s)
 
+    def s_at(self, distance: FloatArray) -> FloatArray:
+        """Road coordinate s at distances along the track, in m, shape (R,)."""
+        return self.evaluate(distance, np.zeros_like(distance), np.zeros(distance.shape, dtype=np.int64)).s
+
     def advance(self, distance: FloatArray, offset: FloatArray, step: FloatArray) -> FloatArray:
         """Distance along the track after a step, each (R,) in m.
 
@@ -84,6 +88,6 @@ class LaneTrack(Track):
         road, lane, s = pose.road_coordinates()
         road, lane, s, t = road.copy(), lane.copy(), s.copy(), pose.offset.copy()
         road[rows], lane[rows] = self.path.road[sample], self.path.lane[sample]
-        s[rows] = self.path.s_at(distance)
+        s[rows] = self.s_at(distance)
         t[rows] = np.where(self.path.forward[sample], offset, -offset)
         return replace(pose, road=road, lane=lane, s=s, offset=t)

@@ -58,6 +58,7 @@ class TrackPoints(NamedTuple):
     has_heading: BoolArray  # whether the file gives the heading there
     time: FloatArray  # s, on the track's own clock; NaN without times
     speed: FloatArray  # m/s; NaN without times
+    s: FloatArray  # m, on the road of the lane; NaN beside lanes
 
 
 class Track(ABC):
@@ -82,7 +83,8 @@ class Track(ABC):
     def evaluate(self, distance: FloatArray, offset: FloatArray, rows: IntArray) -> TrackPoints:
         """Evaluate the track at distances and left offsets in m, each (R,)."""
         result = evaluate_track(self.table, np.array(rows), np.array([distance, offset]))
-        return TrackPoints(*result[:4], result[4] > 0.0, *result[5:])
+        x, y, heading, direction, has_heading, time, speed, s = result
+        return TrackPoints(x, y, heading, direction, has_heading > 0.0, time, speed, s)
 
     def pose_at(
         self, distance: FloatArray, offset: FloatArray, rows: IntArray

@@ -124,7 +124,7 @@ def extend_lane_path(world: World, entity: int, track_number: int) -> None:
     at = np.flatnonzero(world.running & (world.track[entity] == track_number) & near)
     routes, path = _remaining_route(world, entity, near & world.running), track.path
     sample = path.sample_index(distance[at])
-    s = path.s_at(distance[at])
+    s = track.s_at(distance[at])
     keys = np.stack([path.road[sample], path.lane[sample], path.forward[sample], routes[at]])
     for key in np.unique(keys, axis=1).T if at.size else ():
         road, lane, along, route = int(key[0]), int(key[1]), bool(key[2]), int(key[3])
