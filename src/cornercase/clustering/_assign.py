@@ -12,9 +12,10 @@ from cornercase.clustering._analysis import Analysis, read_distances, read_landm
 from cornercase.clustering._density import assign_to_nearest_cluster
 from cornercase.clustering._landmarks import PairwiseComparer
 from cornercase.clustering._scenario_clustering import ScenarioClustering
-from cornercase.clustering._series import downsample, read_series, window_in_instants
+from cornercase.clustering._series import read_series, window_in_instants
 from cornercase.dtw import distance_matrix
 from cornercase.study import StudyFile
+from cornercase.study._digest import downsample
 
 
 def refit(analysis: Analysis, distances: FloatArray) -> ScenarioClustering:
