@@ -1015,16 +1015,36 @@ class StudyFile:
             A course has another length than its recording.
         """
         for row in self.finished_rows():
-            recording = self.recording(row.id)
-            courses = {name: self.course(row.id, name) for name in self.meta.metrics}
-            with reraise_as_damage(self.path):
-                for name, course in courses.items():
-                    require_value(
-                        len(course) == len(recording.time),
-                        f"{len(course)} instants of {name} in the scenario {row.id}, of which the recording has"
-                        f" {len(recording.time)}",
-                    )
-            yield row.id, recording, courses
+            yield row.id, *self.recording_and_courses(row.id)
+
+    def recording_and_courses(self, scenario: int) -> tuple[Recording, dict[str, FloatArray]]:
+        """Recording of one scenario, and course by metric.
+
+        Parameters
+        ----------
+        scenario : int
+            Its id.
+
+        Returns
+        -------
+        Recording
+        dict of str to ndarray of float64, shape (T,)
+
+        Raises
+        ------
+        InputError
+            As by `recording`, or a course has another length than its recording.
+        """
+        recording = self.recording(scenario)
+        courses = {name: self.course(scenario, name) for name in self.meta.metrics}
+        with reraise_as_damage(self.path):
+            for name, course in courses.items():
+                require_value(
+                    len(course) == len(recording.time),
+                    f"{len(course)} instants of {name} in the scenario {scenario}, of which the recording has"
+                    f" {len(recording.time)}",
+                )
+        return recording, courses
 
     def require_undamaged(self) -> None:
         """Check all checksums without unpacking anything.
