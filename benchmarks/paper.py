@@ -29,7 +29,7 @@ from sklearn.metrics import adjusted_rand_score, silhouette_score
 
 from cornercase import SimulationError
 from cornercase.clustering import ASPECTS, analyze, cluster, read_distances
-from cornercase.clustering._ending import describe_outcome
+from cornercase.metrics.ending._find_outcome import describe_outcome
 from cornercase.clustering._series import read_series
 from cornercase.drivers._resolve import driver_by_name
 from cornercase.dtw import distances_to

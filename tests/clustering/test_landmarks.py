@@ -14,10 +14,11 @@ from cornercase.clustering import _landmarks as landmarks
 from cornercase.clustering._assign import assign_to_clusters
 from cornercase.clustering._embedding import EmbeddedDistances, LandmarkMDS
 from cornercase.clustering._landmarks import PairwiseComparer, cluster_by_landmarks
-from cornercase.clustering._series import downsample, downsampling_stride, read_series
+from cornercase.clustering._series import read_series
 from cornercase.dtw import distance_matrix
 from cornercase.reduction._coverage import measure_nearest_distances
 from cornercase.study import StudyFile
+from cornercase.study._digest import downsample, downsampling_stride
 from helpers.synthetic_study import explorer, opened
 
 

@@ -15,12 +15,12 @@ from scipy.stats import qmc
 from conftest import EXAMPLES, at_night, ran
 from cornercase.clustering import analyze
 from cornercase.clustering._agreement import collect_facts, mutual_information_with_facts
-from cornercase.clustering._ending import find_outcome
 from cornercase.clustering.naming._names import ClusterName, name_clusters
 from cornercase.clustering.naming._predicates import NamingFacts, Predicate, predicates_with_fixed_bounds
-from cornercase.clustering.naming._scenario_features import measure_features
 from cornercase.drivers._resolve import driver_by_name
 from cornercase.exploration import explore
+from cornercase.metrics.ending._ego_features import measure_features
+from cornercase.metrics.ending._find_outcome import find_outcome
 from cornercase.recordings import Collision
 from cornercase.scenario import LogicalScenario, Parameter, ParameterSpace
 from cornercase.simulators import BuiltinSimulator

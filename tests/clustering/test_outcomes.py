@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cornercase.clustering._ending import find_outcome
 from cornercase.clustering.naming._predicates import describe_ending
-from cornercase.clustering.naming._scenario_features import measure_features
 from cornercase.metrics._geometry.conflict_area import area_visits
+from cornercase.metrics.ending._ego_features import measure_features
+from cornercase.metrics.ending._find_outcome import find_outcome
 from cornercase.recordings import Collision
 from helpers.encounter_recordings import CROSSES, NORTH, PASSES, TIMES, entity, recording, walker
 

@@ -12,10 +12,10 @@ from sklearn.metrics import adjusted_rand_score
 
 from conftest import at_night
 from cornercase.clustering._agreement import compare_labels
-from cornercase.clustering._ending import describe_outcome
 from cornercase.clustering.naming._rules import find_rules
 from cornercase.exploration._explore import explore_config
 from cornercase.exploration._paper_examples import paper_experiment_config
+from cornercase.metrics.ending._find_outcome import describe_outcome
 from cornercase.recordings import Collision
 from cornercase.scenario import Parameter, ParameterSpace
 from helpers.command_line import cornercase

@@ -11,8 +11,8 @@ from scipy.optimize import linear_sum_assignment
 
 from cornercase._common.text.sanitize import quote_name
 from cornercase._common.typing import IntArray
-from cornercase.clustering._ending import Outcome
 from cornercase.exploration._objective import Objective
+from cornercase.metrics.ending._outcome import Outcome
 from cornercase.study import StudyFile
 
 

@@ -20,17 +20,14 @@ from cornercase.clustering._agreement import collect_facts, mutual_information_w
 from cornercase.clustering._assign import refit
 from cornercase.clustering._clustering import Clustering, ClusteringMethod
 from cornercase.clustering._embedding import Distances, EmbeddedDistances
-from cornercase.clustering._ending import Outcome, find_outcome
 from cornercase.clustering._landmarks import MAX_ALL_PAIRS, PairwiseComparer, assign_by_landmarks, cluster_by_landmarks
 from cornercase.clustering._scenario_clustering import ScenarioClustering
 from cornercase.clustering._series import (
     aspect_series,
     create_aspect,
     default_aspects,
+    digested_series,
     distance_unit,
-    downsample,
-    downsampling_stride,
-    read_series,
     require_aspect,
     require_same_channels,
     window_in_instants,
@@ -44,8 +41,10 @@ from cornercase.clustering._stored_analysis import (
 )
 from cornercase.clustering.naming._predicates import NamingFacts
 from cornercase.clustering.naming._profiles import profile_clusters
-from cornercase.clustering.naming._scenario_features import measure_features
+from cornercase.metrics import METRICS
+from cornercase.metrics.ending._outcome import Outcome
 from cornercase.study import StudyFile
+from cornercase.study._digest import downsample, downsampling_stride
 from cornercase.study._study_file import open_study
 
 if TYPE_CHECKING:
@@ -161,14 +160,14 @@ def analyze(
 
 @dataclass(frozen=True, eq=False)
 class _Inputs:
-    """Inputs read from the recordings of all scenarios that were run."""
+    """Inputs read from the digests of all scenarios that were run, or from their recordings."""
 
     outcomes: list[Outcome]
     naming_facts: NamingFacts
     times: list[FloatArray]
     """Times of each recording in s; empty without a window."""
     series: dict[str, list[FloatArray]]
-    """By aspect, without metrics."""
+    """By aspect, downsampled."""
 
 
 def _analyze_by_aspects(
@@ -196,7 +195,8 @@ def _analyze_by_aspects(
     strides = {aspect: previous[aspect].stride if aspect in previous else stride for aspect in aspects}
     bar = ProgressBar(len(ids), "reading", "scenarios") if progress and len(ids) > MAX_ALL_PAIRS else None
     try:
-        inputs = _read_inputs(study, ids, strides, memory_limit, bar, with_times=window is not None or keep_clusters)
+        has_window = window is not None or any(analysis.window is not None for analysis in previous.values())
+        inputs = _read_inputs(study, ids, strides, memory_limit, bar, with_times=has_window)
     finally:
         if bar:
             bar.stop()
@@ -208,11 +208,7 @@ def _analyze_by_aspects(
         start = time.monotonic()
         existing = previous.pop(name, None)
         dtw_window = window if existing is None else existing.window
-        series = (
-            inputs.series.pop(name)
-            if name in inputs.series
-            else [downsample(aspect, strides[name]) for aspect in read_series(study, name)]
-        )
+        series = inputs.series.pop(name)
         window_instants = window_in_instants([downsample(times, strides[name]) for times in inputs.times], dtw_window)
         comparing = PairwiseComparer(series, strides[name], window_instants, client, name if progress else None)
         clustering, fitted, stored_distances, distances, embedding_error = _cluster_by_aspect(
@@ -238,7 +234,7 @@ def _choose_stride(study: StudyFile, ids: IntArray) -> int:
     if len(ids) <= MAX_ALL_PAIRS:
         return 1
     sample = ids[np.linspace(0, len(ids) - 1, _SAMPLED_RECORDINGS).astype(np.int64)]
-    return downsampling_stride([len(study.recording(scenario).time) for scenario in sample.tolist()])
+    return downsampling_stride([study.digest(scenario).n_instants for scenario in sample.tolist()])
 
 
 def _read_inputs(
@@ -252,23 +248,39 @@ def _read_inputs(
 ) -> _Inputs:
     outcomes, traits, times = [], [], []
     main = study.primary_other()
-    aspects = {name: create_aspect(name) for name in strides if name not in study.meta.metrics}
-    series_by_aspect: dict[str, list[FloatArray]] = {name: [] for name in aspects}
-    # Each recording is decompressed once.
-    for count, i in enumerate(ids.tolist(), 1):
-        recording = study.recording(i).with_absent_entities(study.meta.others)
-        outcomes.append(find_outcome(recording, study.meta.ego, main))
-        traits.append(measure_features(recording, outcomes[-1]))
+    main_index = study.meta.others.index(main)
+    metrics = {name: METRICS.create(name) for name in strides if name in study.meta.metrics}
+    aspects = {name: create_aspect(name) for name in strides if name not in metrics}
+    series_by_aspect: dict[str, list[FloatArray]] = {name: [] for name in strides}
+    for count, (i, digest) in enumerate(study.iter_digests(), 1):
+        outcomes.append(digest.outcomes[main_index])
+        traits.append(digest.features[main_index])
+        recording = None
+        for name, stride in strides.items():
+            series = None
+            if digest.has_stride(stride):
+                series = (
+                    metrics[name].clip_course(digest.courses[:, study.meta.metrics.index(name)])
+                    if name in metrics
+                    else digested_series(digest, aspects[name], main_index)
+                )
+            if series is not None:
+                series_by_aspect[name].append(digest.downsample(series, stride))
+                continue
+            if name in metrics:
+                series = metrics[name].clip_course(study.course(i, name))
+            else:
+                recording = recording or study.recording(i).with_absent_entities(study.meta.others)
+                series = aspect_series(study, i, recording, aspects[name], main)
+            series_by_aspect[name].append(downsample(series, stride))
         if with_times:
-            times.append(recording.time)
-        for name, aspect in aspects.items():
-            series_by_aspect[name].append(downsample(aspect_series(study, i, recording, aspect, main), strides[name]))
+            times.append(digest.time if digest.stride == 1 else study.recording(i).time)
         if count == _SAMPLED_RECORDINGS:
             _require_memory(study, series_by_aspect, len(strides), len(ids), memory_limit)
         if bar:
             bar.update(count, "read")
-    for name, series in series_by_aspect.items():
-        require_same_channels(study, name, ids.tolist(), series)
+    for name in aspects:
+        require_same_channels(study, name, ids.tolist(), series_by_aspect[name])
     account = NamingFacts.from_scenarios(outcomes, traits, study.space, [row.values for row in study.finished_rows()])
     return _Inputs(outcomes, account, times, series_by_aspect)
 

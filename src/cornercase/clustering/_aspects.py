@@ -10,6 +10,12 @@ import numpy as np
 from cornercase._common.registry import Registry
 from cornercase._common.typing import FloatArray
 from cornercase.recordings import Recording
+from cornercase.recordings._entity_series import (
+    bearing_series,
+    position_series,
+    relative_position_series,
+    speed_series,
+)
 
 EGO_TRAJECTORY: Final = "ego-trajectory"
 """Name of the aspect of the paper: the ego's trajectory."""
@@ -83,7 +89,7 @@ class EgoTrajectory(Aspect):
 
     def series(self, recording: Recording, ego: str, other: str) -> FloatArray:
         """Return the ego's position, shape (T, 2)."""
-        return _positions(recording, ego)
+        return position_series(recording, ego)
 
 
 class EgoSpeed(Aspect):
@@ -93,7 +99,7 @@ class EgoSpeed(Aspect):
 
     def series(self, recording: Recording, ego: str, other: str) -> FloatArray:
         """Return the ego's speed, shape (T, 1)."""
-        return _speeds(recording, ego)
+        return speed_series(recording, ego)
 
 
 class EgoMotion(Aspect):
@@ -103,7 +109,7 @@ class EgoMotion(Aspect):
 
     def series(self, recording: Recording, ego: str, other: str) -> FloatArray:
         """Return the ego's position and scaled speed, shape (T, 3)."""
-        return np.hstack((_positions(recording, ego), _LOOK_AHEAD_TIME * _speeds(recording, ego)))
+        return np.hstack((position_series(recording, ego), _LOOK_AHEAD_TIME * speed_series(recording, ego)))
 
 
 class JointPositions(Aspect):
@@ -113,7 +119,7 @@ class JointPositions(Aspect):
 
     def series(self, recording: Recording, ego: str, other: str) -> FloatArray:
         """Return both positions, shape (T, 4)."""
-        return np.hstack((_positions(recording, ego), _positions(recording, other, ego)))
+        return np.hstack((position_series(recording, ego), position_series(recording, other, ego)))
 
 
 class RelativePosition(Aspect):
@@ -123,7 +129,7 @@ class RelativePosition(Aspect):
 
     def series(self, recording: Recording, ego: str, other: str) -> FloatArray:
         """Return the other's position in the ego's frame, shape (T, 2)."""
-        return _relative_positions(recording, ego, other)
+        return relative_position_series(recording, ego, other)
 
 
 class Bearing(Aspect):
@@ -137,9 +143,7 @@ class Bearing(Aspect):
 
     def series(self, recording: Recording, ego: str, other: str) -> FloatArray:
         """Return the direction, shape (T, 2)."""
-        relative = _relative_positions(recording, ego, other)
-        distance = np.hypot(relative[:, :1], relative[:, 1:])
-        return np.divide(relative, distance, out=np.zeros_like(relative), where=distance > 0.0)
+        return bearing_series(recording, ego, other)
 
 
 class Behaviour(Aspect):
@@ -153,7 +157,7 @@ class Behaviour(Aspect):
 
     def series(self, recording: Recording, ego: str, other: str) -> FloatArray:
         """Return the distance travelled and the scaled time, shape (T, 2)."""
-        position = _positions(recording, ego)
+        position = position_series(recording, ego)
         steps = np.hypot(*np.diff(position, axis=0).T)
         return np.column_stack((np.r_[0.0, np.cumsum(steps)], _SLOW_SPEED * (recording.time - recording.time[0])))
 
@@ -163,32 +167,3 @@ ASPECTS: Final[Registry[Aspect]] = Registry("aspect", "cornercase.aspects", Aspe
 
 for _class in (EgoTrajectory, EgoSpeed, EgoMotion, JointPositions, RelativePosition, Bearing, Behaviour):
     ASPECTS.register(_class.name, _class)
-
-
-def _positions(recording: Recording, entity: str, fallback_entity: str | None = None) -> FloatArray:
-    """Centre of an entity's box, shape (T, 2); of `fallback_entity` if it never exists."""
-    center = recording.box_center(entity)
-    if fallback_entity is not None and not np.isfinite(center).all(axis=1).any():
-        return _positions(recording, fallback_entity)
-    return _fill_missing(center)
-
-
-def _speeds(recording: Recording, entity: str) -> FloatArray:
-    return _fill_missing(recording.speed[recording.entity_index(entity)][:, None])
-
-
-def _relative_positions(recording: Recording, ego: str, other: str) -> FloatArray:
-    """Position of the other in the ego's frame, shape (T, 2)."""
-    x, y = (_positions(recording, other, ego) - _positions(recording, ego)).T
-    heading = _fill_missing(recording.heading[recording.entity_index(ego)][:, None])[:, 0]
-    cos, sin = np.cos(heading), np.sin(heading)
-    return np.column_stack((cos * x + sin * y, cos * y - sin * x))
-
-
-def _fill_missing(values: FloatArray) -> FloatArray:
-    """Fill instants at which an entity does not exist with its last values, or its first ones before it appears."""
-    exists = np.isfinite(values).all(axis=1)
-    if not exists.any():
-        return np.nan_to_num(values)
-    last = np.maximum.accumulate(np.where(exists, np.arange(len(values)), -1))
-    return np.asarray(values[np.where(last < 0, np.argmax(exists), last)])

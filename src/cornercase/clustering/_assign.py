@@ -11,10 +11,11 @@ from cornercase._common.typing import FloatArray, IntArray
 from cornercase.clustering._density import assign_to_nearest_cluster
 from cornercase.clustering._landmarks import PairwiseComparer
 from cornercase.clustering._scenario_clustering import ScenarioClustering
-from cornercase.clustering._series import downsample, read_series, window_in_instants
+from cornercase.clustering._series import read_series, window_in_instants
 from cornercase.clustering._stored_analysis import Analysis, read_distances, read_landmark_distances
 from cornercase.dtw import distance_matrix
 from cornercase.study import StudyFile
+from cornercase.study._digest import downsample
 
 
 def refit(analysis: Analysis, distances: FloatArray) -> ScenarioClustering:

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator
+from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg import eigh
+from scipy.spatial import cKDTree
 
 from cornercase._common.numba.blas import single_threaded_blas
 from cornercase._common.typing import FloatArray, IntArray
+from cornercase.clustering._k_means import find_k_means
 from cornercase.clustering._kernels.nearest_selected import fill_nearest_distances
 
 MAX_DIMENSIONS: Final = 48
@@ -21,11 +23,10 @@ MAX_DIMENSIONS: Final = 48
 _AXIS_TOLERANCE: Final = 1e-9
 # Distances per block: 64 MB.
 _BLOCK_SIZE: Final = 2**23
-# One of the 64 nearest scenarios is nearly always in a random choice, unless that has fewer than one in twenty.
-_N_NEAREST: Final = 64
+# One of the 32 nearest scenarios is nearly always in a random choice of a tenth.
+_N_NEAREST: Final = 32
 _SPARSE_SHARE: Final = 0.05
 _N_WALKS: Final = 8
-_KMEANS_ITERATIONS: Final = 30
 
 
 class EmbeddedDistances:
@@ -118,37 +119,30 @@ class EmbeddedDistances:
         is_chosen = np.zeros((len(row_choices), n), dtype=np.bool_)
         np.put_along_axis(is_chosen, row_choices, True, axis=1)
         distances = np.empty((len(row_choices), len(self._columns)))
-        transposed = EmbeddedDistances(self._columns, self._rows)
-        for block in transposed.row_blocks():
-            rows, columns = transposed._row_norms[block], transposed._column_norms
-            fill_nearest_distances(
-                transposed._inner_products(block, slice(None)),
-                rows,
-                columns,
-                is_chosen,
-                _N_NEAREST,
-                distances[:, block],
-            )
+        fill_nearest_distances(self._rows, self._columns, self._nearest_rows, is_chosen, distances)
+        for draw in np.flatnonzero(np.isinf(distances).any(axis=1)).tolist():
+            # None of the nearest rows of these columns is in the choice.
+            columns, choice = np.flatnonzero(np.isinf(distances[draw])), row_choices[draw]
+            nearest = choice[cKDTree(self._rows[choice]).query(self._columns[columns])[1]]
+            distances[draw, columns] = ((self._rows[nearest] - self._columns[columns]) ** 2).sum(axis=1)
         return distances
+
+    @cached_property
+    def _nearest_rows(self) -> IntArray:
+        """Indices of the nearest rows of each column, the nearest first, shape (m, 32)."""
+        nearest: IntArray = cKDTree(self._rows).query(self._columns, k=_N_NEAREST)[1]
+        return nearest
 
     def medoids(self, count: int) -> IntArray:
         """Choose `count` scenarios with a small mean distance from all to the nearest one, in rising order.
 
-        The distances are squares, so k-means minimises their sum; the scenario nearest to each mean is taken. D.
-        Arthur, S. Vassilvitskii, "k-means++: The advantages of careful seeding", 2007.
+        The distances are squares, so k-means minimises their sum; the scenario nearest to each mean is taken.
         """
         n = len(self)
         if count >= n:
             return np.arange(n)
-        from sklearn.cluster import KMeans
-        from sklearn.exceptions import ConvergenceWarning
-
-        # k-means warns if identical scenarios leave fewer groups than asked for.
-        with single_threaded_blas(), warnings.catch_warnings():
-            warnings.simplefilter("ignore", ConvergenceWarning)
-            model = KMeans(count, n_init=1, max_iter=_KMEANS_ITERATIONS, random_state=0).fit(self._rows)
-        groups = model.labels_
-        squares = ((self._rows - model.cluster_centers_[groups]) ** 2).sum(axis=1)
+        groups, centers = find_k_means(self._rows, count)
+        squares = ((self._rows - centers[groups]) ** 2).sum(axis=1)
         order = np.lexsort((squares, groups))
         selected = order[np.unique(groups[order], return_index=True)[1]]
         remaining = np.setdiff1d(np.arange(n), selected)[: count - len(selected)]

@@ -13,16 +13,15 @@ from cornercase._common.plugin_errors import reraise_termination_request
 from cornercase._common.process.signals import count_requests
 from cornercase._common.text.sanitize import format_exception
 from cornercase._common.typing import FloatArray
-from cornercase.clustering._aspects import ASPECTS, EGO_TRAJECTORY, Aspect
+from cornercase.clustering._aspects import ASPECTS, EGO_TRAJECTORY, Aspect, Bearing, EgoTrajectory, Interaction
 from cornercase.metrics import METRICS
 from cornercase.recordings import Recording
 from cornercase.recordings._recording import MOTION_ARRAYS
 from cornercase.study import StudyFile
+from cornercase.study._digest import ScenarioDigest
 
 DEFAULT_ASPECTS: Final = (EGO_TRAJECTORY, "bearing", "interaction")
 """Aspects that `analyze` uses besides the metrics of the study."""
-MAX_INSTANTS: Final = 100
-"""Largest number of instants of a series of median length."""
 
 
 def default_aspects(study: StudyFile) -> tuple[str, ...]:
@@ -72,6 +71,20 @@ def read_series(
     ]
     require_same_channels(study, aspect, ids, series)
     return series
+
+
+def digested_series(digest: ScenarioDigest, aspect: Aspect, other_index: int) -> FloatArray | None:
+    """Return the stored series of one scenario for an aspect, shape (M, k); None if the digest has none.
+
+    `other_index` is the index of the entity that the aspect looks at among the others of the study.
+    """
+    position, bearing = digest.position_and_bearing(other_index)
+    # Another package may have replaced an aspect.
+    if type(aspect) is EgoTrajectory:
+        return digest.ego_position
+    if type(aspect) is Bearing:
+        return bearing
+    return np.hstack((digest.ego_position, position)) if type(aspect) is Interaction else None
 
 
 def aspect_series(
@@ -143,15 +156,3 @@ def window_in_instants(times: Sequence[FloatArray], window_seconds: float | None
         )
     # The cap avoids an overflow; no recording has that many instants.
     return math.floor(min(float(window_seconds) / steps[0], 1e9) + 1e-6) + 1
-
-
-def downsampling_stride(lengths: Sequence[int]) -> int:
-    """Return the stride, at least 1, that leaves at most 100 instants of a series of median length."""
-    return max(1, math.ceil(float(np.median(lengths)) / MAX_INSTANTS))
-
-
-def downsample(series: FloatArray, stride: int) -> FloatArray:
-    """Take every `stride`-th instant of a series, shape (T,) or (T, k), and the last one."""
-    if stride == 1:
-        return series
-    return np.concatenate((series[:-1:stride], series[-1:]))

@@ -9,24 +9,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from cornercase._common.typing import Float32Array, FloatArray
+from cornercase._common.typing import FloatArray
+from cornercase.study._digest import COURSE_POINTS
 
-COURSE_POINTS: Final = 48
-"""Points of a course as a line of the page; the replay has all points."""
 _MAX_CODE: Final = 65534
-
-
-def resample_course(time: FloatArray, course: Float32Array, lower_is_critical: bool) -> FloatArray:
-    """Resample a capped course at `COURSE_POINTS` evenly spaced times; return shape (COURSE_POINTS,).
-
-    The most critical value is kept at the nearest of these times, so that a short critical peak stays visible.
-    """
-    begin, end = float(time[0]), float(time[-1])
-    line = np.interp(np.linspace(begin, end, COURSE_POINTS), time, course)
-    worst = int(course.argmin() if lower_is_critical else course.argmax())
-    nearest = round((float(time[worst]) - begin) / (end - begin) * (COURSE_POINTS - 1)) if end > begin else 0
-    line[nearest] = course[worst]
-    return line
 
 
 def encode_courses(courses: Sequence[FloatArray | None], time_spans: Sequence[tuple[float, float]]) -> dict[str, Any]:

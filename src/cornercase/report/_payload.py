@@ -179,10 +179,7 @@ def _clusters_payload(analysis: Analysis, row_indices: Mapping[int, int], n_rows
 
 def _courses_payload(data: ReportData, name: str, rows: Sequence[ScenarioRecord]) -> dict[str, Any]:
     lines = data.course_lines[name]
-    spans = []
-    for row in rows:
-        time = data.times.get(row.id)
-        spans.append((0.0, 0.0) if time is None else (float(time[0]), float(time[-1])))
+    spans = [data.time_spans.get(row.id, (0.0, 0.0)) for row in rows]
     return encode_courses([lines.get(row.id) for row in rows], spans)
 
 

@@ -15,13 +15,13 @@ from cornercase.exploration._objective import Objective
 from cornercase.metrics import METRICS, Metric
 from cornercase.recordings import Recording
 from cornercase.reduction._coverage import NearestDistances, measure_nearest_distances
-from cornercase.report._courses import COURSE_POINTS, resample_course
 from cornercase.report._estimates import MissedFractionAfter, estimate_missed_fractions
-from cornercase.report._road_drawing import recorded_bounds
+from cornercase.report._road_drawing import add_road_margin
 from cornercase.report._summary import Summary, entities_hit_by_ego, summarize_with_collisions
 from cornercase.roads._outline import Region
 from cornercase.scenario import Parameter
 from cornercase.study import ScenarioRecord, StudyFile
+from cornercase.study._digest import COURSE_POINTS
 from cornercase.suite import Verdict
 from cornercase.suite._judge import judge_study
 
@@ -43,7 +43,8 @@ class ReportData:
     score_sources: Mapping[
         str, Mapping[int, str | None]
     ]  # other a score belongs to, by metric and id; empty with one other
-    times: Mapping[int, FloatArray]  # instants of each recording by id, in s, shape (T,)
+    times: Mapping[int, FloatArray]  # instants of each recording by id, in s, shape (T,); only for figures
+    time_spans: Mapping[int, tuple[float, float]]  # begin and end of each recording by id, in s
     course_lines: Mapping[str, Mapping[int, FloatArray]]  # resampled courses by metric and id, shape (COURSE_POINTS,)
     courses: Mapping[str, Mapping[int, Float32Array]]  # capped courses by metric and id, shape (T,); only for figures
     entities_hit: Mapping[int, frozenset[str]]  # entities the ego collides with, by id
@@ -58,7 +59,7 @@ class ReportData:
     outcomes: Mapping[int, str]  # endings by id; empty before the study was analyzed
     notes: Mapping[int, str]  # user notes by id
     missed_fractions: tuple[MissedFractionAfter, ...]  # empty if unknown
-    region: Region | None  # x_min, y_min, x_max, y_max around all motion, in m
+    region: Region | None  # x_min, y_min, x_max, y_max around all motion, with a margin, in m
 
     @property
     def parameters(self) -> Sequence[Parameter]:
@@ -83,7 +84,7 @@ def read_report_data(
     memory: MemoryLimit | None = None,
     on_read: Callable[[int], None] | None = None,
 ) -> ReportData:
-    """Read all data of a report in one pass over the recordings; InputError if it exceeds the memory limit.
+    """Read all data of a report from the digests of the recordings; InputError if it exceeds the memory limit.
 
     `figures` also keeps whole courses; `on_read` is called with the number of recordings read so far.
     """
@@ -93,25 +94,27 @@ def read_report_data(
     values = np.array([[parameter.extract_number(row.values) for parameter in study.space.parameters] for row in rows])
     times: dict[int, FloatArray] = {}
     shared_times: dict[bytes, FloatArray] = {}
+    time_spans: dict[int, tuple[float, float]] = {}
     lines: dict[str, dict[int, FloatArray]] = {metric.name: {} for metric in metrics}
     courses: dict[str, dict[int, Float32Array]] = {metric.name: {} for metric in metrics}
     touched: dict[int, frozenset[str]] = {}
     region: Region | None = None
-    # One recording at a time: those of a large study would not fit into memory.
-    for count, (scenario, recording, score_courses) in enumerate(study.iter_recordings()):
+    for count, (scenario, digest) in enumerate(study.iter_digests()):
         if not count and memory is not None:
-            _check_memory(memory, len(rows), len(metrics), len(recording.time) if figures else 0, on_read is not None)
+            _check_memory(memory, len(rows), len(metrics), digest.n_instants if figures else 0, on_read is not None)
+        time_spans[scenario] = (digest.begin, digest.end)
+        for metric, line in zip(metrics, digest.lines, strict=True):
+            lines[metric.name][scenario] = line
+        touched[scenario] = entities_hit_by_ego(study.meta, digest.collisions)
+        region = _union_region(region, digest.bounds)
+        if on_read is not None:
+            on_read(count + 1)
+    # One recording at a time: those of a large study would not fit into memory.
+    for scenario, recording, score_courses in study.iter_recordings() if figures else ():
         # Most scenarios share the same instants.
         times[scenario] = shared_times.setdefault(recording.time.tobytes(), recording.time)
         for metric in metrics:
-            course = metric.clip_course(score_courses[metric.name]).astype(np.float32)
-            lines[metric.name][scenario] = resample_course(recording.time, course, metric.lower_is_critical)
-            if figures:
-                courses[metric.name][scenario] = course
-        touched[scenario] = entities_hit_by_ego(study.meta, recording.collisions)
-        region = _union_region(region, recorded_bounds([recording]))
-        if on_read is not None:
-            on_read(count + 1)
+            courses[metric.name][scenario] = metric.clip_course(score_courses[metric.name]).astype(np.float32)
     summary = summarize_with_collisions(study, list(touched.values()))
     return ReportData(
         file_name=study.path.name,
@@ -123,6 +126,7 @@ def read_report_data(
         reference_other=study.primary_other(),
         score_sources={name: study.score_sources(name) for name in scores if len(study.meta.others) > 1},
         times=times,
+        time_spans=time_spans,
         course_lines=lines,
         courses=courses,
         entities_hit=touched,
@@ -135,7 +139,7 @@ def read_report_data(
         outcomes=study.outcomes(),
         notes=study.notes(),
         missed_fractions=tuple(estimate_missed_fractions(study, summary.estimates)),
-        region=region,
+        region=add_road_margin(region),
     )
 
 

@@ -20,6 +20,7 @@ from cornercase.scenario._locate import find_scenario_file
 from cornercase.scenario._maps import MAPS_VARIABLE, describe_how_to_get_map
 from cornercase.scenario._road_choices import add_varied_roads
 from cornercase.study import StudyFile
+from cornercase.study._digest import find_bounds
 from cornercase.study._scenario_file import find_explored_scenario
 
 ROAD_MARGIN: Final = 40.0
@@ -86,16 +87,21 @@ def _describe_missing_scenario(study: StudyFile, name: str) -> str:
     return f"The road is not drawn, as there is no road file {road} of {name}; {describe_how_to_get_map(reference)}."
 
 
-def recorded_bounds(recordings: Iterable[Recording], margin: float = ROAD_MARGIN) -> Region | None:
-    """Return the bounding box of all motion, enlarged by `margin` in m; None if nothing exists."""
-    low, high = np.full(2, np.inf), np.full(2, -np.inf)
-    for recording in recordings:
-        for k, values in enumerate((recording.x, recording.y)):
-            low[k] = min(low[k], np.min(values, initial=np.inf, where=np.isfinite(values)))
-            high[k] = max(high[k], np.max(values, initial=-np.inf, where=np.isfinite(values)))
-    if not np.isfinite(low).all():
+def recorded_bounds(recordings: Iterable[Recording]) -> Region | None:
+    """Return the bounding box of all motion with a margin in which the road is drawn, in m; None if nothing exists."""
+    boxes = [box for recording in recordings if (box := find_bounds(recording)) is not None]
+    if not boxes:
         return None
-    return (*(low - margin).tolist(), *(high + margin).tolist())
+    x_min, y_min, x_max, y_max = zip(*boxes, strict=True)
+    return add_road_margin((min(x_min), min(y_min), max(x_max), max(y_max)))
+
+
+def add_road_margin(bounds: Region | None) -> Region | None:
+    """Enlarge a bounding box by the margin in which the road is drawn."""
+    if bounds is None:
+        return None
+    x_min, y_min, x_max, y_max = bounds
+    return x_min - ROAD_MARGIN, y_min - ROAD_MARGIN, x_max + ROAD_MARGIN, y_max + ROAD_MARGIN
 
 
 def encode_road_outline(sketch: RoadOutline) -> dict[str, Any]:

@@ -210,15 +210,6 @@ def unpack_recording(data: bytes) -> Recording:
     )
 
 
-def unpack_collisions(data: bytes) -> tuple[Collision, ...]:
-    """Read only the collisions of a packed recording, which takes a tenth of the time."""
-    # Most recordings have none, and reading each array takes time.
-    if not len(unpack_arrays(data, names=("collision_time",))["collision_time"]):
-        return ()
-    arrays = unpack_arrays(data, names=("names", "collision_time", "collision_entities"))
-    return _decode_collisions(arrays, tuple(map(str, arrays["names"])))
-
-
 def _decode_collisions(arrays: Mapping[str, npt.NDArray[Any]], names: tuple[str, ...]) -> tuple[Collision, ...]:
     return tuple(
         Collision(float(time), (names[a], names[b]))

@@ -70,6 +70,13 @@ TABLES: Final[dict[str, StudyTable]] = {
         has_blob=True,
         float_column=2,
     ),
+    "digests": StudyTable(
+        "CREATE TABLE digests (scenario INTEGER PRIMARY KEY REFERENCES scenarios, facts TEXT NOT NULL,"
+        " arrays_checksum INTEGER NOT NULL, checksum INTEGER NOT NULL, arrays BLOB NOT NULL)",
+        ("scenario", "facts", "arrays"),
+        1,
+        has_blob=True,
+    ),
     "repeats": StudyTable(
         f"CREATE TABLE repeats ({_SCENARIO_COLUMN}, metric TEXT NOT NULL, scores TEXT NOT NULL,"
         " checksum INTEGER NOT NULL, PRIMARY KEY (scenario, metric)) WITHOUT ROWID",

@@ -25,10 +25,17 @@ from cornercase.metrics import METRICS
 from cornercase.metrics.formulas._critical_if import find_critical_if_condition
 from cornercase.recordings import Collision, Recording
 from cornercase.study._arrays import read_arrays
-from cornercase.study._codec import unpack_arrays, unpack_collisions, unpack_recording
+from cornercase.study._codec import unpack_arrays, unpack_recording
 from cornercase.study._connection import remove_sqlite_files
 from cornercase.study._damage import require_value, reraise_as_damage
 from cornercase.study._database import Database
+from cornercase.study._digest import (
+    N_STRIDE_RECORDINGS,
+    ScenarioDigest,
+    decode_collisions,
+    decode_digest,
+    decode_facts,
+)
 from cornercase.study._meta import StudyMeta, hash_points_and_scores
 from cornercase.study._notes import MAX_NOTE_LENGTH
 from cornercase.study._reference_outcomes import decode_reference_outcome, reference_metric_name
@@ -79,6 +86,8 @@ class StudyFile:
         self.space = self.meta.space
         self._critical_override: float | None = None
         self._row_cache: tuple[tuple[int, int], list[ScenarioRecord]] | None = None
+        # Lengths of the first recordings, and the id of the last of them, once there are enough.
+        self._first_lengths: tuple[int, list[int]] | None = None
 
     @classmethod
     def create(cls, path: Path | str, meta: StudyMeta) -> StudyFile:
@@ -561,17 +570,86 @@ class StudyFile:
             return unpack_recording(packed)
 
     def collisions(self) -> dict[int, tuple[Collision, ...]]:
-        """Collisions in the scenarios that ran, without reading the rest of their recordings.
+        """Collisions in the scenarios that ran, without reading their recordings.
 
         Returns
         -------
         dict of int to tuple of Collision
             By id, in the order in which they were proposed.
         """
-        self._database.require_all_rows("scenarios")
-        iterator = self._database.iter_rows("scenarios", "state = 'done'", with_blob=True)
-        with reraise_as_damage(self.path), closing(iterator) as rows:
-            return {row[0]: unpack_collisions(row[-1]) for row in rows}
+        return {scenario: decode_collisions(facts) for scenario, facts in self._iter_facts()}
+
+    def _iter_facts(self) -> Iterator[tuple[int, dict[str, Any]]]:
+        """Yield id and facts of each digest."""
+        self._database.require_all_rows("digests")
+        with reraise_as_damage(self.path), closing(self._database.iter_rows("digests")) as rows:
+            for scenario, facts in rows:
+                yield scenario, decode_facts(facts)
+
+    def iter_digests(self) -> Iterator[tuple[int, ScenarioDigest]]:
+        """Yield the digest of the recording of each scenario that ran.
+
+        Yields
+        ------
+        int
+            Its id.
+        ScenarioDigest
+        """
+        ids = [row.id for row in self.finished_rows()]
+        self._database.require_all_rows("digests")
+        count = 0
+        with reraise_as_damage(self.path), closing(self._database.iter_rows("digests", with_blob=True)) as rows:
+            for scenario, facts, packed in rows:
+                require_value(count < len(ids) and ids[count] == scenario, f"the digest of the scenario {scenario}")
+                count += 1
+                yield scenario, decode_digest(decode_facts(facts), packed, self.meta)
+            require_value(count == len(ids), "a scenario has no digest")
+
+    def digest(self, scenario: int) -> ScenarioDigest:
+        """Read the digest of the recording of one scenario.
+
+        Parameters
+        ----------
+        scenario : int
+            Its id.
+
+        Returns
+        -------
+        ScenarioDigest
+
+        Raises
+        ------
+        InputError
+            The scenario has not run, or its id is not an integer.
+        """
+        scenario_id = check_int("scenario", scenario, maximum=_MAX_ID)
+        rows = self._database.read_rows("digests", "scenario = ?", scenario_id, with_blob=True)
+        if not rows:
+            raise InputError(f"{self.path}: the scenario {scenario_id} was not run.")
+        with reraise_as_damage(self.path):
+            return decode_digest(decode_facts(rows[0][1]), rows[0][2], self.meta)
+
+    def first_lengths(self, before: int) -> list[int]:
+        """Numbers of instants of the first recordings of the study, which decide the stride of stored series.
+
+        Parameters
+        ----------
+        before : int
+            Only those of scenarios with a lower id count.
+
+        Returns
+        -------
+        list of int
+            At most 32, in the order of the ids.
+        """
+        if self._first_lengths is None or before <= self._first_lengths[0]:
+            condition = "scenario IN (SELECT scenario FROM digests WHERE scenario < ? ORDER BY scenario LIMIT ?)"
+            rows = self._database.read_rows("digests", condition, before, N_STRIDE_RECORDINGS)
+            with reraise_as_damage(self.path):
+                lengths = [int(decode_facts(facts)["instants"]) for _, facts in rows]
+            self._first_lengths = (rows[-1][0], lengths) if len(rows) == N_STRIDE_RECORDINGS else None
+            return lengths
+        return self._first_lengths[1]
 
     def outcomes(self) -> dict[int, str]:
         """Describe how scenarios ended.
@@ -937,16 +1015,36 @@ class StudyFile:
             A course has another length than its recording.
         """
         for row in self.finished_rows():
-            recording = self.recording(row.id)
-            courses = {name: self.course(row.id, name) for name in self.meta.metrics}
-            with reraise_as_damage(self.path):
-                for name, course in courses.items():
-                    require_value(
-                        len(course) == len(recording.time),
-                        f"{len(course)} instants of {name} in the scenario {row.id}, of which the recording has"
-                        f" {len(recording.time)}",
-                    )
-            yield row.id, recording, courses
+            yield row.id, *self.recording_and_courses(row.id)
+
+    def recording_and_courses(self, scenario: int) -> tuple[Recording, dict[str, FloatArray]]:
+        """Recording of one scenario, and course by metric.
+
+        Parameters
+        ----------
+        scenario : int
+            Its id.
+
+        Returns
+        -------
+        Recording
+        dict of str to ndarray of float64, shape (T,)
+
+        Raises
+        ------
+        InputError
+            As by `recording`, or a course has another length than its recording.
+        """
+        recording = self.recording(scenario)
+        courses = {name: self.course(scenario, name) for name in self.meta.metrics}
+        with reraise_as_damage(self.path):
+            for name, course in courses.items():
+                require_value(
+                    len(course) == len(recording.time),
+                    f"{len(course)} instants of {name} in the scenario {scenario}, of which the recording has"
+                    f" {len(recording.time)}",
+                )
+        return recording, courses
 
     def require_undamaged(self) -> None:
         """Check all checksums without unpacking anything.

@@ -118,7 +118,7 @@ def _iter_problems(path: Path) -> Iterator[str]:
     # All checksums are valid. Reading the content shows whether it is that of a study.
     try:
         with StudyFile.open(path) as opened:
-            for _ in opened.iter_recordings():
+            for _ in zip(opened.iter_recordings(), opened.iter_digests(), strict=True):
                 pass
             opened.table()
             opened.result_order()

@@ -21,6 +21,7 @@ from cornercase.study._arrays import write_arrays
 from cornercase.study._checksums import delete_rows, insert_rows
 from cornercase.study._codec import pack_arrays, pack_recording
 from cornercase.study._database import Database
+from cornercase.study._digest import N_STRIDE_RECORDINGS, downsampling_stride, encode_digest, make_digest
 from cornercase.study._meta import StudyMeta
 from cornercase.study._reference_outcomes import write_reference_outcomes
 from cornercase.study._scenario_table import ScenarioRecord
@@ -156,6 +157,23 @@ class StudyWriter:
                 ]
                 insert_rows(connection, "against", sources)
             self._end_scenario(connection, scenario, "done", None, pack_recording(recording))
+            self._save_digest(connection, scenario, recording, {name: result[0] for name, result in courses.items()})
+
+    def save_missing_digests(self) -> None:
+        """Store the digests that a damaged study has lost, made from recordings and courses again."""
+        with self._database.transaction() as connection:
+            stored = {scenario for (scenario,) in self._database.query("SELECT scenario FROM digests")}
+            for row in self._study.finished_rows():
+                if row.id not in stored:
+                    courses = {name: self._study.course(row.id, name) for name in self._study.meta.metrics}
+                    self._save_digest(connection, row.id, self._study.recording(row.id), courses)
+
+    def _save_digest(
+        self, connection: Connection, scenario: int, recording: Recording, courses: Mapping[str, FloatArray]
+    ) -> None:
+        lengths = [*self._study.first_lengths(scenario), len(recording.time)]
+        digest = make_digest(recording, courses, self._study.meta, downsampling_stride(lengths[:N_STRIDE_RECORDINGS]))
+        insert_rows(connection, "digests", [(scenario, *encode_digest(digest))])
 
     def save_reference_outcome(self, scenario: int, driver: str, outcome: ReferenceOutcome) -> None:
         """Store the outcome of a scenario that was run again with a reference driver in the ego."""

@@ -102,5 +102,6 @@ def _van_der_corput_order(count: int) -> list[int]:
 def _encode_records(study: StudyFile, ids: Sequence[int]) -> Iterator[bytes]:
     metrics = [METRICS.create(name) for name in study.meta.metrics]
     for scenario in ids:
-        courses = {metric.name: metric.clip_course(study.course(scenario, metric.name)) for metric in metrics}
-        yield encode_recording(scenario, study.recording(scenario), courses)
+        recording, courses = study.recording_and_courses(scenario)
+        clipped = {metric.name: metric.clip_course(courses[metric.name]) for metric in metrics}
+        yield encode_recording(scenario, recording, clipped)

@@ -12,7 +12,7 @@ from cornercase.exploration._objective import Objective
 from cornercase.report._payload import study_info_payload
 from cornercase.report.live._analysis_worker import AnalysisWorker, PageAnalysis
 from cornercase.report.live._follower import StudyFollower
-from cornercase.report.live._scenario_digest import course_columns, scenario_columns
+from cornercase.report.live._live_scenario import course_columns, scenario_columns
 from cornercase.report.text._phrases import describe_roles
 from cornercase.study import StudyMeta
 

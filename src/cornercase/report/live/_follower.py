@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 from cornercase._common.errors import InputError
-from cornercase.report.live._scenario_digest import ScenarioDigest, ScenarioDigester
+from cornercase.report.live._live_scenario import LivePageReader, LiveScenario
 from cornercase.study import StudyFile, StudyMeta
 
 # Seconds between two polls of the study.
@@ -53,7 +53,7 @@ class StudyFollower:
         self._server = secrets.token_hex(4)
         self._generation = 0
         self._meta: StudyMeta | None = None
-        self._digests: list[ScenarioDigest] = []
+        self._digests: list[LiveScenario] = []
         self._lock = threading.Lock()
         self._stop_event = threading.Event()
         self._thread = threading.Thread(target=self._run, name="follower of a study", daemon=True)
@@ -74,14 +74,14 @@ class StudyFollower:
         """Identifier of the followed study; changes when the study is replaced or starts again."""
         return f"{self._server}-{self._generation}"
 
-    def snapshot(self) -> tuple[str, StudyMeta | None, list[ScenarioDigest], StudyProgress]:
+    def snapshot(self) -> tuple[str, StudyMeta | None, list[LiveScenario], StudyProgress]:
         """Return epoch, meta (None without a study), digests in read order, and the state that counts them."""
         with self._lock:
             return self.epoch, self._meta, list(self._digests), self.state
 
     def digests_since(
         self, epoch: str, n_known: int, max_digests: int = _BATCH_SIZE
-    ) -> tuple[Sequence[ScenarioDigest], StudyProgress | None] | None:
+    ) -> tuple[Sequence[LiveScenario], StudyProgress | None] | None:
         """Return up to `max_digests` after the first `n_known`, with the state if these are all.
 
         None if `epoch` is over.
@@ -175,7 +175,7 @@ class StudyFollower:
         ]
         pending = {row.id for row in rows if row.state == "pending"}
         is_first = self.state.name == "waiting"
-        digester = ScenarioDigester(study)
+        digester = LivePageReader(study)
         if notes != self.notes:
             self.notes = notes
         for k in range(0, len(ended), _BATCH_SIZE):
@@ -188,7 +188,7 @@ class StudyFollower:
         self._add_digests((), len(pending), self.state.last)
         return True
 
-    def _add_digests(self, digests: Sequence[ScenarioDigest], n_pending: int, last_time: float | None) -> None:
+    def _add_digests(self, digests: Sequence[LiveScenario], n_pending: int, last_time: float | None) -> None:
         """Add digests and update the state under one lock."""
         self._failed_errors |= {digest.row.id: digest.row.error for digest in digests if digest.row.state == "failed"}
         failed = len(self._failed_errors)

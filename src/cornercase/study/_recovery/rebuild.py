@@ -19,6 +19,7 @@ from cornercase.study._database import create_tables
 from cornercase.study._meta import StudyMeta
 from cornercase.study._recovery.recover_rows import RowsByKey, iter_intact_tables, recover_rows
 from cornercase.study._schema import TABLES
+from cornercase.study._study_file import StudyFile
 
 # Tables that `analyze` writes; all are kept or none, as they belong together.
 _ANALYSIS_TABLES = ("outcomes", "analyses", "arrays")
@@ -87,6 +88,9 @@ def rebuild_study(damaged: Path, output: Path) -> RecoveredStudy:
             if name != "tallies" and (TABLES[name].is_required or _has_optional_table(meta, name)):
                 insert_rows(connection, name, rows[name].values(), replace=False)
         connection.commit()
+    if len(rows["digests"]) < sum(row[4] == "done" for row in rows["scenarios"].values()):
+        with StudyFile.open(output, readonly=False) as study:
+            study.writer.save_missing_digests()
     return RecoveredStudy(meta, rounds, to_rerun, tuple(lost), tallies, "scenarios" in tallies)
 
 
@@ -152,4 +156,6 @@ def _make_incomplete_pending(
             rows_by_table[name] = {key: values for key, values in rows_by_table[name].items() if values[0] != number}
         if row is not None:
             rows_by_table["scenarios"][number,] = (*row[:4], "pending", None, None)
+    done = {int(row[0]) for row in rows_by_table["scenarios"].values() if row[4] == "done"}
+    rows_by_table["digests"] = {key: values for key, values in rows_by_table["digests"].items() if values[0] in done}
     return tuple(to_rerun)

@@ -19,7 +19,7 @@ import numpy as np
 from cornercase._common.geometry.aabb_tree import build_aabb_tree
 from cornercase._common.geometry.overlap_runs import OverlapRuns
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
-from cornercase.clustering._kernels.path_overlap import contact_fraction, find_overlap_runs
+from cornercase.metrics.ending._path_overlap import contact_fraction, find_overlap_runs
 from cornercase.recordings import Recording
 
 # Length of the straight extrapolation in m: a waiting car may stand this far before the crossing.

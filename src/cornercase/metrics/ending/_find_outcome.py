@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Final, Literal
+from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
 
 from cornercase._common.geometry.boxes import wrap_angle
-from cornercase._common.text.sanitize import quote_name
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
-from cornercase.clustering._path_crossing import BoxPath, find_path_crossing
+from cornercase.metrics.ending._outcome import Encounter, Impact, Manner, Outcome
+from cornercase.metrics.ending._path_crossing import BoxPath, find_path_crossing
 from cornercase.recordings import Collision, Recording
 
 STANDING_SPEED: Final = 0.1
 """Speed in m/s below which an entity stands."""
-
-Relation = Literal["crossing", "lane", "apart", "absent"]
-Manner = Literal["from behind", "its rear", "while it stands", "otherwise"]
 
 # Largest heading difference of entities that move in the same direction, and largest lateral distance of centres, in m,
 # of entities in one lane or in adjacent ones.
@@ -28,120 +25,52 @@ _ADJACENT_LANE_DISTANCE: Final = 5.0
 _SLOWDOWN_SHARE: Final = 0.8
 
 
-@dataclass(frozen=True)
-class Impact:
-    """A collision of the ego; `time` in s, `speed` is the magnitude of the relative velocity at first contact in m/s.
-
-    `manner` is ``"from behind"`` if the ego hits an entity ahead that moves in the same direction, ``"its rear"`` if
-    such an entity hits the ego, ``"while it stands"`` if a standing ego is hit.
-    """
-
-    entity: str
-    time: float
-    speed: float
-    manner: Manner
-
-
-@dataclass(frozen=True)
-class Encounter:
-    """How the paths of the ego and another entity meet; times in s.
-
-    `relation` is ``"lane"`` if both move in the same direction at the beginning and at the end, in one lane or in
-    adjacent ones; ``"crossing"`` if the areas swept by their boxes overlap, or would if both went straight on for 20 m
-    after the end; ``"absent"`` if one of them never exists. `first` enters the overlap first; in a lane it is ahead at
-    the end, and `ahead` at the beginning. `enters` is when the ego enters the overlap, `leaves` when the other leaves
-    it; NaN if that did not happen, and in a lane. `gap` is the time from the first leaving to the second entering,
-    negative if both were in it at once; NaN if only one came.
-    """
-
-    entity: str
-    relation: Relation
-    first: str | None = None
-    ahead: str | None = None
-    enters: float = math.nan
-    leaves: float = math.nan
-    gap: float = math.nan
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """How a scenario ended for the ego.
-
-    `encounter` is with the main other entity of the study, `others` are with further entities that moved, not
-    extrapolated after the end. `impacts` are the ego's collisions by time, `other_collisions` those that do not involve
-    it. `stops`: it comes to stand after it moved. If the other is first on a crossing, `waits`: the ego stands before
-    it enters and before the other has left; `yields`: it does, or slows down by a fifth and speeds up again by a
-    quarter before it enters.
-    """
-
-    ego: str
-    encounter: Encounter
-    others: tuple[Encounter, ...]
-    impacts: tuple[Impact, ...]
-    other_collisions: tuple[Collision, ...]
-    exists: bool
-    moves: bool
-    stops: bool
-    waits: bool
-    yields: bool
-
-    @property
-    def first(self) -> str | None:
-        """Who is first where the paths cross, or ahead in a lane."""
-        return self.encounter.first
-
-    @property
-    def collision(self) -> str | None:
-        """With whom the ego collides first; if it does not, which others collide."""
-        if self.impacts:
-            return self.impacts[0].entity
-        return " and ".join(self.other_collisions[0].entities) if self.other_collisions else None
-
-    @property
-    def text(self) -> str:
-        """The ending in words, as ``"Ego and Pedestrian collide"`` or ``"Pedestrian first"``."""
-        encounter, ego, other = self.encounter, quote_name(self.ego), quote_name(self.encounter.entity)
-        if self.impacts:
-            return f"{ego} and {quote_name(self.impacts[0].entity)} collide"
-        if encounter.relation == "absent":
-            return f"{other if self.exists else ego} is never there"
-        if encounter.first is None:
-            return "ways do not cross"
-        first, second = (ego, other) if encounter.first == self.ego else (other, ego)
-        if encounter.relation == "crossing":
-            return f"only {first} crosses" if math.isnan(encounter.gap) else f"{first} first"
-        return f"{first} ahead" if encounter.first == encounter.ahead else f"{first} overtakes {second}"
-
-
 def find_outcome(recording: Recording, ego: str, other: str, *, others: bool = True) -> Outcome:
     """Determine how a recorded scenario ended for the ego.
 
     `others=False` skips encounters with further entities, each of which takes as long again.
     """
+    return find_outcomes(recording, ego, (other,), others=others)[0]
+
+
+def find_outcomes(
+    recording: Recording, ego: str, main_others: Sequence[str], *, others: bool = True
+) -> tuple[Outcome, ...]:
+    """Determine how a recorded scenario ended for the ego, with each of some entities as the main other one."""
     exists = existence_mask(recording, ego)
     path = BoxPath.from_recording(recording, ego, exists)
-    encounter = _find_encounter(recording, path, ego, other, extrapolate=True)
-    other_names = [name for name in recording.names if name not in (ego, other)] if others else []
-    moving = [name for name in other_names if _highest_speed(recording, name) >= STANDING_SPEED]
     speed = np.nan_to_num(np.abs(recording.speed[recording.entity_index(ego)]))
     has_moved = np.maximum.accumulate(speed) >= STANDING_SPEED
-    waits, yields = _find_yielding(recording.time, speed, has_moved, ego, encounter)
-    return Outcome(
-        ego=ego,
-        encounter=encounter,
-        others=tuple(_find_encounter(recording, path, ego, name) for name in moving),
-        impacts=tuple(
-            _impact_from_collision(recording, ego, collision)
-            for collision in recording.collisions
-            if ego in collision.entities
-        ),
-        other_collisions=tuple(collision for collision in recording.collisions if ego not in collision.entities),
-        exists=bool(exists.any()),
-        moves=bool(has_moved.any()),
-        stops=bool((has_moved & exists & (speed < STANDING_SPEED)).any()),
-        waits=waits,
-        yields=yields,
+    moving = [
+        name
+        for name in (recording.names if others else ())
+        if name != ego and _highest_speed(recording, name) >= STANDING_SPEED and set(main_others) != {name}
+    ]
+    further_encounters = [_find_encounter(recording, path, ego, name) for name in moving]
+    impacts = tuple(
+        _impact_from_collision(recording, ego, collision)
+        for collision in recording.collisions
+        if ego in collision.entities
     )
+    other_collisions = tuple(collision for collision in recording.collisions if ego not in collision.entities)
+    outcomes = []
+    for other in main_others:
+        encounter = _find_encounter(recording, path, ego, other, extrapolate=True)
+        waits, yields = _find_yielding(recording.time, speed, has_moved, ego, encounter)
+        outcome = Outcome(
+            ego=ego,
+            encounter=encounter,
+            others=tuple(further for further in further_encounters if further.entity != other),
+            impacts=impacts,
+            other_collisions=other_collisions,
+            exists=bool(exists.any()),
+            moves=bool(has_moved.any()),
+            stops=bool((has_moved & exists & (speed < STANDING_SPEED)).any()),
+            waits=waits,
+            yields=yields,
+        )
+        outcomes.append(outcome)
+    return tuple(outcomes)
 
 
 def describe_outcome(recording: Recording, ego: str, other: str) -> str:

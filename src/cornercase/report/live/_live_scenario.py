@@ -10,14 +10,14 @@ import numpy as np
 
 from cornercase._common.typing import FloatArray
 from cornercase.exploration._objective import Objective
-from cornercase.report._courses import encode_courses, resample_course
+from cornercase.report._courses import encode_courses
 from cornercase.report._payload import parameter_columns, round_score, score_source_column
 from cornercase.report._summary import entities_hit_by_ego
 from cornercase.study import ScenarioRecord, StudyFile, StudyMeta
 
 
 @dataclass(frozen=True, eq=False)
-class ScenarioDigest:
+class LiveScenario:
     """What the live page shows of one scenario."""
 
     row: ScenarioRecord
@@ -29,33 +29,26 @@ class ScenarioDigest:
     score_sources: dict[str, str | None] = field(default_factory=dict)
 
 
-class ScenarioDigester:
+class LivePageReader:
     """Reads digests from an open study."""
 
     def __init__(self, study: StudyFile) -> None:
         self._study = study
         self._objective = Objective.from_study_meta(study.meta)
 
-    def read(self, row: ScenarioRecord) -> ScenarioDigest:
+    def read(self, row: ScenarioRecord) -> LiveScenario:
         """Read the digest of a scenario that has ended."""
         if row.state == "failed":
-            return ScenarioDigest(row, {}, False, False, (0.0, 0.0), {})
+            return LiveScenario(row, {}, False, False, (0.0, 0.0), {})
         study, meta = self._study, self._study.meta
-        recording, scores = study.recording(row.id), study.scenario_scores(row.id)
-        time = recording.time
-        courses = {
-            metric.name: resample_course(
-                time, metric.clip_course(study.course(row.id, metric.name)).astype(np.float32), metric.lower_is_critical
-            )
-            for metric in self._objective.metrics
-        }
-        return ScenarioDigest(
+        digest, scores = study.digest(row.id), study.scenario_scores(row.id)
+        return LiveScenario(
             row,
             scores,
             self._is_critical(scores),
-            not entities_hit_by_ego(meta, recording.collisions).isdisjoint(meta.others),
-            (float(time[0]), float(time[-1])),
-            courses,
+            not entities_hit_by_ego(meta, digest.collisions).isdisjoint(meta.others),
+            (digest.begin, digest.end),
+            dict(zip(meta.metrics, digest.lines, strict=True)),
             study.scenario_score_sources(row.id),
         )
 
@@ -64,7 +57,7 @@ class ScenarioDigester:
         return bool(self._objective.is_critical(scores_row, self._study.meta.critical)[0])
 
 
-def scenario_columns(meta: StudyMeta, digests: Sequence[ScenarioDigest]) -> dict[str, Any]:
+def scenario_columns(meta: StudyMeta, digests: Sequence[LiveScenario]) -> dict[str, Any]:
     """Return digests as the columns ``scenarios`` and ``errors`` of the page, without results of an analysis."""
     rows = [digest.row for digest in digests]
 
@@ -95,7 +88,7 @@ def scenario_columns(meta: StudyMeta, digests: Sequence[ScenarioDigest]) -> dict
     }
 
 
-def course_columns(meta: StudyMeta, digests: Sequence[ScenarioDigest]) -> dict[str, Any]:
+def course_columns(meta: StudyMeta, digests: Sequence[LiveScenario]) -> dict[str, Any]:
     """Return the courses of digests, by metric, in the form of the page."""
     return {
         name: encode_courses([digest.courses.get(name) for digest in digests], [digest.time_span for digest in digests])

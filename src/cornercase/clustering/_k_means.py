@@ -1,0 +1,67 @@
+"""k-means for as many clusters as a tenth of the points: neither step grows with points times clusters.
+
+Finds what `sklearn.cluster.KMeans` finds with the same seed, but compares each point only with centres nearby. D.
+Arthur, S. Vassilvitskii, "k-means++: The advantages of careful seeding", 2007; S. Lloyd, "Least squares quantization in
+PCM", 1982.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from cornercase._common.typing import FloatArray, IntArray
+from cornercase.clustering._kernels.k_means_start import CELL_SIZE, N_CELL_AXES, choose_centers
+
+_MAX_ITERATIONS: Final = 30
+# Squared shift of all centres, relative to the mean variance of an axis, from which the centres count as fixed.
+_TOLERANCE: Final = 1e-4
+
+
+def find_k_means(points: FloatArray, k: int) -> tuple[IntArray, FloatArray]:
+    """Return the cluster of each point, shape (n,), and the centres, shape (k, p); clusters may be empty."""
+    mean = points.mean(axis=0)
+    points = np.pad(points - mean, ((0, 0), (0, max(0, N_CELL_AXES - points.shape[1]))))
+    centers = points[_choose_starts(points, k)]
+    tolerance = _TOLERANCE * float(points[:, : len(mean)].var(axis=0).mean())
+    labels = np.full(len(points), -1, dtype=np.int64)
+    for _ in range(_MAX_ITERATIONS):
+        previous_labels, labels = labels, _nearest_center(points, centers)
+        previous_centers, centers = centers, _mean_per_cluster(points, labels, centers)
+        if np.array_equal(labels, previous_labels):
+            break
+        if float(((centers - previous_centers) ** 2).sum()) <= tolerance:
+            labels = _nearest_center(points, centers)
+            break
+    else:
+        labels = _nearest_center(points, centers)
+    return labels, centers[:, : len(mean)] + mean
+
+
+def _choose_starts(points: FloatArray, k: int) -> IntArray:
+    """Choose the points at which the centres begin, as scikit-learn does with seed 0."""
+    rng = np.random.RandomState(0)
+    first = int(rng.choice(len(points), p=np.full(len(points), 1.0 / len(points))))
+    random_numbers = rng.uniform(size=(k - 1, 2 + int(math.log(k))))
+    order = cKDTree(points[:, :N_CELL_AXES], leafsize=CELL_SIZE).indices
+    n_cells = -(-len(order) // CELL_SIZE)
+    cells = np.append(order, np.full(n_cells * CELL_SIZE - len(order), -1)).reshape(n_cells, CELL_SIZE)
+    chosen: IntArray = choose_centers(points, cells, first, random_numbers)
+    return chosen
+
+
+def _nearest_center(points: FloatArray, centers: FloatArray) -> IntArray:
+    nearest: IntArray = cKDTree(centers).query(points)[1]
+    return nearest
+
+
+def _mean_per_cluster(points: FloatArray, labels: IntArray, centers: FloatArray) -> FloatArray:
+    """Mean of the points of each cluster; an empty cluster keeps its centre."""
+    order = np.argsort(labels, kind="stable")
+    used, starts, counts = np.unique(labels[order], return_index=True, return_counts=True)
+    means = centers.copy()
+    means[used] = np.add.reduceat(points[order], starts, axis=0) / counts[:, None]
+    return means

@@ -1,0 +1,1 @@
+"""How a recorded scenario ended for the ego, and how the ego went."""

@@ -1,0 +1,98 @@
+"""Ending of a scenario for the ego as plain values."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+from cornercase._common.text.sanitize import quote_name
+from cornercase.recordings import Collision
+
+Relation = Literal["crossing", "lane", "apart", "absent"]
+Manner = Literal["from behind", "its rear", "while it stands", "otherwise"]
+
+
+@dataclass(frozen=True)
+class Impact:
+    """A collision of the ego; `time` in s, `speed` is the magnitude of the relative velocity at first contact in m/s.
+
+    `manner` is ``"from behind"`` if the ego hits an entity ahead that moves in the same direction, ``"its rear"`` if
+    such an entity hits the ego, ``"while it stands"`` if a standing ego is hit.
+    """
+
+    entity: str
+    time: float
+    speed: float
+    manner: Manner
+
+
+@dataclass(frozen=True)
+class Encounter:
+    """How the paths of the ego and another entity meet; times in s.
+
+    `relation` is ``"lane"`` if both move in the same direction at the beginning and at the end, in one lane or in
+    adjacent ones; ``"crossing"`` if the areas swept by their boxes overlap, or would if both went straight on for 20 m
+    after the end; ``"absent"`` if one of them never exists. `first` enters the overlap first; in a lane it is ahead at
+    the end, and `ahead` at the beginning. `enters` is when the ego enters the overlap, `leaves` when the other leaves
+    it; NaN if that did not happen, and in a lane. `gap` is the time from the first leaving to the second entering,
+    negative if both were in it at once; NaN if only one came.
+    """
+
+    entity: str
+    relation: Relation
+    first: str | None = None
+    ahead: str | None = None
+    enters: float = math.nan
+    leaves: float = math.nan
+    gap: float = math.nan
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a scenario ended for the ego.
+
+    `encounter` is with the main other entity of the study, `others` are with further entities that moved, not
+    extrapolated after the end. `impacts` are the ego's collisions by time, `other_collisions` those that do not involve
+    it. `stops`: it comes to stand after it moved. If the other is first on a crossing, `waits`: the ego stands before
+    it enters and before the other has left; `yields`: it does, or slows down by a fifth and speeds up again by a
+    quarter before it enters.
+    """
+
+    ego: str
+    encounter: Encounter
+    others: tuple[Encounter, ...]
+    impacts: tuple[Impact, ...]
+    other_collisions: tuple[Collision, ...]
+    exists: bool
+    moves: bool
+    stops: bool
+    waits: bool
+    yields: bool
+
+    @property
+    def first(self) -> str | None:
+        """Who is first where the paths cross, or ahead in a lane."""
+        return self.encounter.first
+
+    @property
+    def collision(self) -> str | None:
+        """With whom the ego collides first; if it does not, which others collide."""
+        if self.impacts:
+            return self.impacts[0].entity
+        return " and ".join(self.other_collisions[0].entities) if self.other_collisions else None
+
+    @property
+    def text(self) -> str:
+        """The ending in words, as ``"Ego and Pedestrian collide"`` or ``"Pedestrian first"``."""
+        encounter, ego, other = self.encounter, quote_name(self.ego), quote_name(self.encounter.entity)
+        if self.impacts:
+            return f"{ego} and {quote_name(self.impacts[0].entity)} collide"
+        if encounter.relation == "absent":
+            return f"{other if self.exists else ego} is never there"
+        if encounter.first is None:
+            return "ways do not cross"
+        first, second = (ego, other) if encounter.first == self.ego else (other, ego)
+        if encounter.relation == "crossing":
+            return f"only {first} crosses" if math.isnan(encounter.gap) else f"{first} first"
+        return f"{first} ahead" if encounter.first == encounter.ahead else f"{first} overtakes {second}"

@@ -1,0 +1,47 @@
+"""Positions, speeds and directions of entities as series that are finite at each instant."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cornercase._common.typing import FloatArray
+from cornercase.recordings._recording import Recording
+
+
+def position_series(recording: Recording, entity: str, fallback_entity: str | None = None) -> FloatArray:
+    """Centre of an entity's box in m, shape (T, 2); of `fallback_entity` if it never exists."""
+    center = recording.box_center(entity)
+    if fallback_entity is not None and not np.isfinite(center).all(axis=1).any():
+        return position_series(recording, fallback_entity)
+    return _fill_missing(center)
+
+
+def speed_series(recording: Recording, entity: str) -> FloatArray:
+    """Speed of an entity in m/s, shape (T, 1)."""
+    return _fill_missing(recording.speed[recording.entity_index(entity)][:, None])
+
+
+def relative_position_series(recording: Recording, ego: str, other: str) -> FloatArray:
+    """Position of the other in the ego's frame in m, shape (T, 2)."""
+    x, y = (position_series(recording, other, ego) - position_series(recording, ego)).T
+    heading = _fill_missing(recording.heading[recording.entity_index(ego)][:, None])[:, 0]
+    cos, sin = np.cos(heading), np.sin(heading)
+    return np.column_stack((cos * x + sin * y, cos * y - sin * x))
+
+
+def bearing_series(recording: Recording, ego: str, other: str) -> FloatArray:
+    """Direction in which the ego sees the other as a unit vector, shape (T, 2); null if both are at one point."""
+    relative = relative_position_series(recording, ego, other)
+    distance = np.hypot(relative[:, :1], relative[:, 1:])
+    return np.divide(relative, distance, out=np.zeros_like(relative), where=distance > 0.0)
+
+
+def _fill_missing(values: FloatArray) -> FloatArray:
+    """Fill instants at which an entity does not exist with its last values, or its first ones before it appears."""
+    exists = np.isfinite(values).all(axis=1)
+    if exists.all():
+        return values
+    if not exists.any():
+        return np.nan_to_num(values)
+    last = np.maximum.accumulate(np.where(exists, np.arange(len(values)), -1))
+    return np.asarray(values[np.where(last < 0, np.argmax(exists), last)])

@@ -1,0 +1,280 @@
+"""What analysis, report and live page need of a recording: stored with it, so that they need not unpack it.
+
+A digest has no rounded values: whoever reads it gets what the recording would give. Only the series are downsampled, by
+a stride that the first recordings of the study decide.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import astuple, dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from cornercase._common.errors import InputError
+from cornercase._common.text.sanitize import parse_json
+from cornercase._common.typing import Float32Array, FloatArray
+from cornercase.metrics import METRICS, Metric
+from cornercase.metrics.ending._outcome import Encounter, Impact, Outcome
+from cornercase.recordings import Collision, Recording
+from cornercase.recordings._entity_series import bearing_series, position_series
+from cornercase.study._codec import pack_arrays, unpack_arrays
+from cornercase.study._damage import require_value
+from cornercase.study._meta import StudyMeta
+
+COURSE_POINTS: Final = 48
+"""Points of a course as a line of the page; the replay has all points."""
+MAX_INSTANTS: Final = 100
+"""Largest number of instants of a series of median length."""
+N_STRIDE_RECORDINGS: Final = 32
+"""Number of recordings, the first of a study, that decide the stride of the stored series."""
+
+Bounds = tuple[float, float, float, float]
+
+# Columns of the stored series: time, position of the ego; then of each other one its position and its bearing.
+_EGO_COLUMNS: Final = slice(1, 3)
+_N_OTHER_COLUMNS: Final = 4
+_FIRST_OTHER_COLUMN: Final = 3
+
+
+@dataclass(frozen=True, eq=False)
+class ScenarioDigest:
+    """Digest of the recording of one scenario and of its courses; M is the number of instants of downsampled series.
+
+    `begin` and `end` in s are those of its T instants; `bounds` are x_min, y_min, x_max, y_max of all reference points
+    in m, None if nothing exists. `outcomes` and `features` are those with each other entity of the study as the main
+    one. `series` are downsampled by `stride`, shape (M, 3 + 4 others); `courses` are downsampled, too, shape (M,
+    metrics); `lines` are capped courses at 48 evenly spaced times, shape (metrics, 48).
+    """
+
+    n_instants: int
+    begin: float
+    end: float
+    bounds: Bounds | None
+    collisions: tuple[Collision, ...]
+    stride: int
+    outcomes: tuple[Outcome, ...]
+    features: tuple[Mapping[str, float], ...]
+    series: FloatArray
+    courses: FloatArray
+    lines: FloatArray
+
+    @property
+    def time(self) -> FloatArray:
+        """Downsampled instants in s, shape (M,)."""
+        return self.series[:, 0]
+
+    @property
+    def ego_position(self) -> FloatArray:
+        """Downsampled centre of the ego's box in m, shape (M, 2)."""
+        return self.series[:, _EGO_COLUMNS]
+
+    def position_and_bearing(self, other_index: int) -> tuple[FloatArray, FloatArray]:
+        """Downsampled centre of another entity's box in m, and its direction from the ego; shape (M, 2) each."""
+        first = _FIRST_OTHER_COLUMN + _N_OTHER_COLUMNS * other_index
+        return self.series[:, first : first + 2], self.series[:, first + 2 : first + 4]
+
+    def has_stride(self, stride: int) -> bool:
+        """Whether the stored series have all instants of series that are downsampled by `stride`."""
+        return stride % self.stride == 0
+
+    def downsample(self, series: FloatArray, stride: int) -> FloatArray:
+        """Downsample stored series further, to `stride` instants of the recording."""
+        return downsample(series, stride // self.stride)
+
+
+def make_digest(
+    recording: Recording, courses: Mapping[str, FloatArray], meta: StudyMeta, stride: int
+) -> ScenarioDigest:
+    """Make the digest of a recording and of the courses of the study's metrics, as far as there are any."""
+    # Kernels take long to import, and readers of digests do not need them.
+    from cornercase.metrics.ending._ego_features import measure_features
+    from cornercase.metrics.ending._find_outcome import find_outcomes
+
+    entities = recording.with_absent_entities((meta.ego, *meta.others))
+    outcomes = find_outcomes(entities, meta.ego, meta.others)
+    columns = [recording.time[:, None], position_series(entities, meta.ego)]
+    for other in meta.others:
+        columns += [position_series(entities, other, meta.ego), bearing_series(entities, meta.ego, other)]
+    n_instants = len(recording.time)
+    whole = {name: course for name, course in courses.items() if len(course) == n_instants}
+    missing = np.full(n_instants, math.nan)
+    lines = np.full((len(meta.metrics), COURSE_POINTS), math.nan)
+    for line, metric in zip(lines, _create_metrics(meta), strict=False):
+        if metric.name in whole:
+            course = metric.clip_course(whole[metric.name]).astype(np.float32)
+            line[:] = resample_course(recording.time, course, metric.lower_is_critical)
+    return ScenarioDigest(
+        n_instants=n_instants,
+        begin=float(recording.time[0]),
+        end=float(recording.time[-1]),
+        bounds=find_bounds(recording),
+        collisions=recording.collisions,
+        stride=stride,
+        outcomes=outcomes,
+        features=tuple(measure_features(entities, outcome) for outcome in outcomes),
+        series=downsample(np.hstack(columns), stride),
+        courses=downsample(np.column_stack([whole.get(name, missing) for name in meta.metrics]), stride),
+        lines=lines,
+    )
+
+
+def _create_metrics(meta: StudyMeta) -> tuple[Metric, ...]:
+    """Create the metrics of a study; none if the package of one is missing."""
+    try:
+        return tuple(METRICS.create(name) for name in meta.metrics)
+    except InputError:
+        return ()
+
+
+def downsampling_stride(lengths: Sequence[int]) -> int:
+    """Return the stride, at least 1, that leaves at most 100 instants of a series of median length."""
+    return max(1, math.ceil(float(np.median(lengths)) / MAX_INSTANTS))
+
+
+def downsample(series: FloatArray, stride: int) -> FloatArray:
+    """Take every `stride`-th instant of a series, shape (T,) or (T, k), and the last one."""
+    if stride == 1:
+        return series
+    return np.concatenate((series[:-1:stride], series[-1:]))
+
+
+def resample_course(time: FloatArray, course: Float32Array, lower_is_critical: bool) -> FloatArray:
+    """Resample a capped course at `COURSE_POINTS` evenly spaced times; return shape (COURSE_POINTS,).
+
+    The most critical value is kept at the nearest of these times, so that a short critical peak stays visible.
+    """
+    begin, end = float(time[0]), float(time[-1])
+    line = np.interp(np.linspace(begin, end, COURSE_POINTS), time, course)
+    worst = int(course.argmin() if lower_is_critical else course.argmax())
+    nearest = round((float(time[worst]) - begin) / (end - begin) * (COURSE_POINTS - 1)) if end > begin else 0
+    line[nearest] = course[worst]
+    return line
+
+
+def find_bounds(recording: Recording) -> Bounds | None:
+    """Bounding box of all reference points; None if nothing exists."""
+    low, high = np.full(2, np.inf), np.full(2, -np.inf)
+    for k, values in enumerate((recording.x, recording.y)):
+        low[k] = np.min(values, initial=np.inf, where=np.isfinite(values))
+        high[k] = np.max(values, initial=-np.inf, where=np.isfinite(values))
+    if not np.isfinite(low).all():
+        return None
+    return (float(low[0]), float(low[1]), float(high[0]), float(high[1]))
+
+
+def encode_digest(digest: ScenarioDigest) -> tuple[str, bytes]:
+    """Encode a digest as facts in JSON and packed arrays."""
+    facts = {
+        "instants": digest.n_instants,
+        "time": [digest.begin, digest.end],
+        "bounds": digest.bounds,
+        "collisions": [[hit.time, *hit.entities] for hit in digest.collisions],
+        "stride": digest.stride,
+        "endings": [
+            _encode_outcome(outcome) | {"features": {name: _encode_float(value) for name, value in features.items()}}
+            for outcome, features in zip(digest.outcomes, digest.features, strict=True)
+        ],
+    }
+    packed = pack_arrays({"series": digest.series, "courses": digest.courses, "lines": digest.lines})
+    return json.dumps(facts, separators=(",", ":")), packed
+
+
+def _encode_outcome(outcome: Outcome) -> dict[str, Any]:
+    return {
+        "encounter": _encode_encounter(outcome.encounter),
+        "others": [_encode_encounter(encounter) for encounter in outcome.others],
+        "impacts": [[hit.entity, hit.time, _encode_float(hit.speed), hit.manner] for hit in outcome.impacts],
+        "flags": [int(getattr(outcome, name)) for name in _FLAGS],
+    }
+
+
+_FLAGS: Final = ("exists", "moves", "stops", "waits", "yields")
+
+
+def _encode_encounter(encounter: Encounter) -> list[Any]:
+    return [_encode_float(value) if isinstance(value, float) else value for value in astuple(encounter)]
+
+
+def _encode_float(value: float) -> float | None:
+    """JSON has no NaN."""
+    return None if math.isnan(value) else value
+
+
+def decode_facts(facts: str) -> dict[str, Any]:
+    """Parse the facts of a digest; call it, as the next ones, within `reraise_as_damage`."""
+    return dict(parse_json(facts))
+
+
+def decode_collisions(facts: Mapping[str, Any]) -> tuple[Collision, ...]:
+    """Return the collisions of a recording from the facts of its digest."""
+    return tuple(Collision(float(time), (str(first), str(second))) for time, first, second in facts["collisions"])
+
+
+def decode_digest(facts: Mapping[str, Any], packed: bytes, meta: StudyMeta) -> ScenarioDigest:
+    """Decode a digest; raise `ValueError` if it does not fit the study."""
+    arrays = unpack_arrays(packed)
+    n_instants, stride, collisions = facts["instants"], facts["stride"], decode_collisions(facts)
+    require_value(
+        isinstance(n_instants, int) and isinstance(stride, int) and n_instants > 0 and stride > 0, "a digest's length"
+    )
+    count = len(range(0, n_instants - 1, stride)) + 1
+    n_metrics = len(meta.metrics)
+    for name, shape in (
+        ("series", (count, _FIRST_OTHER_COLUMN + _N_OTHER_COLUMNS * len(meta.others))),
+        ("courses", (count, n_metrics)),
+        ("lines", (n_metrics, COURSE_POINTS)),
+    ):
+        require_value(arrays[name].shape == shape and arrays[name].dtype == np.float64, f"a digest's {name}")
+    endings = facts["endings"]
+    require_value(len(endings) == len(meta.others), "a digest's endings")
+    begin, end = map(float, facts["time"])
+    return ScenarioDigest(
+        n_instants=n_instants,
+        begin=begin,
+        end=end,
+        bounds=decode_bounds(facts),
+        collisions=collisions,
+        stride=stride,
+        outcomes=tuple(_decode_outcome(ending, meta.ego, collisions) for ending in endings),
+        features=tuple(
+            {str(name): _decode_float(value) for name, value in ending["features"].items()} for ending in endings
+        ),
+        series=arrays["series"],
+        courses=arrays["courses"],
+        lines=arrays["lines"],
+    )
+
+
+def decode_bounds(facts: Mapping[str, Any]) -> Bounds | None:
+    """Return the bounding box of a recording from the facts of its digest."""
+    if facts["bounds"] is None:
+        return None
+    x_min, y_min, x_max, y_max = map(float, facts["bounds"])
+    return x_min, y_min, x_max, y_max
+
+
+def _decode_outcome(ending: Mapping[str, Any], ego: str, collisions: Sequence[Collision]) -> Outcome:
+    return Outcome(
+        ego=ego,
+        encounter=_decode_encounter(ending["encounter"]),
+        others=tuple(map(_decode_encounter, ending["others"])),
+        impacts=tuple(
+            Impact(str(entity), float(time), _decode_float(speed), manner)
+            for entity, time, speed, manner in ending["impacts"]
+        ),
+        other_collisions=tuple(collision for collision in collisions if ego not in collision.entities),
+        **{name: bool(flag) for name, flag in zip(_FLAGS, ending["flags"], strict=True)},
+    )
+
+
+def _decode_encounter(values: Sequence[Any]) -> Encounter:
+    entity, relation, first, ahead, *times = values
+    return Encounter(str(entity), relation, first, ahead, *map(_decode_float, times))
+
+
+def _decode_float(value: float | None) -> float:
+    return math.nan if value is None else float(value)
