@@ -10,7 +10,7 @@ from cornercase.drivers.references.r157._preventability import ReferenceOutcome,
 from cornercase.exploration._config import ExplorationConfig
 from cornercase.metrics import CriticalIf
 from cornercase.metrics._measure import MetricResult
-from cornercase.metrics.formulas._critical_if import ConditionState
+from cornercase.metrics._critical_if import ConditionState
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import Simulator

@@ -1,4 +1,4 @@
-"""Units of numbers in formulas."""
+"""Units of numbers in expressions."""
 
 from __future__ import annotations
 

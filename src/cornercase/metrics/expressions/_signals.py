@@ -1,19 +1,18 @@
-"""Signals that formulas can use: metrics, the motion of the ego and of another entity, time."""
+"""Signals that expressions can use: metrics, the motion of the ego and of another entity, time."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Final
 
 import numpy as np
 
-from cornercase._common.errors import InputError, PluginError, suggest_name
-from cornercase._common.plugin_errors import make_scenario_failure
-from cornercase._common.process.signals import count_requests
+from cornercase._common.errors import InputError
 from cornercase._common.typing import FloatArray
 from cornercase.metrics._base import Metric
+from cornercase.metrics._measure import compute_course_and_score, evaluate_metrics
 from cornercase.metrics._registry import METRICS
 from cornercase.metrics._severity import find_first_contact
 from cornercase.recordings import Recording
@@ -25,31 +24,51 @@ _NON_METRIC_UNITS: Final = MappingProxyType(
 """Unit by name, of signals that are not metrics."""
 
 FORMULA_METRIC: Final = "stl"
-"""Name of the metric of a formula, which cannot be used in another formula."""
+"""Name of the metric of a formula, which cannot be used in an expression."""
 
 CONDITION_METRIC: Final = "critical-if"
-"""Name of the metric of a condition, which cannot be used in a formula either."""
+"""Name of the metric of a condition, which cannot be used in an expression either."""
+
+SCORE_PREFIX: Final = "score("
+"""How the signal of a metric's score begins: ``score(ttc)``."""
 
 
 @dataclass(frozen=True, eq=False)
 class Signals:
-    """Signals of a recording.
+    """Signals of a recording, and what statements such as ``no collision`` need to know of it.
 
     Attributes
     ----------
     time : ndarray of float64, shape (T,)
         s, increasing.
     values : mapping of str to ndarray of float64, shape (T,)
-        By name: that of a metric with its options, ``"ego.speed"`` and the like, ``"time"``. NaN where a signal is not
-        defined.
+        By name: that of a metric with its options, ``"ego.speed"`` and the like, ``"time"``, ``"score(ttc)"``. NaN
+        where a signal is not defined.
+    recording : Recording or None, default None
+        Needed by statements on collisions, positions and driven distances only.
+    ego : str, default ""
+        Name of the ego in the recording.
+    others : tuple of str, default ()
+        Entities that the ego is measured against.
+    references : mapping of str to (bool or None), default {}
+        Whether each reference driver in the ego's place collides; None if it does not cover such a scenario, missing if
+        it was not run.
     """
 
     time: FloatArray
     values: Mapping[str, FloatArray]
+    recording: Recording | None = None
+    ego: str = ""
+    others: tuple[str, ...] = ()
+    references: Mapping[str, bool | None] = field(default_factory=dict)
 
 
 def signals_from_recording(
-    recording: Recording, ego: str, other: str, courses: Mapping[str, FloatArray] | None = None
+    recording: Recording,
+    ego: str,
+    other: str,
+    courses: Mapping[str, FloatArray] | None = None,
+    others: Sequence[str] = (),
 ) -> Signals:
     """Create the signals of a recording; metrics are computed on first access.
 
@@ -63,6 +82,8 @@ def signals_from_recording(
         Names of two entities.
     courses : mapping of str to ndarray of float64, shape (T,), optional
         Courses of metrics that are already computed, by name.
+    others : sequence of str, optional
+        All entities that scores refer to; by default `other` alone.
 
     Returns
     -------
@@ -73,40 +94,45 @@ def signals_from_recording(
     InputError
         There is no entity of that name.
     """
-    return Signals(recording.time, _LazySignals(recording, ego, other, dict(courses or {})))
+    names = tuple(others) or (other,)
+    values = _LazySignals(recording, ego, other, names, dict(courses or {}))
+    return Signals(recording.time, values, recording, ego, names)
+
+
+def metric_of_signal(name: str) -> str:
+    """Name of the metric of a signal, with its options; empty if the signal is no metric."""
+    return "" if name in _NON_METRIC_UNITS else name.removeprefix(SCORE_PREFIX).removesuffix(")")
 
 
 def signal_unit(name: str) -> str:
-    """Unit of a signal. InputError, with a suggestion, if there is no such signal."""
+    """Unit of a signal. InputError if its metric does not have such options, or cannot be used."""
     if name in _NON_METRIC_UNITS:
         return _NON_METRIC_UNITS[name]
     base = name.partition(":")[0]
     if base == FORMULA_METRIC:
         raise InputError(f"'{FORMULA_METRIC}' is the metric of a formula; write the formula itself, in brackets.")
     if base == CONDITION_METRIC:
-        raise InputError(f"'{CONDITION_METRIC}' is the metric of a condition, which a formula cannot use.")
-    if base not in METRICS:
-        raise InputError(
-            f"there is no signal '{name}'; {suggest_name(name, [*_NON_METRIC_UNITS, *signal_metric_names()])}"
-        )
+        raise InputError(f"'{CONDITION_METRIC}' is the metric of a condition, which an expression cannot use.")
     return METRICS.create(name).unit
 
 
-def signal_metric_names() -> list[str]:
-    """Names of the metrics that can be signals."""
-    return [name for name in METRICS.names() if name not in (FORMULA_METRIC, CONDITION_METRIC)]
+def has_signal(name: str) -> bool:
+    """Whether there is a signal, or at least the metric of one."""
+    return name in _NON_METRIC_UNITS or name.partition(":")[0] in METRICS
 
 
-def is_metric_signal(name: str) -> bool:
-    """Whether a signal, which has to exist, is a metric."""
-    return name not in _NON_METRIC_UNITS
+def signal_names() -> list[str]:
+    """Names of all signals, without scores."""
+    return [*_NON_METRIC_UNITS, *(name for name in METRICS.names() if name not in (FORMULA_METRIC, CONDITION_METRIC))]
 
 
 class _LazySignals(Mapping[str, FloatArray]):
     """Signals of a recording, each computed on first access."""
 
-    def __init__(self, recording: Recording, ego: str, other: str, courses: dict[str, FloatArray]) -> None:
-        self._recording, self._courses = recording, courses
+    def __init__(
+        self, recording: Recording, ego: str, other: str, others: Sequence[str], courses: dict[str, FloatArray]
+    ) -> None:
+        self._recording, self._others, self._courses = recording, others, courses
         self._names = {"ego": ego, "other": other}
         self._rows = {who: recording.entity_index(name) for who, name in self._names.items()}
         self._cache: dict[str, FloatArray] = {}
@@ -131,11 +157,17 @@ class _LazySignals(Mapping[str, FloatArray]):
             who, _, what = name.partition(".")
             motion: FloatArray = getattr(self._recording, what)[self._rows[who]]
             return motion
+        if name.startswith(SCORE_PREFIX):
+            metric = METRICS.create(metric_of_signal(name))
+            result = evaluate_metrics([metric], self._recording, self._names["ego"], self._others)[metric.name]
+            return np.full(self._recording.time.shape, float(result.score))
         return self._course_with_contact(METRICS.create(name), self._courses.get(name))
 
     def _course_with_contact(self, metric: Metric, stored_course: FloatArray | None) -> FloatArray:
         ego, other = self._names["ego"], self._names["other"]
-        course = _compute_course(metric, self._recording, ego, other) if stored_course is None else stored_course
+        course = (
+            compute_course_and_score(metric, self._recording, ego, other)[0] if stored_course is None else stored_course
+        )
         if metric.contact_score is None:
             return course
         if not self._contact_searched:
@@ -146,14 +178,3 @@ class _LazySignals(Mapping[str, FloatArray]):
         signal = np.array(course, dtype=np.float64)
         signal[instant] = metric.score_with_contact(float(metric.clip_course(signal[instant : instant + 1])[0]), change)
         return signal
-
-
-def _compute_course(metric: Metric, recording: Recording, ego: str, other: str) -> FloatArray:
-    """Course of a metric, which may be third-party code."""
-    interrupts = count_requests()
-    try:
-        return metric.course(recording, ego, other)
-    except (InputError, PluginError):
-        raise
-    except BaseException as error:
-        raise make_scenario_failure(f"the metric {metric.name}", error, interrupts) from error
