@@ -12,6 +12,7 @@ from conftest import examples
 from cornercase._common.errors import InputError
 from cornercase.metrics import METRICS, Expression, Signals
 from cornercase.metrics.expressions._ast import Bound
+from cornercase.metrics.expressions._statements import evaluate_leaf
 from helpers.oracle import actor, recorded
 
 SIGNALS = {"ttc": "s", "pet": "s", "ego.speed": "m/s"}
@@ -109,7 +110,7 @@ def test_robustness_is_that_of_rtamt(text, given):
 def test_robustness_is_that_of_the_definition(text, given):
     formula = Expression.parse(text)
     found = formula.robustness(given)
-    margins = {one: one.margin(given) for one in formula.bounds}
+    margins = {one: evaluate_leaf(one, given).margin for one in formula.bounds}
     np.testing.assert_array_equal(found, defined(formula.root, margins, given.time))
     # Except at the bound, the sign of the robustness says whether it holds.
     held = formula.holds(given)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from conftest import examples
 from cornercase import InputError
 from cornercase.metrics import Expression, Signals
-from cornercase.metrics.expressions._evaluation import Evaluation
+from cornercase.metrics._evaluation import Evaluation
 from cornercase.suite import Requirement, judge
 from helpers.two_cars import met
 
@@ -147,11 +147,12 @@ def test_what_decides_is_the_robustness_and_changes_it(values, text):
     time = np.arange(6) * 0.1
     signals = Signals(time, {"ego.speed": np.array(values[:6], float), "clearance": np.array(values[6:], float)})
     robustness = formula.robustness(signals)[0]
-    found = Evaluation.from_signals(formula.root, signals).find_decisive_leaf()
+    evaluation = Evaluation.from_signals(formula.root, signals)
+    found = evaluation.find_decisive_leaf()
     assert (found is None) == bool(np.isinf(robustness))
     if found is not None:
         one, k = found
-        assert abs(one.margin(signals)[k]) == abs(robustness)
+        assert abs(evaluation.leaves[one].margin[k]) == abs(robustness)
         # Another number there and at the earlier ones that are alike, and it is another robustness.
         name = one.left.name
         alike = np.flatnonzero(signals.values[name][: k + 1] == signals.values[name][k])

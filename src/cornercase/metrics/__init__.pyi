@@ -39,5 +39,5 @@ from ._trajectory_distance import TrajectoryDistance as TrajectoryDistance
 from ._ttc import Ttc as Ttc
 from ._wttc import Wttc as Wttc
 from .expressions._expression import Expression as Expression
-from .expressions._signals import Signals as Signals
-from .expressions._signals import signals_from_recording as signals_from_recording
+from .expressions._recorded_signals import Signals as Signals
+from .expressions._recorded_signals import signals_from_recording as signals_from_recording

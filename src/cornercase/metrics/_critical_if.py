@@ -14,9 +14,9 @@ from cornercase.metrics._base import Metric
 from cornercase.metrics._distance import Clearance
 from cornercase.metrics._registry import METRICS
 from cornercase.metrics.expressions._ast import EgoCollides
-from cornercase.metrics.expressions._evaluation import Evaluation
+from cornercase.metrics._evaluation import Evaluation
 from cornercase.metrics.expressions._expression import DEFAULT_CAP, Expression
-from cornercase.metrics.expressions._signals import CONDITION_METRIC, SCORE_PREFIX, Signals, signals_from_recording
+from cornercase.metrics.expressions._recorded_signals import CONDITION_METRIC, SCORE_PREFIX, Signals, signals_from_recording
 from cornercase.recordings import Recording
 
 # Score of a run that is exactly at the bound, though the condition does not hold.

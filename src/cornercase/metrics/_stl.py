@@ -10,10 +10,10 @@ from cornercase._common.errors import InputError
 from cornercase._common.typing import FloatArray
 from cornercase.metrics._base import Metric
 from cornercase.metrics._registry import METRICS
-from cornercase.metrics.expressions._ast import Bound, Constant
-from cornercase.metrics.expressions._evaluation import Evaluation
+from cornercase.metrics.expressions._ast import Bound, Signal
+from cornercase.metrics._evaluation import Evaluation
 from cornercase.metrics.expressions._expression import DEFAULT_CAP, Expression
-from cornercase.metrics.expressions._signals import signals_from_recording
+from cornercase.metrics.expressions._recorded_signals import signals_from_recording
 from cornercase.recordings import Recording
 
 
@@ -73,7 +73,7 @@ class Stl(Metric):
 
 
 def _distance_to_metric_bound(bound: Bound) -> Iterator[float]:
-    if isinstance(bound.right, Constant) and bound.left.metric:
+    if not isinstance(bound.right, Signal) and bound.left.metric:
         worst = METRICS.create(bound.left.metric).bound
         if worst is not None:
-            yield abs(worst - bound.right.value)
+            yield abs(worst - bound.right)

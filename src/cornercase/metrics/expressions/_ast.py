@@ -11,15 +11,15 @@ from typing import Final, Literal, TypeAlias
 import numpy as np
 
 from cornercase._common.typing import FloatArray
-from cornercase.metrics.expressions._signals import Signals, metric_of_signal
+from cornercase.metrics.expressions._recorded_signals import Signals, metric_of_signal
 
 Relation = Literal["<", "<=", ">", ">="]
 Operator = Literal["no", "unless", "not", "and", "or", "->", "always", "eventually", "until"]
 
 TEMPORAL: Final = frozenset({"always", "eventually", "until"})
 _PART_OF_NAME: Final = r"(?!(?:and|or|until|->)(?:[\s)]|$))(?:\([^()]*\)|[^\s()])+"
-ENTITY_NAME: Final = re.compile(rf'(?!"){_PART_OF_NAME}(?:\s+{_PART_OF_NAME})*')
-"""Name of an entity that needs no quotes."""
+ENTITY_NAME: Final = rf'(?!"){_PART_OF_NAME}(?:\s+{_PART_OF_NAME})*'
+"""Pattern of the names of entities that need no quotes."""
 
 
 @dataclass(frozen=True)
@@ -56,55 +56,30 @@ class Signal:
 
 
 @dataclass(frozen=True)
-class Constant:
-    """Number that a signal is compared with, in the signal's unit; `text` is how the expression spells it."""
-
-    value: float
-    text: str
-
-
-@dataclass(frozen=True)
 class Bound:
-    """A signal compared with a number or another signal."""
+    """A signal compared with another signal, or with a number in its unit, which is spelled `number_text`."""
 
     left: Signal
     relation: Relation
-    right: Signal | Constant
-
-    @property
-    def text(self) -> str:
-        """The bound in its normalized spelling."""
-        return f"{self.left.text} {self.relation} {self.right.text}"
+    right: Signal | float
+    number_text: str = ""
 
     @property
     def signals(self) -> tuple[Signal, ...]:
         """Signals that are compared."""
         return (self.left, self.right) if isinstance(self.right, Signal) else (self.left,)
 
+    @property
+    def is_lower(self) -> bool:
+        """Whether it bounds the left signal from below."""
+        return self.relation in (">", ">=")
+
     def describe_right_side(self, signals: Signals, instant: int) -> str:
         """Describe the right side at an instant: ``"1.389 m/s (5 km/h)"``, or ``"other.speed, which is 3 m/s"``."""
         if isinstance(self.right, Signal):
             return f"{self.right.text}, which is {self.left.format_value(float(self.right.values(signals)[instant]))}"
-        value, text = self.left.format_value(self.right.value), self.right.text
-        return value if value.startswith(text) else f"{value} ({text})"
-
-    def margin(self, signals: Signals) -> FloatArray:
-        """Distance from the bound at each instant, (T,), in the unit of the signals.
-
-        Positive if it holds, negative if not, 0 at the bound; NaN where a signal is not defined.
-        """
-        left = self.left.values(signals)
-        right = self.right.values(signals) if isinstance(self.right, Signal) else np.full_like(left, self.right.value)
-        # The difference of two infinite values would be NaN, though they are equal.
-        same = left == right
-        gap = np.where(same, 0.0, left - np.where(same, 0.0, right))
-        return np.asarray(gap if self.relation in (">", ">=") else 0.0 - gap)
-
-    def truth_values(self, signals: Signals) -> FloatArray:
-        """Whether it holds at each instant, (T,): 1 or -1; NaN where a signal is not defined."""
-        margin = self.margin(signals)
-        reached = margin >= 0.0 if self.relation in ("<=", ">=") else margin > 0.0
-        return np.where(np.isnan(margin), np.nan, np.where(reached, 1.0, -1.0))
+        value = self.left.format_value(self.right)
+        return value if value.startswith(self.number_text) else f"{value} ({self.number_text})"
 
 
 @dataclass(frozen=True)
@@ -114,24 +89,12 @@ class EgoCollides:
     entity: str = ""
     at_fault: bool = False
 
-    @property
-    def text(self) -> str:
-        """The statement in its normalized spelling."""
-        is_plain = ENTITY_NAME.fullmatch(self.entity) and " ".join(self.entity.split()) == self.entity
-        name = self.entity if is_plain else json.dumps(self.entity, ensure_ascii=False)
-        return f"collision{' at fault' if self.at_fault else ''}{f' with {name}' if self.entity else ''}"
-
 
 @dataclass(frozen=True)
 class ReferenceCollides:
     """The ego would collide if the reference driver `driver` drove it."""
 
     driver: str
-
-    @property
-    def text(self) -> str:
-        """The statement in its normalized spelling."""
-        return f"reference:{self.driver}"
 
 
 @dataclass(frozen=True)
@@ -143,11 +106,6 @@ class EgoReaches:
     radius: float
     time_limit: float
 
-    @property
-    def text(self) -> str:
-        """The statement in its normalized spelling."""
-        return f"reach {self.x:.15g},{self.y:.15g},{self.radius:.15g} within {self.time_limit:.15g}"
-
 
 @dataclass(frozen=True)
 class EgoDrives:
@@ -155,36 +113,19 @@ class EgoDrives:
 
     distance: float
 
-    @property
-    def text(self) -> str:
-        """The statement in its normalized spelling."""
-        return f"drive {self.distance:.15g}"
-
 
 @dataclass(frozen=True)
 class Operation:
-    """An operator and its operands.
-
-    `interval` is start and end in s, of temporal operators; inf for the end of the recording. None without an interval.
-    """
+    """An operator and its operands; `interval` of a temporal operator is in s, to inf for the end of the recording."""
 
     operator: Operator
     operands: tuple[Node, ...]
     interval: tuple[float, float] | None = None
 
     @property
-    def text(self) -> str:
-        """The expression in its normalized spelling, with brackets around each operation in it."""
-        return format_node(self)
-
-    @property
     def depth(self) -> int:
         """How many operations are nested in each other, this one included."""
         return 1 + max(operand.depth if isinstance(operand, Operation) else 0 for operand in self.operands)
-
-    def is_conjunction(self, negated: bool) -> bool:
-        """Whether the operation, or its negation, holds only if all its operands (negated as needed) do."""
-        return (self.operator == "and") != negated
 
 
 Statement: TypeAlias = EgoCollides | ReferenceCollides | EgoReaches | EgoDrives
@@ -193,15 +134,16 @@ Node: TypeAlias = Leaf | Operation
 
 
 def format_node(node: Node, as_condition: bool = False) -> str:
-    """Write an expression; `as_condition` writes ``not collision`` for ``not(collision)``, and ``ttc`` for its score."""
-    if isinstance(node, Bound) and as_condition and node.left.is_score:
-        return f"{node.left.metric} {node.relation} {node.right.text}"
+    """Write an expression in its normalized spelling, with brackets around each operation in another.
+
+    `as_condition` writes ``not collision`` for ``not(collision)``, and ``ttc`` for its score.
+    """
     if not isinstance(node, Operation):
-        return node.text
+        return _format_leaf(node, as_condition)
     name: str = node.operator
     if name == "unless":
-        driver = node.operands[1]
-        return f"no {node.operands[0].text} unless {driver.text.removeprefix('reference:')} collides"
+        driver = format_node(node.operands[1]).removeprefix("reference:")
+        return f"no {format_node(node.operands[0])} unless {driver} collides"
     # Below a temporal operator a bound is on the course of a metric, as in a formula.
     as_condition = as_condition and name not in TEMPORAL
     if node.interval is not None:
@@ -209,10 +151,28 @@ def format_node(node: Node, as_condition: bool = False) -> str:
         name += f"[{begin:.15g}:{'' if end == np.inf else f'{end:.15g}'}]"
     inner = [format_node(operand, as_condition) for operand in node.operands]
     if len(inner) == 1:
-        bare = name == "no" or (as_condition and not _is_connection(node.operands[0]))
-        return f"{name} {inner[0]}" if bare else f"{name} ({inner[0]})" if as_condition else f"{name}({inner[0]})"
+        if as_condition or name == "no":
+            return f"{name} ({inner[0]})" if _is_connection(node.operands[0]) else f"{name} {inner[0]}"
+        return f"{name}({inner[0]})"
     parts = (f"({text})" if _is_connection(part) else text for part, text in zip(node.operands, inner, strict=True))
     return f" {name} ".join(parts)
+
+
+def _format_leaf(leaf: Leaf, as_condition: bool) -> str:
+    match leaf:
+        case Bound(left, relation, right):
+            text = left.metric if as_condition and left.is_score else left.text
+            return f"{text} {relation} {right.text if isinstance(right, Signal) else leaf.number_text}"
+        case EgoCollides(entity, at_fault):
+            is_plain = re.fullmatch(ENTITY_NAME, entity) and " ".join(entity.split()) == entity
+            name = entity if is_plain else json.dumps(entity, ensure_ascii=False)
+            return f"collision{' at fault' if at_fault else ''}{f' with {name}' if entity else ''}"
+        case ReferenceCollides(driver):
+            return f"reference:{driver}"
+        case EgoReaches(x, y, radius, time_limit):
+            return f"reach {x:.15g},{y:.15g},{radius:.15g} within {time_limit:.15g}"
+        case EgoDrives(distance):
+            return f"drive {distance:.15g}"
 
 
 def _is_connection(node: Node) -> bool:

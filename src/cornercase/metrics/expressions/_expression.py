@@ -9,18 +9,18 @@ from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.metrics._registry import METRICS
 from cornercase.metrics.expressions._ast import (
     Bound,
-    Constant,
     EgoCollides,
     Leaf,
     Node,
     ReferenceCollides,
+    Signal,
     format_node,
     iter_leaves,
 )
-from cornercase.metrics.expressions._evaluation import Evaluation, evaluate_run
-from cornercase.metrics.expressions._explain import Reason, explain
+from cornercase.metrics._evaluation import Evaluation, evaluate_run
+from cornercase.metrics._explain import Reason, explain
 from cornercase.metrics.expressions._parser import Language, parse_expression
-from cornercase.metrics.expressions._signals import Signals
+from cornercase.metrics.expressions._recorded_signals import Signals
 from cornercase.metrics.expressions._units import normalize_unit
 from cornercase.recordings import Recording
 
@@ -221,6 +221,6 @@ class Expression:
 def _cap_of_leaf(leaf: Leaf) -> float:
     if isinstance(leaf, ReferenceCollides):
         return 0.0
-    if not isinstance(leaf, Bound) or not isinstance(leaf.right, Constant) or not leaf.left.metric:
+    if not isinstance(leaf, Bound) or isinstance(leaf.right, Signal) or not leaf.left.metric:
         return DEFAULT_CAP
-    return abs(METRICS.create(leaf.left.metric).cap - leaf.right.value)
+    return abs(METRICS.create(leaf.left.metric).cap - leaf.right)

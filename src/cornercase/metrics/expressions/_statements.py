@@ -10,8 +10,8 @@ from cornercase._common.errors import InputError
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.metrics._at_fault import is_at_fault
 from cornercase.metrics._distance import Clearance
-from cornercase.metrics.expressions._ast import Bound, EgoCollides, EgoReaches, Leaf, ReferenceCollides
-from cornercase.metrics.expressions._signals import Signals
+from cornercase.metrics.expressions._ast import Bound, EgoCollides, EgoReaches, Leaf, ReferenceCollides, Signal
+from cornercase.metrics.expressions._recorded_signals import Signals
 from cornercase.recordings import Collision, Recording
 
 TIME_TOLERANCE: Final = 1e-6
@@ -32,8 +32,7 @@ class LeafValues(NamedTuple):
 def evaluate_leaf(leaf: Leaf, signals: Signals) -> LeafValues:
     """Margin and truth of a bound or a statement. InputError if a statement needs a recording and there is none."""
     if isinstance(leaf, Bound):
-        margin = leaf.margin(signals)
-        return LeafValues(margin, leaf.truth_values(signals), not bool(np.isnan(margin).all()))
+        return _evaluate_bound(leaf, signals)
     if isinstance(leaf, ReferenceCollides):
         collides = signals.references.get(leaf.driver)
         truth = np.full(signals.time.shape, 1.0 if collides else -1.0)
@@ -46,6 +45,18 @@ def evaluate_leaf(leaf: Leaf, signals: Signals) -> LeafValues:
     margin = driven_distance(recording, signals.ego) - leaf.distance
     truth = np.where(margin >= -TIME_TOLERANCE, 1.0, -1.0)
     return LeafValues(margin, truth, bool(is_present(recording, signals.ego).any()))
+
+
+def _evaluate_bound(bound: Bound, signals: Signals) -> LeafValues:
+    left = bound.left.values(signals)
+    right = bound.right.values(signals) if isinstance(bound.right, Signal) else np.full_like(left, bound.right)
+    # The difference of two infinite values would be NaN, though they are equal.
+    same = left == right
+    gap = np.where(same, 0.0, left - np.where(same, 0.0, right))
+    margin = gap if bound.is_lower else 0.0 - gap
+    reached = margin >= 0.0 if bound.relation in ("<=", ">=") else margin > 0.0
+    truth = np.where(np.isnan(margin), np.nan, np.where(reached, 1.0, -1.0))
+    return LeafValues(margin, truth, not bool(np.isnan(margin).all()))
 
 
 def recording_of(signals: Signals) -> Recording:

@@ -17,9 +17,9 @@ from cornercase.metrics.expressions._ast import (
     Operation,
     ReferenceCollides,
     Statement,
+    format_node,
 )
-from cornercase.metrics.expressions._evaluation import Evaluation
-from cornercase.metrics.expressions._signals import Signals
+from cornercase.metrics._evaluation import Evaluation
 from cornercase.metrics.expressions._statements import (
     TIME_TOLERANCE,
     distance_in_time,
@@ -41,12 +41,13 @@ class Reason(NamedTuple):
 
 def explain(evaluation: Evaluation, reference_texts: Mapping[str, str]) -> Reason:
     """Explain whether an expression is fulfilled; `reference_texts` say by name what a reference driver does."""
-    root, signals, fulfilled = evaluation.root, evaluation.signals, evaluation.is_fulfilled()
-    unobserved = [leaf.text for leaf in evaluation.leaves if isinstance(leaf, Bound) and not _is_known(evaluation, leaf)]
+    root, fulfilled = evaluation.root, evaluation.is_fulfilled()
+    bounds = {leaf: values for leaf, values in evaluation.leaves.items() if isinstance(leaf, Bound)}
+    unobserved = [format_node(bound) for bound, values in bounds.items() if not values.is_known]
     if fulfilled is None and unobserved:
         return Reason(f"what {' and '.join(unobserved)} refers to never occurred")
     if isinstance(root, Bound):
-        return _explain_bound(root, signals, fulfilled is False)
+        return _explain_bound(root, evaluation, fulfilled is False)
     if isinstance(root, Operation) and root.operator == "unless":
         collision, reference = (_explain_statement(leaf, evaluation, reference_texts) for leaf in evaluation.leaves)
         collides = collision.time is not None and collision.value is not None
@@ -54,13 +55,13 @@ def explain(evaluation: Evaluation, reference_texts: Mapping[str, str]) -> Reaso
     statement = root.operands[0] if isinstance(root, Operation) and root.operator in ("no", "not") else root
     if isinstance(statement, Statement):
         return _explain_statement(statement, evaluation, reference_texts)
-    return _explain_operation(root, evaluation, reference_texts)
+    return _explain_operation(evaluation, reference_texts)
 
 
-def _explain_operation(root: object, evaluation: Evaluation, reference_texts: Mapping[str, str]) -> Reason:
+def _explain_operation(evaluation: Evaluation, reference_texts: Mapping[str, str]) -> Reason:
     fulfilled = evaluation.is_fulfilled()
     verb = {True: "holds", False: "does not hold", None: "may hold or not"}[fulfilled]
-    text = f"'{getattr(root, 'text')}' {verb}"
+    text = f"'{format_node(evaluation.root)}' {verb}"
     decisive = evaluation.find_decisive_leaf() if fulfilled is not None else None
     if decisive is not None and isinstance(decisive[0], Bound):
         bound, k = decisive
@@ -77,11 +78,12 @@ def _explain_operation(root: object, evaluation: Evaluation, reference_texts: Ma
     return reasons[0]._replace(text=f"{text}: {'; '.join(reason.text for reason in reasons)}")
 
 
-def _explain_bound(bound: Bound, signals: Signals, failed: bool) -> Reason:
-    margin, values = bound.margin(signals), bound.left.values(signals)
+def _explain_bound(bound: Bound, evaluation: Evaluation, failed: bool) -> Reason:
+    signals, (margin, truth, _) = evaluation.signals, evaluation.leaves[bound]
+    values = bound.left.values(signals)
     worst = int(np.nanargmin(margin))
     at, value = float(signals.time[worst]), float(values[worst])
-    lower = bound.relation in (">", ">=")
+    lower = bound.is_lower
     if not failed and np.isinf(value):
         return Reason(f"{bound.left.text} is infinite throughout")
     if not failed:
@@ -92,7 +94,7 @@ def _explain_bound(bound: Bound, signals: Signals, failed: bool) -> Reason:
         side = f"not {'above' if lower else 'below'}"
     text = f"{bound.left.text} {verb} to {bound.left.format_value(value)} at {at:.6g} s"
     text += f", {side} {bound.describe_right_side(signals, worst)}"
-    first = float(signals.time[np.flatnonzero(bound.truth_values(signals) < 0.0)[0]])
+    first = float(signals.time[np.flatnonzero(truth < 0.0)[0]])
     return Reason(f"{text}{f', first at {first:.6g} s' if first < at else ''}", at, value)
 
 
@@ -105,7 +107,7 @@ def _explain_statement(leaf: Statement, evaluation: Evaluation, reference_texts:
     if isinstance(leaf, EgoCollides):
         return _explain_collision(leaf, recording, ego)
     if isinstance(leaf, EgoReaches):
-        return _explain_position(leaf, recording, ego, _is_known(evaluation, leaf))
+        return _explain_position(leaf, recording, ego, evaluation.leaves[leaf].is_known)
     return _explain_distance(leaf, recording, ego)
 
 
@@ -169,7 +171,3 @@ def _explain_distance(statement: EgoDrives, recording: Recording, ego: str) -> R
     at, total = float(recording.time[-1]), float(driven[-1])
     text = f"{quote_name(ego)} drives {total:.4g} m until {at:.6g} s, less than {required:.6g} m"
     return Reason(text, at, total)
-
-
-def _is_known(evaluation: Evaluation, leaf: Bound | Statement) -> bool:
-    return evaluation.leaves[leaf].is_known

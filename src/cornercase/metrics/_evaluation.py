@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
-from cornercase._common.typing import FloatArray, IntArray
+from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.metrics._other_entities import present_others
 from cornercase.metrics.expressions._ast import (
     Bound,
@@ -19,7 +20,7 @@ from cornercase.metrics.expressions._ast import (
     has_temporal_operator,
     iter_leaves,
 )
-from cornercase.metrics.expressions._signals import Signals, signals_from_recording
+from cornercase.metrics.expressions._recorded_signals import Signals, signals_from_recording
 from cornercase.metrics.expressions._statements import LeafValues, evaluate_leaf
 from cornercase.metrics.expressions._temporal import always, until
 from cornercase.recordings import Recording
@@ -39,43 +40,37 @@ class Evaluation:
     leaves: Mapping[Leaf, LeafValues]
 
     @classmethod
-    def from_signals(cls, root: Node, signals: Signals, known: Mapping[Leaf, LeafValues] | None = None) -> Evaluation:
-        """Evaluate the bounds and statements of an expression, except those that are `known`."""
-        leaves = dict(known or {})
+    def from_signals(cls, root: Node, signals: Signals, shared: Mapping[Leaf, LeafValues] | None = None) -> Evaluation:
+        """Evaluate the bounds and statements of an expression, except those that are `shared` with another run."""
+        leaves = dict(shared or {})
         for leaf in iter_leaves(root):
             leaves[leaf] = leaves[leaf] if leaf in leaves else evaluate_leaf(leaf, signals)
         return cls(root, signals, leaves)
 
     def with_references(self, references: Mapping[str, bool | None]) -> Evaluation:
         """The same run, with other outcomes of reference drivers."""
-        signals = replace(self.signals, references=references)
-        renewed = {leaf: evaluate_leaf(leaf, signals) for leaf in self.leaves if isinstance(leaf, ReferenceCollides)}
-        return Evaluation(self.root, signals, {**self.leaves, **renewed})
+        others = {leaf: values for leaf, values in self.leaves.items() if not isinstance(leaf, ReferenceCollides)}
+        return Evaluation.from_signals(self.root, replace(self.signals, references=references), others)
 
     def robustness(self, assumed: float = np.inf) -> FloatArray:
-        """Robustness from each instant on, (T,), never NaN; `assumed` is that of statements that are not known."""
-        margins = {leaf: values.margin for leaf, values in self.leaves.items()}
-        return _Evaluator(self, margins, assumed).of_run(self.root)
+        """Robustness from each instant on, (T,), never NaN; `assumed` is that of statements that were not observed."""
+        return _Evaluator(self, "margin", assumed).of_run(self.root)
 
     def robustness_at_instants(self) -> FloatArray:
         """Robustness at each instant, (T,), if no part had to hold for the rest of the run."""
-        margins = {leaf: values.margin for leaf, values in self.leaves.items()}
-        return _Evaluator(self, margins, np.inf).at_instants(self.root, False, np.inf, in_time=True)
+        return _Evaluator(self, "margin", np.inf).at_instants(self.root, False, np.inf, in_time=True)
 
-    def holds(self, assumed: float = np.inf) -> FloatArray:
-        """Whether it holds from each instant on, (T,) of bool. Unlike robustness, this distinguishes ``<`` from ``<=``.
-        """
-        truths = {leaf: values.truth for leaf, values in self.leaves.items()}
-        return np.asarray(_Evaluator(self, truths, assumed).of_run(self.root) > 0.0)
+    def holds(self, assumed: float = np.inf) -> BoolArray:
+        """Whether it holds from each instant on, (T,). Unlike robustness, this distinguishes ``<`` from ``<=``."""
+        return _Evaluator(self, "truth", assumed).of_run(self.root) > 0.0
 
     def is_fulfilled(self) -> bool | None:
         """Whether it holds from the first instant on; None if it was not observed."""
         if not self.holds()[0]:
             return False
-        unknown = [leaf for leaf, values in self.leaves.items() if not values.is_known]
-        if any(isinstance(leaf, Bound) for leaf in unknown):
+        if any(isinstance(leaf, Bound) and not values.is_known for leaf, values in self.leaves.items()):
             return None
-        return True if not unknown or self.holds(-np.inf)[0] else None
+        return True if self.holds(-np.inf)[0] else None
 
     def find_decisive_leaf(self) -> tuple[Leaf, int] | None:
         """Bound or statement, and instant, whose margin is the robustness at the first instant; None if it is infinite.
@@ -152,9 +147,12 @@ def _is_of_run(leaf: Leaf) -> bool:
 class _Evaluator:
     """Evaluates with negations moved inwards, so that the role of each bound and statement is known."""
 
-    def __init__(self, evaluation: Evaluation, values: Mapping[Leaf, FloatArray], assumed: float) -> None:
+    def __init__(self, evaluation: Evaluation, values: Literal["margin", "truth"], assumed: float) -> None:
         self.leaves, self.time = evaluation.leaves, evaluation.signals.time
-        self.values, self.assumed = values, assumed
+        self.values: dict[Leaf, FloatArray] = {
+            leaf: getattr(leaf_values, values) for leaf, leaf_values in self.leaves.items()
+        }
+        self.assumed = assumed
 
     def of_run(self, node: Node, negated: bool = False) -> FloatArray:
         """Value from each instant on: bounds have to hold all the time, unless a temporal operator is among them.
@@ -172,7 +170,7 @@ class _Evaluator:
         operands = list(zip(node.operands, _operand_signs(node, negated), strict=True))
         values = [self.of_run(operand, sign) for operand, sign in operands if _has_statement(operand)]
         bounds = [self.at_instants(operand, sign, np.inf) for operand, sign in operands if not _has_statement(operand)]
-        combine = np.minimum if node.is_conjunction(negated) else np.maximum
+        combine = _combination(node, negated)
         if bounds:
             values.append(always(combine.reduce(bounds), None, self.time))
         return np.asarray(combine.reduce(values))
@@ -194,7 +192,7 @@ class _Evaluator:
             self.at_instants(operand, sign, undefined_value, in_time)
             for operand, sign in zip(node.operands, _operand_signs(node, negated), strict=True)
         ]
-        return np.asarray((np.minimum if node.is_conjunction(negated) else np.maximum).reduce(values))
+        return np.asarray(_combination(node, negated).reduce(values))
 
     def _leaf_values(self, leaf: Leaf, negated: bool, undefined_value: float, in_time: bool) -> FloatArray:
         values, is_known = self.values[leaf], self.leaves[leaf].is_known
@@ -222,6 +220,11 @@ def _operand_signs(node: Operation, negated: bool) -> list[bool]:
     if node.operator in ("->", "unless"):
         return [not negated, negated]
     return [negated != (node.operator in ("not", "no"))] * len(node.operands)
+
+
+def _combination(node: Operation, negated: bool) -> np.ufunc:
+    """Minimum if all operands of an operation, or of its negation, have to hold, else maximum."""
+    return np.minimum if (node.operator == "and") != negated else np.maximum
 
 
 def _has_statement(node: Node) -> bool:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from types import MappingProxyType
 from typing import Final
 
@@ -11,7 +12,6 @@ import numpy as np
 
 from cornercase._common.errors import InputError
 from cornercase._common.typing import FloatArray
-from cornercase.metrics._base import Metric
 from cornercase.metrics._measure import compute_course_and_score, evaluate_metrics
 from cornercase.metrics._registry import METRICS
 from cornercase.metrics._severity import find_first_contact
@@ -95,7 +95,9 @@ def signals_from_recording(
         There is no entity of that name.
     """
     names = tuple(others) or (other,)
-    values = _LazySignals(recording, ego, other, names, dict(courses or {}))
+    values = _LazySignals(recording, ego, other, names)
+    for name, course in (courses or {}).items():
+        values.add_course(name, course)
     return Signals(recording.time, values, recording, ego, names)
 
 
@@ -126,55 +128,35 @@ def signal_names() -> list[str]:
     return [*_NON_METRIC_UNITS, *(name for name in METRICS.names() if name not in (FORMULA_METRIC, CONDITION_METRIC))]
 
 
-class _LazySignals(Mapping[str, FloatArray]):
+class _LazySignals(dict[str, FloatArray]):
     """Signals of a recording, each computed on first access."""
 
-    def __init__(
-        self, recording: Recording, ego: str, other: str, others: Sequence[str], courses: dict[str, FloatArray]
-    ) -> None:
-        self._recording, self._others, self._courses = recording, others, courses
-        self._names = {"ego": ego, "other": other}
-        self._rows = {who: recording.entity_index(name) for who, name in self._names.items()}
-        self._cache: dict[str, FloatArray] = {}
-        self._contact: tuple[int, float] | None = None
-        self._contact_searched = False
+    def __init__(self, recording: Recording, ego: str, other: str, others: Sequence[str]) -> None:
+        super().__init__(time=recording.time)
+        self._recording, self._ego, self._other, self._others = recording, ego, other, others
+        for who, name in (("ego", ego), ("other", other)):
+            row = recording.entity_index(name)
+            self.update({f"{who}.{what}": getattr(recording, what)[row] for what in _MOTION_UNITS})
 
-    def __getitem__(self, name: str) -> FloatArray:
-        if name not in self._cache:
-            self._cache[name] = self._compute_signal(name)
-        return self._cache[name]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter([*_NON_METRIC_UNITS, *self._courses])
-
-    def __len__(self) -> int:
-        return len(_NON_METRIC_UNITS) + len(self._courses)
-
-    def _compute_signal(self, name: str) -> FloatArray:
-        if name == "time":
-            return self._recording.time
-        if name in _NON_METRIC_UNITS:
-            who, _, what = name.partition(".")
-            motion: FloatArray = getattr(self._recording, what)[self._rows[who]]
-            return motion
+    def __missing__(self, name: str) -> FloatArray:
+        metric = METRICS.create(metric_of_signal(name))
         if name.startswith(SCORE_PREFIX):
-            metric = METRICS.create(metric_of_signal(name))
-            result = evaluate_metrics([metric], self._recording, self._names["ego"], self._others)[metric.name]
-            return np.full(self._recording.time.shape, float(result.score))
-        return self._course_with_contact(METRICS.create(name), self._courses.get(name))
+            score = evaluate_metrics([metric], self._recording, self._ego, self._others)[metric.name].score
+            self[name] = np.full(self._recording.time.shape, float(score))
+        else:
+            self.add_course(name, compute_course_and_score(metric, self._recording, self._ego, self._other)[0])
+        return self[name]
 
-    def _course_with_contact(self, metric: Metric, stored_course: FloatArray | None) -> FloatArray:
-        ego, other = self._names["ego"], self._names["other"]
-        course = (
-            compute_course_and_score(metric, self._recording, ego, other)[0] if stored_course is None else stored_course
-        )
-        if metric.contact_score is None:
-            return course
-        if not self._contact_searched:
-            self._contact, self._contact_searched = find_first_contact(self._recording, ego, other), True
-        if self._contact is None:
-            return course
-        instant, change = self._contact
-        signal = np.array(course, dtype=np.float64)
-        signal[instant] = metric.score_with_contact(float(metric.clip_course(signal[instant : instant + 1])[0]), change)
-        return signal
+    def add_course(self, name: str, course: FloatArray) -> None:
+        """Add the course of a metric, which at the first contact is as critical as a contact."""
+        metric = METRICS.create(name)
+        self[name] = course
+        if metric.contact_score is not None and self._contact is not None:
+            instant, change = self._contact
+            score = metric.score_with_contact(float(metric.clip_course(course[instant : instant + 1])[0]), change)
+            self[name] = np.array(course, dtype=np.float64)
+            self[name][instant] = score
+
+    @cached_property
+    def _contact(self) -> tuple[int, float] | None:
+        return find_first_contact(self._recording, self._ego, self._other)
