@@ -9,8 +9,8 @@ import pytest
 
 from cornercase._common.errors import InputError
 from cornercase.metrics import CriticalIf, Expression, measure
-from cornercase.metrics._measure import evaluate_metrics
 from cornercase.metrics._critical_if import find_critical_if_condition
+from cornercase.metrics._measure import evaluate_metrics
 from helpers.two_cars import met
 
 X = np.arange(6) * 1.0
@@ -47,7 +47,10 @@ def test_a_condition_has_one_way_of_writing_and_is_read_again_as_the_same(given,
         ("colision", "did you mean 'collision'"),
         ("tttc < 1", "did you mean 'ttc'"),
         ("collision and", "collision and\n                 ^"),
-        ("collision not reference:rss", "give and, or, ->, until, or the end of the condition.\n    collision not reference:rss\n              ^"),
+        (
+            "collision not reference:rss",
+            "give and, or, ->, until, or the end of the condition.\n    collision not reference:rss\n              ^",
+        ),
         ("reference cc-human", "a colon and the name of a driver"),
         ("reference:", "the name of a driver"),
         ("(collision", "a closing bracket"),

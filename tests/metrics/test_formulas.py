@@ -122,7 +122,7 @@ def test_a_bound_has_to_hold_all_the_time():
         ("ttc < pet", [-6, -1, -1, 2]),
     ):
         np.testing.assert_array_equal(Expression.parse(text).robustness(given), robustness, err_msg=text)
-    assert Expression.parse("ttc > 3").holds(given).tolist() == [False] * 4
+    assert Expression.parse("ttc > 3").is_fulfilled(given) is False
 
 
 def test_at_the_bound_itself_the_relation_decides():
@@ -130,8 +130,8 @@ def test_at_the_bound_itself_the_relation_decides():
     for relation, holds in ((">", False), (">=", True)):
         formula = Expression.parse(f"ttc {relation} 1.5")
         assert formula.robustness(given)[0] == 0.0
-        assert formula.holds(given)[0] == holds
-        assert Expression.parse(f"eventually[0.1:0.1](not ttc {relation} 1.5)").holds(given)[0] != holds
+        assert formula.is_fulfilled(given) is holds
+        assert Expression.parse(f"eventually[0.1:0.1](not ttc {relation} 1.5)").is_fulfilled(given) is not holds
 
 
 def test_where_a_signal_is_not_defined_nothing_is_violated():
@@ -143,12 +143,11 @@ def test_where_a_signal_is_not_defined_nothing_is_violated():
     assert Expression.parse("ttc > 1").is_fulfilled(given) is True
     never = Expression.parse("pet > 1")
     assert never.is_fulfilled(given) is None
-    assert never.holds(given).all()
     # An undefined comparison does not affect the others.
     assert Expression.parse("pet > 1 and ttc > 3").robustness(given)[0] == -1.0
     # Two infinite values are equal.
     both = signals(ttc=[np.inf] * 4, pttc=[np.inf] * 4)
-    assert Expression.parse("ttc >= pttc").holds(both).all()
+    assert Expression.parse("ttc >= pttc").is_fulfilled(both) is True
 
 
 def test_signals_are_those_of_the_recording():

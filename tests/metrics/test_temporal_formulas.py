@@ -11,6 +11,7 @@ import cornercase as cc
 from conftest import examples
 from cornercase._common.errors import InputError
 from cornercase.metrics import METRICS, Expression, Signals
+from cornercase.metrics._evaluation import Evaluation
 from cornercase.metrics.expressions._ast import Bound
 from cornercase.metrics.expressions._statements import evaluate_leaf
 from helpers.oracle import actor, recorded
@@ -113,7 +114,7 @@ def test_robustness_is_that_of_the_definition(text, given):
     margins = {one: evaluate_leaf(one, given).margin for one in formula.bounds}
     np.testing.assert_array_equal(found, defined(formula.root, margins, given.time))
     # Except at the bound, the sign of the robustness says whether it holds.
-    held = formula.holds(given)
+    held = Evaluation.from_signals(formula.root, given).holds()
     assert held[found > 0].all()
     assert not held[found < 0].any()
 

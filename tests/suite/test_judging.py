@@ -13,6 +13,7 @@ from conftest import examples
 from cornercase import InputError
 from cornercase.metrics import Expression, Signals
 from cornercase.metrics._evaluation import Evaluation
+from cornercase.metrics.expressions._ast import Bound
 from cornercase.suite import Requirement, judge
 from helpers.two_cars import met
 
@@ -152,6 +153,7 @@ def test_what_decides_is_the_robustness_and_changes_it(values, text):
     assert (found is None) == bool(np.isinf(robustness))
     if found is not None:
         one, k = found
+        assert isinstance(one, Bound)
         assert abs(evaluation.leaves[one].margin[k]) == abs(robustness)
         # Another number there and at the earlier ones that are alike, and it is another robustness.
         name = one.left.name

@@ -12,11 +12,16 @@ from cornercase._common.errors import InputError
 from cornercase._common.typing import FloatArray
 from cornercase.metrics._base import Metric
 from cornercase.metrics._distance import Clearance
+from cornercase.metrics._evaluation import Evaluation, evaluate_run
 from cornercase.metrics._registry import METRICS
 from cornercase.metrics.expressions._ast import EgoCollides
-from cornercase.metrics._evaluation import Evaluation
 from cornercase.metrics.expressions._expression import DEFAULT_CAP, Expression
-from cornercase.metrics.expressions._recorded_signals import CONDITION_METRIC, SCORE_PREFIX, Signals, signals_from_recording
+from cornercase.metrics.expressions._recorded_signals import (
+    CONDITION_METRIC,
+    SCORE_PREFIX,
+    Signals,
+    signals_from_recording,
+)
 from cornercase.recordings import Recording
 
 # Score of a run that is exactly at the bound, though the condition does not hold.
@@ -129,7 +134,7 @@ class CriticalIf(Metric):
         InputError
             There is no entity of that name.
         """
-        return ConditionState(self, tuple(self.condition.evaluate(recording, ego, other).values()))
+        return ConditionState(self, tuple(evaluate_run(self.condition.root, recording, ego, other).values()))
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
@@ -16,7 +17,6 @@ from cornercase.metrics.expressions._ast import (
     Node,
     Operation,
     ReferenceCollides,
-    Statement,
     has_temporal_operator,
     iter_leaves,
 )
@@ -49,7 +49,9 @@ class Evaluation:
 
     def with_references(self, references: Mapping[str, bool | None]) -> Evaluation:
         """The same run, with other outcomes of reference drivers."""
-        others = {leaf: values for leaf, values in self.leaves.items() if not isinstance(leaf, ReferenceCollides)}
+        others: dict[Leaf, LeafValues] = {
+            leaf: values for leaf, values in self.leaves.items() if not isinstance(leaf, ReferenceCollides)
+        }
         return Evaluation.from_signals(self.root, replace(self.signals, references=references), others)
 
     def robustness(self, assumed: float = np.inf) -> FloatArray:
@@ -58,7 +60,7 @@ class Evaluation:
 
     def robustness_at_instants(self) -> FloatArray:
         """Robustness at each instant, (T,), if no part had to hold for the rest of the run."""
-        return _Evaluator(self, "margin", np.inf).at_instants(self.root, False, np.inf, in_time=True)
+        return _Evaluator(self, "margin", np.inf).at_instants(self.root, in_time=True)
 
     def holds(self, assumed: float = np.inf) -> BoolArray:
         """Whether it holds from each instant on, (T,). Unlike robustness, this distinguishes ``<`` from ``<=``."""
@@ -117,8 +119,8 @@ def evaluate_run(
     recording: Recording,
     ego: str,
     other: str | Sequence[str],
-    courses: Mapping[str, FloatArray] | None,
-    references: Mapping[str, bool | None],
+    courses: Mapping[str, FloatArray] | None = None,
+    references: Mapping[str, bool | None] = MappingProxyType({}),
 ) -> dict[str, Evaluation]:
     """Evaluate an expression against each other entity that exists, by name; once if it does not depend on them.
 
@@ -154,31 +156,20 @@ class _Evaluator:
         }
         self.assumed = assumed
 
-    def of_run(self, node: Node, negated: bool = False) -> FloatArray:
-        """Value from each instant on: bounds have to hold all the time, unless a temporal operator is among them.
-
-        A statement is true if it is at some later instant.
-        """
+    def of_run(self, node: Node) -> FloatArray:
+        """Value from each instant on: bounds have to hold all the time, unless a temporal operator is among them."""
         if has_temporal_operator(node):
-            if isinstance(node, Operation) and node.operator == "and" and not negated:
+            if isinstance(node, Operation) and node.operator == "and":
                 return np.asarray(np.minimum.reduce(list(map(self.of_run, node.operands))))
-            return self.at_instants(node, negated, np.inf)
-        if not _has_statement(node):
-            return always(self.at_instants(node, negated, np.inf), None, self.time)
-        if not isinstance(node, Operation):
-            return self.at_instants(node, negated, np.inf)
-        operands = list(zip(node.operands, _operand_signs(node, negated), strict=True))
-        values = [self.of_run(operand, sign) for operand, sign in operands if _has_statement(operand)]
-        bounds = [self.at_instants(operand, sign, np.inf) for operand, sign in operands if not _has_statement(operand)]
-        combine = _combination(node, negated)
-        if bounds:
-            values.append(always(combine.reduce(bounds), None, self.time))
-        return np.asarray(combine.reduce(values))
+            return self.at_instants(node)
+        return always(self.at_instants(node), None, self.time)
 
-    def at_instants(self, node: Node, negated: bool, undefined_value: float, in_time: bool = False) -> FloatArray:
+    def at_instants(
+        self, node: Node, negated: bool = False, undefined_value: float = np.inf, in_time: bool = False
+    ) -> FloatArray:
         """Value of a part or its negation at each instant; `undefined_value` is that of instants without a value.
 
-        `in_time`: whether it is below a temporal operator, where a statement is about each instant.
+        `in_time`: whether it is below a temporal operator, where a statement is about each instant, not about the run.
         """
         if not isinstance(node, Operation):
             return self._leaf_values(node, negated, undefined_value, in_time)
@@ -203,7 +194,7 @@ class _Evaluator:
         if not is_known:
             return np.full(self.time.shape, self.assumed)
         if not in_time:
-            values = np.maximum.accumulate(values[::-1])[::-1]
+            values = np.full(self.time.shape, values.max())
         return -values if negated else values
 
     def _until_values(self, node: Operation, negated: bool) -> FloatArray:
@@ -225,7 +216,3 @@ def _operand_signs(node: Operation, negated: bool) -> list[bool]:
 def _combination(node: Operation, negated: bool) -> np.ufunc:
     """Minimum if all operands of an operation, or of its negation, have to hold, else maximum."""
     return np.minimum if (node.operator == "and") != negated else np.maximum
-
-
-def _has_statement(node: Node) -> bool:
-    return any(isinstance(leaf, Statement) for leaf in iter_leaves(node))

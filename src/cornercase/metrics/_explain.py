@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cornercase._common.text.sanitize import quote_name
+from cornercase.metrics._evaluation import Evaluation
 from cornercase.metrics.expressions._ast import (
     Bound,
     EgoCollides,
@@ -19,7 +20,6 @@ from cornercase.metrics.expressions._ast import (
     Statement,
     format_node,
 )
-from cornercase.metrics._evaluation import Evaluation
 from cornercase.metrics.expressions._statements import (
     TIME_TOLERANCE,
     distance_in_time,
@@ -49,7 +49,8 @@ def explain(evaluation: Evaluation, reference_texts: Mapping[str, str]) -> Reaso
     if isinstance(root, Bound):
         return _explain_bound(root, evaluation, fulfilled is False)
     if isinstance(root, Operation) and root.operator == "unless":
-        collision, reference = (_explain_statement(leaf, evaluation, reference_texts) for leaf in evaluation.leaves)
+        statements = [leaf for leaf in root.operands if isinstance(leaf, Statement)]
+        collision, reference = (_explain_statement(leaf, evaluation, reference_texts) for leaf in statements)
         collides = collision.time is not None and collision.value is not None
         return collision._replace(text=f"{collision.text}; {reference.text}") if collides else collision
     statement = root.operands[0] if isinstance(root, Operation) and root.operator in ("no", "not") else root
@@ -62,17 +63,14 @@ def _explain_operation(evaluation: Evaluation, reference_texts: Mapping[str, str
     fulfilled = evaluation.is_fulfilled()
     verb = {True: "holds", False: "does not hold", None: "may hold or not"}[fulfilled]
     text = f"'{format_node(evaluation.root)}' {verb}"
-    decisive = evaluation.find_decisive_leaf() if fulfilled is not None else None
-    if decisive is not None and isinstance(decisive[0], Bound):
-        bound, k = decisive
-        at, value = float(evaluation.signals.time[k]), float(bound.left.values(evaluation.signals)[k])
-        left = f"{bound.left.text} is {bound.left.format_value(value)} at {at:.6g} s"
-        right = bound.describe_right_side(evaluation.signals, k)
+    leaf, k = (evaluation.find_decisive_leaf() if fulfilled is not None else None) or (None, 0)
+    if isinstance(leaf, Bound):
+        at, value = float(evaluation.signals.time[k]), float(leaf.left.values(evaluation.signals)[k])
+        left = f"{leaf.left.text} is {leaf.left.format_value(value)} at {at:.6g} s"
+        right = leaf.describe_right_side(evaluation.signals, k)
         return Reason(f"{text}: {left}, compared with {right}", at, value)
-    statements = [leaf for leaf in evaluation.leaves if isinstance(leaf, Statement)]
-    if decisive is not None:
-        statements = [leaf for leaf in statements if leaf == decisive[0]]
-    reasons = [_explain_statement(leaf, evaluation, reference_texts) for leaf in statements]
+    statements = [leaf] if leaf is not None else [item for item in evaluation.leaves if isinstance(item, Statement)]
+    reasons = [_explain_statement(statement, evaluation, reference_texts) for statement in statements]
     if not reasons:
         return Reason(f"{text}; the decisive value is infinite, or the interval contains no sample")
     return reasons[0]._replace(text=f"{text}: {'; '.join(reason.text for reason in reasons)}")

@@ -9,9 +9,9 @@ import numpy as np
 from cornercase._common.errors import InputError
 from cornercase._common.typing import FloatArray
 from cornercase.metrics._base import Metric
+from cornercase.metrics._evaluation import Evaluation
 from cornercase.metrics._registry import METRICS
 from cornercase.metrics.expressions._ast import Bound, Signal
-from cornercase.metrics._evaluation import Evaluation
 from cornercase.metrics.expressions._expression import DEFAULT_CAP, Expression
 from cornercase.metrics.expressions._recorded_signals import signals_from_recording
 from cornercase.recordings import Recording

@@ -10,6 +10,8 @@ from cornercase._common.errors import PluginError
 from cornercase._common.text.sanitize import quote_name
 from cornercase._common.typing import FloatArray
 from cornercase.drivers.references.r157._preventability import ReferenceOutcome
+from cornercase.metrics._evaluation import evaluate_run
+from cornercase.metrics._explain import explain
 from cornercase.recordings import Recording
 from cornercase.study import ScenarioRecord, StudyFile
 from cornercase.study._damage import reraise_as_damage
@@ -61,7 +63,9 @@ def judge(
     Examples
     --------
     >>> import numpy as np
-    >>> from cornercase.recordings import Recording
+    >>> from cornercase.metrics._evaluation import evaluate_run
+    from cornercase.metrics._explain import explain
+    from cornercase.recordings import Recording
     >>> from cornercase.suite import Requirement, judge
     >>> still = np.zeros((2, 3))
     >>> recording = Recording(
@@ -76,9 +80,9 @@ def judge(
     texts = {name: outcome.describe(name) for name, outcome in (references or {}).items()}
     collides = {name: outcome.collides for name, outcome in (references or {}).items()}
     try:
-        evaluations = requirement.expression.evaluate(recording, ego, other, courses=courses, references=collides)
+        evaluations = evaluate_run(requirement.expression.root, recording, ego, other, courses, collides)
         verdicts = {
-            name: Verdict(_STATES[evaluation.is_fulfilled()], requirement.text, *requirement.expression.explain(evaluation, texts))
+            name: Verdict(_STATES[evaluation.is_fulfilled()], requirement.text, *explain(evaluation, texts))
             for name, evaluation in evaluations.items()
         }
     except PluginError as error:
@@ -100,13 +104,13 @@ def compute_margin(requirement: Requirement, recording: Recording, ego: str, oth
     """
     if not requirement.expression.has_margin:
         return None
-    evaluations = requirement.expression.evaluate(recording, ego, others).values()
+    evaluations = evaluate_run(requirement.expression.root, recording, ego, others).values()
     return min(float(evaluation.robustness()[0]) for evaluation in evaluations)
 
 
 def depends_on_reference(requirement: Requirement, recording: Recording, ego: str, others: Sequence[str]) -> bool:
     """Whether the verdict on a recording is open as long as reference drivers were not run."""
-    evaluations = requirement.expression.evaluate(recording, ego, others).values()
+    evaluations = evaluate_run(requirement.expression.root, recording, ego, others).values()
     return any(evaluation.is_fulfilled() is None for evaluation in evaluations)
 
 
@@ -134,11 +138,11 @@ def judge_scenario(study: StudyFile, row: ScenarioRecord, requirements: list[Req
     # With several others it is unknown which one a course refers to at each time.
     needed = {name for item in applicable for name in item.expression.metrics} if len(meta.others) == 1 else set()
     courses = {name: study.course(row.id, name) for name in meta.metrics if name in needed}
-    references = {name: None for item in applicable for name in item.expression.reference_drivers}
-    outcomes = {name: study.reference_outcome(row.id, name) for name in references}
-    known = {name: outcome for name, outcome in outcomes.items() if outcome is not None}
+    drivers = dict.fromkeys(name for item in applicable for name in item.expression.reference_drivers)
+    outcomes = {name: study.reference_outcome(row.id, name) for name in drivers}
+    references = {name: outcome for name, outcome in outcomes.items() if outcome is not None}
     return [
-        judge(requirement, recording, meta.ego, meta.others, courses=courses, references=known)
+        judge(requirement, recording, meta.ego, meta.others, courses=courses, references=references)
         for requirement in applicable
     ]
 

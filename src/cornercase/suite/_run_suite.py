@@ -25,8 +25,8 @@ from cornercase._common.validation import check_path as path_argument
 from cornercase.drivers import Driver
 from cornercase.drivers._resolve import is_driver, resolve_driver
 from cornercase.metrics import METRICS
-from cornercase.metrics._other_entities import ALL_OTHERS, resolve_others
 from cornercase.metrics._critical_if import find_critical_if_condition
+from cornercase.metrics._other_entities import ALL_OTHERS, resolve_others
 from cornercase.simulators import Simulator
 from cornercase.simulators._create import create_simulator
 from cornercase.simulators._results import describe_file_error

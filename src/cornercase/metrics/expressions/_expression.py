@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from cornercase._common.typing import BoolArray, FloatArray
+from cornercase._common.typing import FloatArray
+from cornercase.metrics._evaluation import Evaluation
 from cornercase.metrics._registry import METRICS
 from cornercase.metrics.expressions._ast import (
     Bound,
@@ -17,12 +17,9 @@ from cornercase.metrics.expressions._ast import (
     format_node,
     iter_leaves,
 )
-from cornercase.metrics._evaluation import Evaluation, evaluate_run
-from cornercase.metrics._explain import Reason, explain
 from cornercase.metrics.expressions._parser import Language, parse_expression
 from cornercase.metrics.expressions._recorded_signals import Signals
 from cornercase.metrics.expressions._units import normalize_unit
-from cornercase.recordings import Recording
 
 DEFAULT_CAP = 100.0
 """Robustness that parts without a cap of their own are limited to."""
@@ -145,29 +142,6 @@ class Expression:
         """Whether its robustness says how narrowly it is fulfilled; a collision happens or not."""
         return not any(isinstance(leaf, EgoCollides | ReferenceCollides) for leaf in self.leaves)
 
-    def evaluate(
-        self,
-        recording: Recording,
-        ego: str,
-        other: str | Sequence[str],
-        *,
-        courses: Mapping[str, FloatArray] | None = None,
-        references: Mapping[str, bool | None] | None = None,
-    ) -> dict[str, Evaluation]:
-        """Evaluate it against each other entity that exists, by name; once if it does not depend on them.
-
-        `courses` of metrics that are known already are used if there is a single other entity. `references` say whether
-        each reference driver collides, as in `Signals`.
-        """
-        return evaluate_run(self.root, recording, ego, other, courses, references or {})
-
-    def explain(self, evaluation: Evaluation, reference_texts: Mapping[str, str]) -> Reason:
-        """Explain why it is fulfilled in an evaluation of it, or not.
-
-        `reference_texts` say by name what happens with a reference driver.
-        """
-        return explain(evaluation, reference_texts)
-
     def robustness(self, signals: Signals) -> FloatArray:
         """Robustness from each instant on.
 
@@ -188,20 +162,6 @@ class Expression:
             The expression has a statement on the recording, and the signals have none.
         """
         return Evaluation.from_signals(self.root, signals).robustness()
-
-    def holds(self, signals: Signals) -> BoolArray:
-        """Whether it holds from each instant on. Unlike the sign of `robustness`, this distinguishes ``<`` from ``<=``.
-
-        Parameters
-        ----------
-        signals : Signals
-
-        Returns
-        -------
-        ndarray of bool, shape (T,)
-            What is not defined or not known violates nothing.
-        """
-        return Evaluation.from_signals(self.root, signals).holds()
 
     def is_fulfilled(self, signals: Signals) -> bool | None:
         """Whether it holds from the first instant on, as requirements and conditions judge it.

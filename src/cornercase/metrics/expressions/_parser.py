@@ -300,9 +300,7 @@ class _Parser:
                 message = f"write {_FOREIGN_OPERATORS[foreign]} for {foreign}."
             elif rest and not re.match(r"[\w°%()\[\],:.<>+\"-]", rest, re.ASCII):
                 message = f"{_describe_character(rest[0])} has no meaning here."
-        raise ExpressionError(
-            f"The {self.language} cannot be read: {message}", _mark_position(self.text, position)
-        )
+        raise ExpressionError(f"The {self.language} cannot be read: {message}", _mark_position(self.text, position))
 
     def _parse_number(self) -> _Number:
         begin, text = self.position, str(self.take(_NUMBER))
@@ -338,9 +336,7 @@ class _Parser:
             self.fail(hint or f"{signal.text} is in {signal.unit}: {error}", number.unit_position)
         return value, f"{number.text} {normalize_unit(number.unit)}".rstrip()
 
-    def _operation(
-        self, operator: Operator, *operands: Node, interval: tuple[float, float] | None = None
-    ) -> Operation:
+    def _operation(self, operator: Operator, *operands: Node, interval: tuple[float, float] | None = None) -> Operation:
         operation = Operation(operator, operands, interval)
         if operation.depth > _MAX_DEPTH:
             self._fail_too_deep()
