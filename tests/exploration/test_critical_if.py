@@ -144,7 +144,7 @@ def test_a_study_belongs_to_its_condition(study):
         ({"critical_if": "collision and not reference:cc-humn"}, "reference:cc-humn: There is no driver"),
         ({"critical_if": "colision"}, "did you mean 'collision'"),
         ({"metrics": ["critical-if:collision"], "critical_if": None}, "`critical_if`"),
-        ({"critical_if": "stl:always(ttc<1) > 0"}, "there is no 'stl'"),
+        ({"critical_if": "stl:always(ttc<1) > 0"}, "write the formula itself, in brackets"),
     ],
 )
 def test_what_cannot_be_is_refused_before_there_is_a_study(tmp_path, options, words):

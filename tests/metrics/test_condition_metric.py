@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from cornercase._common.errors import InputError
-from cornercase.metrics import CriticalIf, Formula, measure
+from cornercase.metrics import CriticalIf, Expression, measure
+from cornercase.metrics._critical_if import find_critical_if_condition
 from cornercase.metrics._measure import evaluate_metrics
-from cornercase.metrics.formulas._critical_if import find_critical_if_condition
 from helpers.two_cars import met
 
 X = np.arange(6) * 1.0
@@ -43,16 +43,19 @@ def test_a_condition_has_one_way_of_writing_and_is_read_again_as_the_same(given,
 @pytest.mark.parametrize(
     ("given", "words"),
     [
-        ("", "give 'collision', 'reference:NAME', or a bound"),
+        ("", "give a bound such as ttc > 1.5, or a statement such as 'no collision'"),
         ("colision", "did you mean 'collision'"),
         ("tttc < 1", "did you mean 'ttc'"),
-        ("collision and", "at its end: give 'collision'"),
-        ("collision not reference:rss", "at 'not reference:rss': give and, or"),
+        ("collision and", "collision and\n                 ^"),
+        (
+            "collision not reference:rss",
+            "give and, or, ->, until, or the end of the condition.\n    collision not reference:rss\n              ^",
+        ),
         ("reference cc-human", "a colon and the name of a driver"),
         ("reference:", "the name of a driver"),
         ("(collision", "a closing bracket"),
-        ("always (ttc > 1)", "metric stl"),
-        ("ego.speed > 3", "takes scores of metrics"),
+        ("always (ttc > 1", "a closing bracket"),
+        ("ego.speed > 3", "as in always(ego.speed > 3) or eventually(ego.speed > 3)"),
         ("ttc < clearance", "compared with"),
         ("thw < ttc", "compare the score of a metric with a number"),
         ("ttc < 1 m", "ttc is in s"),
@@ -61,7 +64,7 @@ def test_a_condition_has_one_way_of_writing_and_is_read_again_as_the_same(given,
     ],
 )
 def test_what_is_no_condition_is_refused_with_what_helps(given, words):
-    with pytest.raises(InputError, match="The condition") as refused:
+    with pytest.raises(InputError, match="The condition cannot be read") as refused:
         CriticalIf.from_text(given)
     assert words in str(refused.value)
 
@@ -138,8 +141,8 @@ def test_a_recording_alone_cannot_be_measured_by_it():
     for asked in (["critical-if:collision"], ["critical-if:collision and not reference:fsm"]):
         with pytest.raises(InputError, match="critical_if"):
             measure(run(1.0), "Ego", "Other", asked)
-    with pytest.raises(InputError, match="which a formula cannot use"):
-        Formula.parse("critical-if < 1")
+    with pytest.raises(InputError, match="which an expression cannot use"):
+        Expression.parse("critical-if < 1")
     made = CriticalIf.from_text("collision")
     assert set(evaluate_metrics([made], run(1.0), "Ego", "Other")) == {made.name}
 

@@ -94,7 +94,7 @@ def test_43_6_a_concrete_file_keeps_what_its_scenario_asks_for(tmp_path):
             "not used: RunningRedLightTest, DrivenDistanceTest;",
         ),
         ((asks("DrivenDistanceTest", "d", "far"),), "value of <ParameterCondition>"),
-        ((asks("DrivenDistanceTest", "d", "-5"),), "write 'drive D', above 0"),
+        ((asks("DrivenDistanceTest", "d", "-5"),), "give a distance above 0"),
     ],
 )
 def test_43_6_files_that_hold_nothing_to_take_are_refused(tmp_path, criteria, words):
@@ -113,7 +113,7 @@ def test_43_6_how_far_the_ego_drives_is_judged():
     assert failed.state == "failed"
     assert failed.value == pytest.approx(8.0)
     assert compute_margin(Requirement.parse("drive 8.5"), recording, "Ego", ["Other"]) == pytest.approx(-0.5)
-    with pytest.raises(InputError, match="is not a distance"):
+    with pytest.raises(InputError, match="give a distance"):
         Requirement.parse("drive far")
 
 

@@ -23,6 +23,14 @@ class InputError(ValueError):
     """
 
 
+class ExpressionError(InputError):
+    """An expression that cannot be read; two lines below the sentence show the text, and a caret at the place."""
+
+    def __init__(self, sentence: str, excerpt: str = "") -> None:
+        super().__init__(f"{sentence}\n{excerpt}" if excerpt else sentence)
+        self.excerpt = excerpt
+
+
 class SimulationError(RuntimeError):
     """One concrete scenario could not be run; the others of its batch are not affected."""
 

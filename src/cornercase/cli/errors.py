@@ -15,7 +15,7 @@ from typing import Any, Final, cast
 
 import typer
 
-from cornercase._common.errors import InputError, StudyLostError
+from cornercase._common.errors import ExpressionError, InputError, StudyLostError
 from cornercase._common.plugin_errors import describe_error
 from cornercase._common.process.signals import pop_lost_interrupt
 from cornercase._common.text.sanitize import check_no_surrogates, format_exception, shorten
@@ -62,7 +62,7 @@ def run_command(command: Callable[[], Any]) -> int:
             return 1
         if isinstance(error, SystemExit) and _is_raised_by_typer(error):
             return error.code if isinstance(error.code, int) else 0
-        _print_error(_describe_error(error))
+        _print_error(_describe_error(error), _expression_excerpt(error))
         return 1 if isinstance(error, StudyLostError) else 2
     # Between commands, typer treats every interrupt as Ctrl-C.
     return interrupt_exit_code() if code == 128 + signal.SIGINT else code if isinstance(code, int) else 0
@@ -78,9 +78,18 @@ def _is_closed_pipe(error: BaseException | None) -> bool:
     return isinstance(error, OSError) and error.errno == errno.EPIPE
 
 
-def _print_error(sentence: str) -> None:
-    line = use_option_names(sentence).replace("\n", "\\n")
-    err.print(f"cornercase: {shorten(line, MAX_LINE_LENGTH)}")
+def _print_error(sentence: str, excerpt: str = "") -> None:
+    line = use_option_names(sentence.removesuffix(f"\n{excerpt}")).replace("\n", "\\n")
+    err.print("\n".join([f"cornercase: {shorten(line, MAX_LINE_LENGTH)}", *excerpt.splitlines()]))
+
+
+def _expression_excerpt(error: BaseException | None) -> str:
+    """Return the lines that show the place in an expression, if the error is about one."""
+    while error is not None:
+        if isinstance(error, ExpressionError):
+            return error.excerpt
+        error = error.__cause__
+    return ""
 
 
 def _discard_output() -> None:

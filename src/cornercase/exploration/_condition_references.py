@@ -9,8 +9,8 @@ from cornercase._common.errors import SimulationError
 from cornercase.drivers.references.r157._preventability import ReferenceOutcome, assess_preventability
 from cornercase.exploration._config import ExplorationConfig
 from cornercase.metrics import CriticalIf
+from cornercase.metrics._critical_if import ConditionState
 from cornercase.metrics._measure import MetricResult
-from cornercase.metrics.formulas._critical_if import ConditionState
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import Simulator

@@ -26,8 +26,8 @@ from cornercase.drivers._resolve import create_driver_named_in_file, is_driver
 from cornercase.exploration._objective import Objective
 from cornercase.exploration._stopping import StopCriterion
 from cornercase.metrics import METRICS, CriticalIf
+from cornercase.metrics._critical_if import find_critical_if_condition
 from cornercase.metrics._other_entities import ALL_OTHERS, resolve_others
-from cornercase.metrics.formulas._critical_if import find_critical_if_condition
 from cornercase.optimizers._registry import optimizer_requirements
 from cornercase.scenario import LogicalScenario
 from cornercase.scenario._file import ScenarioFile
@@ -201,7 +201,7 @@ class ExplorationConfig:
         if self.critical_if is None:
             return None
         condition = CriticalIf.from_text(self.critical_if)
-        condition.check_parts_installed()
+        condition.condition.check_installed()
         return condition
 
     def parse_stop_criteria(self) -> list[StopCriterion]:

@@ -7,6 +7,7 @@ from ._braking import Mdrac as Mdrac
 from ._braking import StoppingDistance as StoppingDistance
 from ._closest_encounter import Dce as Dce
 from ._closest_encounter import Ttce as Ttce
+from ._critical_if import CriticalIf as CriticalIf
 from ._distance import Clearance as Clearance
 from ._distance import Distance as Distance
 from ._features import FEATURES as FEATURES
@@ -37,7 +38,6 @@ from ._traffic_quality import TrafficQuality as TrafficQuality
 from ._trajectory_distance import TrajectoryDistance as TrajectoryDistance
 from ._ttc import Ttc as Ttc
 from ._wttc import Wttc as Wttc
-from .formulas._critical_if import CriticalIf as CriticalIf
-from .formulas._formula import Formula as Formula
-from .formulas._signals import Signals as Signals
-from .formulas._signals import signals_from_recording as signals_from_recording
+from .expressions._expression import Expression as Expression
+from .expressions._recorded_signals import Signals as Signals
+from .expressions._recorded_signals import signals_from_recording as signals_from_recording

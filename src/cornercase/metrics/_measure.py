@@ -189,7 +189,7 @@ def evaluate_metrics(
 def _evaluate_against(
     metric: Metric, recording: Recording, ego: str, other: str, contacts: dict[str, tuple[int, float] | None]
 ) -> MetricResult:
-    course, score = _compute_course_and_score(metric, recording, ego, other)
+    course, score = compute_course_and_score(metric, recording, ego, other)
     if metric.contact_score is not None:
         if other not in contacts:
             contacts[other] = find_first_contact(recording, ego, other)
@@ -198,7 +198,7 @@ def _evaluate_against(
     return MetricResult(course, score)
 
 
-def _compute_course_and_score(metric: Metric, recording: Recording, ego: str, other: str) -> tuple[FloatArray, float]:
+def compute_course_and_score(metric: Metric, recording: Recording, ego: str, other: str) -> tuple[FloatArray, float]:
     """Course and score of a metric, which may be third-party code; check both."""
     part, interrupts = f"the metric {metric.name}", count_requests()
     try:

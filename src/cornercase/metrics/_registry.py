@@ -15,7 +15,7 @@ for _name, _target in (
     ("a-long-req", "_braking:LongitudinalAcceleration"),
     ("btn", "_braking:Btn"),
     ("clearance", "_distance:Clearance"),
-    ("critical-if", "formulas._critical_if:CriticalIf"),
+    ("critical-if", "_critical_if:CriticalIf"),
     ("conflict-severity", "_severity:ConflictSeverity"),
     ("dce", "_closest_encounter:Dce"),
     ("delta-v", "_severity:DeltaV"),

@@ -15,7 +15,7 @@ from typing import Final
 from cornercase._common.errors import InputError
 from cornercase.drivers._description import driver_command_option, format_driver
 from cornercase.drivers._resolve import create_driver_named_in_file
-from cornercase.metrics.formulas._critical_if import find_critical_if_condition
+from cornercase.metrics._critical_if import find_critical_if_condition
 from cornercase.scenario import LogicalScenario, Parameter, ParameterSpace
 from cornercase.scenario._file import ScenarioFile
 from cornercase.study import StudyFile, StudyMeta

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from cornercase.metrics import CriticalIf
-from cornercase.metrics.formulas._critical_if import find_critical_if_condition
+from cornercase.metrics._critical_if import find_critical_if_condition
 from cornercase.study import StudyFile
 from cornercase.study._damage import reraise_as_damage
 from cornercase.suite import Requirement
@@ -32,9 +32,10 @@ def count_reference_results(study: StudyFile) -> dict[str, ReferenceCount]:
     with reraise_as_damage(study.path):
         condition = find_critical_if_condition(meta.metrics)
         names = list(CriticalIf.from_text(condition).reference_drivers) if condition else []
-        names += [Requirement.parse(text).reference for text in meta.requirements]
+        for text in meta.requirements:
+            names += Requirement.parse(text).expression.reference_drivers
         counts = {}
-        for reference in filter(None, dict.fromkeys(names)):
+        for reference in dict.fromkeys(names):
             collisions = [count.collides for count in study.reference_outcomes(reference).values()]
             counts[reference] = ReferenceCount(collisions.count(False), collisions.count(True), collisions.count(None))
         return counts

@@ -15,7 +15,7 @@ from cornercase._common.text.sanitize import escape_control_characters, shorten
 from cornercase._common.typing import FloatArray
 from cornercase._common.version import __version__
 from cornercase.drivers._description import iter_driver_changes
-from cornercase.metrics.formulas._critical_if import find_critical_if_condition
+from cornercase.metrics._critical_if import find_critical_if_condition
 from cornercase.scenario import Parameter, ParameterSpace
 
 _DIFFERENCE_TEXTS: Final = {

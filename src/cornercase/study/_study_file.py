@@ -22,7 +22,7 @@ from cornercase._common.typing import BoolArray, FloatArray
 from cornercase._common.validation import check_float, check_int
 from cornercase.drivers.references.r157._preventability import ReferenceOutcome
 from cornercase.metrics import METRICS
-from cornercase.metrics.formulas._critical_if import find_critical_if_condition
+from cornercase.metrics._critical_if import find_critical_if_condition
 from cornercase.recordings import Collision, Recording
 from cornercase.study._arrays import read_arrays
 from cornercase.study._codec import unpack_arrays, unpack_recording

@@ -269,7 +269,7 @@ def _iter_violations(
 
 def _require_no_reference(requirements: Sequence[Requirement]) -> None:
     for requirement in requirements:
-        if requirement.reference:
+        if requirement.expression.reference_drivers:
             raise InputError(
                 f"`require` {requirement}: mutants cannot be judged with a reference driver; leave out this requirement"
                 " or the mutants."

@@ -9,6 +9,7 @@ from cornercase.drivers.references.r157._preventability import assess_preventabi
 from cornercase.simulators import Simulator
 from cornercase.simulators._results import run_scenarios
 from cornercase.study import ScenarioRecord, StudyFile
+from cornercase.suite._judge import depends_on_reference
 from cornercase.suite._requirement import Requirement
 from cornercase.suite._suite import Suite
 
@@ -16,15 +17,15 @@ from cornercase.suite._suite import Suite
 def run_reference_drivers(
     suite: Suite, study: StudyFile, requirements: Sequence[Requirement], simulators_by_driver: Mapping[str, Simulator]
 ) -> None:
-    """Run each scenario in which the ego collides again with the reference drivers, and store the outcomes.
+    """Run each scenario whose verdict depends on reference drivers again with them, and store the outcomes.
 
     `study` is open for writing; outcomes that it holds already are not run again. `references` are simulators with the
     driver of that name in the ego.
     """
     ego, others = study.meta.ego, study.meta.others
     for name, simulator in simulators_by_driver.items():
-        applicable = [requirement for requirement in requirements if requirement.reference == name]
-        rows = [row for row in study.finished_rows() if _needs_reference_run(suite, study, row, applicable)]
+        applicable = [item for item in requirements if name in item.expression.reference_drivers]
+        rows = [row for row in study.finished_rows() if _needs_reference_run(suite, study, row, name, applicable)]
         outcomes = run_scenarios(simulator, [suite.scenarios[row.id - 1].concrete_scenario for row in rows])
         for row, run in zip(rows, outcomes, strict=False):
             if not isinstance(run, SimulationError):
@@ -33,10 +34,11 @@ def run_reference_drivers(
 
 
 def _needs_reference_run(
-    suite: Suite, study: StudyFile, row: ScenarioRecord, requirements: Sequence[Requirement]
+    suite: Suite, study: StudyFile, row: ScenarioRecord, reference: str, requirements: Sequence[Requirement]
 ) -> bool:
     scenario = suite.scenarios[row.id - 1]
-    applies = any(requirement.applies_to(scenario.file_name, scenario.cluster_name) for requirement in requirements)
-    if not applies or study.reference_outcome(row.id, requirements[0].reference) is not None:
+    applicable = [item for item in requirements if item.applies_to(scenario.file_name, scenario.cluster_name)]
+    if not applicable or study.reference_outcome(row.id, reference) is not None:
         return False
-    return any(study.meta.ego in collision.entities for collision in study.recording(row.id).collisions)
+    recording, ego, others = study.recording(row.id), study.meta.ego, study.meta.others
+    return any(depends_on_reference(item, recording, ego, others) for item in applicable)

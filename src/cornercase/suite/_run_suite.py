@@ -25,8 +25,8 @@ from cornercase._common.validation import check_path as path_argument
 from cornercase.drivers import Driver
 from cornercase.drivers._resolve import is_driver, resolve_driver
 from cornercase.metrics import METRICS
+from cornercase.metrics._critical_if import find_critical_if_condition
 from cornercase.metrics._other_entities import ALL_OTHERS, resolve_others
-from cornercase.metrics.formulas._critical_if import find_critical_if_condition
 from cornercase.simulators import Simulator
 from cornercase.simulators._create import create_simulator
 from cornercase.simulators._results import describe_file_error
@@ -184,7 +184,7 @@ def run_suite(
         # Check before anything is run.
         require_builtin_simulator(name)
         driver_and_mutants = draw_mutants(contents, entities[0], options["drivers"], parsed, mutants, seed)
-    reference_names = dict.fromkeys(item.reference for item in parsed if item.reference)
+    reference_names = dict.fromkeys(name for item in parsed for name in item.expression.reference_drivers)
     with open_connection(cluster, workers) as client:
         start: Callable[..., Simulator] = partial(
             create_simulator, name, ego=entities[0], timeout=timeout, retries=retries
@@ -292,11 +292,11 @@ def _resolve_entities(
     if other is not None and ALL_OTHERS in check_str_sequence("other", other):
         # Not every file needs to have all of them.
         roles = {ego_name: "ego"}
-    roles |= {item.entity: "entity to avoid" for item in requirements if item.entity}
+    roles |= {name: "entity to avoid" for item in requirements for name in item.expression.entities}
     roles |= dict.fromkeys(check_mapping("drivers", drivers), "driven entity")
     suite = _mark_lacking_entity(suite, roles)
     for required in requirements:
-        if required.entity == ego_name:
+        if ego_name in required.expression.entities:
             raise InputError(f"`require` {required}: is the ego itself; name another entity.")
         if not any(required.applies_to(item.file_name, item.cluster_name) for item in suite.scenarios):
             raise InputError(f"`require` {required}: {_describe_no_match(suite, required)}.")
@@ -338,16 +338,11 @@ def _choose_metrics(suite: Suite, requested: Sequence[str], requirements: Sequen
     names = list(check_str_sequence("metrics", requested)) or [
         name for name in suite.metrics if not find_critical_if_condition([name])
     ]
-    formula_metrics = [
-        name for requirement in requirements if requirement.formula is not None for name in requirement.formula.metrics
-    ]
-    instances = [METRICS.create(name) for name in dict.fromkeys(names or formula_metrics or ["clearance"])]
+    required = [name for requirement in requirements for name in requirement.expression.metrics]
+    instances = [METRICS.create(name) for name in dict.fromkeys(names or required or ["clearance"])]
     # Check before the study is created.
-    for metric in [*instances, *map(METRICS.create, formula_metrics)]:
+    for metric in [*instances, *map(METRICS.create, required)]:
         metric.check_installed()
-    for requirement in requirements:
-        if requirement.formula is not None:
-            requirement.formula.check_installed()
     return tuple(metric.name for metric in instances)
 
 

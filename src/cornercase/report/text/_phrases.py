@@ -11,7 +11,7 @@ from cornercase._common.plugin_errors import group_failure_messages
 from cornercase._common.text.sanitize import docstring_summary
 from cornercase.clustering import ASPECTS, Analysis, Profile
 from cornercase.metrics import METRICS
-from cornercase.metrics.formulas._critical_if import find_critical_if_condition
+from cornercase.metrics._critical_if import find_critical_if_condition
 from cornercase.report._estimates import CriticalEstimates
 from cornercase.report._summary import Summary
 from cornercase.scenario import Parameter, Value

@@ -58,9 +58,8 @@ def resolve_tolerances(
     `given` overrides the defaults by metric; raises `InputError` if one is negative or for a metric that is not
     compared.
     """
-    formulas = (Requirement.parse(item).formula for item in requirements)
-    formula_metrics = [name for item in formulas if item is not None for name in item.metrics]
-    limits = {name: _default_tolerance(METRICS.create(name).unit) for name in (*metrics, *formula_metrics)}
+    required = [name for item in requirements for name in Requirement.parse(item).expression.metrics]
+    limits = {name: _default_tolerance(METRICS.create(name).unit) for name in (*metrics, *required)}
     for name, value in validation.check_mapping("tolerances", overrides or {}).items():
         if name not in limits:
             raise InputError(f"`tolerances` {name}: is not a compared metric; {suggest_name(name, limits)}")
@@ -145,14 +144,8 @@ def _exceeds_tolerance(before: float, after: float, tolerance: float) -> bool:
 
 def _margin_tolerance(requirement: str, tolerances: Mapping[str, float]) -> float:
     """Tolerance of the margin of a requirement: the smallest one of its signals."""
-    formula = Requirement.parse(requirement).formula
-    if formula is None:
-        # The margin of a position or a distance is in m.
-        return DEFAULT_TOLERANCES["m"]
-    signals = [signal.left for signal in formula.comparisons]
-    return min(
-        tolerances[signal.name] if signal.name in tolerances else _default_tolerance(signal.unit) for signal in signals
-    )
+    units = Requirement.parse(requirement).expression.compared_units
+    return min(tolerances[name] if name in tolerances else _default_tolerance(unit) for name, unit in units)
 
 
 def _group_into_findings(changes: Iterable[PairChange], metrics: Iterable[str]) -> Iterator[Finding]:

@@ -1,4 +1,4 @@
-"""Units of numbers in formulas."""
+"""Units of numbers in expressions."""
 
 from __future__ import annotations
 
@@ -43,11 +43,6 @@ def convert_to_unit(number: float, from_unit: str, to_unit: str) -> float:
     """Convert a number from the unit `from_unit` (``""``: already converted) to the unit `to_unit` of a signal.
 
     InputError, with the units that fit, if there is no such unit or it is one of another quantity.
-
-    Examples
-    --------
-    >>> convert_to_unit(50.0, "km/h", "m/s")
-    13.88888888888889
     """
     unit, target = normalize_unit(from_unit), normalize_unit(to_unit)
     if unit in ("", target):

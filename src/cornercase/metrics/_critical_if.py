@@ -1,0 +1,184 @@
+"""Metric of a condition that defines which scenarios are critical."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from cornercase._common.errors import InputError
+from cornercase._common.typing import FloatArray
+from cornercase.metrics._base import Metric
+from cornercase.metrics._distance import Clearance
+from cornercase.metrics._evaluation import Evaluation, evaluate_run
+from cornercase.metrics._registry import METRICS
+from cornercase.metrics.expressions._ast import EgoCollides
+from cornercase.metrics.expressions._expression import DEFAULT_CAP, Expression
+from cornercase.metrics.expressions._recorded_signals import (
+    CONDITION_METRIC,
+    SCORE_PREFIX,
+    Signals,
+    signals_from_recording,
+)
+from cornercase.recordings import Recording
+
+# Score of a run that is exactly at the bound, though the condition does not hold.
+_EPSILON: Final = 1e-9
+
+
+class CriticalIf(Metric):
+    """How far a run is from fulfilling a condition on collisions, scores, and what a reference driver prevents.
+
+    The condition is an expression in which a bound on a metric is on its score, unless a temporal operator says when it
+    has to hold. The score is 0 or below if the condition holds, else its robustness with the opposite sign: for ``and``
+    the part counts that is farthest from holding, for ``or`` the nearest. The distance of a collision is the clearance
+    to the other entity, that of a bound the difference of score and bound. A reference has no distance, so if it alone
+    decides, and decides against, the score is the cap. The course is the distance from holding at each instant,
+    assuming that references decide for it. With several others, a bound with a temporal operator has to hold against
+    one of them.
+
+    Searched by ``cornercase explore --critical-if``, which runs the references; a recording alone cannot be measured.
+    Cap: the farthest that a part can be from holding; 100 for a collision, and if no part can be far. Most critical
+    value: the same below 0, -100 at least.
+
+    Source: UN Regulation No. 157, Annex 4, Appendix 3, where preventable is what a reference driver prevents; distances
+    are combined as in G. E. Fainekos, G. J. Pappas, "Robustness of temporal logic specifications for continuous-time
+    signals", Theoretical Computer Science 410 (2009).
+
+    Parameters
+    ----------
+    condition : str, default "collision"
+        Everything behind the colon: ``"critical-if:collision and not reference:cc-human"``.
+    """
+
+    name = CONDITION_METRIC
+    unit = "1"
+    lower_is_critical = True
+    cap = DEFAULT_CAP
+    default_threshold = 0.0
+    required_option = "CONDITION"
+    source = "UN Regulation No. 157, Fainekos and Pappas 2009"
+
+    def __init__(self, condition: str = "collision", /) -> None:
+        self.condition = Expression.parse(condition, "condition")
+        self.unit = self.condition.unit
+        # A bound that equals its metric's cap can be 0 from holding, which would leave no range.
+        self.cap = self.condition.cap or DEFAULT_CAP
+        self.bound = -max(self.cap, DEFAULT_CAP)
+
+    @classmethod
+    def from_text(cls, condition: str) -> CriticalIf:
+        """Create the metric of a condition, with the normalized text as name, whatever the spelling.
+
+        Parameters
+        ----------
+        condition : str
+
+        Returns
+        -------
+        CriticalIf
+
+        Raises
+        ------
+        InputError
+            The condition cannot be parsed.
+        """
+        metric = cls(condition)
+        metric.name = f"{CONDITION_METRIC}:{metric.condition.text}"
+        return metric
+
+    @property
+    def reference_drivers(self) -> tuple[str, ...]:
+        """Names of the reference drivers in the condition."""
+        return self.condition.reference_drivers
+
+    def check_installed(self) -> None:
+        raise InputError(
+            f"The metric '{self.name}' needs runs of reference drivers, which only `explore` makes; pass its condition"
+            " to `explore` with `critical_if`."
+        )
+
+    def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
+        # A score is a bound on the course here.
+        parts = {name: METRICS.create(name) for name in self.condition.metrics}
+        courses = {name: metric.course(recording, ego, other) for name, metric in parts.items()}
+        scores = {f"{SCORE_PREFIX}{name})": parts[name].clip_course(course) for name, course in courses.items()}
+        signals = signals_from_recording(recording, ego, other, courses)
+        signals = Signals(recording.time, {**signals.values, **scores}, recording, ego, (other,))
+        distance = 0.0 - Evaluation.from_signals(self.condition.root, signals).robustness_at_instants()
+        defined = [~np.isnan(course) for course in courses.values()]
+        if any(isinstance(leaf, EgoCollides) for leaf in self.condition.leaves):
+            defined.append(~np.isnan(Clearance().course(recording, ego, other)))
+        is_defined = np.logical_or.reduce(defined) if defined else True
+        return np.asarray(np.where(is_defined, distance, np.nan))
+
+    def evaluate(self, recording: Recording, ego: str, other: str | Sequence[str]) -> ConditionState:
+        """Evaluate the parts of the condition that need no reference driver.
+
+        Parameters
+        ----------
+        recording : Recording
+        ego : str
+            Name of an entity.
+        other : str or sequence of str
+            Names of one or several others; of several the nearest counts, and the worst score.
+
+        Returns
+        -------
+        ConditionState
+
+        Raises
+        ------
+        InputError
+            There is no entity of that name.
+        """
+        return ConditionState(self, tuple(evaluate_run(self.condition.root, recording, ego, other).values()))
+
+
+@dataclass(frozen=True, eq=False)
+class ConditionState:
+    """State of a condition for one run, before references are run: its evaluation against each other entity.
+
+    `outcomes` of the methods map the name of a reference to whether it collides: None if it does not apply to the
+    scenario, missing if it was not run.
+    """
+
+    metric: CriticalIf
+    evaluations: tuple[Evaluation, ...]
+
+    def next_reference_to_run(self, outcomes: Mapping[str, bool | None]) -> str | None:
+        """Name of the reference to run next; None if the condition is decided, or no reference could decide it."""
+        if self.is_fulfilled(outcomes) is not None:
+            return None
+        pending = [name for name in self.metric.reference_drivers if name not in outcomes]
+        decisive = (
+            name
+            for name in pending
+            if self.is_fulfilled({**outcomes, name: True}) != self.is_fulfilled({**outcomes, name: False})
+        )
+        return next(decisive, pending[0] if pending else None)
+
+    def is_fulfilled(self, outcomes: Mapping[str, bool | None]) -> bool | None:
+        """Whether the condition holds; None if that depends on a reference that was not run or does not apply."""
+        states = [evaluation.with_references(outcomes).is_fulfilled() for evaluation in self.evaluations]
+        return True if True in states else None if None in states else False
+
+    def score(self, outcomes: Mapping[str, bool | None]) -> float:
+        """Score of the run: 0 or below if the condition holds, above if not, the cap if it cannot be decided."""
+        holds = self.is_fulfilled(outcomes)
+        if holds is None:
+            return self.metric.cap
+        evaluations = [evaluation.with_references(outcomes) for evaluation in self.evaluations]
+        # What is not known counts against the side that is decided.
+        assumed = -np.inf if holds else np.inf
+        distance = 0.0 - max(float(evaluation.robustness(assumed)[0]) for evaluation in evaluations)
+        value = min(distance, 0.0) if holds else max(distance, _EPSILON)
+        return float(np.clip(value, self.metric.bound, self.metric.cap))
+
+
+def find_critical_if_condition(metrics: Iterable[str]) -> str:
+    """Condition among the metrics of a study that defines what is critical; empty if there is none."""
+    parts = (metric.partition(":") for metric in metrics)
+    return next((text for name, _, text in parts if name == CONDITION_METRIC), "")

@@ -1,0 +1,218 @@
+"""Evaluation of an expression for one run: robustness, truth, and what decides."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import Literal
+
+import numpy as np
+
+from cornercase._common.typing import BoolArray, FloatArray, IntArray
+from cornercase.metrics._other_entities import present_others
+from cornercase.metrics.expressions._ast import (
+    Bound,
+    Leaf,
+    Node,
+    Operation,
+    ReferenceCollides,
+    has_temporal_operator,
+    iter_leaves,
+)
+from cornercase.metrics.expressions._recorded_signals import Signals, signals_from_recording
+from cornercase.metrics.expressions._statements import LeafValues, evaluate_leaf
+from cornercase.metrics.expressions._temporal import always, until
+from cornercase.recordings import Recording
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """The bounds and statements of an expression in one run, from which the meaning of the whole follows.
+
+    Quantitative semantics of Fainekos and Pappas 2009, Donzé and Maler 2010: minimum for conjunction and `always`,
+    maximum for disjunction and `eventually`. What is not known of a statement is assumed to be in favour of the whole,
+    or against it; a bound that is never defined violates nothing.
+    """
+
+    root: Node
+    signals: Signals
+    leaves: Mapping[Leaf, LeafValues]
+
+    @classmethod
+    def from_signals(cls, root: Node, signals: Signals, shared: Mapping[Leaf, LeafValues] | None = None) -> Evaluation:
+        """Evaluate the bounds and statements of an expression, except those that are `shared` with another run."""
+        leaves = dict(shared or {})
+        for leaf in iter_leaves(root):
+            leaves[leaf] = leaves[leaf] if leaf in leaves else evaluate_leaf(leaf, signals)
+        return cls(root, signals, leaves)
+
+    def with_references(self, references: Mapping[str, bool | None]) -> Evaluation:
+        """The same run, with other outcomes of reference drivers."""
+        others: dict[Leaf, LeafValues] = {
+            leaf: values for leaf, values in self.leaves.items() if not isinstance(leaf, ReferenceCollides)
+        }
+        return Evaluation.from_signals(self.root, replace(self.signals, references=references), others)
+
+    def robustness(self, assumed: float = np.inf) -> FloatArray:
+        """Robustness from each instant on, (T,), never NaN; `assumed` is that of statements that were not observed."""
+        return _Evaluator(self, "margin", assumed).of_run(self.root)
+
+    def robustness_at_instants(self) -> FloatArray:
+        """Robustness at each instant, (T,), if no part had to hold for the rest of the run."""
+        return _Evaluator(self, "margin", np.inf).at_instants(self.root, in_time=True)
+
+    def holds(self, assumed: float = np.inf) -> BoolArray:
+        """Whether it holds from each instant on, (T,). Unlike robustness, this distinguishes ``<`` from ``<=``."""
+        return _Evaluator(self, "truth", assumed).of_run(self.root) > 0.0
+
+    def is_fulfilled(self) -> bool | None:
+        """Whether it holds from the first instant on; None if it was not observed."""
+        if not self.holds()[0]:
+            return False
+        if any(isinstance(leaf, Bound) and not values.is_known for leaf, values in self.leaves.items()):
+            return None
+        return True if self.holds(-np.inf)[0] else None
+
+    def find_decisive_leaf(self) -> tuple[Leaf, int] | None:
+        """Bound or statement, and instant, whose margin is the robustness at the first instant; None if it is infinite.
+
+        Other instants may have the same margin by chance, even some that do not affect the expression. The result is
+        the first one with which the robustness changes.
+        """
+        robustness = self.robustness()[0]
+        if not np.isfinite(robustness):
+            return None
+        for leaf, values in self.leaves.items():
+            # Inside a 'not' the robustness is the negative margin.
+            for sign in (1.0, -1.0):
+                candidates = np.flatnonzero(sign * values.margin == robustness)
+                for towards in (np.inf, -np.inf):
+                    instant = self._first_decisive_instant(candidates, towards, leaf)
+                    if instant is not None:
+                        return leaf, instant
+        return None
+
+    def _first_decisive_instant(self, candidates: IntArray, direction: float, leaf: Leaf) -> int | None:
+        """Last of the shortest prefix of `candidates` that changes the robustness if their margins change slightly."""
+        before, values = self.robustness()[0], self.leaves[leaf]
+
+        def robustness_changes(count: int) -> bool:
+            margin = values.margin.copy()
+            # By the last bit only: after a large change other leaves would decide.
+            margin[candidates[:count]] = np.nextafter(margin[candidates[:count]], direction)
+            changed = Evaluation(self.root, self.signals, {**self.leaves, leaf: values._replace(margin=margin)})
+            return bool(changed.robustness()[0] != before)
+
+        high, low = len(candidates), 0
+        if not high or not robustness_changes(high):
+            return None
+        # Bisection works since the robustness is monotonic in each margin: a longer prefix changes it no less.
+        while high - low > 1:
+            middle = (high + low) // 2
+            high, low = (middle, low) if robustness_changes(middle) else (high, middle)
+        return int(candidates[high - 1])
+
+
+def evaluate_run(
+    root: Node,
+    recording: Recording,
+    ego: str,
+    other: str | Sequence[str],
+    courses: Mapping[str, FloatArray] | None = None,
+    references: Mapping[str, bool | None] = MappingProxyType({}),
+) -> dict[str, Evaluation]:
+    """Evaluate an expression against each other entity that exists, by name; once if it does not depend on them.
+
+    `courses` of metrics that are known already are used if there is a single other entity.
+    """
+    named = (other,) if isinstance(other, str) else tuple(other)
+    others = present_others(recording, named)
+    depends_on_other = any(isinstance(leaf, Bound) and not _is_of_run(leaf) for leaf in iter_leaves(root))
+    evaluations: dict[str, Evaluation] = {}
+    shared: dict[Leaf, LeafValues] = {}
+    for other_name in others if depends_on_other else others[:1]:
+        # If nothing looks at the other entity, it may not even exist.
+        partner = other_name if depends_on_other else ego
+        signals = signals_from_recording(recording, ego, partner, courses if len(named) == 1 else None, others)
+        evaluation = Evaluation.from_signals(root, replace(signals, references=references), shared)
+        evaluations[other_name] = evaluation
+        shared = {leaf: values for leaf, values in evaluation.leaves.items() if _is_of_run(leaf)}
+    return evaluations
+
+
+def _is_of_run(leaf: Leaf) -> bool:
+    """Whether a leaf is the same against each other entity."""
+    return not isinstance(leaf, Bound) or all(signal.is_score for signal in leaf.signals)
+
+
+class _Evaluator:
+    """Evaluates with negations moved inwards, so that the role of each bound and statement is known."""
+
+    def __init__(self, evaluation: Evaluation, values: Literal["margin", "truth"], assumed: float) -> None:
+        self.leaves, self.time = evaluation.leaves, evaluation.signals.time
+        self.values: dict[Leaf, FloatArray] = {
+            leaf: getattr(leaf_values, values) for leaf, leaf_values in self.leaves.items()
+        }
+        self.assumed = assumed
+
+    def of_run(self, node: Node) -> FloatArray:
+        """Value from each instant on: bounds have to hold all the time, unless a temporal operator is among them."""
+        if has_temporal_operator(node):
+            if isinstance(node, Operation) and node.operator == "and":
+                return np.asarray(np.minimum.reduce(list(map(self.of_run, node.operands))))
+            return self.at_instants(node)
+        return always(self.at_instants(node), None, self.time)
+
+    def at_instants(
+        self, node: Node, negated: bool = False, undefined_value: float = np.inf, in_time: bool = False
+    ) -> FloatArray:
+        """Value of a part or its negation at each instant; `undefined_value` is that of instants without a value.
+
+        `in_time`: whether it is below a temporal operator, where a statement is about each instant, not about the run.
+        """
+        if not isinstance(node, Operation):
+            return self._leaf_values(node, negated, undefined_value, in_time)
+        if node.operator == "until":
+            return self._until_values(node, negated)
+        if node.operator in ("always", "eventually"):
+            sign = 1.0 if (node.operator == "always") != negated else -1.0
+            inner = self.at_instants(node.operands[0], negated, sign * np.inf, in_time=True)
+            return sign * always(sign * inner, node.interval, self.time)
+        values = [
+            self.at_instants(operand, sign, undefined_value, in_time)
+            for operand, sign in zip(node.operands, _operand_signs(node, negated), strict=True)
+        ]
+        return np.asarray(_combination(node, negated).reduce(values))
+
+    def _leaf_values(self, leaf: Leaf, negated: bool, undefined_value: float, in_time: bool) -> FloatArray:
+        values, is_known = self.values[leaf], self.leaves[leaf].is_known
+        if isinstance(leaf, Bound):
+            # A bound that is never defined violates nothing, wherever it stands.
+            default = undefined_value if is_known else np.inf
+            return np.where(np.isnan(values), default, -values if negated else values)
+        if not is_known:
+            return np.full(self.time.shape, self.assumed)
+        if not in_time:
+            values = np.full(self.time.shape, values.max())
+        return -values if negated else values
+
+    def _until_values(self, node: Operation, negated: bool) -> FloatArray:
+        neutral, sign = (-np.inf, -1.0) if negated else (np.inf, 1.0)
+        left, right = (
+            sign * self.at_instants(operand, negated, default, in_time=True)
+            for operand, default in zip(node.operands, (neutral, -neutral), strict=True)
+        )
+        return sign * until(left, right, node.interval, self.time)
+
+
+def _operand_signs(node: Operation, negated: bool) -> list[bool]:
+    """Whether each operand of a logical operator counts negated."""
+    if node.operator in ("->", "unless"):
+        return [not negated, negated]
+    return [negated != (node.operator in ("not", "no"))] * len(node.operands)
+
+
+def _combination(node: Operation, negated: bool) -> np.ufunc:
+    """Minimum if all operands of an operation, or of its negation, have to hold, else maximum."""
+    return np.minimum if (node.operator == "and") != negated else np.maximum

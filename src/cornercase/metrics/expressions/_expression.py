@@ -1,0 +1,186 @@
+"""Expressions over what a recording shows: formulas, requirements and conditions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from cornercase._common.typing import FloatArray
+from cornercase.metrics._evaluation import Evaluation
+from cornercase.metrics._registry import METRICS
+from cornercase.metrics.expressions._ast import (
+    Bound,
+    EgoCollides,
+    Leaf,
+    Node,
+    ReferenceCollides,
+    Signal,
+    format_node,
+    iter_leaves,
+)
+from cornercase.metrics.expressions._parser import Language, parse_expression
+from cornercase.metrics.expressions._recorded_signals import Signals
+from cornercase.metrics.expressions._units import normalize_unit
+
+DEFAULT_CAP = 100.0
+"""Robustness that parts without a cap of their own are limited to."""
+
+
+@dataclass(frozen=True)
+class Expression:
+    """What has to hold in a run, in the language of formulas, requirements and conditions.
+
+    The language is described in docs/reference/expressions.md.
+
+    Attributes
+    ----------
+    root : Bound, statement or Operation
+        Root of the syntax tree; created by `Expression.parse`.
+    text : str
+        Normalized spelling, equal for expressions that differ in spelling only.
+
+    See Also
+    --------
+    cornercase.metrics.signals_from_recording : Signals of a recording.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from cornercase.metrics import Expression, Signals
+    >>> expression = Expression.parse("ttc>1.5s and ego.speed <= 50 km/h")
+    >>> print(expression)
+    ttc > 1.5 s and ego.speed <= 50 km/h
+    >>> expression.metrics
+    ('ttc',)
+    >>> values = {"ttc": np.array([9.0, 2.0, 4.0]), "ego.speed": np.array([5.0, 5.0, 5.0])}
+    >>> expression.robustness(Signals(np.array([0.0, 0.1, 0.2]), values))
+    array([0.5, 0.5, 2.5])
+    """
+
+    root: Node
+    text: str
+
+    @classmethod
+    def parse(cls, text: str, language: Language = "formula") -> Expression:
+        """Parse an expression.
+
+        Parameters
+        ----------
+        text : str
+            Such as ``"always[0:5] (clearance > 0.5 or ego.speed < 1 km/h)"`` or ``"no collision and ttc > 1.5"``.
+        language : {"formula", "requirement", "condition"}, default "formula"
+            What it is used as, for messages. In a condition, a bound on a metric outside of temporal operators is on
+            its score: ``"ttc < 1"`` means ``"score(ttc) < 1"``.
+
+        Returns
+        -------
+        Expression
+
+        Raises
+        ------
+        InputError
+            The text is no expression; the message marks the position and says what to write there.
+        """
+        root = parse_expression(text, language)
+        return cls(root, format_node(root, as_condition=language == "condition"))
+
+    def __str__(self) -> str:
+        return self.text
+
+    @property
+    def leaves(self) -> tuple[Leaf, ...]:
+        """Its bounds and statements, from left to right."""
+        return tuple(dict.fromkeys(iter_leaves(self.root)))
+
+    @property
+    def bounds(self) -> tuple[Bound, ...]:
+        """Its comparisons of signals, from left to right."""
+        return tuple(leaf for leaf in self.leaves if isinstance(leaf, Bound))
+
+    @property
+    def metrics(self) -> tuple[str, ...]:
+        """Names of the metrics in it, with their options."""
+        names = [signal.metric for bound in self.bounds for signal in bound.signals]
+        return tuple(dict.fromkeys(filter(None, names)))
+
+    @property
+    def reference_drivers(self) -> tuple[str, ...]:
+        """Names of the reference drivers in it."""
+        return tuple(leaf.driver for leaf in self.leaves if isinstance(leaf, ReferenceCollides))
+
+    @property
+    def entities(self) -> tuple[str, ...]:
+        """Names of the entities that the ego may not, or has to, collide with."""
+        return tuple(leaf.entity for leaf in self.leaves if isinstance(leaf, EgoCollides) and leaf.entity)
+
+    @property
+    def unit(self) -> str:
+        """Unit of all its parts; ``"1"`` if they have several. That of a collision, position or distance is m."""
+        units = [unit for _, unit in self.compared_units]
+        return units[0] if len(set(map(normalize_unit, units))) == 1 else "1"
+
+    @property
+    def compared_units(self) -> tuple[tuple[str, str], ...]:
+        """Metric, empty if there is none, and unit of each part that has a margin."""
+        return tuple(
+            (leaf.left.metric, leaf.left.unit) if isinstance(leaf, Bound) else ("", "m")
+            for leaf in self.leaves
+            if not isinstance(leaf, ReferenceCollides)
+        )
+
+    @property
+    def cap(self) -> float:
+        """Robustness beyond which nothing is distinguished: of a bound on a metric, how far it is from its cap."""
+        return max(map(_cap_of_leaf, self.leaves))
+
+    def check_installed(self) -> None:
+        """Raise if a package that a metric in it requires is not installed."""
+        for name in self.metrics:
+            METRICS.create(name).check_installed()
+
+    @property
+    def has_margin(self) -> bool:
+        """Whether its robustness says how narrowly it is fulfilled; a collision happens or not."""
+        return not any(isinstance(leaf, EgoCollides | ReferenceCollides) for leaf in self.leaves)
+
+    def robustness(self, signals: Signals) -> FloatArray:
+        """Robustness from each instant on.
+
+        Parameters
+        ----------
+        signals : Signals
+
+        Returns
+        -------
+        ndarray of float64, shape (T,)
+            Positive if the expression holds, negative if it is violated, in `unit`: every bound can change by this
+            amount at every instant before the verdict changes. inf if nothing can violate it, -inf if nothing can
+            fulfil it.
+
+        Raises
+        ------
+        InputError
+            The expression has a statement on the recording, and the signals have none.
+        """
+        return Evaluation.from_signals(self.root, signals).robustness()
+
+    def is_fulfilled(self, signals: Signals) -> bool | None:
+        """Whether it holds from the first instant on, as requirements and conditions judge it.
+
+        Parameters
+        ----------
+        signals : Signals
+
+        Returns
+        -------
+        bool or None
+            None if it is not violated, but one of its bounds was never defined, or it depends on what was not observed.
+        """
+        return Evaluation.from_signals(self.root, signals).is_fulfilled()
+
+
+def _cap_of_leaf(leaf: Leaf) -> float:
+    if isinstance(leaf, ReferenceCollides):
+        return 0.0
+    if not isinstance(leaf, Bound) or isinstance(leaf.right, Signal) or not leaf.left.metric:
+        return DEFAULT_CAP
+    return abs(METRICS.create(leaf.left.metric).cap - leaf.right)

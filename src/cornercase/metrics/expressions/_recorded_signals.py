@@ -1,0 +1,162 @@
+"""Signals that expressions can use: metrics, the motion of the ego and of another entity, time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from types import MappingProxyType
+from typing import Final
+
+import numpy as np
+
+from cornercase._common.errors import InputError
+from cornercase._common.typing import FloatArray
+from cornercase.metrics._measure import compute_course_and_score, evaluate_metrics
+from cornercase.metrics._registry import METRICS
+from cornercase.metrics._severity import find_first_contact
+from cornercase.recordings import Recording
+
+_MOTION_UNITS: Final = MappingProxyType({"x": "m", "y": "m", "heading": "rad", "speed": "m/s", "acceleration": "m/s²"})
+_NON_METRIC_UNITS: Final = MappingProxyType(
+    {f"{who}.{what}": unit for who in ("ego", "other") for what, unit in _MOTION_UNITS.items()} | {"time": "s"}
+)
+"""Unit by name, of signals that are not metrics."""
+
+FORMULA_METRIC: Final = "stl"
+"""Name of the metric of a formula, which cannot be used in an expression."""
+
+CONDITION_METRIC: Final = "critical-if"
+"""Name of the metric of a condition, which cannot be used in an expression either."""
+
+SCORE_PREFIX: Final = "score("
+"""How the signal of a metric's score begins: ``score(ttc)``."""
+
+
+@dataclass(frozen=True, eq=False)
+class Signals:
+    """Signals of a recording, and what statements such as ``no collision`` need to know of it.
+
+    Attributes
+    ----------
+    time : ndarray of float64, shape (T,)
+        s, increasing.
+    values : mapping of str to ndarray of float64, shape (T,)
+        By name: that of a metric with its options, ``"ego.speed"`` and the like, ``"time"``, ``"score(ttc)"``. NaN
+        where a signal is not defined.
+    recording : Recording or None, default None
+        Needed by statements on collisions, positions and driven distances only.
+    ego : str, default ""
+        Name of the ego in the recording.
+    others : tuple of str, default ()
+        Entities that the ego is measured against.
+    references : mapping of str to (bool or None), default {}
+        Whether each reference driver in the ego's place collides; None if it does not cover such a scenario, missing if
+        it was not run.
+    """
+
+    time: FloatArray
+    values: Mapping[str, FloatArray]
+    recording: Recording | None = None
+    ego: str = ""
+    others: tuple[str, ...] = ()
+    references: Mapping[str, bool | None] = field(default_factory=dict)
+
+
+def signals_from_recording(
+    recording: Recording,
+    ego: str,
+    other: str,
+    courses: Mapping[str, FloatArray] | None = None,
+    others: Sequence[str] = (),
+) -> Signals:
+    """Create the signals of a recording; metrics are computed on first access.
+
+    The signal of a metric is its course. At the first instant of a contact it is at least as critical as the metric's
+    score for contacts, so that a collision violates a bound on a metric that does not see collisions.
+
+    Parameters
+    ----------
+    recording : Recording
+    ego, other : str
+        Names of two entities.
+    courses : mapping of str to ndarray of float64, shape (T,), optional
+        Courses of metrics that are already computed, by name.
+    others : sequence of str, optional
+        All entities that scores refer to; by default `other` alone.
+
+    Returns
+    -------
+    Signals
+
+    Raises
+    ------
+    InputError
+        There is no entity of that name.
+    """
+    names = tuple(others) or (other,)
+    values = _LazySignals(recording, ego, other, names)
+    for name, course in (courses or {}).items():
+        values.add_course(name, course)
+    return Signals(recording.time, values, recording, ego, names)
+
+
+def metric_of_signal(name: str) -> str:
+    """Name of the metric of a signal, with its options; empty if the signal is no metric."""
+    return "" if name in _NON_METRIC_UNITS else name.removeprefix(SCORE_PREFIX).removesuffix(")")
+
+
+def signal_unit(name: str) -> str:
+    """Unit of a signal. InputError if its metric does not have such options, or cannot be used."""
+    if name in _NON_METRIC_UNITS:
+        return _NON_METRIC_UNITS[name]
+    base = name.partition(":")[0]
+    if base == FORMULA_METRIC:
+        raise InputError(f"'{FORMULA_METRIC}' is the metric of a formula; write the formula itself, in brackets.")
+    if base == CONDITION_METRIC:
+        raise InputError(f"'{CONDITION_METRIC}' is the metric of a condition, which an expression cannot use.")
+    return METRICS.create(name).unit
+
+
+def has_signal(name: str) -> bool:
+    """Whether there is a signal, or at least the metric of one."""
+    return name in _NON_METRIC_UNITS or name.partition(":")[0] in METRICS
+
+
+def signal_names() -> list[str]:
+    """Names of all signals, without scores."""
+    return [*_NON_METRIC_UNITS, *(name for name in METRICS.names() if name not in (FORMULA_METRIC, CONDITION_METRIC))]
+
+
+class _LazySignals(dict[str, FloatArray]):
+    """Signals of a recording, each computed on first access."""
+
+    def __init__(self, recording: Recording, ego: str, other: str, others: Sequence[str]) -> None:
+        super().__init__(time=recording.time)
+        self._recording, self._ego, self._other, self._others = recording, ego, other, others
+        for who, name in (("ego", ego), ("other", other)):
+            row = recording.entity_index(name)
+            self.update({f"{who}.{what}": getattr(recording, what)[row] for what in _MOTION_UNITS})
+
+    def __missing__(self, name: str) -> FloatArray:
+        metric = METRICS.create(metric_of_signal(name))
+        if name.startswith(SCORE_PREFIX):
+            score = evaluate_metrics([metric], self._recording, self._ego, self._others)[metric.name].score
+            self[name] = np.full(self._recording.time.shape, float(score))
+        else:
+            self.add_course(name, compute_course_and_score(metric, self._recording, self._ego, self._other)[0])
+        return self[name]
+
+    def add_course(self, name: str, course: FloatArray) -> None:
+        """Add the course of a metric, which at the first contact is as critical as a contact."""
+        metric = METRICS.create(name)
+        self[name] = course
+        if metric.contact_score is not None and self._contact is not None:
+            instant, change = self._contact
+            score = metric.score_with_contact(float(metric.clip_course(course[instant : instant + 1])[0]), change)
+            self[name] = np.array(course, dtype=np.float64)
+            self[name][instant] = score
+
+    @cached_property
+    def _contact(self) -> tuple[int, float] | None:
+        return find_first_contact(self._recording, self._ego, self._other)

@@ -1,0 +1,123 @@
+"""Margins of bounds and statements in one run."""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from cornercase._common.errors import InputError
+from cornercase._common.typing import BoolArray, FloatArray
+from cornercase.metrics._at_fault import is_at_fault
+from cornercase.metrics._distance import Clearance
+from cornercase.metrics.expressions._ast import Bound, EgoCollides, EgoReaches, Leaf, ReferenceCollides, Signal
+from cornercase.metrics.expressions._recorded_signals import Signals
+from cornercase.recordings import Collision, Recording
+
+TIME_TOLERANCE: Final = 1e-6
+"""Tolerance of a simulator's clock in s, and of a driven distance in m."""
+
+
+class LeafValues(NamedTuple):
+    """Margin and truth (1 or -1) of a bound or a statement at each instant, (T,); NaN where it is not defined.
+
+    `is_known`: whether a bound is defined at any instant, and whether the run shows if a statement is true.
+    """
+
+    margin: FloatArray
+    truth: FloatArray
+    is_known: bool
+
+
+def evaluate_leaf(leaf: Leaf, signals: Signals) -> LeafValues:
+    """Margin and truth of a bound or a statement. InputError if a statement needs a recording and there is none."""
+    if isinstance(leaf, Bound):
+        return _evaluate_bound(leaf, signals)
+    if isinstance(leaf, ReferenceCollides):
+        collides = signals.references.get(leaf.driver)
+        truth = np.full(signals.time.shape, 1.0 if collides else -1.0)
+        return LeafValues(truth * np.inf, truth, collides is not None)
+    recording = recording_of(signals)
+    if isinstance(leaf, EgoCollides):
+        return _evaluate_collision(leaf, signals, recording)
+    if isinstance(leaf, EgoReaches):
+        return _evaluate_position(leaf, recording, signals.ego)
+    margin = driven_distance(recording, signals.ego) - leaf.distance
+    truth = np.where(margin >= -TIME_TOLERANCE, 1.0, -1.0)
+    return LeafValues(margin, truth, bool(is_present(recording, signals.ego).any()))
+
+
+def _evaluate_bound(bound: Bound, signals: Signals) -> LeafValues:
+    left = bound.left.values(signals)
+    right = bound.right.values(signals) if isinstance(bound.right, Signal) else np.full_like(left, bound.right)
+    # The difference of two infinite values would be NaN, though they are equal.
+    same = left == right
+    gap = np.where(same, 0.0, left - np.where(same, 0.0, right))
+    margin = gap if bound.is_lower else 0.0 - gap
+    reached = margin >= 0.0 if bound.relation in ("<=", ">=") else margin > 0.0
+    truth = np.where(np.isnan(margin), np.nan, np.where(reached, 1.0, -1.0))
+    return LeafValues(margin, truth, not bool(np.isnan(margin).all()))
+
+
+def recording_of(signals: Signals) -> Recording:
+    """The recording of signals."""
+    if signals.recording is None:
+        raise InputError("These signals have no recording, which a collision, a position or a driven distance needs.")
+    return signals.recording
+
+
+def is_present(recording: Recording, ego: str, entity: str = "") -> BoolArray:
+    """Whether the ego is there at each instant, together with an entity if one is given, (T,)."""
+    rows = [recording.entity_index(name) for name in (ego, entity) if name]
+    return np.asarray(np.isfinite(recording.x[rows]).all(axis=0))
+
+
+def find_collisions(statement: EgoCollides, recording: Recording, ego: str) -> list[Collision]:
+    """Collisions that a statement is about, in their order in the recording."""
+    return [
+        collision
+        for collision in recording.collisions
+        if ego in collision.entities
+        and (not statement.entity or statement.entity in collision.entities)
+        and (not statement.at_fault or is_at_fault(recording, ego, collision))
+    ]
+
+
+def driven_distance(recording: Recording, ego: str) -> FloatArray:
+    """Distance in m that an entity has driven by each time, shape (T,)."""
+    i = recording.entity_index(ego)
+    steps = np.hypot(np.diff(recording.x[i], prepend=np.nan), np.diff(recording.y[i], prepend=np.nan))
+    return np.asarray(np.cumsum(np.where(np.isfinite(steps), steps, 0.0)))
+
+
+def distance_in_time(statement: EgoReaches, recording: Recording, ego: str) -> FloatArray:
+    """Distance of the ego's box from the position in m, (T,); NaN after the time limit, or if the ego is not there."""
+    distances = np.hypot(*(recording.box_center(ego) - (statement.x, statement.y)).T)
+    elapsed = recording.time - recording.time[0]
+    return np.where((elapsed <= statement.time_limit + TIME_TOLERANCE) & np.isfinite(distances), distances, np.nan)
+
+
+def _evaluate_collision(statement: EgoCollides, signals: Signals, recording: Recording) -> LeafValues:
+    ego, metric = signals.ego, Clearance()
+    others = (statement.entity,) if statement.entity else signals.others
+    courses = (metric.course(recording, ego, name) for name in others if name in recording.names)
+    clearances = [metric.clip_course(course) for course in courses]
+    margin = 0.0 - np.minimum.reduce([np.full(recording.time.shape, metric.cap), *clearances])
+    truth = np.full(recording.time.shape, -1.0)
+    for collision in find_collisions(statement, recording, ego):
+        instant = int(np.abs(recording.time - collision.time).argmin())
+        margin[instant], truth[instant] = 0.0, 1.0
+    return LeafValues(margin, truth, bool(is_present(recording, ego, statement.entity).any()))
+
+
+def _evaluate_position(statement: EgoReaches, recording: Recording, ego: str) -> LeafValues:
+    distances = distance_in_time(statement, recording, ego)
+    margin = np.where(np.isnan(distances), -np.inf, statement.radius - distances)
+    truth = np.where(margin >= 0.0, 1.0, -1.0)
+    # If the ego left the scenario before, it can no longer arrive.
+    could_arrive = (
+        recording.time[-1] - recording.time[0] < statement.time_limit - TIME_TOLERANCE
+        and is_present(recording, ego)[-1]
+    )
+    is_observed = not np.isnan(distances).all() and not could_arrive
+    return LeafValues(margin, truth, bool((truth > 0.0).any() or is_observed))
