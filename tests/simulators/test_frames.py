@@ -11,6 +11,7 @@ import pytest
 from conftest import at_night
 from cornercase import LogicalScenario
 from cornercase._common.errors import SimulationError
+from cornercase.drivers import NORMAL, BehaviourDriver, Driver
 from cornercase.optimizers import RandomOptimizer
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario
@@ -117,6 +118,48 @@ def test_who_interrupts_batches_beside_each_other_does_not_wait_for_their_end(mo
     assert len(looks) < 100
 
 
+# Within the limits of all vehicles.
+CALM, CALM_NAME = NORMAL._replace(acceleration=1.0, max_deceleration=3.0), "normal:acceleration=1,max_deceleration=3"
+
+
+class InPython(Driver):
+    """A built-in driver that Python asks, as one of a user's own."""
+
+    def __init__(self) -> None:
+        self.inner, self.asked = BehaviourDriver(CALM), list[tuple[float, np.ndarray]]()
+
+    def start(self, scenarios: int, others: int) -> None:
+        self.asked.clear()
+        self.inner.start(scenarios, others)
+
+    def acceleration(self, situation) -> np.ndarray:
+        self.asked.append((situation.time, situation.active))
+        return self.inner.acceleration(situation)
+
+
+@pytest.mark.parametrize("count", [1, 9])
+@pytest.mark.parametrize("name", ["x_intersection", "t_intersection"])
+@pytest.mark.parametrize("in_python", [(True, False, True), (False, True, True), (False, True, False)])
+def test_who_decides_in_python_decides_as_in_compiled_code(name, in_python, count):
+    concretes = drawn(name, count)
+    names = [one.get("name", "") for one in concretes[0].load_file().root.iterfind("Entities/ScenarioObject")]
+    compiled = dict.fromkeys(names[:3], CALM_NAME)
+    some = {
+        entity: InPython() if by_python else CALM_NAME for entity, by_python in zip(names[:3], in_python, strict=False)
+    }
+    held = list(BuiltinSimulator(duration=20.0, drivers=compiled).run(concretes))
+    assert_same(BuiltinSimulator(duration=20.0, drivers=some).run(concretes), held, 0.0)
+    for driver in some.values():
+        if isinstance(driver, InPython):
+            times = [time for time, _ in driver.asked]
+            assert times == sorted(times)
+            for time in set(times):
+                masks = [active for at, active in driver.asked if at == time]
+                assert np.sum(masks, axis=0).max() == 1
+            # Once for each path, whatever the number of scenarios: some wait for others.
+            assert len(times) < 2.5 * len(set(times))
+
+
 def test_a_scenario_looks_only_where_something_happens(monkeypatch):
     looks = []
     plain = Storyboard.evaluate_triggers
@@ -126,7 +169,9 @@ def test_a_scenario_looks_only_where_something_happens(monkeypatch):
         plain(self, dt)
 
     monkeypatch.setattr(Storyboard, "evaluate_triggers", look)
-    (recording,) = recordings(drawn("x_intersection", 1))
-    assert isinstance(recording, Recording)
-    assert len(recording.time) > 300
-    assert sum(looks) < 15
+    for drivers in ({}, {"Ego": InPython()}):
+        looks.clear()
+        (recording,) = BuiltinSimulator(duration=20.0, drivers=drivers).run(drawn("x_intersection", 1))
+        assert isinstance(recording, Recording)
+        assert len(recording.time) > 300
+        assert sum(looks) < 15

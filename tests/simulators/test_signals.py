@@ -9,6 +9,7 @@ from conftest import (
     moving,
     ran,
     run,
+    same_recording,
     scenario_file,
     speed_action,
     story_of,
@@ -17,6 +18,8 @@ from conftest import (
 from cornercase._common.errors import InputError
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import BuiltinSimulator
+from cornercase.simulators.builtin._stepper import Stepper
+from cornercase.simulators.builtin.storyboard._storyboard import Storyboard
 
 DT = 0.05
 
@@ -75,6 +78,33 @@ trafficSignalControllerRef="main"/></TrafficSignalAction></InfrastructureAction>
     for recording, expected in zip(together, at.values(), strict=True):
         fast = recording.time[recording.speed[0] > 20]
         assert fast[0] == pytest.approx(expected + later + DT, abs=1.5 * DT)
+
+
+def test_a_file_with_controllers_is_evaluated_only_when_something_changes(tmp_path, monkeypatch):
+    evaluations = []
+    evaluate = Storyboard.evaluate_triggers
+
+    def count(self, dt: float) -> None:
+        evaluations.append(dt)
+        evaluate(self, dt)
+
+    monkeypatch.setattr(Storyboard, "evaluate_triggers", count)
+    green = by_value('<TrafficSignalCondition name="8" state="green"/>').replace('delay="0"', 'delay="0.32"')
+    path = scenario_file(tmp_path, init=moving(), story=story_of(event("go", speed_action("25"), green)))
+    path.write_text(path.read_text().replace("</RoadNetwork>", SIGNALS.replace("$red", "2"), 1))
+    (few,) = ran(BuiltinSimulator(time_step=DT, duration=6.0), [ConcreteScenario(path)])
+    assert few.time[few.speed[0] > 20][0] == pytest.approx(2.82 + DT, abs=1.5 * DT)
+    assert len(evaluations) < 30
+    initialize = Stepper.__init__
+
+    def evaluate_each_frame(self, *arguments) -> None:
+        initialize(self, *arguments)
+        self._python_step = True
+
+    monkeypatch.setattr(Stepper, "__init__", evaluate_each_frame)
+    (all_frames,) = ran(BuiltinSimulator(time_step=DT, duration=6.0), [ConcreteScenario(path)])
+    assert same_recording(few, all_frames)
+    assert len(evaluations) > 120
 
 
 @pytest.mark.parametrize(

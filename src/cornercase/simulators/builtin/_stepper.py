@@ -104,7 +104,7 @@ class Stepper:
             self._speed_setters.append(partial(coupling.step, world))
         self._options = LoopOptions(time_step, max_frames, stop_at_collision, coupling is not None)
         # Whether the storyboard has to be evaluated in each frame.
-        self._python_step = world.needs_road_check or bool(world.signal_controllers)
+        self._python_step = world.needs_road_check
         self._actions = build_action_table([running.action for running in storyboard.actions], world.scenarios)
         self._read_triggers()
         self._roads = build_road_tables([]) if world.network is None else world.network.road_tables
@@ -128,7 +128,8 @@ class Stepper:
         """Make the condition tables of all triggers; remember the conditions that tables cannot express."""
         specs, self._python_triggers = [], list[int]()
         in_tables, others = list[tuple[Condition, ConditionSpec]](), list[tuple[Condition, ConditionSpec]]()
-        self._condition_histories: list[DelayBuffer] = []
+        # With indices of triggers.
+        self._condition_histories: list[tuple[int, DelayBuffer]] = []
         for t, trigger in enumerate(self._storyboard.triggers):
             groups = [[(condition, condition.kernel_spec) for condition in group] for group in trigger.groups]
             known = [[(condition, spec) for condition, spec in group if spec is not None] for group in groups]
@@ -141,13 +142,14 @@ class Stepper:
                 specs.append([])
                 others += conditions
             self._condition_histories += [
-                condition.delay_buffer
+                (t, condition.delay_buffer)
                 for group in trigger.groups
                 for condition in group
                 if condition.delay_buffer is not None
             ]
-        delays = [past.delay for past in self._condition_histories]
-        table = build_condition_table(specs, [spec for _, spec in others], delays, self._world.scenarios)
+        controllers, scenarios = self._world.signal_controllers.values(), self._world.scenarios
+        delays = [past.delay for _, past in self._condition_histories] + [np.zeros(scenarios) for _ in controllers]
+        table = build_condition_table(specs, [spec for _, spec in others], delays, scenarios)
         self._constant_conditions: list[tuple[int, Condition]] = []
         first = 0
         for condition, spec in in_tables + others:
@@ -265,8 +267,10 @@ class Stepper:
         in_python |= waiting[self._python_triggers].any(axis=0) | self._storyboard.waits_without_trigger()
         for k, condition in self._constant_conditions:
             leaves.values[:, k, 0] = condition.constant_value(world)
-        for d, past in enumerate(self._condition_histories):
-            leaves.pending_since[:, d] = past.oldest_pending_time()
+        times = [np.where(waiting[t], past.oldest_pending_time(), np.inf) for t, past in self._condition_histories]
+        times += [controller.next_phase_start(world.time) for controller in world.signal_controllers.values()]
+        for d, pending_since in enumerate(times):
+            leaves.pending_since[:, d] = pending_since
         self._actions.is_running[:] = self._storyboard.find_running_actions().T
         return in_python
 

@@ -89,7 +89,7 @@ class ConditionSpec(NamedTuple):
 
 
 class ConditionTable(NamedTuple):
-    """T triggers of N scenarios with G groups of C conditions with L leaves, D of which hold with a delay."""
+    """T triggers of N scenarios with G groups of C conditions with L leaves, and D times that change conditions."""
 
     codes: IntArray  # (L, 5): kind, entity (-1 for none), other entity, rule, option
     values: FloatArray  # (N, L, 4)
@@ -98,7 +98,8 @@ class ConditionTable(NamedTuple):
     groups: IntArray  # (G, 2): range [first, last) of conditions
     triggers: IntArray  # (T, 3): range [first, last) of groups, whether it is independent of earlier values
     is_watched: BoolArray  # (N, T): whether something waits for the trigger
-    pending_since: FloatArray  # (N, D): time in s of the oldest change that waits for its delay; inf for none
+    pending_since: FloatArray  # (N, D): time in s of the oldest change that waits for its delay; inf for none. Last,
+    # with a delay of 0, when signal controllers begin their next phases
     delay: FloatArray  # (N, D), s
 
 

@@ -105,9 +105,14 @@ class Condition:
             self.test.leaf_values = leaf_values
 
     def constant_value(self, world: World) -> BoolArray | None:
-        """Its value (N,) if only the storyboard can change it; otherwise None."""
+        """Its value (N,) if only the storyboard or a signal controller can change it; otherwise None."""
         test = self.test
         return test.value(world) if isinstance(test, ValueCondition) and test.value is not None else None
+
+    @property
+    def changes_by_itself(self) -> bool:
+        """Whether a signal controller can change it."""
+        return isinstance(self.test, ValueCondition) and self.test.changes_by_itself
 
     @property
     def delay_buffer(self) -> DelayBuffer | None:
@@ -240,7 +245,7 @@ class Trigger:
         """Scenarios in which no constant condition prevents all groups from holding, shape (N,)."""
         result = np.zeros(world.scenarios, dtype=np.bool_)
         for group in self._groups:
-            constants = [condition.constant_value(world) for condition in group]
+            constants = [condition.constant_value(world) for condition in group if not condition.changes_by_itself]
             result |= np.all([value for value in constants if value is not None], axis=0)
         return result
 
@@ -329,13 +334,19 @@ class EntityCondition:
 
 
 class ValueCondition:
-    """A condition on time, which kernels evaluate, or on values that only the storyboard changes.
+    """A condition on time, which kernels evaluate, or on values that the storyboard or a signal controller changes.
 
-    `value` returns an array (N,); None for a condition on time. `leaf_values` (N, 1): what kernels have evaluated.
+    `value` returns an array (N,); None for a condition on time. `changes_by_itself`: a signal controller may change it.
+    `leaf_values` (N, 1): what kernels have evaluated.
     """
 
-    def __init__(self, value: Callable[[World], BoolArray] | None, leaf: LeafCondition = _CONSTANT) -> None:
-        self.value, self.leaf = value, leaf
+    def __init__(
+        self,
+        value: Callable[[World], BoolArray] | None,
+        leaf: LeafCondition = _CONSTANT,
+        changes_by_itself: bool = False,
+    ) -> None:
+        self.value, self.leaf, self.changes_by_itself = value, leaf, changes_by_itself
         self.leaf_values: BoolArray | None = None
 
     def __call__(self, world: World, where: BoolArray) -> BoolArray:
@@ -426,8 +437,7 @@ def _signal_condition(element: etree._Element, scope: Scope, world: World, eleme
     def shows(world: World) -> BoolArray:
         return np.asarray(world.signals[name] == state) if name in world.signals else np.zeros(n, np.bool_)
 
-    # With controllers, signals change by themselves.
-    return (lambda world, where: shows(world)) if world.signal_controllers else ValueCondition(shows)
+    return ValueCondition(shows, changes_by_itself=bool(world.signal_controllers))
 
 
 def _signal_controller_condition(element: etree._Element, scope: Scope, world: World, elements: ElementLookup) -> Test:
@@ -436,7 +446,7 @@ def _signal_controller_condition(element: etree._Element, scope: Scope, world: W
         world.signal_controllers, scope.read_text(element, "trafficSignalControllerRef"), location
     )
     phase = require_phase_index(controller, scope.read_text(element, "phase"), location)
-    return lambda world, where: np.asarray(controller.phase_at(world.time) == phase)
+    return ValueCondition(lambda world: np.asarray(controller.phase_at(world.time) == phase), changes_by_itself=True)
 
 
 _VALUE_CONDITION_READERS: Final[dict[str, Callable[[etree._Element, Scope, World, ElementLookup], Test]]] = {

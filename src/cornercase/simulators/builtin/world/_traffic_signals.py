@@ -43,6 +43,12 @@ class SignalController:
         since = np.mod(time - self._cycle_start + _TINY, self._phase_ends[-1])
         return np.asarray(np.minimum((self._phase_ends <= since).sum(axis=0), len(self.names) - 1), dtype=np.int64)
 
+    def next_phase_start(self, time: FloatArray) -> FloatArray:
+        """Time in s at which the next phase begins, shape (N,); the present one if signals are not yet set for it."""
+        since = np.mod(time - self._cycle_start + _TINY, self._phase_ends[-1])
+        ends = np.take_along_axis(self._phase_ends, self.phase_at(time)[None], axis=0)[0]
+        return np.where(self._phase < 0, time, time + (ends - since))
+
     def start_phase(self, phase: int, time: FloatArray, where: BoolArray) -> None:
         """Start a phase now in the scenarios of a mask, and continue from there."""
         begins = self._phase_ends[phase - 1] if phase else np.zeros(self._phase_ends.shape[1])
