@@ -36,7 +36,7 @@ for kept in reduced.scenarios[:3]:
 
 with cc.Study.open(path) as study:
     table = study.table()
-chosen = table["id"].isin(reduced.ids)
+chosen = table.index.isin(reduced.ids)
 
 figure, axes = plt.subplots(layout="constrained")
 axes.scatter(table["ego_start"], table["pedestrian_wait"], s=12, color="#999999", label="run")

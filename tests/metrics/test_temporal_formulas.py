@@ -14,6 +14,7 @@ from conftest import examples
 from cornercase._common.errors import InputError
 from cornercase.metrics import METRICS, Formula, Signals
 from cornercase.metrics.formulas._ast import Comparison
+from cornercase.study import StudyFile
 from helpers.oracle import actor, recorded
 
 rtamt = pytest.importorskip("rtamt", reason="it is there for Python up to 3.12")
@@ -251,7 +252,7 @@ def test_searching_a_robustness_finds_what_searching_its_metric_finds(tmp_path):
             optimizer="level-set",
             critical=threshold,
         )
-        with cc.Study.open(path, readonly=True) as study:
+        with StudyFile.open(path, readonly=True) as study:
             found[name] = (np.array([row.point for row in study.finished_rows()]), np.array(study.scores(name)))
     (points, scores), (same_points, robust) = found.values()
     np.testing.assert_array_equal(points, same_points)

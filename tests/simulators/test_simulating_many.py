@@ -14,6 +14,7 @@ import pytest
 
 import cornercase as cc
 from cornercase.simulators import SIMULATORS, BuiltinSimulator
+from cornercase.study import StudyFile
 from helpers.command_line import X, cornercase
 
 QUICK: Any = {"duration": 1.0}
@@ -65,7 +66,7 @@ def test_the_folder_can_be_imported(table, tmp_path):
     cc.simulate_many(X, tmp_path / "runs", table=table, **QUICK)
     study = tmp_path / "s.db"
     assert cc.import_recordings(tmp_path / "runs", study, ego="Ego", other="Truck", metrics=["distance"]).done == 3
-    with cc.Study.open(study, readonly=True) as opened:
+    with StudyFile.open(study, readonly=True) as opened:
         assert tuple(opened.table()["ego_start"]) == STARTS
 
 

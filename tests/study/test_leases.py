@@ -75,7 +75,7 @@ def test_nothing_beside_the_study_is_its_lock(path):
 
 
 def test_a_killed_process_leaves_its_study_to_the_next_one(path):
-    code = f"import os; from cornercase.study import Study; s = Study.open({str(path)!r}, readonly=False); print('open', flush=True); os._exit(9)"
+    code = f"import os; from cornercase.study import StudyFile; s = StudyFile.open({str(path)!r}, readonly=False); print('open', flush=True); os._exit(9)"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout == "open\n"
     assert len(holders(path)) == 1
     StudyFile.open(path, readonly=False).close()

@@ -13,10 +13,11 @@ import pytest
 from typer.testing import CliRunner
 
 import cornercase as cc
-from cornercase import METRICS, InputError, SimulationError
+from cornercase import InputError, SimulationError
 from cornercase.cli import app
 from cornercase.cli.errors import run_command
 from cornercase.drivers import NORMAL, BehaviourDriver
+from cornercase.metrics import METRICS
 from cornercase.optimizers import SobolOptimizer
 from cornercase.recordings import Collision, Recording
 from cornercase.scenario import ParameterSpace

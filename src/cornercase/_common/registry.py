@@ -94,7 +94,7 @@ class Registry(Generic[T]):
 
         Examples
         --------
-        >>> from cornercase import METRICS
+        >>> from cornercase.metrics import METRICS
         >>> METRICS.create("ttc:accelerating=true").unit
         's'
         """

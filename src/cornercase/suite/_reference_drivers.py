@@ -10,11 +10,14 @@ from cornercase.simulators import Simulator
 from cornercase.simulators._results import run_scenarios
 from cornercase.study import ScenarioRecord, StudyFile
 from cornercase.suite._requirement import Requirement
-from cornercase.suite._suite import Suite
+from cornercase.suite._suite_contents import SuiteContents
 
 
 def run_reference_drivers(
-    suite: Suite, study: StudyFile, requirements: Sequence[Requirement], simulators_by_driver: Mapping[str, Simulator]
+    suite: SuiteContents,
+    study: StudyFile,
+    requirements: Sequence[Requirement],
+    simulators_by_driver: Mapping[str, Simulator],
 ) -> None:
     """Run each scenario in which the ego collides again with the reference drivers, and store the outcomes.
 
@@ -33,7 +36,7 @@ def run_reference_drivers(
 
 
 def _needs_reference_run(
-    suite: Suite, study: StudyFile, row: ScenarioRecord, requirements: Sequence[Requirement]
+    suite: SuiteContents, study: StudyFile, row: ScenarioRecord, requirements: Sequence[Requirement]
 ) -> bool:
     scenario = suite.scenarios[row.id - 1]
     applies = any(requirement.applies_to(scenario.file_name, scenario.cluster_name) for requirement in requirements)

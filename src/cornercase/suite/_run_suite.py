@@ -44,7 +44,7 @@ from cornercase.suite._reference_drivers import run_reference_drivers
 from cornercase.suite._requirement import Requirement
 from cornercase.suite._requirement_files import read_requirements
 from cornercase.suite._run_scenarios import mark_unsupported, run_pending_scenarios
-from cornercase.suite._suite import Suite
+from cornercase.suite._suite_contents import SuiteContents
 from cornercase.suite._suite_result import ScenarioResult, SuiteResult
 from cornercase.suite._verdict import Verdict, worst_state
 
@@ -274,12 +274,12 @@ def _remove_duplicates(requirements: Sequence[Requirement]) -> list[Requirement]
 
 
 def _resolve_entities(
-    suite: Suite,
+    suite: SuiteContents,
     ego: str | None,
     other: str | Sequence[str] | None,
     requirements: Sequence[Requirement],
     drivers: Mapping[str, object],
-) -> tuple[Suite, tuple[str, tuple[str, ...]]]:
+) -> tuple[SuiteContents, tuple[str, tuple[str, ...]]]:
     """Resolve the names of the ego and the others; mark files that lack an entity, unless all do."""
     for role, given, own in (("ego", ego, suite.ego), ("other", other, suite.other)):
         if given is None and not own:
@@ -303,7 +303,7 @@ def _resolve_entities(
     return suite, (ego_name, others)
 
 
-def _mark_lacking_entity(suite: Suite, role_by_entity: Mapping[str, str]) -> Suite:
+def _mark_lacking_entity(suite: SuiteContents, role_by_entity: Mapping[str, str]) -> SuiteContents:
     """Mark the scenarios that lack an entity (name to role); raises `InputError` if all do."""
     lacking: dict[str, InputError] = {}
     for scenario in suite.runnable_scenarios:
@@ -324,7 +324,7 @@ def _mark_lacking_entity(suite: Suite, role_by_entity: Mapping[str, str]) -> Sui
     return replace(suite, scenarios=scenarios)
 
 
-def _describe_no_match(suite: Suite, requirement: Requirement) -> str:
+def _describe_no_match(suite: SuiteContents, requirement: Requirement) -> str:
     if not requirement.is_for_clusters:
         return f"no file of {suite.path} has such a name"
     kinds = dict.fromkeys(scenario.cluster_name for scenario in suite.scenarios if scenario.cluster_name)
@@ -333,7 +333,9 @@ def _describe_no_match(suite: Suite, requirement: Requirement) -> str:
     return f"no scenario of {suite.path} belongs to such a cluster; there are {'; '.join(kinds)}"
 
 
-def _choose_metrics(suite: Suite, requested: Sequence[str], requirements: Sequence[Requirement]) -> tuple[str, ...]:
+def _choose_metrics(
+    suite: SuiteContents, requested: Sequence[str], requirements: Sequence[Requirement]
+) -> tuple[str, ...]:
     # A condition would need further runs with reference drivers.
     names = list(check_str_sequence("metrics", requested)) or [
         name for name in suite.metrics if not find_critical_if_condition([name])
@@ -351,7 +353,7 @@ def _choose_metrics(suite: Suite, requested: Sequence[str], requirements: Sequen
     return tuple(metric.name for metric in instances)
 
 
-def _choose_simulator(suite: Suite, requested: str | None) -> str:
+def _choose_simulator(suite: SuiteContents, requested: str | None) -> str:
     if requested is not None:
         return check_str("simulator", requested)
     name, colon, _ = suite.simulator.partition(":")
@@ -363,7 +365,7 @@ def _choose_simulator(suite: Suite, requested: str | None) -> str:
     return name or _BUILTIN
 
 
-def _resolve_drivers(suite: Suite, requested: Mapping[str, str | Driver] | None) -> dict[str, str | Driver]:
+def _resolve_drivers(suite: SuiteContents, requested: Mapping[str, str | Driver] | None) -> dict[str, str | Driver]:
     drivers: dict[str, str | Driver] = {}
     for entity, driver in check_mapping("drivers", requested or {}).items():
         if (isinstance(driver, str) and driver) or is_driver(driver):
@@ -381,7 +383,7 @@ def _resolve_drivers(suite: Suite, requested: Mapping[str, str | Driver] | None)
 
 
 def _build_meta(
-    suite: Suite,
+    suite: SuiteContents,
     entities: tuple[str, tuple[str, ...]],
     metrics: tuple[str, ...],
     requirements: Sequence[Requirement],
@@ -414,7 +416,11 @@ def _build_meta(
 
 
 def _build_result(
-    suite: Suite, study: StudyFile, requirements: list[Requirement], baseline: Path | None, no_baseline_reason: str
+    suite: SuiteContents,
+    study: StudyFile,
+    requirements: list[Requirement],
+    baseline: Path | None,
+    no_baseline_reason: str,
 ) -> SuiteResult:
     differences = {} if baseline is None else compare_with_baseline(suite, baseline, study)
     against = {name: study.score_sources(name) for name in study.meta.metrics if len(study.meta.others) > 1}
