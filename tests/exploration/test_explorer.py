@@ -340,7 +340,7 @@ def test_an_interrupt_before_the_explorer_listens_is_none_that_is_lost(tmp_path,
     monkeypatch.undo()
     assert explore_config(one, tmp_path / "s.db").n_finished == 2
     # Without a study there is nothing to resume.
-    monkeypatch.setattr("cornercase.exploration._explore.Study.create", interrupted)
+    monkeypatch.setattr("cornercase.exploration._explore.StudyFile.create", interrupted)
     with pytest.raises(KeyboardInterrupt):
         explore_config(one, tmp_path / "other.db")
 
