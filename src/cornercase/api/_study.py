@@ -77,7 +77,7 @@ class Study(PathLike[str]):
     >>> study.explore("sobol", budget=4)
     <ExplorationResult: 4 scenarios done in study.db; the budget of 4 scenarios is used up>
     >>> study.recording(study.table().index[0])
-    <Recording of Ego (car), Parked (van), P1 (car), Pedestrian (pedestrian), 15 s in 301 instants, no collision>
+    <Recording of Ego (car), Truck (truck), C (car), Pedestrian (pedestrian), 16.45 s in 330 instants, no collision>
     """
 
     def __init__(
