@@ -13,6 +13,7 @@ from .exploration import Estimation as Estimation
 from .exploration import ExplorationResult as ExplorationResult
 from .exploration import estimate as estimate
 from .exploration import explore as explore
+from .exploration import stop as stop
 from .metrics import METRICS as METRICS
 from .metrics import Measurement as Measurement
 from .metrics import Metric as Metric
