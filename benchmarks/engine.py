@@ -36,8 +36,8 @@ from typing import Any, ParamSpec, TypeVar
 import numpy as np
 
 from cornercase import ConcreteScenario, LogicalScenario
-from cornercase.optimizers import RandomOptimizer
-from cornercase.simulators import BuiltinSimulator, EsminiSimulator
+from cornercase.optimizers import Random
+from cornercase.simulators import Builtin, Esmini
 from cornercase.simulators.esmini._library import (
     PARAMETER_CALLBACK,
     encode_esmini_path,
@@ -66,13 +66,13 @@ class Case:
     def concretes(self, count: int) -> list[ConcreteScenario]:
         """Draw so many concrete scenarios."""
         logical = LogicalScenario.read(self.path, self.space, self.ranges, continuous=True)
-        points = RandomOptimizer(logical.space, 0).ask(count)
+        points = Random().start(logical.space, 0).ask(count)
         return [logical.concrete_scenario(values) for values in logical.space.values(points)]
 
-    def simulator(self) -> BuiltinSimulator:
+    def simulator(self) -> Builtin:
         """Make a simulator that has prepared nothing yet."""
         drivers = {} if self.driver is None else {"Ego": self.driver}
-        return BuiltinSimulator(time_step=TIME_STEP, duration=DURATION, drivers=drivers)
+        return Builtin(time_step=TIME_STEP, duration=DURATION, drivers=drivers)
 
 
 @dataclass(frozen=True)
@@ -178,7 +178,7 @@ def apart(function: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
 
 
 def of_esmini(case: Case, patience: float) -> Rate | None:
-    if EsminiSimulator.availability().problem:
+    if Esmini.availability().problem:
         return None
     try:
         found = apart(esmini_rate, case, patience)
@@ -209,7 +209,7 @@ def row_of(name: str, goal: float | None, one: Rate, peer: Rate | None) -> dict[
 
 
 def tell_missing_esmini() -> None:
-    if missing := EsminiSimulator.availability().problem:
+    if missing := Esmini.availability().problem:
         print(f"Without esmini: {missing}")
 
 

@@ -42,7 +42,7 @@ from cornercase.reduction import reduce
 from cornercase.reduction._critical_clusters import find_critical_clusters
 from cornercase.reduction._medoids import find_k_medoids
 from cornercase.scenario import ConcreteScenario
-from cornercase.simulators import BuiltinSimulator
+from cornercase.simulators import Builtin
 from cornercase.study import StudyFile
 
 Floats = npt.NDArray[np.float64]
@@ -89,7 +89,7 @@ class Experiment:
         meta, space = study.meta, study.space
         points = space.snap(np.random.default_rng(5).random((2000, space.dimension)))
         settings = meta.settings
-        simulator = BuiltinSimulator(
+        simulator = Builtin(
             **{key: settings[key] for key in ("time_step", "duration", "on_collision")},
             drivers={entity: driver_by_name(name) for entity, name in settings.get("drivers", {}).items()},
         )

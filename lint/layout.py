@@ -31,7 +31,6 @@ LARGE_FUNCTIONS = {
     "cli/study.py reduce": _OPTIONS,
     "cli/test.py test_suite": _OPTIONS,
     "api/_study.py cluster": _VERB,
-    "api/_study.py explore": _VERB,
     "api/_study.py reduce": _VERB,
     "api/_suite.py run": _VERB,
     "clustering/_analyze.py analyze": _API,

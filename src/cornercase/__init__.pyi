@@ -19,6 +19,7 @@ from .exploration import Problem as Problem
 from .exploration import Runs as Runs
 from .exploration import estimate as estimate
 from .exploration import explore as explore
+from .exploration import stop as stop
 from .metrics import Metric as Metric
 from .metrics import measure as measure
 from .optimizers import Optimizer as Optimizer

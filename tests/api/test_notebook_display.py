@@ -55,7 +55,13 @@ def test_a_study_shows_its_most_critical_scenarios_with_names_escaped(tmp_path):
 def test_every_result_shows_itself(whole):
     study = cc.Study.open(whole)
     summary = study.summary()
-    results = [study, *summary.analyses.values(), summary.reduced_set, study.sensitivity(), study.critical_set(threshold=1.0)]
+    results = [
+        study,
+        *summary.analyses.values(),
+        summary.reduced_set,
+        study.sensitivity(),
+        study.critical_set(threshold=1.0),
+    ]
     for result in results:
         page = result._repr_html_()
         assert etree.HTML(page) is not None

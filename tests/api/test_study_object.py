@@ -16,7 +16,7 @@ import cornercase as cc
 from cornercase.drivers import SimpleDriver
 from cornercase.metrics import METRICS
 from cornercase.recordings import Recording
-from cornercase.simulators import BuiltinSimulator
+from cornercase.simulators import Builtin
 from cornercase.study import StudyFile
 from helpers.command_line import SPACE, X
 
@@ -184,7 +184,7 @@ def test_own_drivers_are_given_again_and_code_that_a_study_names_is_not_run(prob
 
 def test_an_interrupted_search_goes_on_by_the_same_call(problem, explored, tmp_path, monkeypatch):
     study, calls = cc.Study.create(tmp_path / "study.db", problem, seed=1), []
-    run = BuiltinSimulator.run
+    run = Builtin.run
 
     def interrupted(self, scenarios, *rest, **more):
         calls.append(len(scenarios))
@@ -192,7 +192,7 @@ def test_an_interrupted_search_goes_on_by_the_same_call(problem, explored, tmp_p
             signal.raise_signal(signal.SIGINT)
         return run(self, scenarios, *rest, **more)
 
-    monkeypatch.setattr(BuiltinSimulator, "run", interrupted)
+    monkeypatch.setattr(Builtin, "run", interrupted)
     with pytest.raises(KeyboardInterrupt, match=re.escape("Interrupted after 10 scenarios. The same call again")):
         study.explore("sobol", budget=24)
     assert (study.table()["state"] == "done").sum() == 10

@@ -18,7 +18,7 @@ TYPES = (
     "Analysis", "Comparison", "ConcreteScenario", "Driver", "Estimation", "LogicalScenario", "Metric", "Optimizer", "Parameter",
     "ParameterSpace", "Problem", "Recording", "ReducedSet", "Runs", "Simulator", "Study", "Suite", "SuiteResult",
 )  # fmt: skip
-ROOMS = ("drivers", "metrics", "optimizers", "simulators")
+ROOMS = ("drivers", "metrics", "optimizers", "simulators", "stop")
 ERRORS = ("InputError", "NoticeWarning", "SimulationError", "SimulatorError")
 
 

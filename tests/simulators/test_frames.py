@@ -1,9 +1,9 @@
 """Compiled frames equal frames in which the storyboard is evaluated, with any number of threads and batches."""
 
+import random
 import signal
 import threading
 from pathlib import Path
-from random import Random
 
 import numpy as np
 import pytest
@@ -11,10 +11,10 @@ import pytest
 from conftest import at_night
 from cornercase import LogicalScenario
 from cornercase._common.errors import SimulationError
-from cornercase.optimizers import RandomOptimizer
+from cornercase.optimizers import Random
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario
-from cornercase.simulators import BuiltinSimulator
+from cornercase.simulators import Builtin
 from cornercase.simulators.builtin import _simulator as simulator
 from cornercase.simulators.builtin import _stepper as stepper
 from cornercase.simulators.builtin._batch import Batch
@@ -28,12 +28,12 @@ EXAMPLES = ROOT / "examples"
 def drawn(name: str, count: int) -> list[ConcreteScenario]:
     base = EXAMPLES / name / name
     logical = LogicalScenario.read(f"{base}.xosc", f"{base}.space.xosc")
-    points = RandomOptimizer(logical.space, 3).ask(count)
+    points = Random().start(logical.space, 3).ask(count)
     return [logical.concrete_scenario(values) for values in logical.space.values(points)]
 
 
 def recordings(concretes: list[ConcreteScenario]) -> list[Recording | SimulationError]:
-    return list(BuiltinSimulator(duration=20.0).run(concretes))
+    return list(Builtin(duration=20.0).run(concretes))
 
 
 def look_in_each_frame(monkeypatch) -> None:
@@ -69,7 +69,7 @@ def test_examples_are_the_same_with_a_look_in_each_frame(name, monkeypatch):
 def test_random_storyboards_are_the_same_with_a_look_in_each_frame(seed, tmp_path, monkeypatch):
     write_roads(tmp_path)
     path = Path(tmp_path) / "storyboard.xosc"
-    path.write_text(storyboard(Random(1000 + seed)))
+    path.write_text(storyboard(random.Random(1000 + seed)))
     held = recordings([ConcreteScenario(path, {})])
     look_in_each_frame(monkeypatch)
     assert_same(recordings([ConcreteScenario(path, {})]), held, 1e-9)

@@ -16,7 +16,7 @@ from conftest import (
 )  # fmt: skip
 from cornercase._common.errors import InputError
 from cornercase.scenario import ConcreteScenario
-from cornercase.simulators import BuiltinSimulator
+from cornercase.simulators import Builtin
 
 DT = 0.05
 
@@ -70,7 +70,7 @@ trafficSignalControllerRef="main"/></TrafficSignalAction></InfrastructureAction>
     text = path.read_text()
     path.write_text(text.replace("</RoadNetwork>", SIGNALS, 1))
     concretes = [ConcreteScenario(path, {"red": value}) for value in at]
-    together = ran(BuiltinSimulator(time_step=DT, duration=6.0), concretes)
+    together = ran(Builtin(time_step=DT, duration=6.0), concretes)
     later = begun if begun is not None and '"8"' not in condition else 0.0
     for recording, expected in zip(together, at.values(), strict=True):
         fast = recording.time[recording.speed[0] > 20]
@@ -98,7 +98,7 @@ def test_a_phase_that_cannot_be_costs_no_other_scenario(tmp_path):
     )
     path.write_text(path.read_text().replace("</RoadNetwork>", SIGNALS.replace('duration="1"', 'duration="${$red/2}"')))
     concretes = [ConcreteScenario(path, {"red": red}) for red in (1.0, -1.0, 0.0)]
-    ran_, below, none = BuiltinSimulator(duration=1.0).run(concretes)
+    ran_, below, none = Builtin(duration=1.0).run(concretes)
     assert not isinstance(ran_, Exception)
     assert "duration of <Phase> is below 0" in str(below)
     assert "duration of <Phase> is 0, as are those of the other phases" in str(none)

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 import cornercase as cc
-from cornercase.simulators import SIMULATORS, BuiltinSimulator
+from cornercase.simulators import SIMULATORS, Builtin
 from cornercase.study import StudyFile
 from helpers.command_line import X, cornercase
 
@@ -21,7 +21,7 @@ QUICK: Any = {"duration": 1.0}
 STARTS = (20, 31.5, 40)
 
 
-class Interrupted(BuiltinSimulator):
+class Interrupted(Builtin):
     """Is interrupted in its third scenario."""
 
     batched = False

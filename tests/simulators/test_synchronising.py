@@ -20,7 +20,7 @@ from conftest import (
     trajectory,
 )
 from cornercase.scenario import ConcreteScenario
-from cornercase.simulators import BuiltinSimulator
+from cornercase.simulators import Builtin
 from cornercase.simulators.builtin._stepper import Stepper
 from cornercase.simulators.builtin.actions._longitudinal import LongitudinalDistanceAction
 from cornercase.simulators.builtin.actions._synchronize import SynchronizeAction
@@ -57,7 +57,7 @@ roadId="1" laneId="-1" s="300"/></TargetPositionMaster><TargetPosition><LanePosi
 
 
 def recordings(path, values, monkeypatch=None):
-    simulator = BuiltinSimulator(duration=15.0)
+    simulator = Builtin(duration=15.0)
     if monkeypatch is None:
         return ran(simulator, [ConcreteScenario(path, one) for one in values])
     run = Stepper.run

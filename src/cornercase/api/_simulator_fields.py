@@ -4,16 +4,21 @@ from __future__ import annotations
 
 from typing import Any, Final
 
-from cornercase._common.validation import check_str
-from cornercase.simulators import SIMULATORS
+from cornercase._common.configurable import given_options
+from cornercase.simulators import SIMULATORS, Simulator
+from cornercase.simulators._common_options import split_common_options
 
-_RUN_SETTINGS: Final = ("time_step", "duration", "on_collision", "drivers")
+_RUN_SETTINGS: Final = {"time_step": None, "duration": None, "on_collision": None, "drivers": None}
 
 
-def simulator_fields(simulator: object) -> dict[str, Any]:
-    """Return ``simulator`` and, if it is an object, its time step, duration, effect of collisions and drivers."""
-    if isinstance(simulator, str):
-        SIMULATORS.get_factory(check_str("simulator", simulator).partition(":")[0])
-        return {"simulator": simulator}
-    settings = {name: getattr(simulator, name) for name in _RUN_SETTINGS if getattr(simulator, name, None) is not None}
-    return {"simulator": str(simulator), **settings}
+def simulator_fields(simulator: Simulator | str) -> dict[str, Any]:
+    """Return ``simulator``, and the time step, duration, effect of collisions and drivers that an object was given.
+
+    Raises `InputError` for an unknown name, or something that is no simulator.
+    """
+    stripped, _ = split_common_options(simulator, _RUN_SETTINGS)
+    if isinstance(stripped, str):
+        SIMULATORS.get_factory(stripped.partition(":")[0])
+        return {"simulator": stripped}
+    own = {name: value for name, value in given_options(simulator).items() if name in _RUN_SETTINGS}
+    return {"simulator": stripped, **own}

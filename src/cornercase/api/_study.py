@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
     from cornercase.clustering import Analysis, ClusteringMethod
     from cornercase.evidence import Sensitivity
+    from cornercase.exploration.stop import StopRule
     from cornercase.optimizers import Optimizer
     from cornercase.recordings import Recording
     from cornercase.reduction import ArchetypeMethod, KillMatrix, ReducedSet
@@ -73,8 +74,8 @@ class Study(PathLike[str]):
     >>> folder = "examples/x_intersection/x_intersection"
     >>> scenario = cc.LogicalScenario.read(f"{folder}.xosc", f"{folder}.space.xosc")
     >>> problem = cc.Problem(scenario, ego="Ego", other="Pedestrian", metrics=["wttc"], threshold=0.2)
-    >>> study = cc.Study.create("study.db", problem, seed=1)
-    >>> study.explore("sobol", budget=4)
+    >>> study = cc.Study.create("study.db", problem, cc.simulators.Builtin(), seed=1)
+    >>> study.explore(cc.optimizers.Sobol(), budget=4)
     <ExplorationResult: 4 scenarios done in study.db; the budget of 4 scenarios is used up>
     >>> study.recording(study.table().index[0])
     <Recording of Ego (car), Truck (truck), C (car), Pedestrian (pedestrian), 16.45 s in 330 instants, no collision>
@@ -109,7 +110,8 @@ class Study(PathLike[str]):
         problem : Problem
             What is searched.
         simulator : Simulator or str, default "builtin"
-            What runs the scenarios. As text its name, with options after a colon.
+            What runs the scenarios, from `cornercase.simulators`, with the drivers of the entities, or as text with
+            options after a colon.
         seed : int, default 0
             The same seed gives the same result.
 
@@ -175,7 +177,8 @@ class Study(PathLike[str]):
         problem : Problem
             What is searched.
         simulator : Simulator or str, default "builtin"
-            What runs the scenarios. As text its name, with options after a colon.
+            What runs the scenarios, from `cornercase.simulators`, with the drivers of the entities, or as text with
+            options after a colon.
         seed : int, default 0
             The same seed gives the same result.
 
@@ -237,12 +240,10 @@ class Study(PathLike[str]):
         optimizer: Optimizer | str | None = None,
         *,
         budget: int | None = None,
-        stop: object = (),
+        stop: StopRule | str | Sequence[StopRule | str] = (),
         runs: Runs | None = None,
         batch: int | None = None,
         asynchronous: bool | None = None,
-        patience: int | None = None,
-        max_seconds: float | None = None,
         audit: float | None = None,
         warm_start: Study | Path | str | None = None,
         retry_failed: bool = False,
@@ -256,22 +257,21 @@ class Study(PathLike[str]):
         Parameters
         ----------
         optimizer : Optimizer or str, optional
-            Where to look next, as text with options after a colon: ``"level-set:filling=0.1"``. This and all other
-            defaults are those that the study was searched with before; of a new study ``"bayes"``.
+            Where to look next, from `cornercase.optimizers`, or as text with options after a colon:
+            ``"level-set:filling=0.1"``. This and all other defaults are those that the study was searched with before;
+            of a new study ``Bayes()``.
         budget : int, optional
             Number of scenarios in total; 200 by default.
-        stop : stop rule, str, or sequence of these
-            Stop when the critical set is known this well, such as ``"missed<0.01"``; all rules must hold.
+        stop : StopRule or str, or sequence of these
+            When to stop before the budget is used up, from `cornercase.stop`: when the critical set is known well
+            enough (``stop.missed(0.05)``; of several such rules all must hold), after a time, or without an
+            improvement.
         runs : Runs, optional
             How scenarios are run.
         batch : int, optional
             Number of scenarios per round; 10 by default.
         asynchronous : bool, optional
             Search without rounds: ask for the next scenario as soon as one has ended.
-        patience : int, optional
-            Stop after this many rounds without an improvement; without rounds, after as many scenarios.
-        max_seconds : float, optional
-            Time in s after which no new round starts.
         audit : float, optional
             Fraction of the scenarios, up to 0.5, that are drawn at random and hidden from the search, to assess its
             result.
@@ -299,15 +299,12 @@ class Study(PathLike[str]):
         NoticeWarning
             Something in the scenario's files has no effect in the simulator.
         """
-        rules = [stop] if isinstance(stop, str) or not isinstance(stop, Sequence) else stop
         settings = {
-            "optimizer": None if optimizer is None else str(optimizer),
+            "optimizer": optimizer,
             "budget": budget,
-            "stop_when": tuple(map(str, rules)),
+            "stop_when": stop,
             "batch": batch,
             "asynchronous": asynchronous,
-            "patience": patience,
-            "max_seconds": max_seconds,
             "audit": audit,
             "warm_start": None if warm_start is None else check_path("warm_start", warm_start),
             **({} if runs is None else vars(runs)),

@@ -17,8 +17,8 @@ from cornercase.exploration._repeatability import check_repeatability
 from cornercase.metrics import METRICS, Metric
 from cornercase.metrics._measure import evaluate_metrics
 from cornercase.recordings import Recording
-from cornercase.simulators import SIMULATORS, Simulator
-from cornercase.simulators._results import find_refusals, list_ignored_content, run_scenarios
+from cornercase.simulators import Simulator
+from cornercase.simulators._results import find_refusals, get_simulator_class, list_ignored_content, run_scenarios
 from cornercase.simulators._run_notices import RunNotices, warn_if_ego_has_no_driver
 from cornercase.study import ScenarioRecord, StudyFile, StudyMeta
 from cornercase.study._study_file import open_or_create_study
@@ -92,7 +92,7 @@ def _warn_about_files(suite: SuiteContents, simulator: Simulator, ego: str) -> N
         deduplicate_notices(
             notice
             for scenario in suite.runnable_scenarios
-            for notice in list_ignored_content(simulator.name, scenario.scenario)
+            for notice in list_ignored_content(simulator, scenario.scenario)
         )
     )
     warn_if_ego_has_no_driver(simulator, (scenario.scenario for scenario in suite.runnable_scenarios), ego)
@@ -118,7 +118,7 @@ def _run_pending(
             yield done
     pending = [row for row in pending if not scenarios[row.id - 1].error]
     # A batch gives no results before its last scenario has ended.
-    takes_batches = SIMULATORS.get_class(simulator.name).batched
+    takes_batches = get_simulator_class(simulator).batched
     batch_size = workers if workers is not None and takes_batches else max(len(pending), 1)
     for first in range(0, len(pending), batch_size):
         batch = pending[first : first + batch_size]

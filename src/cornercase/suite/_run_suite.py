@@ -67,7 +67,7 @@ def run_suite(
     ego: str | None = None,
     other: str | Sequence[str] | None = None,
     metrics: Sequence[str] = (),
-    simulator: str | None = None,
+    simulator: str | Simulator | None = None,
     workers: int = 1,
     cluster: str | Client | None = None,
     timeout: float | None = None,
@@ -110,7 +110,7 @@ def run_suite(
     metrics : sequence of str
         Criticality metrics to store; by default those of the manifest, without one those in the requirements, or else
         ``clearance``.
-    simulator : str, optional
+    simulator : str or Simulator, optional
         By default that of the manifest; without one the builtin simulator.
     workers : int, default 1
         Number of parallel simulators.
@@ -182,7 +182,7 @@ def run_suite(
     options["drivers"] = _resolve_drivers(contents, drivers)
     if mutants is not None:
         # Check before anything is run.
-        require_builtin_simulator(name)
+        require_builtin_simulator(str(name))
         driver_and_mutants = draw_mutants(contents, entities[0], options["drivers"], parsed, mutants, seed)
     reference_names = dict.fromkeys(item.reference for item in parsed if item.reference)
     with open_connection(cluster, workers) as client:
@@ -198,7 +198,13 @@ def run_suite(
                 for item in reference_names
             }
             meta = _build_meta(
-                contents, entities, _choose_metrics(contents, metrics, parsed), parsed, name, started.settings, path
+                contents,
+                entities,
+                _choose_metrics(contents, metrics, parsed),
+                parsed,
+                str(name),
+                started.settings,
+                path,
             )
             n_parallel = workers if client is None else None
             n_before = run_pending_scenarios(
@@ -353,9 +359,9 @@ def _choose_metrics(
     return tuple(metric.name for metric in instances)
 
 
-def _choose_simulator(suite: SuiteContents, requested: str | None) -> str:
+def _choose_simulator(suite: SuiteContents, requested: str | Simulator | None) -> str | Simulator:
     if requested is not None:
-        return check_str("simulator", requested)
+        return requested if isinstance(requested, Simulator) else check_str("simulator", requested)
     name, colon, _ = suite.simulator.partition(":")
     # Options may name files and programs; the manifest may come from anywhere.
     if colon:
