@@ -20,7 +20,7 @@ LONG_MODULES = {
 }
 _OPTIONS = "one parameter for each option of the command"
 _API = "part of the API: one parameter for each option of the command"
-_VERB = "a verb: twelve parameters besides the object"
+_VERB = "a verb of the API: up to twelve parameters besides the object"
 _COMPILED = "compiled: machine code takes numbers and arrays, no objects"
 _SIMULATOR = "one parameter for each option of the simulator"
 LARGE_FUNCTIONS = {
@@ -31,6 +31,7 @@ LARGE_FUNCTIONS = {
     "cli/study.py reduce": _OPTIONS,
     "cli/test.py test_suite": _OPTIONS,
     "api/_study.py cluster": _VERB,
+    "api/_study.py explore": _VERB,
     "api/_study.py reduce": _VERB,
     "api/_suite.py run": _VERB,
     "clustering/_analyze.py analyze": _API,

@@ -7,6 +7,7 @@ import shutil
 import signal
 from inspect import signature
 from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 import pandas as pd
@@ -63,7 +64,7 @@ def test_creating_checks_everything_and_writes_nothing(problem, tmp_path):
     with pytest.raises(cc.InputError, match="`seed`"):
         cc.Study.create(path, problem, seed=-1)
     with pytest.raises(cc.InputError, match="`problem`: give a Problem, not a str"):
-        cc.Study.create(path, "x.xosc")
+        cc.Study.create(path, cast("Any", "x.xosc"))
     assert list(tmp_path.iterdir()) == []
 
 

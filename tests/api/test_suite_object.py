@@ -14,7 +14,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::cornercase.NoticeWarning")
 
 @pytest.fixture(scope="module")
 def reduced(tmp_path_factory) -> Path:
-    folder = tmp_path_factory.mktemp("suite")
+    folder: Path = tmp_path_factory.mktemp("suite")
     problem = cc.Problem(cc.LogicalScenario.read(X, SPACE), "Ego", "Pedestrian", ["wttc"], 0.2)
     study = cc.Study.create(folder / "study.db", problem)
     study.explore("sobol", budget=20)

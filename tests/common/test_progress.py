@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+
 import pytest
 
 from cornercase._common.progress import ProgressBar, format_duration, progress_step, show_bars
@@ -60,8 +62,8 @@ def test_a_notebook_gets_one_bar_that_is_updated(monkeypatch, capsys):
     interactive = pytest.importorskip("IPython.core.interactiveshell")
     clock, shell = Clock(monkeypatch), interactive.InteractiveShell.instance()
     try:
-        # As ipykernel's shell, which a terminal's is not.
-        shell.kernel = object()
+        # A terminal's shell runs without a kernel.
+        monkeypatch.setitem(sys.modules, "ipykernel", sys)
         shown = []
         monkeypatch.setattr(shell.display_pub, "publish", lambda **message: shown.append(message))
         bar = ProgressBar(20, "exploring", "scenarios")

@@ -1,7 +1,8 @@
-"""Progress bars on terminals and in notebooks, and progress lines elsewhere."""
+"""Progress bars on terminals and in notebooks; otherwise progress lines."""
 
 from __future__ import annotations
 
+import importlib
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -113,16 +114,15 @@ class _NotebookBar:
 
     def show(self, n_done: int, total: int, text: str, *, is_last: bool) -> None:
         """Show a state; unless it is the last one, only some time after the one before."""
-        from IPython.display import HTML, display
-
         now = time.monotonic()
         if not is_last and now - self._last_time < _SECONDS_BETWEEN_NOTEBOOK_UPDATES:
             return
         self._last_time = now
         label = f"{self._activity}: {n_done} of {total} {self._unit}" + (f", {text}" if text else "")
-        page = HTML(f'<progress value="{n_done}" max="{total}"></progress> {escape(label)}')
+        ipython: Any = importlib.import_module("IPython.display")
+        page = ipython.HTML(f'<progress value="{n_done}" max="{total}"></progress> {escape(label)}')
         if self._display is None:
-            self._display = display(page, display_id=True)
+            self._display = ipython.display(page, display_id=True)
         else:
             self._display.update(page)
 
@@ -130,7 +130,7 @@ class _NotebookBar:
 def _is_in_notebook() -> bool:
     """Whether a notebook's kernel runs this, and not a terminal."""
     ipython = sys.modules.get("IPython")
-    return ipython is not None and hasattr(ipython.get_ipython(), "kernel")
+    return ipython is not None and "ipykernel" in sys.modules and ipython.get_ipython() is not None
 
 
 verbosity: ContextVar[Literal["quiet", "usual", "verbose"]] = ContextVar("loudness", default="usual")

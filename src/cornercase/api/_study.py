@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
     from cornercase.clustering import Analysis, ClusteringMethod
     from cornercase.evidence import Sensitivity
-    from cornercase.exploration.stop import StopRule
+    from cornercase.exploration import stop as stop_rules
     from cornercase.optimizers import Optimizer
     from cornercase.recordings import Recording
     from cornercase.reduction import ArchetypeMethod, KillMatrix, ReducedSet
@@ -240,7 +240,7 @@ class Study(PathLike[str]):
         optimizer: Optimizer | str | None = None,
         *,
         budget: int | None = None,
-        stop: StopRule | str | Sequence[StopRule | str] = (),
+        stop: stop_rules.StopRule | str | Sequence[stop_rules.StopRule | str] = (),
         runs: Runs | None = None,
         batch: int | None = None,
         asynchronous: bool | None = None,
