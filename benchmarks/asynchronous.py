@@ -25,7 +25,7 @@ from cornercase import LogicalScenario
 from cornercase.exploration._asynchronous import AsynchronousExplorer
 from cornercase.exploration._config import ExplorationConfig
 from cornercase.exploration._explorer import ScenarioExplorer
-from cornercase.optimizers import create_optimizer
+from cornercase.optimizers import OPTIMIZERS
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import SIMULATORS, Simulator
@@ -86,7 +86,7 @@ def timed(search: str, asynchronous: bool, workers: int, budget: int, folder: Pa
     )  # fmt: skip
     objective = configuration.make_objective()
     threshold = configuration.minimized_threshold(objective)
-    optimizer = create_optimizer(search, logical.space, 1, threshold=threshold, budget=budget)
+    optimizer = OPTIMIZERS.create(search).start(logical.space, 1, threshold=threshold, budget=budget)
     meta = configuration.make_study_meta(objective, {})
     kind = AsynchronousExplorer if asynchronous else ScenarioExplorer
     names = [one.name for one in logical.space.parameters]

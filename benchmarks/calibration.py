@@ -34,9 +34,10 @@ from scipy.stats import qmc
 
 from cornercase.evidence._critical_set_estimate import MIN_REGION_FRACTION, CriticalSet
 from cornercase.evidence.gp._process import encode_points
-from cornercase.exploration._stopping import StopCriteria, StopCriterion
+from cornercase.exploration._stop_criteria import StopCriteria
 from cornercase.exploration._study_critical_set import audit_sampler, is_score_independent
-from cornercase.optimizers import create_optimizer
+from cornercase.exploration.stop._rules import StopCriterion
+from cornercase.optimizers import OPTIMIZERS
 from cornercase.scenario import Parameter, ParameterSpace
 
 Floats = npt.NDArray[np.float64]
@@ -195,7 +196,7 @@ def cases(half: str, count: int, dims: Sequence[int], first: int = 0) -> Iterato
 
 def explored(case: Case, search: str, budget: int) -> tuple[Floats, Floats]:
     """Points and scores of a search."""
-    optimizer = create_optimizer(search, case.space, case.seed, threshold=case.threshold, budget=budget)
+    optimizer = OPTIMIZERS.create(search).start(case.space, case.seed, threshold=case.threshold, budget=budget)
     points, scores = np.zeros((0, case.dims)), np.zeros(0)
     while len(points) < budget and len(new := optimizer.ask(min(ROUND, budget - len(points)))):
         values = case.function(new)
@@ -282,7 +283,7 @@ def hidden(seeds: int, budget: int) -> None:
     region = everywhere[beside(everywhere) <= 0.0]
     stopped = wrong = 0
     for seed in range(seeds):
-        optimizer = create_optimizer("level-set", space, seed, threshold=0.0, budget=budget)
+        optimizer = OPTIMIZERS.create("level-set").start(space, seed, threshold=0.0, budget=budget)
         stopping = StopCriteria([StopCriterion.parse("missed<0.05")], space, 0.0, seed, "level-set")
         points, scores = np.zeros((0, 3)), np.zeros(0)
         while len(points) < budget and stopping.describe_reached() is None:

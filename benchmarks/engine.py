@@ -39,8 +39,8 @@ import numpy as np
 
 from cornercase import ConcreteScenario, LogicalScenario
 from cornercase.drivers import Driver, Situation
-from cornercase.optimizers import RandomOptimizer
-from cornercase.simulators import BuiltinSimulator, EsminiSimulator
+from cornercase.optimizers import Random
+from cornercase.simulators import Builtin, Esmini
 from cornercase.simulators.esmini._library import (
     PARAMETER_CALLBACK,
     encode_esmini_path,
@@ -78,13 +78,13 @@ class Case:
     def concretes(self, count: int) -> list[ConcreteScenario]:
         """Draw so many concrete scenarios."""
         logical = LogicalScenario.read(self.path, self.space, self.ranges, continuous=True)
-        points = RandomOptimizer(logical.space, 0).ask(count)
+        points = Random().start(logical.space, 0).ask(count)
         return [logical.concrete_scenario(values) for values in logical.space.values(points)]
 
-    def simulator(self) -> BuiltinSimulator:
+    def simulator(self) -> Builtin:
         """Make a simulator that has prepared nothing yet."""
         drivers = {} if self.driver is None else {"Ego": OwnDriver() if self.driver == "own" else self.driver}
-        return BuiltinSimulator(time_step=TIME_STEP, duration=DURATION, drivers=drivers)
+        return Builtin(time_step=TIME_STEP, duration=DURATION, drivers=drivers)
 
 
 @dataclass(frozen=True)
@@ -190,7 +190,7 @@ def apart(function: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
 
 
 def of_esmini(case: Case, patience: float) -> Rate | None:
-    if EsminiSimulator.availability().problem:
+    if Esmini.availability().problem:
         return None
     try:
         found = apart(esmini_rate, case, patience)
@@ -225,7 +225,7 @@ def name_of(size: int) -> str:
 
 
 def tell_missing_esmini() -> None:
-    if missing := EsminiSimulator.availability().problem:
+    if missing := Esmini.availability().problem:
         print(f"Without esmini: {missing}")
 
 

@@ -40,7 +40,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from cornercase import ConcreteScenario, InputError, LogicalScenario
 from cornercase.recordings import Recording
 from cornercase.scenario import Value
-from cornercase.simulators import BuiltinSimulator, EsminiSimulator
+from cornercase.simulators import Builtin, Esmini
 from cornercase.simulators.pool._simulator import WorkerSimulator
 from helpers.esmini_agreement import Tracks, disagreement, last_instant, tracks_of, tracks_of_file
 from helpers.random_storyboards import storyboard, write_roads
@@ -191,7 +191,7 @@ def run_esmini(case: Case, number: int) -> Tracks | str:
     """Tracks of one concrete scenario, or why esmini has none."""
     global _esmini
     settings = {"time_step": case.time_step, "duration": case.duration, "controllers": False, "undriven": True}
-    if _esmini is None or _esmini.settings != EsminiSimulator(**settings).settings:  # type: ignore[arg-type]
+    if _esmini is None or _esmini.settings != Esmini(**settings).settings:  # type: ignore[arg-type]
         if _esmini is not None:
             _esmini.close()
         _esmini = WorkerSimulator("esmini", settings, timeout=PATIENCE, retries=0)
@@ -236,7 +236,7 @@ def run_builtin(case: Case, known: list[int], expected: list[Tracks]) -> list[Re
     # A step longer than the expected recordings, so that one that goes on is seen to.
     duration = min(case.duration, max(map(last_instant, expected)) + 1.0)
     try:
-        simulator = BuiltinSimulator(time_step=case.time_step, duration=duration)
+        simulator = Builtin(time_step=case.time_step, duration=duration)
         results = simulator.run([ConcreteScenario(case.path, case.values[number]) for number in known])
     except InputError as error:
         return [str(error)] * len(known)
@@ -249,7 +249,7 @@ def all_cases(options: argparse.Namespace, storage: Path) -> Iterator[Case]:
     """Cases of the parts that were asked for and can be run."""
     folder: Path | None = options.folder
     try:
-        EsminiSimulator()
+        Esmini()
     except InputError as error:
         runs_esmini = False
         print(f"Only recordings are compared: {error}")

@@ -49,16 +49,16 @@ from cornercase.exploration._asynchronous import max_pending_scenarios
 from cornercase.exploration._study_critical_set import is_score_independent
 from cornercase.metrics import METRICS, compute_features, registered_features
 from cornercase.optimizers import (
-    BayesOptimizer,
-    CommitteeOptimizer,
-    EvolutionaryOptimizer,
-    GridOptimizer,
-    LevelSetOptimizer,
-    OptunaOptimizer,
-    SobolOptimizer,
+    Bayes,
+    Committee,
+    Evolutionary,
+    Grid,
+    LevelSet,
+    Optuna,
+    Sobol,
 )
 from cornercase.scenario import Parameter, ParameterSpace
-from cornercase.simulators import BuiltinSimulator
+from cornercase.simulators import Builtin
 
 # Beside this file; mypy knows it by its package.
 from judging import CLASSIFIERS, CUTS, best_classifier  # type: ignore[import-not-found]
@@ -154,14 +154,16 @@ JUDGE = {
 CASES = CHOOSE | JUDGE
 
 SEARCHES: dict[str, Callable[[ParameterSpace, int, float, int], Any]] = {
-    "grid": lambda space, seed, critical, budget: GridOptimizer(space, seed, budget),
-    "sobol": lambda space, seed, critical, budget: SobolOptimizer(space, seed),
-    "bayes, filling 0": lambda space, seed, critical, budget: BayesOptimizer(space, seed, filling=0.0),
-    "bayes": lambda space, seed, critical, budget: BayesOptimizer(space, seed),
-    "evolutionary": lambda space, seed, critical, budget: EvolutionaryOptimizer(space, seed),
-    "optuna (TPE)": lambda space, seed, critical, budget: OptunaOptimizer(space, seed),
-    "level-set": lambda space, seed, critical, budget: LevelSetOptimizer(space, seed, critical),
-    "committee": lambda space, seed, critical, budget: CommitteeOptimizer(space, seed, critical, registered_features()),
+    "grid": lambda space, seed, critical, budget: Grid().start(space, seed, budget=budget),
+    "sobol": lambda space, seed, critical, budget: Sobol().start(space, seed),
+    "bayes, filling 0": lambda space, seed, critical, budget: Bayes(filling=0.0).start(space, seed),
+    "bayes": lambda space, seed, critical, budget: Bayes().start(space, seed),
+    "evolutionary": lambda space, seed, critical, budget: Evolutionary().start(space, seed),
+    "optuna (TPE)": lambda space, seed, critical, budget: Optuna().start(space, seed),
+    "level-set": lambda space, seed, critical, budget: LevelSet().start(space, seed, threshold=critical),
+    "committee": lambda space, seed, critical, budget: Committee().start(
+        space, seed, threshold=critical, features=registered_features()
+    ),
 }
 
 
@@ -189,7 +191,7 @@ def outcomes(name: str, folders: Folders, values: list[dict[str, Any]]) -> npt.N
     case, scenario = CASES[name], logical(name, folders)
     metric = METRICS.create(case.metric)
     drivers = {} if case.driver is None else {"Ego": case.driver}
-    simulator = BuiltinSimulator(time_step=case.time_step, on_collision=case.on_collision, drivers=drivers)
+    simulator = Builtin(time_step=case.time_step, on_collision=case.on_collision, drivers=drivers)
     found, runs = np.full(len(values), np.nan), []
     for k, run in enumerate(simulator.run([scenario.concrete_scenario(one) for one in values])):
         runs.append(None if isinstance(run, Exception) else run)
@@ -322,7 +324,7 @@ def search(
     optimizer: Any = SEARCHES[kind](judge.space, seed, critical, sizes[-1])
     running = None if workers is None else Workers(optimizer, len(judge.steps), workers, sizes[-1], seed)
     for size in sizes:
-        if isinstance(optimizer, GridOptimizer):
+        if isinstance(optimizer, Grid):
             optimizer, points = SEARCHES[kind](judge.space, seed, critical, size), points[:0]
             running = None if workers is None else Workers(optimizer, len(judge.steps), workers, size, seed)
         while len(points) < size:
@@ -351,7 +353,7 @@ def search(
 def grid_needed(judge: Judge, recall: float, precision: float) -> int | None:
     """Scenarios of the smallest grid that finds as much, told by the nearest of its scenarios; None if none does."""
     for steps in range(4, max(judge.steps) + 1):
-        points = GridOptimizer(judge.space, 0, steps ** len(judge.steps)).ask(steps ** len(judge.steps))
+        points = Grid().start(judge.space, 0, budget=steps ** len(judge.steps)).ask(steps ** len(judge.steps))
         nearest = cKDTree(points).query(judge.lattice)[1]
         found = judge.agreement(judge.true[judge.places(points)][nearest])
         if found["recall"] >= recall and found["precision"] >= precision:

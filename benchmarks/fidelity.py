@@ -37,7 +37,7 @@ from cornercase.evidence._multi_fidelity import SourceStudyModel, augment_points
 from cornercase.evidence.gp._process import encode_points, fit_boundary_process
 from cornercase.exploration._study_critical_set import is_score_independent
 from cornercase.metrics import METRICS
-from cornercase.optimizers import LevelSetOptimizer
+from cornercase.optimizers import LevelSet
 from cornercase.recordings import Recording
 from cornercase.simulators import SIMULATORS
 
@@ -120,7 +120,10 @@ class Search:
 
     def known(self, seed: int, count: int) -> tuple[Floats, Floats]:
         """Points and scores of a study of this grid."""
-        optimizer, points = LevelSetOptimizer(self.space, seed, self.threshold), np.zeros((0, len(self._steps)))
+        optimizer, points = (
+            LevelSet().start(self.space, seed, threshold=self.threshold),
+            np.zeros((0, len(self._steps))),
+        )
         while len(points) < count:
             new = optimizer.ask(min(20, count - len(points)))
             optimizer.tell(new, self.scores[self.places(new)])
@@ -129,7 +132,7 @@ class Search:
 
     def run(self, seed: int, most: int, begun: tuple[Floats, Floats] | None) -> dict[str, Any]:
         """Search, from what another study knows or from nothing, and judge each round."""
-        optimizer, elsewhere = LevelSetOptimizer(self.space, seed, self.threshold), None
+        optimizer, elsewhere = LevelSet().start(self.space, seed, threshold=self.threshold), None
         if begun is not None:
             optimizer.warm_start(*begun)
             elsewhere = SourceStudyModel(encode_points(self.space, begun[0]), begun[1], self.threshold)

@@ -32,7 +32,7 @@ from sklearn.model_selection import StratifiedKFold, cross_val_predict
 from threadpoolctl import threadpool_limits
 
 from cornercase.evidence.gp._process import encode_points, fit_boundary_process
-from cornercase.optimizers import create_optimizer
+from cornercase.optimizers import OPTIMIZERS
 from cornercase.scenario import Parameter, ParameterSpace
 
 Floats = npt.NDArray[np.float64]
@@ -282,7 +282,7 @@ def search(half: str, name: str, kind: str, seed: int, sizes: tuple[int, ...], p
     number = [HALVES.index(half), list(SETS).index(name), seed]
     known = SETS[name](half, np.random.default_rng(number))
     judge, rng = Judge(known), np.random.default_rng([*number, 1])
-    optimizer = create_optimizer(kind, known.space, seed, threshold=0.0, budget=sizes[-1])
+    optimizer = OPTIMIZERS.create(kind).start(known.space, seed, threshold=0.0, budget=sizes[-1])
     points, scores, spent, rows = np.zeros((0, known.space.dimension)), np.zeros(0), 0.0, []
     for size in sizes:
         while len(points) < size:

@@ -30,7 +30,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from cornercase.optimizers import BayesOptimizer, LevelSetOptimizer
+from cornercase.optimizers import Bayes, LevelSet
 
 ROOT = Path(__file__).resolve().parents[1]
 NCAP = ROOT.parent / "shared" / "reference" / "openscenario" / "ncap" / "OpenSCENARIO" / "NCAP"
@@ -104,12 +104,12 @@ def of_proposals(what: str, quick: bool) -> float:
 
     with threadpool_limits(1):
         # What is imported and compiled when it is first called is no part of a proposal.
-        proposals(BayesOptimizer(SPACE, 0), 40, 1)
-        proposals(LevelSetOptimizer(SPACE, 0, THRESHOLD), 40, 1)
+        proposals(Bayes().start(SPACE, 0), 40, 1)
+        proposals(LevelSet().start(SPACE, 0, threshold=THRESHOLD), 40, 1)
         kind, known = what.split()
         if kind == "judged":
             return judged(int(known), 1 if quick else 3)
-        made = BayesOptimizer(SPACE, 0) if kind == "bayes" else LevelSetOptimizer(SPACE, 0, THRESHOLD)
+        made = Bayes().start(SPACE, 0) if kind == "bayes" else LevelSet().start(SPACE, 0, threshold=THRESHOLD)
         return proposals(made, int(known), 5 if quick else 50)["seconds"]
 
 

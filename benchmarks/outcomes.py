@@ -28,11 +28,11 @@ from sklearn.metrics import adjusted_mutual_info_score
 
 from cornercase import LogicalScenario, Recording
 from cornercase.clustering import ASPECTS, ScenarioClustering
-from cornercase.metrics.ending._find_outcome import describe_outcome
 from cornercase.dtw import distance_matrix
-from cornercase.optimizers import SobolOptimizer
+from cornercase.metrics.ending._find_outcome import describe_outcome
+from cornercase.optimizers import Sobol
 from cornercase.reduction._medoids import find_k_medoids
-from cornercase.simulators import BuiltinSimulator
+from cornercase.simulators import Builtin
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = ROOT / "examples"
@@ -75,10 +75,10 @@ def explored(
     logical: LogicalScenario, other: str, count: int, seed: int, driver: str | None, on_collision: str
 ) -> Explored:
     """Run Sobol points of a logical scenario."""
-    points = SobolOptimizer(logical.space, seed).ask(count)
+    points = Sobol().start(logical.space, seed).ask(count)
     concretes = [logical.concrete_scenario(values) for values in logical.space.values(points)]
     drivers = {} if driver is None else {"Ego": driver}
-    simulator = BuiltinSimulator(duration=40.0, on_collision=on_collision, drivers=drivers)
+    simulator = Builtin(duration=40.0, on_collision=on_collision, drivers=drivers)
     recordings = [one for one in simulator.run(concretes) if isinstance(one, Recording)]
     outcomes = np.array([describe_outcome(one, "Ego", other) for one in recordings])
     return Explored(recordings, other, outcomes)

@@ -27,7 +27,7 @@ import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
 from cornercase.evidence._critical_set_estimate import CriticalSet
-from cornercase.optimizers import BayesOptimizer, LevelSetOptimizer, Optimizer, SobolOptimizer
+from cornercase.optimizers import Bayes, LevelSet, Optimizer, Sobol
 from cornercase.scenario import ParameterSpace
 
 Floats = npt.NDArray[np.float64]
@@ -37,7 +37,7 @@ THRESHOLD, ROUND = 1.0, 10
 
 
 def places(count: int, seed: int = 0) -> Floats:
-    return SobolOptimizer(SPACE, seed).ask(count)
+    return Sobol().start(SPACE, seed).ask(count)
 
 
 def scores(points: Floats) -> Floats:
@@ -113,9 +113,9 @@ def main() -> None:
     options = parser.parse_args()
     rows: list[dict[str, Any]] = []
     makers: dict[str, Callable[[], Optimizer]] = {
-        "bayes": lambda: BayesOptimizer(SPACE, 0),
-        "level-set": lambda: LevelSetOptimizer(SPACE, 0, THRESHOLD),
-        "level-set, 100,000 candidates": lambda: LevelSetOptimizer(SPACE, 0, THRESHOLD, candidates=100_000),
+        "bayes": lambda: Bayes().start(SPACE, 0),
+        "level-set": lambda: LevelSet().start(SPACE, 0, threshold=THRESHOLD),
+        "level-set, 100,000 candidates": lambda: LevelSet(candidates=100_000).start(SPACE, 0, threshold=THRESHOLD),
     }
     print(f"{'what':32} {'told':>6} {'CPU s':>8} {'dearest round':>14} {'peer':>8}   peer is")
     with threadpool_limits(1):

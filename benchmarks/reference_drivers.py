@@ -29,7 +29,7 @@ from cornercase import Recording, SimulationError
 from cornercase.drivers import EncounterOutcome, drive_cut_in, drive_cut_out, drive_deceleration
 from cornercase.drivers.references.r157._models import REFERENCES
 from cornercase.scenario import ConcreteScenario
-from cornercase.simulators import BuiltinSimulator
+from cornercase.simulators import Builtin
 
 EXAMPLES: Final = Path(__file__).resolve().parents[1] / "examples" / "r157"
 NAMES: Final = {"CC_human_driver": "cc-human", "FSM": "fsm", "RSS": "rss", "Reg157": "reg157"}
@@ -126,7 +126,7 @@ def compared(folder: Path, sample: int, seed: int, time_steps: tuple[float, ...]
             chosen = moving.sample(min(sample, len(moving)), random_state=seed)
             figures["run"] = len(chosen)
             for step in time_steps:
-                simulator = BuiltinSimulator(time_step=step, duration=35.0, drivers={"Ego": name})
+                simulator = Builtin(time_step=step, duration=35.0, drivers={"Ego": name})
                 crashes = np.array(
                     [crashed(file, name, one) for one in simulator.run(as_scenarios(file, name, chosen))]
                 )

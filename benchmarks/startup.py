@@ -96,15 +96,15 @@ def main() -> int:
         opening = f"""
 import time
 import pandas
-from cornercase import Study
+from cornercase.study import StudyFile
 begun = time.perf_counter()
-with Study.open({str(path)!r}, readonly=True) as study:
+with StudyFile.open({str(path)!r}, readonly=True) as study:
     table = study.table()
 assert len(table) == {scenarios}
 print(time.perf_counter() - begun)
 """
         rows.append((f"open and table() of {scenarios:,}", 1.0, within(opening, times)))
-        whole = f"import cornercase as cc; cc.Study.open({str(path)!r}, readonly=True).table()"
+        whole = f"import cornercase as cc; cc.Study.open({str(path)!r}).table()"
         rows.append(("the same, from the start of Python", None, fastest([*python, whole], times)))
 
     print(f"{'':36}{'s':>8}{'bound':>8}{'times pass':>12}")

@@ -40,6 +40,7 @@ from cornercase.reduction._evaluate import load_study_data
 from cornercase.reduction._medoids import find_k_medoids
 from cornercase.reduction._mutant_selection import select_killing
 from cornercase.reduction.selection._select import SelectionInput, SelectionRequest, select
+from cornercase.study import StudyFile
 from cornercase.suite import Requirement
 from cornercase.suite._mutation_analysis import run_mutants
 
@@ -94,13 +95,13 @@ def explored(case: Case, path: Path, seed: int, budget: int) -> Path:
             case.logical, path, ego="Ego", other=case.other, metrics=[case.metric], critical=case.critical,
             optimizer="level-set", budget=budget, seed=seed, time_step=case.time_step, drivers={"Ego": case.driver},
         )  # fmt: skip
-    with cc.Study.open(path, readonly=False) as study:
+    with StudyFile.open(path, readonly=False) as study:
         if case.metric not in study.analyzed_aspects():
             cc.analyze(study)
     return path
 
 
-def outcomes(case: Case, study: cc.Study, path: Path, seed: int) -> tuple[Matrix, list[str]]:
+def outcomes(case: Case, study: StudyFile, path: Path, seed: int) -> tuple[Matrix, list[str]]:
     """Which scenarios expose which mutants, and what was done to these: those that choose, then those that judge."""
     drawn = generate_mutants(case.driver, CHOOSING, seed)
     drawn += tuple(one for one in generate_mutants(case.driver, 2 * JUDGING, seed + 1000) if one not in drawn)[:JUDGING]
@@ -148,7 +149,7 @@ def exposing(material: SelectionInput, choosing: Matrix, size: int) -> list[int]
 
 def judged(path: Path, case: Case, seed: int) -> Iterator[dict[str, Any]]:
     """What each way of choosing exposes, for each size."""
-    with cc.Study.open(path, readonly=True) as study:
+    with StudyFile.open(path, readonly=True) as study:
         whole, kinds = outcomes(case, study, path.with_suffix(".npy"), seed)
         analysis, ran = read_analysis(study, case.metric), load_study_data(study)
         first = read_distances(study, case.metric)

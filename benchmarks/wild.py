@@ -34,7 +34,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from cornercase import ConcreteScenario, InputError
 from cornercase.recordings import Recording
 from cornercase.roads._network import RoadNetwork
-from cornercase.simulators import BuiltinSimulator
+from cornercase.simulators import Builtin
 from helpers.esmini_agreement import disagreement, last_instant, tracks_of_file
 from helpers.lane_centres import OTHER_VERSION, compare_centres, read_centres
 from helpers.lane_driving import drive_lanes
@@ -69,7 +69,7 @@ def judge_scenario(folder: Path, entry: dict[str, object]) -> Row:
     outcome, why = "", ""
     try:
         duration = min(last_instant(expected) + 1.0, 30.0) if expected else 30.0
-        (result,) = BuiltinSimulator(duration=duration).run([ConcreteScenario(path, {})])
+        (result,) = Builtin(duration=duration).run([ConcreteScenario(path, {})])
         if not isinstance(result, Recording):
             outcome, why = "fails", str(result)
         elif not expected:

@@ -20,15 +20,16 @@ from cornercase.cli import app
 # In the order in which data goes through them.
 ROOMS = (
     "scenario", "roads", "recordings", "drivers", "simulators", "metrics", "study", "evidence", "optimizers",
-    "exploration", "dtw", "clustering", "reduction", "suite", "report",
+    "exploration", "dtw", "clustering", "reduction", "suite", "report", "api",
 )  # fmt: skip
 
 # Of the package itself.
 _WITHOUT_ROOM = ("InputError", "NoticeWarning", "SimulationError", "SimulatorError")
 
 _INTRODUCTION = """\
-Each command is a function of the same name. What third parties build on are the base classes and the registries; the
-rooms hold the parts."""
+`Problem` says what is searched, a simulator and `Runs` how it is run, an optimizer where to look next; `Study` holds
+everything that was run and has the verbs, and `Suite` runs the few again. Each command is also a function. What third
+parties build on are the base classes and the registries; the rooms hold the parts."""
 
 _EXIT_CODES = """\
 # Commands
@@ -86,7 +87,8 @@ def _first_lines() -> str:
         shown = getattr(package, name)
         if name.startswith("_") or name in _WITHOUT_ROOM or inspect.ismodule(shown):
             continue
-        room = next(one for one in ROOMS if name in dir(importlib.import_module(f"cornercase.{one}")))
+        # Public objects that stand on those of a room have the same name.
+        room = next(one for one in ("api", *ROOMS) if name in dir(importlib.import_module(f"cornercase.{one}")))
         first = _about(f"cornercase.{room}", name).partition("\n")[0]
         lines += [f"   * - :py:obj:`cornercase.{name} <cornercase.{room}.{name}>`", f"     - {first}"]
     return "\n".join(lines) + "\n"

@@ -152,6 +152,9 @@ def undocumented(item: Public) -> list[str]:
     found = [text for code, text in validate(item.name)["errors"] if code in asked]
     if record:
         fields = {name for name in inspect.signature(item.value).parameters if not name.startswith("_")}
+        # Those of its base class are described there.
+        for base in item.value.__mro__[1:]:
+            fields -= getattr(base, "__dataclass_fields__", {}).keys()
         found += sorted(fields - names(documentation(item), "Parameters", "Attributes"))
     return found
 

@@ -21,7 +21,7 @@ import pytest
 from cornercase import SimulationError
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario, LogicalScenario
-from cornercase.simulators import BuiltinSimulator, Simulator
+from cornercase.simulators import Builtin, Simulator
 from helpers.cpu_times import Summary, pytest_addoption, pytest_runtest_protocol, pytest_sessionfinish
 
 __all__ = ["pytest_addoption", "pytest_runtest_protocol", "pytest_sessionfinish"]
@@ -109,8 +109,8 @@ def same_recording(a, b) -> bool:
 
 
 @pytest.fixture(scope="session")
-def builtin() -> BuiltinSimulator:
-    return BuiltinSimulator()
+def builtin() -> Builtin:
+    return Builtin()
 
 
 # A straight road and one car or two; what the tests put in is the storyboard.
@@ -189,7 +189,7 @@ def moving(s="50", speed="10", entity="Ego", lane="-1"):
 
 
 def run(path, duration=10.0, **values):
-    (result,) = BuiltinSimulator(duration=duration).run([ConcreteScenario(path, values)])
+    (result,) = Builtin(duration=duration).run([ConcreteScenario(path, values)])
     assert not isinstance(result, Exception), result
     return result
 

@@ -18,33 +18,22 @@ import cornercase as cc
 from cornercase.exploration import examples_folder
 
 example = examples_folder() / "x_intersection" / "x_intersection"
-logical = cc.LogicalScenario.read(f"{example}.xosc", f"{example}.space.xosc")
-logical.space
+scenario = cc.LogicalScenario.read(f"{example}.xosc", f"{example}.space.xosc")
+problem = cc.Problem(scenario, ego="Ego", other="Pedestrian", metrics=["wttc"], threshold=0.2)
+problem
 
 # %%
 # ``level-set`` looks for the boundary of the critical set: all scenarios whose worst time to collision is at most 0.2
 # s.
 
 folder = TemporaryDirectory()
-study = Path(folder.name) / "study.db"
-result = cc.explore(
-    logical,
-    study,
-    ego="Ego",
-    other="Pedestrian",
-    metrics=["wttc"],
-    critical=0.2,
-    optimizer="level-set",
-    budget=100,
-    seed=1,
-)
-print(result)
+study = cc.Study.create(Path(folder.name) / "study.db", problem, seed=1)
+study.explore(cc.optimizers.LevelSet(), budget=100)
 
 # %%
 # Filled points were critical. The search has put most of its scenarios where critical and uncritical ones meet.
 
-with cc.Study.open(study) as opened:
-    table = opened.table()
+table = study.table()
 critical = table["wttc"] <= 0.2
 
 figure, axes = plt.subplots(layout="constrained")
@@ -64,12 +53,4 @@ plt.show()
 # How much of the space is critical is another question than how many scenarios were: the search went where it is
 # critical.
 
-known = cc.summarize(study).estimates.critical.critical_set
-print(
-    f"critical share of the space: {known.critical_fraction.value:.3f}"
-    f" ({known.critical_fraction.low:.3f} to {known.critical_fraction.high:.3f})"
-)
-print(
-    f"missed of the critical set: {known.missed_fraction.value:.3f}"
-    f" ({known.missed_fraction.low:.3f} to {known.missed_fraction.high:.3f})"
-)
+study.critical_set()

@@ -16,13 +16,12 @@ from cornercase.exploration import examples_folder
 
 example = examples_folder() / "x_intersection" / "x_intersection"
 folder = TemporaryDirectory()
-path = Path(folder.name) / "study.db"
-cc.explore(
-    f"{example}.xosc", path, space=f"{example}.space.xosc", ego="Ego", other="Pedestrian", metrics=["wttc"],
-    critical=0.2, optimizer="sobol", budget=150,
-)  # fmt: skip
-cc.analyze(path)
-reduced = cc.reduce(path, Path(folder.name) / "reduced", size=12, scenario=f"{example}.xosc")
+scenario = cc.LogicalScenario.read(f"{example}.xosc", f"{example}.space.xosc")
+problem = cc.Problem(scenario, ego="Ego", other="Pedestrian", metrics=["wttc"], threshold=0.2)
+study = cc.Study.create(Path(folder.name) / "study.db", problem)
+study.explore(cc.optimizers.Sobol(), budget=150)
+study.cluster()
+reduced = study.reduce(Path(folder.name) / "reduced", size=12)
 print(Counter(kept.role for kept in reduced.scenarios))
 
 # %%
@@ -34,9 +33,8 @@ for kept in reduced.scenarios[:3]:
 # %%
 # Where they lie among all that ran:
 
-with cc.Study.open(path) as study:
-    table = study.table()
-chosen = table["id"].isin(reduced.ids)
+table = study.table()
+chosen = table.index.isin(reduced.ids)
 
 figure, axes = plt.subplots(layout="constrained")
 axes.scatter(table["ego_start"], table["pedestrian_wait"], s=12, color="#999999", label="run")

@@ -13,12 +13,8 @@ if (
 import lazy_loader as lazy
 
 from cornercase._common.current_folder import ignore_settings_of_current_folder as _take_no_settings
-from cornercase._common.displays import DISPLAYS as _DISPLAYS
 from cornercase._common.version import __version__ as __version__
 
 _take_no_settings()
 
 __getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)
-
-# A study knows nothing of reports, but in a notebook it is shown as one.
-_DISPLAYS.register("study", "cornercase.report._notebook:render_notebook_report")

@@ -26,7 +26,7 @@ FOCUSED = """() => {
 
 def table_of(path):
     with StudyFile.open(path, readonly=True) as study:
-        return study.table().set_index("id")
+        return study.table()
 
 
 def shown(page):

@@ -14,7 +14,7 @@ import pytest
 from conftest import at_night, same_recording, scenario_file, teleport, time_trigger
 from cornercase.recordings import read_recording
 from cornercase.scenario import ConcreteScenario
-from cornercase.simulators import BuiltinSimulator
+from cornercase.simulators import Builtin
 from cornercase.study import StudyFile
 from helpers.command_line import SPACE, X, cornercase, waiting_after
 
@@ -78,7 +78,7 @@ def test_reduced_scenarios_run_by_themselves_and_give_the_same_recording(demo):
     manifest = json.loads((demo / "reduced" / "manifest.json").read_text())
     with StudyFile.open(demo / "study.db", readonly=True) as study:
         for item in manifest["scenarios"][:4]:
-            (again,) = BuiltinSimulator().run([ConcreteScenario(demo / "reduced" / item["file"])])
+            (again,) = Builtin().run([ConcreteScenario(demo / "reduced" / item["file"])])
             assert same_recording(again, study.recording(item["id"]))
 
 

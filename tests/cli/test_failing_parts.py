@@ -19,9 +19,9 @@ from cornercase.cli.config_file import read_study_file
 from cornercase.drivers import Driver
 from cornercase.drivers._resolve import resolve_driver
 from cornercase.metrics import METRICS, Clearance, measure
-from cornercase.optimizers import OPTIMIZERS, SobolOptimizer
+from cornercase.optimizers import OPTIMIZERS, Sobol
 from cornercase.recordings import Recording, read_recording
-from cornercase.simulators import SIMULATORS, BuiltinSimulator, Simulator
+from cornercase.simulators import SIMULATORS, Builtin, Simulator
 from cornercase.simulators._create import create_simulator
 from cornercase.simulators.pool._simulator import WorkerSimulator
 from cornercase.study import StudyFile
@@ -199,9 +199,7 @@ def test_42_8_a_driver_object_that_cannot_be_sent_is_named_with_what_it_holds(tm
     assert cc.explore(X, tmp_path / "s.db", metrics=["wttc"], drivers={"Ego": Holding()}, **PYTHON).done == 6
 
 
-@pytest.mark.parametrize(
-    ("guard", "kind"), [("", "BuiltinSimulator"), ('if __name__ == "__main__":', "WorkerSimulator")]
-)
+@pytest.mark.parametrize(("guard", "kind"), [("", "Builtin"), ('if __name__ == "__main__":', "WorkerSimulator")])
 def test_42_8_a_script_is_not_begun_anew_by_a_driver_of_its_own(folder, guard, kind):
     lines = (
         "from cornercase.drivers._resolve import resolve_driver",
@@ -281,7 +279,7 @@ def test_42_s5_a_metric_that_fails_in_a_requirement_alone_leaves_it_open(tmp_pat
 
 @pytest.mark.parametrize("asked", ["ask", "tell"])
 def test_42_s5_a_search_that_fails_is_named_and_the_study_kept(tmp_path, monkeypatch, asked):
-    class Tired(SobolOptimizer):
+    class Tired(Sobol):
         name, rounds = "tired", 0
 
         def ask(self, n, exclude=None):
@@ -336,7 +334,7 @@ class Unruly(Simulator):
         return super().availability()
 
     def run(self, concretes):
-        yield from BuiltinSimulator(duration=1.0).run(concretes)
+        yield from Builtin(duration=1.0).run(concretes)
 
 
 @pytest.fixture

@@ -24,7 +24,7 @@ from cornercase._common.progress import format_duration
 from cornercase.exploration._explore import explore_config
 from cornercase.exploration._objective import Objective
 from cornercase.exploration._paper_examples import paper_experiment_config
-from cornercase.optimizers._grid import GridOptimizer
+from cornercase.optimizers._grid import Grid
 from cornercase.scenario import ParameterSpace
 from cornercase.simulators.carmaker import _simulator as carmaker
 from cornercase.study import StudyFile
@@ -62,10 +62,10 @@ def test_stumble_07_nothing_is_taken_for_markup_and_no_carmaker_is_here_that_is_
 def test_stumble_09_a_grid_of_a_billion_is_refused_at_once(names):
     space = ParameterSpace.from_ranges([f"{name}=0:1" for name in names])
     with pytest.raises(InputError, match=r"`budget` 1000000000: its grid has more than 1000000 points"):
-        GridOptimizer(space, 0, budget=1_000_000_000)
+        Grid().start(space, 0, budget=1_000_000_000)
     # Few points are few, however large the budget is.
     steps = ParameterSpace.from_ranges(["a=0:1:0.1", "b=0:1:0.5"])
-    assert len(GridOptimizer(steps, 0, budget=1_000_000_000).ask(100)) == 33
+    assert len(Grid().start(steps, 0, budget=1_000_000_000).ask(100)) == 33
 
 
 def test_stumble_10_python_runs_it_as_a_module():

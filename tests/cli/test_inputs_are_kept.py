@@ -7,6 +7,7 @@ import shutil
 import pytest
 
 import cornercase as cc
+from cornercase.study import StudyFile
 from helpers.command_line import X, cornercase
 from helpers.synthetic_study import explorer, opened
 
@@ -46,7 +47,7 @@ def test_a_study_is_not_written_over_by_its_report(tmp_path):
     for beside in ("s.db-wal", "s.db-shm", "s.db.lock"):
         with pytest.raises(cc.InputError, match="belongs to the file that is read"):
             cc.write_report(tmp_path / "s.db", tmp_path / beside)
-    with cc.Study.open(tmp_path / "s.db", readonly=True) as study:
+    with StudyFile.open(tmp_path / "s.db", readonly=True) as study:
         assert len(study.rows()) == 4
 
 
@@ -54,7 +55,7 @@ def test_a_study_that_is_open_for_reading_is_not_analysed_or_reduced(tmp_path):
     with opened(tmp_path / "s.db") as study:
         explorer(study, metrics=("distance", "wttc"), budget=10).run()
     cc.analyze(tmp_path / "s.db")
-    with cc.Study.open(tmp_path / "s.db", readonly=True) as study:
+    with StudyFile.open(tmp_path / "s.db", readonly=True) as study:
         for function, rest in ((cc.analyze, ()), (cc.reduce, (tmp_path / "reduced",))):
             with pytest.raises(cc.InputError, match="open for reading only"):
                 function(study, *rest)

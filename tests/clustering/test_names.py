@@ -23,7 +23,7 @@ from cornercase.metrics.ending._ego_features import measure_features
 from cornercase.metrics.ending._find_outcome import find_outcome
 from cornercase.recordings import Collision
 from cornercase.scenario import LogicalScenario, Parameter, ParameterSpace
-from cornercase.simulators import BuiltinSimulator
+from cornercase.simulators import Builtin
 from cornercase.study import StudyFile
 from helpers.cluster_names import Scene, is_true, written
 from helpers.encounter_recordings import CROSSES, NORTH, entity, recording, walker
@@ -79,7 +79,7 @@ def simulated(logical, other, on_collision="stop", drivers=None):
         qmc.Sobol(len(logical.space.parameters), rng=np.random.default_rng(1)).random(128)[:SIZE]
     )
     values = logical.space.values(points)
-    simulator = BuiltinSimulator(on_collision=on_collision, drivers=drivers or {})
+    simulator = Builtin(on_collision=on_collision, drivers=drivers or {})
     return Told.of(
         ran(simulator, [logical.concrete_scenario(one) for one in values]), "Ego", other, logical.space, values
     )

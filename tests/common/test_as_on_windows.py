@@ -71,9 +71,9 @@ def test_an_exploration_goes_on_and_is_written_by_one_only(tmp_path):
         assert done.returncode == 0, done.stderr
         assert f"{budget} scenarios" in done.stdout
     holding = f"""
-from cornercase.study import Study
+from cornercase.study import StudyFile
 import subprocess, sys
-with Study.open({str(tmp_path / "study.db")!r}, readonly=False):
+with StudyFile.open({str(tmp_path / "study.db")!r}, readonly=False):
     done = subprocess.run({[sys.executable, *map(str, explore)]!r}, capture_output=True, text=True)
 print(done.returncode, done.stderr)
 """

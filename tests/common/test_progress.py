@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+
 import pytest
 
 from cornercase._common.progress import ProgressBar, format_duration, progress_step, show_bars
@@ -54,3 +56,30 @@ def test_what_is_slow_has_a_rate_by_the_minute(monkeypatch, capsys):
     clock.now += 60.0
     bar.update(1, "")
     assert capsys.readouterr().err == "1 of 3 sets, 1.0/min, 2 min 0 s left\n"
+
+
+def test_a_notebook_gets_one_bar_that_is_updated(monkeypatch, capsys):
+    interactive = pytest.importorskip("IPython.core.interactiveshell")
+    clock, shell = Clock(monkeypatch), interactive.InteractiveShell.instance()
+    try:
+        # A terminal's shell runs without a kernel.
+        monkeypatch.setitem(sys.modules, "ipykernel", sys)
+        shown = []
+        monkeypatch.setattr(shell.display_pub, "publish", lambda **message: shown.append(message))
+        bar = ProgressBar(20, "exploring", "scenarios")
+        for n_done in range(20):
+            bar.update(n_done, "best <b> s")
+            clock.now += 0.1
+        bar.update(20, "best <b> s")
+        bar.stop()
+    finally:
+        interactive.InteractiveShell.clear_instance()
+    pages = [message["data"]["text/html"] for message in shown]
+    assert capsys.readouterr().err == ""
+    assert [message.get("update", False) for message in shown] == [False] + [True] * (len(shown) - 1)
+    assert len({message["transient"]["display_id"] for message in shown}) == 1
+    assert pages[0].startswith('<progress value="0" max="20">')
+    assert pages[-1].startswith('<progress value="20" max="20">')
+    assert pages[-1].endswith("exploring: 20 of 20 scenarios, 10.0/s, best &lt;b&gt; s")
+    # Five a second.
+    assert len(shown) <= 12

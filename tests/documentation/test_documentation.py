@@ -44,7 +44,6 @@ EXTERNAL = {"--frameRate", "--csv_logger", "--dashboard-address", "--fcd-output"
 NO_MODULES = {
     "cornercase.aspects",
     "cornercase.db",
-    "cornercase.displays",
     "cornercase.driver",
     "cornercase.features",
     "cornercase.lock",

@@ -15,7 +15,7 @@ from cornercase.drivers._resolve import driver_by_name, is_compiled_driver_name,
 from cornercase.scenario import ConcreteScenario
 from cornercase.scenario._concrete_file import write_concrete_file
 from cornercase.scenario._file import ScenarioFile
-from cornercase.simulators import BuiltinSimulator
+from cornercase.simulators import Builtin
 from helpers.closed_loop import Other, Run, straight
 
 
@@ -131,7 +131,7 @@ def test_paths_that_are_none_are_refused(distance):
 
 
 def ends(path, **drivers):
-    (recording,) = ran(BuiltinSimulator(drivers=drivers), [ConcreteScenario(path)])
+    (recording,) = ran(Builtin(drivers=drivers), [ConcreteScenario(path)])
     return recording
 
 

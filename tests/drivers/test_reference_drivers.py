@@ -15,7 +15,7 @@ from cornercase.drivers.references.r157._fsm import critical_metric, is_laterall
 from cornercase.drivers.references.r157._models import REFERENCES, rss_lateral_distance, rss_longitudinal_distance
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario
-from cornercase.simulators import BuiltinSimulator
+from cornercase.simulators import Builtin
 from helpers.closed_loop import Other, Run, straight
 
 ROOT = Path(__file__).parents[2]
@@ -96,7 +96,7 @@ def test_prevents_the_same_in_a_scenario_file(file, name):
         else:
             values["deceleration"] = rows.deceleration_g
     table = [dict(zip(values, map(float, one), strict=True)) for one in zip(*values.values(), strict=True)]
-    simulator = BuiltinSimulator(time_step=0.1, duration=15.0, drivers={"Ego": name})
+    simulator = Builtin(time_step=0.1, duration=15.0, drivers={"Ego": name})
     runs = list(simulator.run([ConcreteScenario(EXAMPLES / f"{file}.xosc", one) for one in table]))
     recordings = [run for run in runs if isinstance(run, Recording)]
     assert len(recordings) == len(rows)

@@ -11,7 +11,7 @@ import pytest
 
 from cornercase.drivers.references.r157._preventability import ReferenceOutcome, assess_preventability
 from cornercase.scenario import ConcreteScenario
-from cornercase.simulators import BuiltinSimulator
+from cornercase.simulators import Builtin
 from helpers.two_cars import met
 
 ROOT = Path(__file__).parents[2]
@@ -36,7 +36,7 @@ def test_it_agrees_with_the_outcomes_of_the_commission_where_an_encounter_ends_a
     columns |= {"gap": rows.gap_m, "lateral_speed": rows.lateral_m_s}
     values = [dict(zip(columns, map(float, one), strict=True)) for one in zip(*columns.values(), strict=True)]
     concretes = [ConcreteScenario(ROOT / "examples" / "r157" / "cut_in.xosc", one) for one in values]
-    runs = BuiltinSimulator(time_step=0.1, duration=15.0, drivers={"Ego": "cc-human"}).run(concretes)
+    runs = Builtin(time_step=0.1, duration=15.0, drivers={"Ego": "cc-human"}).run(concretes)
     found = [judged("cc-human", run).collides for run in runs]
     assert None not in found
     assert sum(a is not bool(b) for a, b in zip(found, rows.crash > 0, strict=True)) <= 2

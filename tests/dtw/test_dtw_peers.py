@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from conftest import examples, ran
 from cornercase.dtw import distance_matrix
 from cornercase.metrics import METRICS
-from cornercase.simulators import BuiltinSimulator
+from cornercase.simulators import Builtin
 
 
 @st.composite
@@ -49,9 +49,7 @@ def test_tslearn(series, window):
 def scenarios(t_intersection):
     """Ego trajectories and metric courses of simulated scenarios."""
     points = t_intersection.space.snap(np.random.default_rng(2).random((6, 3)))
-    recordings = ran(
-        BuiltinSimulator(), [t_intersection.concrete_scenario(one) for one in t_intersection.space.values(points)]
-    )
+    recordings = ran(Builtin(), [t_intersection.concrete_scenario(one) for one in t_intersection.space.values(points)])
     metric = METRICS.create("distance")
     return [(one.box_center("Ego"), metric.clip_course(metric.course(one, "Ego", "C"))[:, None]) for one in recordings]
 

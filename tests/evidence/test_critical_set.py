@@ -9,9 +9,9 @@ from scipy.stats import qmc
 from cornercase._common.errors import InputError
 from cornercase.evidence._critical_set_estimate import CriticalSet
 from cornercase.evidence.gp._process import GaussianProcess
-from cornercase.exploration._stopping import StopCriterion
+from cornercase.exploration.stop._rules import StopCriterion
 from cornercase.metrics import Feature
-from cornercase.optimizers import LevelSetOptimizer, SobolOptimizer
+from cornercase.optimizers import LevelSet, Sobol
 from cornercase.scenario import Constraint, Parameter, ParameterDeclaration, ParameterSpace
 from helpers.search_cases import CUBE, EVERYWHERE, THRESHOLD, explored, two_regions
 
@@ -72,7 +72,7 @@ def test_the_intervals_hold_the_truth_about_as_often_as_they_say():
 
 
 def test_less_is_missed_and_more_is_known_the_longer_it_goes_on():
-    points = explored(LevelSetOptimizer(CUBE, 1, THRESHOLD), 200, function=two_regions)
+    points = explored(LevelSet().start(CUBE, 1, threshold=THRESHOLD), 200, function=two_regions)
     early, late = (CriticalSet(CUBE, points[:n], two_regions(points[:n]), THRESHOLD) for n in (50, 200))
     assert late.missed_fraction.high < 0.5 * early.missed_fraction.high
     assert late.critical_fraction.high - late.critical_fraction.low < 0.5 * (
@@ -94,7 +94,7 @@ def test_a_region_in_which_nothing_was_run_is_reckoned_with():
 
 def test_on_a_line_a_region_in_which_something_was_run_is_not_overlooked():
     line = ParameterSpace.from_ranges(["a=0:1"])
-    points = SobolOptimizer(line, 0).ask(80)
+    points = Sobol().start(line, 0).ask(80)
     known = CriticalSet(line, points, np.abs(points[:, 0] - 0.55), 0.2)
     assert known.critical_fraction.value == pytest.approx(0.4, abs=0.01)
     assert known.p_overlooked_region() == 0.0
@@ -149,14 +149,14 @@ def test_constraints_that_leave_little_leave_enough_places(seed):
     strip = ((Constraint("greaterThan", "0.49"), Constraint("lessThan", "0.51")),)
     declarations = [ParameterDeclaration("x", "double", "0.5", strip), ParameterDeclaration("y", "double", "0.5", ())]
     space = ParameterSpace.from_ranges(["x=0:1", "y=0:1"]).with_constraints(declarations)
-    points = SobolOptimizer(space, seed).ask(60)
+    points = Sobol().start(space, seed).ask(60)
     known = CriticalSet(space, points, points.sum(axis=1), 0.7, seed)
     assert known.critical_fraction.value == pytest.approx(0.2, abs=0.001)
 
 
 def test_no_more_can_be_critical_than_what_was_not_run():
     space = ParameterSpace([Parameter("a", 0, 4, 1.0), Parameter("b", 0, 5, 1.0)])
-    points = SobolOptimizer(space, 0).ask(29)
+    points = Sobol().start(space, 0).ask(29)
     scores = points.sum(axis=1)
     none, every = (CriticalSet(space, points, scores, threshold) for threshold in (-1.0, 9.0))
     assert none.critical_fraction.high == pytest.approx(1 / 30)
@@ -228,7 +228,7 @@ def test_before_anything_critical_was_met_the_share_is_bounded_by_what_was_run()
 
 def test_while_all_that_was_met_is_critical_the_share_is_bounded_by_what_was_run():
     # Everything is critical except a corner of 3 % of the cube that no score points to.
-    points = SobolOptimizer(CUBE, 0).ask(40)
+    points = Sobol().start(CUBE, 0).ask(40)
     known = CriticalSet(CUBE, points, points.sum(axis=1), 9.0)
     assert known.critical_fraction.value == known.critical_fraction.high == 1.0
     assert known.critical_fraction.low == pytest.approx(1.0 - 3 / 40, rel=0.05)
@@ -366,7 +366,7 @@ def jumping(points):
 
 def test_features_of_the_recordings_find_what_one_process_of_the_scores_cannot():
     columns = (Feature("least", "m"), Feature("gap", "s", branch=True))
-    points, everywhere = SobolOptimizer(CUBE, 1).ask(300), EVERYWHERE
+    points, everywhere = Sobol().start(CUBE, 1).ask(300), EVERYWHERE
     scores, features = jumping(points)
     scores[7], features[7] = np.nan, np.nan
     true = jumping(everywhere)[0] <= 1.0

@@ -25,7 +25,7 @@ from cornercase.exploration._objective import Objective
 from cornercase.exploration._paper_examples import paper_experiment_config
 from cornercase.exploration._verify_proposals import verify_proposals
 from cornercase.metrics import METRICS
-from cornercase.optimizers import OPTIMIZERS, Optimizer, SobolOptimizer, create_optimizer
+from cornercase.optimizers import OPTIMIZERS, Optimizer, Sobol
 from cornercase.study import StudyFile
 from helpers import synthetic_study as synthetic
 from helpers.checksums import reseal
@@ -76,6 +76,9 @@ class Listening(Optimizer):
     def __init__(self, inner):
         self.inner, self.calls = inner, []
 
+    def prepare(self, space, seed):
+        raise AssertionError("it has begun")
+
     def ask(self, n):
         raise AssertionError("nothing else runs")
 
@@ -95,7 +98,7 @@ def about(optimizer="sobol", **options):
 
 
 def fresh(one):
-    return create_optimizer(one.optimizer, SPACE, one.seed, threshold=1.0, budget=one.budget)
+    return OPTIMIZERS.create(one.optimizer).start(SPACE, one.seed, threshold=1.0, budget=one.budget)
 
 
 def explored(path, one, simulator=None, optimizer=None):
@@ -124,7 +127,7 @@ def contents(path):
 
 def test_one_is_asked_for_as_soon_as_one_has_ended_and_all_that_runs_is_known(tmp_path):
     one, simulator = about(), Slow(4, gather=True)
-    optimizer = Listening(SobolOptimizer(SPACE, 7))
+    optimizer = Listening(Sobol().start(SPACE, 7))
     result = explored(tmp_path / "s.db", one, simulator, optimizer)
     assert (result.n_finished, result.reason) == (47, "the budget of 47 scenarios is used up")
     assert simulator.most == 4
@@ -190,7 +193,7 @@ def test_with_one_worker_it_is_deterministic_and_goes_on_where_it_was_killed(tmp
 
 def test_audits_are_drawn_and_kept_from_the_search_as_in_rounds(tmp_path):
     one = about(audit=0.2)
-    optimizer = Listening(SobolOptimizer(SPACE, 7))
+    optimizer = Listening(Sobol().start(SPACE, 7))
     explored(tmp_path / "s.db", one, Slow(3), optimizer)
     told = {point.tobytes() for kind, points, _ in optimizer.calls if kind == "told" for point in points}
     pending = {point.tobytes() for kind, _, points in optimizer.calls if kind == "asked" for point in points}
@@ -224,7 +227,7 @@ class Plain(Optimizer):
 
     name = "plain"
 
-    def __init__(self, space, seed):
+    def prepare(self, space, seed):
         self.told = []
 
     def ask(self, n):
@@ -240,7 +243,7 @@ class Plain(Optimizer):
 
 
 def test_an_optimizer_that_only_asks_and_tells_is_told_the_mean_of_what_runs(tmp_path):
-    optimizer = Plain(SPACE, 0)
+    optimizer = Plain().start(SPACE, 0)
     Plain.lies.clear()
     points = np.array([[0.1, 0.2], [0.3, 0.4], [0.5, 0.6]])
     optimizer.tell(points[:2], np.array([1.0, 3.0]))
@@ -248,7 +251,7 @@ def test_an_optimizer_that_only_asks_and_tells_is_told_the_mean_of_what_runs(tmp
     np.testing.assert_allclose(found, [[0.003, 0.003]])
     assert len(optimizer.told) == 1
     one = about(budget=12)
-    explored(tmp_path / "s.db", one, Slow(3), Plain(SPACE, 0))
+    explored(tmp_path / "s.db", one, Slow(3), Plain().start(SPACE, 0))
     with StudyFile.open(tmp_path / "s.db", readonly=True) as study:
         order = [scenario for scenario, _ in study.result_order()]
         scores = dict(zip((row.id for row in study.finished_rows()), study.scores("distance"), strict=True))
@@ -354,8 +357,8 @@ def test_an_order_that_cannot_be_is_refused_in_a_sentence(damage, tmp_path):
 
 @pytest.mark.parametrize("name", at_night((one for one in OPTIMIZERS.names() if one != "optuna"), {"committee"}))
 def test_what_runs_is_never_proposed_and_nothing_twice(name):
-    optimizer = create_optimizer(name, SPACE, 3, threshold=1.0, budget=70)
-    twin = create_optimizer(name, SPACE, 3, threshold=1.0, budget=70)
+    optimizer = OPTIMIZERS.create(name).start(SPACE, 3, threshold=1.0, budget=70)
+    twin = OPTIMIZERS.create(name).start(SPACE, 3, threshold=1.0, budget=70)
     rng = np.random.default_rng(0)
     waiting, seen, count = np.zeros((0, 2)), 0, 30 if name == "committee" else 50
     for _ in range(count):
@@ -372,10 +375,10 @@ def test_what_runs_is_never_proposed_and_nothing_twice(name):
 
 
 def test_level_set_asks_elsewhere_than_where_it_is_run():
-    points = SobolOptimizer(SPACE, 0).ask(60)
+    points = Sobol().start(SPACE, 0).ask(60)
     nearest = []
     for knows in (True, False):
-        optimizer = create_optimizer("level-set:filling=0", SPACE, 3, threshold=1.0, budget=100)
+        optimizer = OPTIMIZERS.create("level-set:filling=0").start(SPACE, 3, threshold=1.0, budget=100)
         optimizer.tell(points, 10.0 * np.abs(points[:, 0] - points[:, 1]))
         pending = optimizer.ask(6)
         found = optimizer.ask_async(6, pending) if knows else optimizer.ask(6)

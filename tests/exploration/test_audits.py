@@ -34,6 +34,9 @@ class Listening(Optimizer):
         super().__init__()
         self._inner, self.told, self.name = inner, [], inner.name
 
+    def prepare(self, space, seed):
+        raise AssertionError("it has begun")
+
     def ask(self, n):
         return self._inner.ask(n)
 
@@ -46,7 +49,7 @@ def explored(path, simulator=None, **options):
     """Start or resume the exploration of a synthetic scenario with audits."""
     about = ExplorationConfig(LOGICAL, "Ego", "B", seed=7, **AUDITED | options)
     objective = Objective([METRICS.create("distance")])
-    optimizer = Listening(OPTIMIZERS.create(about.optimizer, space=SPACE, seed=7))
+    optimizer = Listening(OPTIMIZERS.resolve(about.optimizer, "optimizer").start(SPACE, 7))
     with (
         StudyFile.open(path, readonly=False)
         if path.exists()
@@ -111,7 +114,7 @@ def test_a_search_stops_by_its_audits_and_only_with_audits(tmp_path):
 
 @pytest.mark.parametrize("name", ["sobol", "random", "bayes", "evolutionary", "bayes:filling=0", "grid"])
 def test_what_was_chosen_blindly_is_found_again(name):
-    optimizer, told = OPTIMIZERS.create(name, space=SPACE, seed=3), np.zeros((0, 2))
+    optimizer, told = OPTIMIZERS.create(name).start(SPACE, 3), np.zeros((0, 2))
     for _ in range(7):
         points = optimizer.ask(10)
         optimizer.tell(points, synthetic_scores(points))
@@ -120,7 +123,7 @@ def test_what_was_chosen_blindly_is_found_again(name):
     expected = {"bayes": 20 + 15, "bayes:filling=0": 20, "evolutionary": 40}.get(name, 70)
     assert expected <= blindly.sum() <= expected + 1
     # They are independent of scores: the sequence determines them.
-    first = OPTIMIZERS.create("random" if name == "random" else "sobol", space=SPACE, seed=3).ask(20)
+    first = OPTIMIZERS.create("random" if name == "random" else "sobol").start(SPACE, 3).ask(20)
     assert name == "grid" or all(any((one == point).all() for point in told[blindly]) for one in first)
 
 
@@ -132,7 +135,7 @@ def test_a_space_that_is_used_up_ends_the_search_though_audits_are_wanted(tmp_pa
     small = LogicalScenario(Path("synthetic.xosc"), ParameterSpace.from_ranges(["a=0:0.8:0.2", "b=0:1:0.5"]), "0")
     about = ExplorationConfig(small, "Ego", "B", seed=7, **AUDITED | {"optimizer": "sobol", "audit": 0.3})
     objective = Objective([METRICS.create("distance")])
-    optimizer = OPTIMIZERS.create("sobol", space=small.space, seed=7)
+    optimizer = OPTIMIZERS.create("sobol").start(small.space, 7)
     with StudyFile.create(tmp_path / "s.db", about.make_study_meta(objective, {})) as study:
         result = ScenarioExplorer(about, Synthetic(), optimizer, study, objective).run()
         searched = [row.point for row in study.rows() if not study.meta.is_audit(row.id)]

@@ -8,7 +8,7 @@ from conftest import car, scenario_file, teleport
 from cornercase._common.errors import InputError, SimulationError
 from cornercase.exploration import explore
 from cornercase.scenario import ParameterSpace
-from cornercase.simulators import BuiltinSimulator
+from cornercase.simulators import Builtin
 from cornercase.study import StudyFile
 from helpers.synthetic_study import Synthetic, about, explorer
 
@@ -59,7 +59,7 @@ def test_a_study_in_which_nothing_has_ended_takes_the_corrected_command(tmp_path
         raise InputError("The simulator is out of order.")
 
     with monkeypatch.context() as broken:
-        broken.setattr(BuiltinSimulator, "run", fails)
+        broken.setattr(Builtin, "run", fails)
         with pytest.raises(InputError, match="out of order"):
             explored(path, study, duration=0.5)
     assert explored(path, study, duration=1.0).done == 12
@@ -80,9 +80,9 @@ def test_what_had_failed_before_is_kept_where_a_later_command_cannot_go_on(tmp_p
         raise InputError("The disk is full.")
 
     with monkeypatch.context() as broken:
-        broken.setattr(BuiltinSimulator, "run", fails)
+        broken.setattr(Builtin, "run", fails)
         assert explored(path, study).failed == 12
-        broken.setattr(BuiltinSimulator, "run", ends)
+        broken.setattr(Builtin, "run", ends)
         with pytest.raises(InputError, match="disk is full"):
             explored(path, study, budget=16, retry_failed=True)
     with StudyFile.open(study) as kept:

@@ -22,7 +22,7 @@ from cornercase.optimizers import OPTIMIZERS
 from cornercase.recordings import Recording
 from cornercase.report.text._show import summary_to_dict
 from cornercase.scenario import LogicalScenario
-from cornercase.simulators import BuiltinSimulator
+from cornercase.simulators import Builtin
 from cornercase.study import StudyFile
 from helpers.checksums import reseal
 from helpers.synthetic_study import LOGICAL, Synthetic
@@ -61,7 +61,7 @@ def stored(path):
 
 def test_critical_is_what_collides_and_the_reference_prevents(study):
     logical = LogicalScenario.read(CUT_IN, ranges=RANGES)
-    reference = BuiltinSimulator(time_step=0.1, duration=15.0, drivers={"Ego": "cc-human"})
+    reference = Builtin(time_step=0.1, duration=15.0, drivers={"Ego": "cc-human"})
     with StudyFile.open(study, readonly=True) as opened:
         critical, rows = set(), opened.finished_rows()
         second = reference.run([logical.concrete_scenario(row.values) for row in rows])
@@ -189,7 +189,7 @@ def test_where_the_second_run_fails_the_scenario_does(tmp_path):
     objective = about.make_objective()
     path = tmp_path / "s.db"
     with StudyFile.create(path, about.make_study_meta(objective, {})) as opened:
-        optimizer = OPTIMIZERS.create("sobol", space=LOGICAL.space, seed=0)
+        optimizer = OPTIMIZERS.create("sobol").start(LOGICAL.space, 0)
         with pytest.raises(InputError, match="no simulator in which cautious drives the ego"):
             ScenarioExplorer(about, Synthetic(), optimizer, opened, objective)
         references = {"cautious": Failing()}

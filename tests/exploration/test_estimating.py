@@ -265,7 +265,7 @@ def test_of_repeated_runs_is_told_how_many_are_critical_and_how_open_that_is(tmp
             LOGICAL, "Ego", "C", ("distance",), optimizer="sobol", critical=30.0, budget=6, repeats=6
         )
         simulator = NoisySimulator()
-        ScenarioExplorer(configuration, simulator, OPTIMIZERS.create("sobol", space=LOGICAL.space, seed=0), study).run()
+        ScenarioExplorer(configuration, simulator, OPTIMIZERS.create("sobol").start(LOGICAL.space, 0), study).run()
         runs = study.critical_run_rates()
         table = study.table()
     assert runs is not None

@@ -13,7 +13,7 @@ from cornercase.exploration._explore import explore_config
 from cornercase.exploration._paper_examples import paper_experiment_config
 from cornercase.metrics import METRICS
 from cornercase.scenario._xml import read_xml
-from cornercase.simulators import BuiltinSimulator
+from cornercase.simulators import Builtin
 from cornercase.study import StudyFile
 
 
@@ -44,7 +44,7 @@ def outcome(recording, other):
 
 @pytest.mark.parametrize(("example", "other"), [("x_intersection", "Pedestrian"), ("t_intersection", "C")])
 def test_every_outcome_occurs(example, other, request):
-    _, recordings = sample(request.getfixturevalue(example), BuiltinSimulator(), 256)
+    _, recordings = sample(request.getfixturevalue(example), Builtin(), 256)
     assert {outcome(recording, other) for recording in recordings} == {"ego first", "other first", "collision"}
     assert max(recording.time[-1] for recording in recordings) < 40
 
@@ -57,7 +57,7 @@ def test_speed_of_the_car_has_next_to_no_influence_on_the_x_intersection(x_inter
     mixed = [np.where(np.arange(3) == j, b, a) for j in range(3)]
     points = np.concatenate([a, *mixed])
     concretes = [x_intersection.concrete_scenario(one) for one in x_intersection.space.values(points)]
-    courses = [metric.course(one, "Ego", "Pedestrian") for one in ran(BuiltinSimulator(), concretes)]
+    courses = [metric.course(one, "Ego", "Pedestrian") for one in ran(Builtin(), concretes)]
     scores = np.array([metric.score(course) for course in courses])
     f, others = scores[:size], scores[size:].reshape(3, size)
     total = dict(zip(x_intersection.space.names, 0.5 * ((others - f) ** 2).mean(axis=1) / f.var(), strict=True))
@@ -119,7 +119,7 @@ def test_accidents_form_clusters_of_their_own_by_ego_trajectory(tmp_path):
 def test_the_more_aggressive_the_ego_the_more_collisions(t_intersection):
     collisions = []
     for preset in ("cautious", "normal", "aggressive"):
-        simulator = BuiltinSimulator(on_collision="stop", drivers={"Ego": driver_by_name(preset)})
+        simulator = Builtin(on_collision="stop", drivers={"Ego": driver_by_name(preset)})
         _, recordings = sample(t_intersection, simulator, 256)
         collisions.append(sum(bool(recording.collisions) for recording in recordings))
     assert collisions[0] < collisions[1] < collisions[2]

@@ -20,7 +20,7 @@ from cornercase.exploration import explore
 from cornercase.exploration._explore import explore_config
 from cornercase.exploration._paper_examples import paper_experiment_config
 from cornercase.metrics import Metric
-from cornercase.optimizers import OPTIMIZERS, Optimizer, SobolOptimizer
+from cornercase.optimizers import OPTIMIZERS, Optimizer, Sobol
 from cornercase.scenario import Constraint, LogicalScenario, ParameterDeclaration, ParameterSpace
 from cornercase.study import StudyFile
 from helpers import synthetic_study as synthetic
@@ -105,11 +105,11 @@ def test_two_explorers_never_write_at_once(undisturbed):
 def test_a_recording_comes_back_bit_for_bit(undisturbed):
     from conftest import ran, same_recording
     from cornercase.scenario import ConcreteScenario
-    from cornercase.simulators import BuiltinSimulator
+    from cornercase.simulators import Builtin
 
     with StudyFile.open(undisturbed, readonly=True) as study:
         row = study.finished_rows()[17]
-        (again,) = ran(BuiltinSimulator(), [ConcreteScenario(X, row.values)])
+        (again,) = ran(Builtin(), [ConcreteScenario(X, row.values)])
         assert same_recording(study.recording(row.id), again)
 
 
@@ -167,8 +167,8 @@ class Listening(Optimizer):
 
     name, requires = "listening", frozenset({"features"})
 
-    def __init__(self, space, seed, features):
-        self._sequence, self.features, self.told = SobolOptimizer(space, seed), features, []
+    def prepare(self, space, seed, features):
+        self._sequence, self.features, self.told = Sobol().start(space, seed), features, []
 
     def ask(self, n):
         return self._sequence.ask(n)
@@ -340,7 +340,7 @@ def test_an_interrupt_before_the_explorer_listens_is_none_that_is_lost(tmp_path,
     monkeypatch.undo()
     assert explore_config(one, tmp_path / "s.db").n_finished == 2
     # Without a study there is nothing to resume.
-    monkeypatch.setattr("cornercase.exploration._explore.Study.create", interrupted)
+    monkeypatch.setattr("cornercase.exploration._explore.StudyFile.create", interrupted)
     with pytest.raises(KeyboardInterrupt):
         explore_config(one, tmp_path / "other.db")
 

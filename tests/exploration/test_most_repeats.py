@@ -23,7 +23,7 @@ from cornercase.exploration._asynchronous import AsynchronousExplorer
 from cornercase.exploration._config import ExplorationConfig, config_from_study
 from cornercase.exploration._explorer import ScenarioExplorer
 from cornercase.exploration._paper_examples import paper_experiment_config
-from cornercase.optimizers import create_optimizer
+from cornercase.optimizers import OPTIMIZERS
 from cornercase.recordings import Recording
 from cornercase.report import summarize, write_report
 from cornercase.report._commands import format_study_file
@@ -93,7 +93,7 @@ def about(**more):
 
 def explored(path, one, simulator):
     meta = one.make_study_meta(one.make_objective(), {})
-    optimizer = create_optimizer("sobol", SPACE, 3, threshold=THRESHOLD, budget=one.budget)
+    optimizer = OPTIMIZERS.create("sobol").start(SPACE, 3, threshold=THRESHOLD, budget=one.budget)
     kind = AsynchronousExplorer if one.asynchronous else ScenarioExplorer
     with StudyFile.open(path, readonly=False) if path.exists() else StudyFile.create(path, meta) as study:
         study.writer.resume(meta)

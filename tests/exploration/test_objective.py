@@ -14,7 +14,7 @@ from conftest import examples
 from cornercase._common.errors import InputError
 from cornercase.exploration._objective import Incumbent, Objective, is_on_pareto_front
 from cornercase.metrics import METRICS
-from cornercase.optimizers import OPTIMIZERS, EvolutionaryOptimizer, OptunaOptimizer
+from cornercase.optimizers import OPTIMIZERS, Evolutionary, Optuna
 from cornercase.scenario import Constraint, Parameter, ParameterDeclaration, ParameterSpace
 from cornercase.study import StudyFile
 from helpers.command_line import SPACE, X, cornercase
@@ -87,20 +87,18 @@ def test_news_is_what_nothing_before_was_better_than():
     assert one.label == "best 4 s"
 
 
-@pytest.mark.parametrize("make", [EvolutionaryOptimizer, OptunaOptimizer])
-def test_searches_of_the_lowest_score_find_it_among_names_too(make):
-    points = explored(make(NAMED, 2), 200, function=bowl)
+@pytest.mark.parametrize("search", [Evolutionary(), Optuna()], ids=str)
+def test_searches_of_the_lowest_score_find_it_among_names_too(search):
+    points = explored(search.start(NAMED, 2), 200, function=bowl)
     assert len(np.unique(points, axis=0)) == 200
     np.testing.assert_array_equal(NAMED.snap(points), points)
     assert bowl(points).min() < 0.12
     assert np.mean(bowl(points)[100:] < 0.5) > 0.3
 
 
-@pytest.mark.parametrize(
-    "make", [EvolutionaryOptimizer, OptunaOptimizer, lambda space, seed: OptunaOptimizer(space, seed, "nsga2")]
-)
-def test_told_the_same_rounds_they_go_on_in_the_same_way(make):
-    first = make(CUBE, 5)
+@pytest.mark.parametrize("search", [Evolutionary(), Optuna(), Optuna(sampler="nsga2")], ids=str)
+def test_told_the_same_rounds_they_go_on_in_the_same_way(search):
+    first = search.start(CUBE, 5)
     rounds = []
     for size in (10, 10, 10, 10, 10, 7, 10):
         points = first.ask(size)
@@ -108,7 +106,7 @@ def test_told_the_same_rounds_they_go_on_in_the_same_way(make):
         scores[0] = np.nan
         first.tell(points, scores)
         rounds.append((points, scores))
-    again = make(CUBE, 5)
+    again = search.start(CUBE, 5)
     for points, scores in rounds:
         again.tell(points, scores)
     np.testing.assert_array_equal(again.ask(10), first.ask(10))
@@ -119,29 +117,29 @@ def test_evolution_finds_the_front_of_two_scores():
         along = np.clip((points - 0.3).mean(axis=1), 0.0, 0.4)[:, None]
         return np.linalg.norm(points - 0.3 - along, axis=1) < 0.1
 
-    evolved = explored(EvolutionaryOptimizer(CUBE, 0, population=20), 300, function=between)
-    spread = explored(OPTIMIZERS.create("sobol", space=CUBE, seed=0), 300)
+    evolved = explored(Evolutionary(population=20).start(CUBE, 0), 300, function=between)
+    spread = explored(OPTIMIZERS.create("sobol").start(CUBE, 0), 300)
     assert near_the_front(evolved).sum() > 3 * near_the_front(spread).sum()
     front = evolved[is_on_pareto_front(between(evolved))]
     assert np.ptp(front.mean(axis=1)) > 0.3
 
 
-@pytest.mark.parametrize("make", [EvolutionaryOptimizer, OptunaOptimizer])
-def test_a_small_space_is_run_whole(make):
+@pytest.mark.parametrize("search", [Evolutionary(), Optuna()], ids=str)
+def test_a_small_space_is_run_whole(search):
     space = ParameterSpace.from_ranges(["a=0:5:1", "b=0:9:1"]).with_constraints(
         [
             ParameterDeclaration("a", "double", "0", ((Constraint("lessThan", "5"),),)),
             ParameterDeclaration("b", "double", "0"),
         ]
     )
-    optimizer = make(space, 0)
+    optimizer = search.start(space, 0)
     points = explored(optimizer, 50, function=lambda p: p[:, 0] + p[:, 1])
     assert len(np.unique(points, axis=0)) == 50
     assert len(optimizer.ask(5)) == 0
 
 
 def test_options_of_a_search_stand_behind_a_colon():
-    optimizer = OPTIMIZERS.create("evolutionary:population=12", space=CUBE, seed=0)
+    optimizer = OPTIMIZERS.create("evolutionary:population=12").start(CUBE, 0)
     assert optimizer.name == "evolutionary:population=12"
     for name, words in (
         ("evolutionary:population=1", "2 or more"),
@@ -152,7 +150,7 @@ def test_options_of_a_search_stand_behind_a_colon():
         ("bayes:filling=0,filling=1", "the option 'filling' twice"),
     ):
         with pytest.raises(InputError, match=words):
-            OPTIMIZERS.create(name, space=CUBE, seed=0)
+            OPTIMIZERS.create(name).start(CUBE, 0)
 
 
 def test_an_explorer_stops_when_enough_is_known(tmp_path):

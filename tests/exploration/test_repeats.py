@@ -21,7 +21,7 @@ from helpers.synthetic_study import about
 def test_of_repeated_runs_the_median_is_stored_and_the_spread_of_all(tmp_path):
     one, simulator = paper_experiment_config("t-intersection", budget=6, seed=1), NoisySimulator()
     meta = about(one.logical.space, "distance", repeats=3, other="C", seed=1)
-    optimizer = OPTIMIZERS.create("sobol", space=one.logical.space, seed=1)
+    optimizer = OPTIMIZERS.create("sobol").start(one.logical.space, 1)
     with StudyFile.create(tmp_path / "s.db", meta) as study:
         ScenarioExplorer(replace(one, metrics=("distance",), budget=6, repeats=3), simulator, optimizer, study).run()
         runs = [[k for k in simulator.given[i : i + 3] if k is not None] for i in range(0, 18, 3)]
@@ -52,7 +52,7 @@ def test_a_scenario_fails_only_when_all_its_runs_do(tmp_path):
 
     one = paper_experiment_config("t-intersection", budget=2, seed=1)
     meta = about(one.logical.space, "distance", repeats=3, other="C", seed=1)
-    optimizer = OPTIMIZERS.create("sobol", space=one.logical.space, seed=1)
+    optimizer = OPTIMIZERS.create("sobol").start(one.logical.space, 1)
     with StudyFile.create(tmp_path / "s.db", meta) as study:
         ScenarioExplorer(replace(one, metrics=("distance",), budget=2, repeats=3), Failing(), optimizer, study).run()
         assert [row.state for row in study.rows()] == ["failed", "done"]

@@ -70,7 +70,11 @@ def test_a_study_holds_the_most_critical_and_whom_it_is_against(study):
                 worst = (min if metric.lower_is_critical else max)(scores)
                 assert opened.scores(metric.name)[k] == worst
                 whom = opened.score_sources(metric.name)[row.id]
-                assert whom == table[f"other by {metric.name}"][k] == opened.scenario_score_sources(row.id)[metric.name]
+                assert (
+                    whom
+                    == table[f"other by {metric.name}"][row.id]
+                    == opened.scenario_score_sources(row.id)[metric.name]
+                )
                 if whom is not None:
                     assert scores[opened.meta.others.index(whom)] == worst
         assert set(opened.score_sources("clearance").values()) == {"Slow", "Oncoming"}

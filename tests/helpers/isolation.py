@@ -13,7 +13,7 @@ from cornercase.scenario import ConcreteScenario, Value
 from cornercase.scenario._file import ScenarioFile
 from cornercase.scenario._scope import Scope
 from cornercase.scenario._xml import read_xml
-from cornercase.simulators import BuiltinSimulator
+from cornercase.simulators import Builtin
 
 ROOT = Path(__file__).parents[2]
 REFERENCE = ROOT.parent / "shared" / "reference" / "openscenario"
@@ -77,7 +77,7 @@ def differing(path: Path, values: Sequence[Mapping[str, Value]], duration: float
     """Scenarios of a file that give something else among the others than alone, by their place."""
     scenario = ScenarioFile.read(path)
     concretes = [ConcreteScenario(path, one, scenario) for one in values]
-    simulator = BuiltinSimulator(duration=duration, **options)  # type: ignore[arg-type]
+    simulator = Builtin(duration=duration, **options)  # type: ignore[arg-type]
     together = [outcome(one) for one in simulator.run(concretes)]
     # Backwards, so that another one is the first of what is run together.
     turned = [outcome(one) for one in simulator.run(concretes[::-1])][::-1]

@@ -21,7 +21,7 @@ from cornercase.exploration._config import ExplorationConfig
 from cornercase.exploration._explorer import ScenarioExplorer
 from cornercase.exploration._objective import Objective
 from cornercase.metrics import METRICS
-from cornercase.optimizers import create_optimizer
+from cornercase.optimizers import OPTIMIZERS
 from cornercase.recordings import Recording
 from cornercase.scenario import LogicalScenario, ParameterSpace
 from cornercase.simulators import Simulator
@@ -79,7 +79,7 @@ def explorer(study, simulator=None, optimizer="bayes", metrics=("distance",), bu
     objective = Objective([METRICS.create(name) if isinstance(name, str) else name for name in metrics])
     configuration = ExplorationConfig(logical, "Ego", "B", (), budget=budget, seed=7, **options)
     threshold = objective.minimized_threshold_or_none(1.0)
-    optimizer = create_optimizer(optimizer, logical.space, 7, threshold=threshold, budget=budget)
+    optimizer = OPTIMIZERS.create(optimizer).start(logical.space, 7, threshold=threshold, budget=budget)
     kind = AsynchronousExplorer if configuration.asynchronous else ScenarioExplorer
     return kind(configuration, simulator or Synthetic(), optimizer, study, objective)
 

@@ -30,7 +30,7 @@ from conftest import at_night
 from cornercase import LogicalScenario
 from cornercase.cli import app
 from cornercase.exploration import examples_folder
-from cornercase.optimizers import create_optimizer
+from cornercase.optimizers import OPTIMIZERS
 from helpers.search_cases import CUBE, THRESHOLD, two_regions
 
 GOLDEN = Path(__file__).parents[1] / "data" / "golden.json"
@@ -93,7 +93,7 @@ def results(name: str, folder: Path) -> dict[str, object]:
 def choices(name: str) -> list[list[float]]:
     """Ten points that a search asks for once it was told the scores of forty."""
     known = qmc.Sobol(3, seed=9).random(64)[:40]
-    optimizer = create_optimizer(name, CUBE, 1, threshold=THRESHOLD, budget=60)
+    optimizer = OPTIMIZERS.create(name).start(CUBE, 1, threshold=THRESHOLD, budget=60)
     optimizer.tell(known, two_regions(known))
     return [[float(x) for x in point] for point in optimizer.ask(10)]
 

@@ -15,7 +15,7 @@ from cornercase.clustering import Aspect
 from cornercase.drivers import Driver
 from cornercase.metrics import Feature, FeatureGroup, Metric
 from cornercase.optimizers import Optimizer
-from cornercase.simulators import BuiltinSimulator
+from cornercase.simulators import Builtin
 
 
 class SpeedDifference(Metric):
@@ -51,8 +51,11 @@ class Diagonal(Optimizer):
 
     name, requires = "diagonal", frozenset({"budget", "features"})
 
-    def __init__(self, space, seed, budget, features, begin=0.0):
-        self.points = np.linspace(begin, 1.0, budget)[:, None] * np.ones(space.dimension)
+    def __init__(self, begin=0.0):
+        self.begin = begin
+
+    def prepare(self, space, seed, budget, features):
+        self.points = np.linspace(self.begin, 1.0, budget)[:, None] * np.ones(space.dimension)
         self.column = [one.name for one in features].index("highest-acceleration")
 
     def ask(self, n):
@@ -70,7 +73,7 @@ class Steady(Driver):
         return np.clip(situation.target_speed - situation.speed, -3.0, 2.0)
 
 
-class Short(BuiltinSimulator):
+class Short(Builtin):
     """The builtin simulator, for 5 s at most."""
 
     name = "short"

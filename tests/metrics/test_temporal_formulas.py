@@ -14,6 +14,7 @@ from cornercase.metrics import METRICS, Expression, Signals
 from cornercase.metrics._evaluation import Evaluation
 from cornercase.metrics.expressions._ast import Bound
 from cornercase.metrics.expressions._statements import evaluate_leaf
+from cornercase.study import StudyFile
 from helpers.oracle import actor, recorded
 
 SIGNALS = {"ttc": "s", "pet": "s", "ego.speed": "m/s"}
@@ -236,7 +237,7 @@ def test_searching_a_robustness_finds_what_searching_its_metric_finds(tmp_path):
             optimizer="level-set",
             critical=threshold,
         )
-        with cc.Study.open(path, readonly=True) as study:
+        with StudyFile.open(path, readonly=True) as study:
             found[name] = (np.array([row.point for row in study.finished_rows()]), np.array(study.scores(name)))
     (points, scores), (same_points, robust) = found.values()
     np.testing.assert_array_equal(points, same_points)

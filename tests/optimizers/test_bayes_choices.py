@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cornercase.optimizers import BayesOptimizer
+from cornercase.optimizers import Bayes
 from cornercase.scenario import Parameter, ParameterSpace
 from helpers.search_cases import explored
 
@@ -15,7 +15,7 @@ def test_names_are_equally_alike_whatever_their_order():
     def function(points):
         return points[:, 0] + 2.0 * np.array([0.0, 1.0, 0.0])[space.parameters[1].level_indices(points[:, 1])]
 
-    optimizer = BayesOptimizer(space, seed=0, features=4000)
+    optimizer = Bayes(features=4000).start(space, 0)
     explored(optimizer, 30, function=function)
     every = space.snap(np.array([[0.5, k / 2] for k in range(3)]))
     rows = optimizer._process.random_features(optimizer._process_coordinates(every))
@@ -25,4 +25,4 @@ def test_names_are_equally_alike_whatever_their_order():
     # Numeric coordinates are unchanged.
     numbers = ParameterSpace.from_ranges(["a=0:1", "b=0:1"])
     points = np.random.default_rng(0).random((5, 2))
-    np.testing.assert_array_equal(BayesOptimizer(numbers, 0)._process_coordinates(points), 2.0 * points - 1.0)
+    np.testing.assert_array_equal(Bayes().start(numbers, 0)._process_coordinates(points), 2.0 * points - 1.0)

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from conftest import at_night
-from cornercase.evidence._committee import Committee
+from cornercase.evidence._committee import Committee as CommitteeModel
 from cornercase.evidence.gp._process import fit_boundary_process
 from cornercase.metrics import Feature
-from cornercase.optimizers import CommitteeOptimizer, LevelSetOptimizer, SobolOptimizer
+from cornercase.optimizers import Committee, LevelSet, Sobol
 from cornercase.scenario import Parameter, ParameterSpace
 from helpers.search_cases import CUBE, EVERYWHERE, THRESHOLD, explored, two_regions
 
@@ -42,31 +42,31 @@ def agreement(told, true):
 @pytest.mark.parametrize("by", at_night(["sobol", "search"], {"search"}))
 def test_it_follows_a_score_that_jumps_where_one_process_cannot(by):
     def chosen(optimizer, function):
-        return SobolOptimizer(CUBE, 1).ask(200) if by == "sobol" else search(optimizer, 200, function)
+        return Sobol().start(CUBE, 1).ask(200) if by == "sobol" else search(optimizer, 200, function)
 
     true = outcome(EVERYWHERE)[0] <= THRESHOLD
-    points = chosen(CommitteeOptimizer(CUBE, 2, THRESHOLD, FEATURES), outcome)
+    points = chosen(Committee().start(CUBE, 2, threshold=THRESHOLD, features=FEATURES), outcome)
     scores, told = outcome(points)
-    critical, branch = Committee(THRESHOLD, FEATURES).fit(points, scores, told).predict(EVERYWHERE)
+    critical, branch = CommitteeModel(THRESHOLD, FEATURES).fit(points, scores, told).predict(EVERYWHERE)
     recall, precision = agreement(critical > 0.5, true)
     assert recall > 0.8
     assert precision > 0.85
     # The branch is certain, except at the edge.
     sure = np.abs(outcome(EVERYWHERE)[1][:, 1]) > 0.1
     assert (branch[sure] > 0.8).mean() > 0.95
-    others = chosen(LevelSetOptimizer(CUBE, 2, THRESHOLD), lambda at: outcome(at)[:1])
+    others = chosen(LevelSet().start(CUBE, 2, threshold=THRESHOLD), lambda at: outcome(at)[:1])
     alone = fit_boundary_process(others, outcome(others)[0], THRESHOLD).predict(EVERYWHERE)[0] < 0.0
     assert recall > agreement(alone, true)[0] + 0.09
 
 
 @pytest.mark.slow
 def test_of_many_scenarios_its_processes_know_those_that_tell_most():
-    class Limited(Committee):
+    class Limited(CommitteeModel):
         max_process_scenarios = 150
 
-    points = SobolOptimizer(CUBE, 1).ask(300)
+    points = Sobol().start(CUBE, 1).ask(300)
     scores, features = outcome(points)
-    every = Committee(THRESHOLD, FEATURES).fit(points, scores, features).predict(EVERYWHERE)[0]
+    every = CommitteeModel(THRESHOLD, FEATURES).fit(points, scores, features).predict(EVERYWHERE)[0]
     some = Limited(THRESHOLD, FEATURES).fit(points, scores, features)
     true = outcome(EVERYWHERE)[0] <= THRESHOLD
     for critical in (every, some.predict(EVERYWHERE)[0]):
@@ -81,10 +81,10 @@ def test_of_many_scenarios_its_processes_know_those_that_tell_most():
 
 @pytest.mark.slow
 def test_of_many_scenarios_its_trees_know_those_that_tell_most():
-    class Limited(Committee):
+    class Limited(CommitteeModel):
         max_tree_scenarios = 200
 
-    points = SobolOptimizer(CUBE, 1).ask(400)
+    points = Sobol().start(CUBE, 1).ask(400)
     scores, features = outcome(points)
     some = Limited(THRESHOLD, FEATURES).fit(points, scores, features)
     recall, precision = agreement(some.predict(EVERYWHERE)[0] > 0.5, outcome(EVERYWHERE)[0] <= THRESHOLD)
@@ -101,8 +101,8 @@ def test_of_many_scenarios_its_trees_know_those_that_tell_most():
 @pytest.mark.slow
 @pytest.mark.parametrize("budget", at_night([100, 150], {150}))
 def test_without_features_it_finds_both_regions(budget):
-    points = explored(CommitteeOptimizer(CUBE, 0, THRESHOLD), budget, function=two_regions)
-    critical, _ = Committee(THRESHOLD).fit(points, two_regions(points)).predict(EVERYWHERE)
+    points = explored(Committee().start(CUBE, 0, threshold=THRESHOLD, features=()), budget, function=two_regions)
+    critical, _ = CommitteeModel(THRESHOLD).fit(points, two_regions(points)).predict(EVERYWHERE)
     recall, precision = agreement(critical > 0.5, two_regions(EVERYWHERE) <= THRESHOLD)
     assert recall > 0.93
     assert precision > 0.93
@@ -110,8 +110,8 @@ def test_without_features_it_finds_both_regions(budget):
 
 
 def test_it_goes_on_as_if_it_had_never_stopped():
-    whole = search(CommitteeOptimizer(CUBE, 5, THRESHOLD, FEATURES), 80)
-    again = CommitteeOptimizer(CUBE, 5, THRESHOLD, FEATURES)
+    whole = search(Committee().start(CUBE, 5, threshold=THRESHOLD, features=FEATURES), 80)
+    again = Committee().start(CUBE, 5, threshold=THRESHOLD, features=FEATURES)
     for first in range(0, 60, 10):
         again.tell(whole[first : first + 10], *outcome(whole[first : first + 10]))
     np.testing.assert_array_equal(again.ask(10), whole[60:70])
@@ -123,10 +123,10 @@ def test_it_looks_for_low_scores_while_nothing_is_critical():
     def bowl(points):
         return THRESHOLD + np.linalg.norm(points - (0.83, 0.17, 0.61), axis=1) - 0.06
 
-    points = explored(CommitteeOptimizer(CUBE, 2, THRESHOLD), 100, function=bowl)
+    points = explored(Committee().start(CUBE, 2, threshold=THRESHOLD, features=()), 100, function=bowl)
     # 0.09 % of the cube: of a Sobol' sequence hardly one in ten such searches meets it.
     assert (bowl(points) <= THRESHOLD).sum() >= 5
-    assert not (bowl(SobolOptimizer(CUBE, 2).ask(100)) <= THRESHOLD).any()
+    assert not (bowl(Sobol().start(CUBE, 2).ask(100)) <= THRESHOLD).any()
 
 
 @pytest.mark.slow
@@ -136,14 +136,14 @@ def test_it_asks_little_where_scenarios_fail():
         failed = points[:, 1] > 0.8
         return np.where(failed, np.nan, scores), np.where(failed[:, None], np.nan, told)
 
-    points = search(CommitteeOptimizer(CUBE, 0, THRESHOLD, FEATURES), 160, fails)
+    points = search(Committee().start(CUBE, 0, threshold=THRESHOLD, features=FEATURES), 160, fails)
     # A fifth of the space fails.
     assert (points[:, 1] > 0.8).mean() < 0.2
 
 
 @pytest.mark.parametrize("scores", [np.full(10, np.nan), np.zeros(10), np.full(10, 3.0), np.arange(10.0)])
 def test_it_stands_scores_of_one_kind(scores):
-    optimizer = CommitteeOptimizer(CUBE, 0, THRESHOLD, FEATURES)
+    optimizer = Committee().start(CUBE, 0, threshold=THRESHOLD, features=FEATURES)
     for _ in range(5):
         points = optimizer.ask(10)
         assert points.shape == (10, 3)
@@ -163,7 +163,7 @@ def test_choices_and_finite_spaces_are_run_whole():
     def scores(points):
         return np.where(space.parameters[1].level_indices(points[:, 1]) == 1, points[:, 0] + points[:, 2], 3.0)
 
-    optimizer, every = CommitteeOptimizer(space, 0, 0.6), []
+    optimizer, every = Committee().start(space, 0, threshold=0.6, features=()), []
     while len(points := optimizer.ask(10)):
         optimizer.tell(points, scores(points))
         every.append(points)
@@ -171,14 +171,14 @@ def test_choices_and_finite_spaces_are_run_whole():
 
 
 def test_what_is_told_out_of_fold_is_as_good_as_it_says():
-    points = SobolOptimizer(CUBE, 3).ask(300)
+    points = Sobol().start(CUBE, 3).ask(300)
     scores, told = outcome(points)
-    committee = Committee(2.0, FEATURES).fit(points, scores, told)
+    committee = CommitteeModel(2.0, FEATURES).fit(points, scores, told)
     outside, inside = committee.out_of_fold_probability(), committee.predict(points)[0]
     critical = scores <= 2.0
     assert ((outside > 0.5) == critical).mean() > 0.9
     # Scenarios it was trained on are reproduced, left-out ones are not.
     assert np.abs(inside - critical).mean() < 0.5 * np.abs(outside - critical).mean()
-    new = SobolOptimizer(CUBE, 9).ask(2000)
+    new = Sobol().start(CUBE, 9).ask(2000)
     wrong = np.abs(committee.predict(new)[0] - (outcome(new)[0] <= 2.0)).mean()
     assert np.abs(outside - critical).mean() == pytest.approx(wrong, rel=0.35)

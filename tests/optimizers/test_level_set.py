@@ -17,7 +17,7 @@ from cornercase.evidence._critical_set_estimate import CriticalSet
 from cornercase.evidence.gp._kernel import _NegativeLogPosterior
 from cornercase.evidence.gp._process import GaussianProcess, encode_points, fit_boundary_process
 from cornercase.metrics import METRICS
-from cornercase.optimizers import BayesOptimizer, LevelSetOptimizer, SobolOptimizer
+from cornercase.optimizers import Bayes, LevelSet, Sobol
 from cornercase.optimizers._local_minima import suggest_below_local_minima
 from cornercase.scenario import Parameter, ParameterSpace
 from cornercase.study import StudyFile
@@ -41,9 +41,9 @@ def test_it_finds_the_whole_critical_set_with_fewer_scenarios_than_others():
     true = tube(EVERYWHERE) <= THRESHOLD
     recall = {}
     for optimizer in (
-        LevelSetOptimizer(CUBE, 3, THRESHOLD),
-        BayesOptimizer(CUBE, 3),
-        SobolOptimizer(CUBE, 3),
+        LevelSet().start(CUBE, 3, threshold=THRESHOLD),
+        Bayes().start(CUBE, 3),
+        Sobol().start(CUBE, 3),
     ):
         points = explored(optimizer, 200, function=tube)
         told = CriticalSet(CUBE, points, tube(points), THRESHOLD).predict(EVERYWHERE)
@@ -56,7 +56,7 @@ def test_it_finds_the_whole_critical_set_with_fewer_scenarios_than_others():
 
 @pytest.mark.parametrize("seed", at_night(range(3), {1, 2}))
 def test_it_finds_both_regions(seed):
-    points = explored(LevelSetOptimizer(CUBE, seed, THRESHOLD), 150, function=two_regions)
+    points = explored(LevelSet().start(CUBE, seed, threshold=THRESHOLD), 150, function=two_regions)
     recall, precision = found(points, two_regions(points))
     assert recall > 0.98
     assert precision > 0.98
@@ -64,8 +64,8 @@ def test_it_finds_both_regions(seed):
 
 
 def test_it_goes_on_as_if_it_had_never_stopped():
-    whole = explored(LevelSetOptimizer(CUBE, 5, THRESHOLD), 80, function=two_regions)
-    again = LevelSetOptimizer(CUBE, 5, THRESHOLD)
+    whole = explored(LevelSet().start(CUBE, 5, threshold=THRESHOLD), 80, function=two_regions)
+    again = LevelSet().start(CUBE, 5, threshold=THRESHOLD)
     for first in range(0, 60, 10):
         again.tell(whole[first : first + 10], two_regions(whole[first : first + 10]))
     np.testing.assert_array_equal(again.ask(10), whole[60:70])
@@ -81,14 +81,14 @@ def test_failed_scenarios_choices_and_finite_spaces():
         truck = space.parameters[1].level_indices(points[:, 1]) == 1
         return np.where(points[:, 0] > 0.8, np.nan, np.where(truck, points[:, 2] + points[:, 0], 3.0))
 
-    optimizer = LevelSetOptimizer(space, 0, 0.6)
+    optimizer = LevelSet().start(space, 0, threshold=0.6)
     points = explored(optimizer, 120, function=scores)
     assert len(np.unique(points, axis=0)) == 120
     later = space.parameters[1].level_indices(points[40:, 1])
     # The boundary lies among the trucks.
     assert (later == 1).mean() > 0.6
     small = ParameterSpace.from_ranges(["a=0:4:1", "b=0:9:1"])
-    optimizer = LevelSetOptimizer(small, 0, 0.1)
+    optimizer = LevelSet().start(small, 0, threshold=0.1)
     assert len(explored(optimizer, 50, function=lambda p: p[:, 0] - p[:, 1])) == 50
     assert len(optimizer.ask(5)) == 0
 
@@ -105,13 +105,13 @@ def test_few_scenarios_are_run_where_they_fail(seed):
     def scores(points):
         return np.where(points[:, 0] > 0.8, np.nan, ball(points, (0.75, 0.5, 0.5), 0.3))
 
-    optimizer = LevelSetOptimizer(CUBE, seed, THRESHOLD)
+    optimizer = LevelSet().start(CUBE, seed, threshold=THRESHOLD)
     points = explored(optimizer, 200, function=scores)
     assert np.isnan(scores(points)).mean() < 0.25
     recall, precision = found_of(scores, points)
     assert recall > 0.95
     assert precision > 0.95
-    again = LevelSetOptimizer(CUBE, seed, THRESHOLD)
+    again = LevelSet().start(CUBE, seed, threshold=THRESHOLD)
     for first in range(0, 190, 10):
         again.tell(points[first : first + 10], scores(points[first : first + 10]))
     np.testing.assert_array_equal(again.ask(10), points[190:])
@@ -122,7 +122,7 @@ def test_failures_at_random_do_not_keep_it_from_the_boundary():
         failing = np.sin(1e4 * points.sum(axis=1)) > 0.3
         return np.where(failing, np.nan, ball(points, (0.4, 0.5, 0.5), 0.3))
 
-    points = explored(LevelSetOptimizer(CUBE, 0, THRESHOLD), 200, function=scores)
+    points = explored(LevelSet().start(CUBE, 0, threshold=THRESHOLD), 200, function=scores)
     assert np.isnan(scores(points)).mean() > 0.3
     recall, precision = found_of(lambda points: ball(points, (0.4, 0.5, 0.5), 0.3), points, scores(points))
     assert recall > 0.95
@@ -144,7 +144,7 @@ def test_the_space_is_filled_once_the_boundary_is_found(seed):
     def scores(points):
         return ball(points, (0.3, 0.35, 0.35), 0.267)
 
-    points = explored(LevelSetOptimizer(CUBE, seed, THRESHOLD), 300, function=scores)
+    points = explored(LevelSet().start(CUBE, seed, threshold=THRESHOLD), 300, function=scores)
     known = CriticalSet(CUBE, points, scores(points), THRESHOLD)
     assert known.unexplored_fraction(0.01) < 0.2
     recall, precision = found_of(scores, points)
@@ -161,7 +161,7 @@ def test_two_islands_of_half_a_percent_are_both_found(seed):
         away = np.min([np.linalg.norm(points - np.array(one), axis=1) for one in centres], axis=0) - 0.106
         return THRESHOLD + 3 * away / (0.1 + np.abs(away))
 
-    points = explored(LevelSetOptimizer(CUBE, seed, THRESHOLD), 200, function=scores)
+    points = explored(LevelSet().start(CUBE, seed, threshold=THRESHOLD), 200, function=scores)
     hits = points[scores(points) <= THRESHOLD]
     assert min(np.sum(np.linalg.norm(hits - np.array(one), axis=1) < 0.106) for one in centres) >= 3
 

@@ -17,13 +17,13 @@ def ridge(points):
 
 @pytest.mark.parametrize("name", ["bayes", "sobol", "random", "grid"])
 def test_an_optimizer_that_is_told_again_asks_the_same(name):
-    first = OPTIMIZERS.create(name, space=SPACE, seed=3)
+    first = OPTIMIZERS.create(name).start(SPACE, 3, budget=3375)
     rounds = []
     for _ in range(4):
         points = first.ask(10)
         first.tell(points, ridge(points))
         rounds.append(points)
-    second = OPTIMIZERS.create(name, space=SPACE, seed=3)
+    second = OPTIMIZERS.create(name).start(SPACE, 3, budget=3375)
     for points in rounds:
         np.testing.assert_array_equal(second.ask(10), points)
         second.tell(points, ridge(points))
@@ -35,7 +35,7 @@ def test_an_optimizer_that_is_told_again_asks_the_same(name):
 @pytest.mark.parametrize("name", ["bayes", "sobol", "random", "grid"])
 def test_a_small_space_is_run_whole_and_then_over(name):
     space = ParameterSpace.from_ranges(["a=0:3:1", "b=0:7:1"])
-    optimizer, every = OPTIMIZERS.create(name, space=space, seed=1), []
+    optimizer, every = OPTIMIZERS.create(name).start(space, 1, budget=3375), []
     while len(points := optimizer.ask(5)):
         optimizer.tell(points, ridge(points))
         every.append(points)
@@ -43,7 +43,7 @@ def test_a_small_space_is_run_whole_and_then_over(name):
 
 
 def test_bayes_finds_the_ridge_from_end_to_end():
-    optimizer = OPTIMIZERS.create("bayes", space=SPACE, seed=2)
+    optimizer = OPTIMIZERS.create("bayes").start(SPACE, 2)
     every = []
     for _ in range(16):
         points = optimizer.ask(10)
@@ -57,7 +57,7 @@ def test_bayes_finds_the_ridge_from_end_to_end():
 
 
 def test_bayes_stands_failures_and_equal_scores():
-    optimizer = OPTIMIZERS.create("bayes", space=SPACE, seed=2)
+    optimizer = OPTIMIZERS.create("bayes").start(SPACE, 2)
     for scores in (np.zeros(10), np.full(10, np.nan), np.zeros(10), np.ones(10)):
         points = optimizer.ask(10)
         assert len(points) == 10

@@ -12,18 +12,16 @@ from conftest import at_night, examples
 from cornercase._common.errors import InputError
 from cornercase.optimizers import (
     OPTIMIZERS,
-    BayesOptimizer,
-    CommitteeOptimizer,
-    GridOptimizer,
-    LevelSetOptimizer,
+    Bayes,
+    Committee,
+    Grid,
+    LevelSet,
     Optimizer,
-    RandomOptimizer,
-    SobolOptimizer,
-    create_optimizer,
+    Random,
+    Sobol,
 )
 from cornercase.optimizers._dedupe import Deduplicator
 from cornercase.optimizers._random_features import RandomFeatureProcess
-from cornercase.optimizers._registry import optimizer_requirements
 from cornercase.scenario import Constraint, Parameter, ParameterDeclaration, ParameterSpace
 from cornercase.scenario._distributions import Distribution
 from helpers.search_cases import CUBE, explored, ridge
@@ -31,15 +29,15 @@ from helpers.search_cases import CUBE, explored, ridge
 
 def test_sobol_is_scipys_scrambled_sequence_of_the_seed():
     expected = qmc.Sobol(3, scramble=True, seed=np.random.default_rng(4)).random(1024)
-    np.testing.assert_array_equal(explored(SobolOptimizer(CUBE, 4), 1000), expected[:1000])
+    np.testing.assert_array_equal(explored(Sobol().start(CUBE, 4), 1000), expected[:1000])
 
 
 @pytest.mark.parametrize(
     "make",
     [
-        lambda: SobolOptimizer(CUBE, 1),
-        lambda: RandomOptimizer(CUBE, 1),
-        lambda: GridOptimizer(CUBE, 1, 400),
+        lambda: Sobol().start(CUBE, 1),
+        lambda: Random().start(CUBE, 1),
+        lambda: Grid().start(CUBE, 1, budget=400),
     ],
 )
 def test_the_sequence_does_not_depend_on_the_size_of_the_rounds(make):
@@ -47,17 +45,17 @@ def test_the_sequence_does_not_depend_on_the_size_of_the_rounds(make):
 
 
 def test_asking_again_without_telling_gives_the_same():
-    optimizer = SobolOptimizer(CUBE, 1)
+    optimizer = Sobol().start(CUBE, 1)
     np.testing.assert_array_equal(optimizer.ask(30)[:10], optimizer.ask(10))
 
 
-@pytest.mark.parametrize("make", [SobolOptimizer, RandomOptimizer])
+@pytest.mark.parametrize("make", [Sobol, Random])
 def test_rare_values_of_a_finite_space_are_run_in_the_end(make):
     rare = Distribution("set", 0.0, 2.0, (1.0, 1e-9, 1e3))
     space = ParameterSpace(
         [Parameter("s", 0.0, 2.0, choices=("x", "y", "z"), distribution=rare), Parameter("t", 0.0, 9.0, 1.0)]
     )
-    optimizer = make(space, 0)
+    optimizer = make().start(space, 0)
     seen: set[tuple[Any, Any]] = set()
     while len(points := optimizer.ask(4)):
         optimizer.tell(points, np.zeros(len(points)))
@@ -66,7 +64,7 @@ def test_rare_values_of_a_finite_space_are_run_in_the_end(make):
 
 
 def test_a_grid_has_every_combination_once():
-    points = GridOptimizer(CUBE, 0, budget=30).ask(100)
+    points = Grid().start(CUBE, 0, budget=30).ask(100)
     middles = (1 / 6, 1 / 2, 5 / 6)
     assert {tuple(p) for p in points.round(9)} == {
         (round(a, 9), round(b, 9), round(c, 9)) for a in middles for b in middles for c in middles
@@ -76,26 +74,26 @@ def test_a_grid_has_every_combination_once():
 
 def test_a_grid_gives_the_steps_that_one_parameter_lacks_to_the_others():
     space = ParameterSpace.from_ranges(["a=0:1:1", "b=0:1"])
-    points = GridOptimizer(space, 0, budget=100).ask(1000)
+    points = Grid().start(space, 0, budget=100).ask(1000)
     assert [len(np.unique(points[:, j])) for j in range(2)] == [2, 50]
 
 
 @pytest.mark.parametrize("n", [4, 16])
 def test_the_first_part_of_a_grid_covers_the_space(n):
     square = ParameterSpace.from_ranges(["a=0:1", "b=0:1"])
-    points = GridOptimizer(square, 0, budget=64).ask(n)
+    points = Grid().start(square, 0, budget=64).ask(n)
     quadrants = np.unique(np.floor(points * 2).astype(int), axis=0, return_counts=True)[1]
     assert len(quadrants) == 4
     assert quadrants.max() <= 2 * quadrants.min()
 
 
 def test_bayes_covers_the_critical_region_and_the_rest():
-    points = explored(BayesOptimizer(CUBE, seed=0), 120)
+    points = explored(Bayes().start(CUBE, 0), 120)
     critical = ridge(points) == 0.0
     # A tenth of the cube is critical.
     assert critical.mean() > 0.3
     along = {(int(a * 6), int(c * 6)) for a, _, c in points[critical]}
-    sobol = SobolOptimizer(CUBE, 0).ask(120)
+    sobol = Sobol().start(CUBE, 0).ask(120)
     assert len(along) > len({(int(a * 6), int(c * 6)) for a, _, c in sobol[ridge(sobol) == 0.0]})
     assert len({tuple(cell) for cell in (points * 3).astype(int)}) >= 25
 
@@ -103,7 +101,7 @@ def test_bayes_covers_the_critical_region_and_the_rest():
 @pytest.mark.parametrize("n", [1, 3, 17])
 @pytest.mark.parametrize("filling", [0.0, 0.3, 1.0])
 def test_bayes_gives_as_many_points_as_asked_and_none_twice(n, filling):
-    optimizer = BayesOptimizer(CUBE, seed=0, candidates=100, filling=filling)
+    optimizer = Bayes(candidates=100, filling=filling).start(CUBE, 0)
     start = explored(optimizer, 24)
     points = optimizer.ask(n)
     assert points.shape == (n, 3)
@@ -111,7 +109,7 @@ def test_bayes_gives_as_many_points_as_asked_and_none_twice(n, filling):
 
 
 def test_bayes_never_proposes_a_failed_scenario_again():
-    optimizer = BayesOptimizer(ParameterSpace.from_ranges(["a=0:9:1", "b=0:9:1"]), seed=0)
+    optimizer = Bayes().start(ParameterSpace.from_ranges(["a=0:9:1", "b=0:9:1"]), 0)
 
     def fails(points):
         return np.where(points[:, 0] > 0.5, np.nan, ridge(points))
@@ -124,13 +122,13 @@ def test_bayes_never_proposes_a_failed_scenario_again():
     "scores", [lambda p: np.full(len(p), 3.0), lambda p: 1e-12 * ridge(p), lambda p: 1e12 * ridge(p)]
 )
 def test_bayes_stands_any_scale_of_scores(scores):
-    points = explored(BayesOptimizer(CUBE, seed=0), 50, function=scores)
+    points = explored(Bayes().start(CUBE, 0), 50, function=scores)
     assert np.isfinite(points).all()
     assert len(np.unique(points, axis=0)) == 50
 
 
 def test_bayes_leaves_the_global_generator_and_the_terminal_alone(capfd):
-    optimizer = BayesOptimizer(CUBE, seed=0)
+    optimizer = Bayes().start(CUBE, 0)
     explored(optimizer, 20)
     np.random.seed(5)  # noqa: NPY002
     expected = np.random.rand(3)  # noqa: NPY002
@@ -165,7 +163,7 @@ def test_every_search_keeps_to_constraints_names_and_steps_and_asks_for_nothing_
         kind = parameters[1].level_indices(points[:, 1])
         return np.where(points[:, 0] > 0.95, np.nan, np.abs(points[:, 0] - points[:, 2]) + 0.2 * kind)
 
-    first, again = (create_optimizer(name, space, 3, threshold=0.3, budget=100) for _ in range(2))
+    first, again = (OPTIMIZERS.create(name).start(space, 3, threshold=0.3, budget=100) for _ in range(2))
     everything = []
     for size in (10, 10, 10, 10, 10, 13, 1, 10):
         points = first.ask(size)
@@ -185,8 +183,11 @@ class Threshold(Optimizer):
 
     name, requires = "threshold", frozenset({"threshold", "budget"})
 
-    def __init__(self, space, seed, threshold, budget, gain=1.0):
-        self.given = (threshold, budget, gain)
+    def __init__(self, gain=1.0):
+        self.gain = gain
+
+    def prepare(self, space, seed, threshold, budget):
+        self.given = (threshold, budget, self.gain)
 
     def ask(self, n):
         return np.zeros((0, 3))
@@ -197,20 +198,22 @@ class Threshold(Optimizer):
 
 def test_an_optimizer_of_another_package_gets_what_it_declares(monkeypatch):
     monkeypatch.setitem(OPTIMIZERS._factories, "mine", (Threshold, {}))
-    assert optimizer_requirements("mine:gain=2") == {"threshold", "budget"}
-    made: Any = create_optimizer("mine:gain=2", CUBE, 0, threshold=0.5, budget=30)
+    assert OPTIMIZERS.get_class("mine:gain=2").requires == {"threshold", "budget"}
+    made: Any = OPTIMIZERS.create("mine:gain=2").start(CUBE, 0, threshold=0.5, budget=30)
     assert made.given == (0.5, 30, 2)
     with pytest.raises(InputError, match="needs a threshold"):
-        create_optimizer("mine", CUBE, 0, threshold=None, budget=30)
+        OPTIMIZERS.create("mine").start(CUBE, 0, budget=30)
     monkeypatch.setitem(OPTIMIZERS._factories, "function", (lambda space, seed: None, {}))
     with pytest.raises(InputError, match="not a subclass"):
-        create_optimizer("function", CUBE, 0, threshold=None, budget=30)
+        OPTIMIZERS.create("function").start(CUBE, 0, budget=30)
 
 
 def test_what_an_optimizer_does_not_declare_it_does_not_get():
     assert Optimizer.requires == frozenset()
     assert not Optimizer.multi_objective
-    assert {name: optimizer_requirements(name) for name in OPTIMIZERS.names() if optimizer_requirements(name)} == {
+    assert {
+        name: OPTIMIZERS.get_class(name).requires for name in OPTIMIZERS.names() if OPTIMIZERS.get_class(name).requires
+    } == {
         "committee": {"threshold", "features"},
         "grid": {"budget"},
         "level-set": {"threshold"},
@@ -227,9 +230,9 @@ def test_the_same_concrete_scenario_is_proposed_once():
 
 
 MODELS: dict[str, Any] = {
-    "bayes": lambda space=CUBE, **more: BayesOptimizer(space, 5, **more),
-    "level-set": lambda space=CUBE, **more: LevelSetOptimizer(space, 5, 0.1, **more),
-    "committee": lambda space=CUBE, **more: CommitteeOptimizer(space, 5, 0.1, **more),
+    "bayes": lambda space=CUBE, **more: Bayes(**more).start(space, 5),
+    "level-set": lambda space=CUBE, **more: LevelSet(**more).start(space, 5, threshold=0.1),
+    "committee": lambda space=CUBE, **more: Committee(**more).start(space, 5, threshold=0.1, features=()),
 }
 
 
@@ -266,7 +269,7 @@ def test_a_model_is_learned_anew_with_ten_more_scores_or_a_share(name, most, mon
     monkeypatch.setattr(optimizer, "_fit_model", learn)
     points = explored(optimizer, 20, batch=20)
     for told in (24, 27, 30, 100, 109, 110, 120, 121, *([1000] if most == 1000 else [])):
-        more = SobolOptimizer(CUBE, told).ask(told - len(points))
+        more = Sobol().start(CUBE, told).ask(told - len(points))
         optimizer.tell(more, ridge(more))
         points = np.concatenate([points, more])
         optimizer.ask(1)
@@ -288,7 +291,7 @@ def test_scores_that_begin_all_the_same_are_learned_from_once_they_differ(name):
 
 
 def test_candidates_that_run_out_are_followed_by_others():
-    optimizer = LevelSetOptimizer(CUBE, 0, 0.1, candidates=20)
+    optimizer = LevelSet(candidates=20).start(CUBE, 0, threshold=0.1)
     points = explored(optimizer, 90, batch=15)
     assert len(np.unique(points, axis=0)) == 90
 

@@ -12,10 +12,10 @@ from cornercase.evidence._critical_set_estimate import CriticalSet
 from cornercase.evidence._multi_fidelity import SourceStudyModel
 from cornercase.evidence.gp._process import fit_boundary_process
 from cornercase.exploration._study_critical_set import is_score_independent
-from cornercase.optimizers import OPTIMIZERS, LevelSetOptimizer, SobolOptimizer, create_optimizer
+from cornercase.optimizers import OPTIMIZERS, LevelSet, Sobol
 from helpers.search_cases import CUBE, EVERYWHERE, THRESHOLD, explored, two_regions
 
-KNOWN = SobolOptimizer(CUBE, 100).ask(200)
+KNOWN = Sobol().start(CUBE, 100).ask(200)
 
 
 def moved(points):
@@ -24,7 +24,7 @@ def moved(points):
 
 
 def recall_after(count, seed, function, known=None):
-    optimizer = LevelSetOptimizer(CUBE, seed, THRESHOLD)
+    optimizer = LevelSet().start(CUBE, seed, threshold=THRESHOLD)
     elsewhere = None
     if known is not None:
         optimizer.warm_start(KNOWN, known)
@@ -48,7 +48,7 @@ def test_what_misleads_is_dropped():
 
 
 def test_a_coordinate_that_says_nothing_is_left_out_of_the_process():
-    points = SobolOptimizer(CUBE, 3).ask(60)
+    points = Sobol().start(CUBE, 3).ask(60)
     noise = np.random.default_rng(0).normal(size=(60, 1))
     plain = fit_boundary_process(points, two_regions(points), THRESHOLD)
     process = fit_boundary_process(np.hstack([points, noise]), two_regions(points), THRESHOLD, has_prediction=True)
@@ -60,7 +60,7 @@ def test_a_coordinate_that_says_nothing_is_left_out_of_the_process():
 
 
 def test_a_coordinate_that_says_all_is_used():
-    points = SobolOptimizer(CUBE, 3).ask(30)
+    points = Sobol().start(CUBE, 3).ask(30)
     told = np.column_stack([points, np.tanh(moved(points) - THRESHOLD)])
     process = fit_boundary_process(told, moved(points), THRESHOLD, has_prediction=True)
     at = np.column_stack([EVERYWHERE, np.tanh(moved(EVERYWHERE) - THRESHOLD)])
@@ -70,7 +70,7 @@ def test_a_coordinate_that_says_all_is_used():
 
 
 def test_a_coordinate_that_tells_a_little_is_left_out_however_many_scenarios_say_so():
-    points = SobolOptimizer(CUBE, 3).ask(100)
+    points = Sobol().start(CUBE, 3).ask(100)
     scores, told = moved(points), np.tanh(two_regions(points - (0.2, -0.2, 0.0)) - THRESHOLD)
     for count in (30, 60, 100):
         process = fit_boundary_process(
@@ -80,7 +80,7 @@ def test_a_coordinate_that_tells_a_little_is_left_out_however_many_scenarios_say
 
 
 def begun_search(seed, scores):
-    optimizer = LevelSetOptimizer(CUBE, seed, THRESHOLD)
+    optimizer = LevelSet().start(CUBE, seed, threshold=THRESHOLD)
     optimizer.warm_start(KNOWN, scores)
     return optimizer
 
@@ -107,7 +107,7 @@ def test_what_the_other_study_chose_is_made_up_for_by_points_that_fill_the_space
 @pytest.mark.parametrize("name", at_night(["level-set", "committee"], {"committee"}))
 def test_a_search_that_is_told_again_asks_the_same(name):
     def begun():
-        optimizer = create_optimizer(name, CUBE, 3, threshold=THRESHOLD, budget=40)
+        optimizer = OPTIMIZERS.create(name).start(CUBE, 3, threshold=THRESHOLD, budget=40)
         optimizer.warm_start(KNOWN, two_regions(KNOWN))
         return optimizer
 
@@ -119,13 +119,13 @@ def test_a_search_that_is_told_again_asks_the_same(name):
     for points in rounds:
         np.testing.assert_array_equal(again.ask(8), points)
         again.tell(points, moved(points))
-    cold = explored(create_optimizer(name, CUBE, 3, threshold=THRESHOLD, budget=40), 32, batch=8, function=moved)
+    cold = explored(OPTIMIZERS.create(name).start(CUBE, 3, threshold=THRESHOLD, budget=40), 32, batch=8, function=moved)
     assert not np.array_equal(cold, np.concatenate(rounds))
 
 
 @pytest.mark.parametrize("name", sorted({*OPTIMIZERS.names()} - {"level-set", "committee", "optuna"}))
 def test_others_refuse_it_by_name(name):
-    optimizer = create_optimizer(name, CUBE, 3, threshold=THRESHOLD, budget=40)
+    optimizer = OPTIMIZERS.create(name).start(CUBE, 3, threshold=THRESHOLD, budget=40)
     assert not optimizer.supports_warm_start
     with pytest.raises(InputError, match=f"{name} learns nothing from another study"):
         optimizer.warm_start(KNOWN, two_regions(KNOWN))

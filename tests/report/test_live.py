@@ -88,7 +88,7 @@ def test_live_contents_are_those_of_the_report(whole, client):
 def test_a_scenario_is_given_exactly(whole, client, tmp_path):
     with StudyFile.open(whole, readonly=True) as study:
         recording = study.recording(7)
-        metrics = [cc.METRICS.create(name) for name in study.meta.metrics]
+        metrics = [cc.metrics.METRICS.create(name) for name in study.meta.metrics]
         courses = {one.name: one.clip_course(study.course(7, one.name)) for one in metrics}
     assert zlib.decompress(client.get("/recordings/7").content) == encode_recording(7, recording, courses)
     (tmp_path / "r.csv").write_bytes(client.get("/recordings/7.csv").content)

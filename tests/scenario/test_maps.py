@@ -22,7 +22,7 @@ from cornercase.scenario._bundle import ScenarioBundle
 from cornercase.scenario._concrete_file import write_concrete_file
 from cornercase.scenario._file import ScenarioFile
 from cornercase.scenario._maps import MAPS_VARIABLE, search_maps_in
-from cornercase.simulators import EsminiSimulator, simulate
+from cornercase.simulators import Esmini, simulate
 from cornercase.simulators.pool._simulator import WorkerSimulator
 from cornercase.study import StudyFile
 from cornercase.study._scenario_file import find_explored_scenario
@@ -207,7 +207,7 @@ def test_43_7_what_is_written_holds_the_map_and_a_study_says_that_it_needs_it(tm
 
 def test_43_7_esmini_refuses_a_map_that_it_would_not_find(tmp_path, maps):
     path, named = town(tmp_path / "s"), town(tmp_path / "t", "../maps/Town01.xodr")
-    simulator = EsminiSimulator.__new__(EsminiSimulator)
+    simulator = Esmini.__new__(Esmini)
     simulator._undriven = True
     with search_maps_in([maps]):
         simulator.check_supported(ScenarioFile.read(named))

@@ -13,7 +13,7 @@ from cornercase._common.errors import InputError
 from cornercase.scenario import ConcreteScenario, LogicalScenario, ParameterSpace
 from cornercase.scenario._concrete_file import write_concrete_file
 from cornercase.scenario._file import ScenarioFile
-from cornercase.simulators import BuiltinSimulator, check, simulate
+from cornercase.simulators import Builtin, check, simulate
 
 
 def file(folder, *declarations, init=None, name="scenario.xosc"):
@@ -104,7 +104,7 @@ def test_a_range_of_a_text_gives_texts_without_decimals(tmp_path):
     values = logical.space.values(logical.space.full_factorial())
     assert values == [{"road": "1"}, {"road": "2"}]
     found = ran(
-        BuiltinSimulator(duration=0.1),
+        Builtin(duration=0.1),
         [*map(logical.concrete_scenario, values), logical.concrete_scenario({"road": 2.0})],
     )
     assert [float(one.y[0, 0]) for one in found] == [-2.0, 48.0, 48.0]
@@ -124,7 +124,7 @@ def test_a_range_of_a_text_gives_texts_without_decimals(tmp_path):
 )
 def test_constraints_compare_values_of_the_declared_type(tmp_path, kind, rule, bound, good, bad):
     path = file(tmp_path, ("p", kind, good[0], constrained(rule, bound)))
-    found = list(BuiltinSimulator(duration=0.1).run([ConcreteScenario(path, {"p": one}) for one in [*good, *bad]]))
+    found = list(Builtin(duration=0.1).run([ConcreteScenario(path, {"p": one}) for one in [*good, *bad]]))
     assert ["breaks a constraint" in str(one) for one in found] == [False] * len(good) + [True] * len(bad)
 
 

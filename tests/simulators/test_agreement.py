@@ -17,7 +17,7 @@ import pytest
 import cornercase as cc
 from conftest import at_night, ran
 from cornercase.scenario import ConcreteScenario
-from cornercase.simulators import BuiltinSimulator
+from cornercase.simulators import Builtin
 from cornercase.simulators.pool._simulator import WorkerSimulator
 from helpers.esmini_agreement import disagreement, last_instant, tracks_of, tracks_of_file
 from helpers.random_storyboards import storyboard, write_roads
@@ -55,7 +55,7 @@ def held(name, off):
 @pytest.mark.parametrize(("scenario", "values", "expected"), recorded())
 def test_gives_the_recording_of_esmini(scenario, values, expected):
     tracks = tracks_of_file(expected)
-    simulator = BuiltinSimulator(duration=min(last_instant(tracks) + 1.0, 40.0))
+    simulator = Builtin(duration=min(last_instant(tracks) + 1.0, 40.0))
     try:
         (recording,) = ran(simulator, [ConcreteScenario(scenario, values)])
         off = disagreement(tracks, recording)
@@ -101,5 +101,5 @@ def test_random_storyboards_run_as_in_esmini(roads, esmini, name):
     path.write_text(storyboard(Random(f"{seed}-{int(number)}")), encoding="utf-8")
     (expected,) = ran(esmini, [ConcreteScenario(path, {})])
     tracks = tracks_of(expected)
-    (recording,) = ran(BuiltinSimulator(duration=min(last_instant(tracks) + 1.0, 20.0)), [ConcreteScenario(path, {})])
+    (recording,) = ran(Builtin(duration=min(last_instant(tracks) + 1.0, 20.0)), [ConcreteScenario(path, {})])
     held(name, disagreement(tracks, recording))

@@ -12,7 +12,7 @@ from conftest import at_night, car, event, ran, scenario_file, speed_action, sto
 from cornercase._common.errors import InputError
 from cornercase.scenario import ConcreteScenario
 from cornercase.scenario._file import ScenarioFile
-from cornercase.simulators import BuiltinSimulator, simulate
+from cornercase.simulators import Builtin, simulate
 from cornercase.simulators.builtin import _simulator as builtin_simulator
 from cornercase.simulators.builtin._batch import Batch
 from cornercase.simulators.builtin._prepared_file import PreparedScenario
@@ -30,7 +30,7 @@ def private(*actions: str, entity: str = "Ego") -> str:
 
 
 def results(path, *values, duration=1.0):
-    simulator = BuiltinSimulator(duration=duration)
+    simulator = Builtin(duration=duration)
     return list(simulator.run([ConcreteScenario(path, one) for one in values]))
 
 
@@ -50,7 +50,7 @@ def test_a_place_on_a_route_hangs_on_the_route_of_its_own_scenario(tmp_path):
 <FromLaneCoordinates pathS="10" laneId="-1"/></InRoutePosition></RoutePosition></Position></TeleportAction></PrivateAction>"""
     path = scenario_file(tmp_path, init=private(place), parameters=declared("begin", "0"))
     values = [{"begin": begin} for begin in (0.0, 100.0, 200.0)]
-    assert [float(one.x[0, 0]) for one in ran(BuiltinSimulator(duration=1.0), [ConcreteScenario(path, v) for v in values])] == [
+    assert [float(one.x[0, 0]) for one in ran(Builtin(duration=1.0), [ConcreteScenario(path, v) for v in values])] == [
         pytest.approx(10.0), pytest.approx(110.0), pytest.approx(210.0),
     ]  # fmt: skip
     assert differing(path, values, 1.0) == []
@@ -248,7 +248,7 @@ def test_who_stops_asking_can_ask_again(tmp_path, monkeypatch):
     )
     monkeypatch.setattr(builtin_simulator, "count_available_cpus", lambda: 2)
     monkeypatch.setattr(builtin_simulator, "_MIN_SCENARIOS_PER_BATCH", 4)
-    simulator = BuiltinSimulator(duration=1.0)
+    simulator = Builtin(duration=1.0)
     concretes = [ConcreteScenario(path, {"v": float(k)}) for k in range(8)]
     whole = [outcome(one) for one in simulator.run(concretes)]
     asked = simulator.run(concretes)
@@ -271,7 +271,7 @@ def test_a_trajectory_is_read_anew_only_where_a_parameter_changes_it(tmp_path):
             parameters=declared("far", "40") + declared("v", "10"),
         )
         scenario = ScenarioFile.read(path)
-        simulator = BuiltinSimulator(duration=8.0)
+        simulator = Builtin(duration=8.0)
         values = [{"far": 40.0, "v": 10.0}, {"far": 60.0, "v": 10.0}, {"far": 40.0, "v": 12.0}]
         at_once = [outcome(one) for one in ran(simulator, [ConcreteScenario(path, one, scenario) for one in values])]
         for one, expected in zip(values, at_once, strict=True):

@@ -24,7 +24,7 @@ from cornercase.recordings import Collision, Recording
 from cornercase.scenario import ConcreteScenario
 from cornercase.scenario._file import ScenarioFile
 from cornercase.scenario._xml import read_xml
-from cornercase.simulators import CarlaSimulator
+from cornercase.simulators import Carla
 from cornercase.simulators._ports import worker_address
 from cornercase.simulators.carla import _dialect as dialect
 from cornercase.simulators.carla._openscenario_1_0 import ConversionOptions, write_openscenario_1_0
@@ -88,7 +88,7 @@ rule="greaterThan"/></ByValueCondition></Condition></ConditionGroup></StopTrigge
 
 
 def run(server, scenario, values=None, **more):
-    (found,) = CarlaSimulator(**options(server, **more)).run([ConcreteScenario(scenario, values or {})])
+    (found,) = Carla(**options(server, **more)).run([ConcreteScenario(scenario, values or {})])
     return found
 
 
@@ -153,7 +153,7 @@ def test_the_recorders_file_is_cut_as_well(scenario, tmp_path):
 
 def test_one_server_runs_many_and_is_left_as_it_was(scenario):
     with Served(ROAD) as server:
-        simulator = CarlaSimulator(**options(server))
+        simulator = Carla(**options(server))
         found = ran(simulator, [ConcreteScenario(scenario, {"gap": gap, "end": 1.0}) for gap in (20.0, 30.0)])
         assert [round(one.x[1][-1]) for one in found] == [-60, -50]
         world = carla.Client(server.host, server.port).get_world()
@@ -323,11 +323,11 @@ def test_42_13_an_old_scenario_runner_is_refused_before_anything_runs(
 ):
     folder = old_runner(tmp_path / "runner", "0.9.15", options=options, controller=controller)
     monkeypatch.setenv("SCENARIO_RUNNER_ROOT", str(folder))
-    missing = CarlaSimulator.availability().problem
+    missing = Carla.availability().problem
     assert missing.startswith(f"{folder}: ScenarioRunner 0.9.15 {lacks}")
     assert "cornercase needs that of CARLA 0.9.16: get it by `git clone --branch v0.9.16" in missing
     with pytest.raises(InputError) as refused:
-        CarlaSimulator()
+        Carla()
     assert str(refused.value) == missing
     assert json.loads(cornercase("simulators", "--json").stdout)["carla"]["missing"] == missing
     (line,) = [one for one in cornercase("simulators").stdout.splitlines() if one.split()[:1] == ["carla"]]
@@ -345,10 +345,10 @@ def test_42_13_an_old_scenario_runner_is_refused_before_anything_runs(
 def test_42_13_a_scenario_runner_that_has_all_is_taken_whatever_it_calls_itself(tmp_path, monkeypatch):
     folder = old_runner(tmp_path / "runner", "1.0.0", options=FRAME_RATE, controller=TIMES)
     monkeypatch.setenv("SCENARIO_RUNNER_ROOT", str(folder))
-    assert CarlaSimulator.availability().problem == ""
+    assert Carla.availability().problem == ""
     (folder / "Docs" / "CHANGELOG.md").unlink()
     (folder / "scenario_runner.py").write_text("")
-    assert "ScenarioRunner lacks the option --frameRate" in CarlaSimulator.availability().problem
+    assert "ScenarioRunner lacks the option --frameRate" in Carla.availability().problem
 
 
 def test_42_13_the_extra_is_what_the_index_has_and_pages_say_so():
@@ -375,9 +375,9 @@ def test_42_13_the_extra_is_what_the_index_has_and_pages_say_so():
 
 def test_it_is_listed_with_what_it_needs(monkeypatch):
     monkeypatch.delenv("SCENARIO_RUNNER_ROOT", raising=False)
-    assert "set SCENARIO_RUNNER_ROOT to its folder" in CarlaSimulator.availability().problem
+    assert "set SCENARIO_RUNNER_ROOT to its folder" in Carla.availability().problem
     monkeypatch.setenv("SCENARIO_RUNNER_ROOT", str(RUNNER))
-    found = CarlaSimulator.availability()
+    found = Carla.availability()
     assert found.problem == ""
     assert "not deterministic" in found.features
 
@@ -396,7 +396,7 @@ def test_it_is_listed_with_what_it_needs(monkeypatch):
 )
 def test_options_that_cannot_be_are_refused(given, words):
     with pytest.raises(InputError) as caught:
-        CarlaSimulator(**{"scenario_runner": str(RUNNER)} | given)
+        Carla(**{"scenario_runner": str(RUNNER)} | given)
     assert words in str(caught.value)
 
 
@@ -451,14 +451,14 @@ def test_code_that_a_scenario_names_is_not_run(tmp_path, scenario):
 def test_a_behaviour_agent_without_a_route_and_other_drivers_are_refused(tmp_path, scenario):
     with pytest.raises(InputError, match=r"'Ego' needs a route for CARLA's behaviour agent"):
         adapted(tmp_path, scenario, behaviors={"Ego": "normal"})
-    simulator = CarlaSimulator(scenario_runner=str(RUNNER), port=free_port())
+    simulator = Carla(scenario_runner=str(RUNNER), port=free_port())
     with pytest.raises(InputError, match=r"'C' has the driver 'simple', which CARLA does not support.*undriven=true"):
         list(simulator.run([ConcreteScenario(T, {})]))
 
 
 def test_a_vehicle_that_carla_does_not_have_is_refused(scenario):
     scenario.write_text(scenario.read_text().replace('vehicleCategory="car"', 'vehicleCategory="tram"', 1))
-    simulator = CarlaSimulator(scenario_runner=str(RUNNER), port=free_port())
+    simulator = Carla(scenario_runner=str(RUNNER), port=free_port())
     with pytest.raises(InputError, match=r"'Ego' is a tram, which CARLA does not have"):
         list(simulator.run([ConcreteScenario(scenario, {})]))
 

@@ -21,7 +21,7 @@ import cornercase as cc
 from conftest import ran, same_recording
 from cornercase._common.errors import InputError, NoticeWarning, SimulationError, SimulatorError
 from cornercase.scenario import ConcreteScenario
-from cornercase.simulators import CarMakerSimulator
+from cornercase.simulators import CarMaker
 from cornercase.simulators.carmaker._cmapi_client import CmapiClient
 from cornercase.simulators.carmaker._tcl_client import TclClient
 from cornercase.simulators.carmaker._tcl_run import TclTestRun
@@ -163,9 +163,7 @@ def quick(monkeypatch):
 
 def run(project, port, values=None, **options):
     port.project = project
-    simulator = CarMakerSimulator(
-        testrun="Crossing", project=str(project), hosts="127.0.0.1", port=port.number, **options
-    )
+    simulator = CarMaker(testrun="Crossing", project=str(project), hosts="127.0.0.1", port=port.number, **options)
     try:
         (found,) = simulator.run([ConcreteScenario(project.parent / "s.xosc", values or {"ego_speed": 42.5})])
     finally:
@@ -471,9 +469,9 @@ def test_42_1_a_suite_gives_ipgs_module_the_named_values_too(cmapi, project):
 )
 def test_refuses_in_one_sentence(tmp_path, options, words):
     with pytest.raises(InputError, match=words):
-        CarMakerSimulator(**({"testrun": "a", "project": str(tmp_path)} | options))
+        CarMaker(**({"testrun": "a", "project": str(tmp_path)} | options))
     # Only the refused option is wrong: the rest can be used.
-    assert CarMakerSimulator(testrun="a", project=str(tmp_path)).name == "carmaker"
+    assert CarMaker(testrun="a", project=str(tmp_path)).name == "carmaker"
 
 
 @pytest.mark.skipif(not SAMPLE.is_file(), reason="the real sample is not beside the checkout")
@@ -513,7 +511,7 @@ def cmapi(monkeypatch, project):
 
 
 def test_ipgs_module_is_taken_where_it_is_there_and_starts_carmaker_once(cmapi, project):
-    simulator = CarMakerSimulator(testrun="Crossing", project=str(project))
+    simulator = CarMaker(testrun="Crossing", project=str(project))
     concretes = [ConcreteScenario(project.parent / "s.xosc", {"ego_speed": speed}) for speed in (42.5, 50.0)]
     for found, speed in zip(ran(simulator, concretes), (42.5, 50.0), strict=True):
         assert found.names == ("Ego", "T00")
@@ -526,8 +524,8 @@ def test_ipgs_module_is_taken_where_it_is_there_and_starts_carmaker_once(cmapi, 
     simulator.close()
     assert process.wait(120) is not None
     with pytest.raises(InputError, match=r"each worker needs its own CarMaker project, and there are 1; give more as"):
-        CarMakerSimulator(testrun="Crossing", project=str(project), worker=1)
-    CarMakerSimulator(testrun="Crossing", project=f"{project}+{project.parent}", worker=1)
+        CarMaker(testrun="Crossing", project=str(project), worker=1)
+    CarMaker(testrun="Crossing", project=f"{project}+{project.parent}", worker=1)
     # The port can still be chosen.
     port = Port()
     assert run(project, port, via="port").names == ("Ego", "T00")
@@ -608,6 +606,6 @@ def _begun_processes():
 
 def test_a_way_that_is_not_there_is_refused(project):
     with pytest.raises(InputError, match=r"cmapi cannot be imported.*carmaker:via=port"):
-        CarMakerSimulator(testrun="Crossing", project=str(project), via="cmapi")
+        CarMaker(testrun="Crossing", project=str(project), via="cmapi")
     with pytest.raises(InputError, match="did you mean 'port'"):
-        CarMakerSimulator(testrun="Crossing", project=str(project), via="prot")  # type: ignore[arg-type]
+        CarMaker(testrun="Crossing", project=str(project), via="prot")  # type: ignore[arg-type]

@@ -7,13 +7,13 @@ import pytest
 
 from conftest import car, event, scenario_file, speed_action, story_of, teleport, time_trigger
 from cornercase.scenario import ConcreteScenario
-from cornercase.simulators import BuiltinSimulator
+from cornercase.simulators import Builtin
 
 DT = 0.05
 
 
 def run(path, duration=2.0):
-    (result,) = BuiltinSimulator(time_step=DT, duration=duration).run([ConcreteScenario(path, {})])
+    (result,) = Builtin(time_step=DT, duration=duration).run([ConcreteScenario(path, {})])
     assert not isinstance(result, Exception), result
     return result
 

@@ -29,7 +29,7 @@ from cornercase._common.process.signals import collect_interrupts
 from cornercase.drivers import Driver
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario
-from cornercase.simulators import BuiltinSimulator
+from cornercase.simulators import Builtin
 
 DT = 0.05
 
@@ -56,7 +56,7 @@ def controlled(folder, action: str, drivers=None):
         event("c", action, time_trigger("1")) + event("f", speed_action("20"), time_trigger("2")), actor="A"
     )
     path = scenario_file(folder, init=init, story=story, stop=time_trigger("5"), entities=car("A") + car("B"))
-    (recording,) = BuiltinSimulator(drivers=drivers).run([ConcreteScenario(path)])
+    (recording,) = Builtin(drivers=drivers).run([ConcreteScenario(path)])
     return recording
 
 
@@ -95,7 +95,7 @@ def test_a_driver_does_not_see_who_is_hidden(tmp_path):
             f'<Private entityRef="B">{teleport("90")}{hide.format(seen)}</Private>'
         )
         path = scenario_file(tmp_path, init=init, stop=time_trigger("20"), entities=car("A") + car("B"))
-        (recording,) = ran(BuiltinSimulator(drivers={"A": "normal"}), [ConcreteScenario(path)])
+        (recording,) = ran(Builtin(drivers={"A": "normal"}), [ConcreteScenario(path)])
         ends[seen] = recording.x[0, -1]
     assert ends["true"] < 88.0
     assert ends["false"] > 150.0
@@ -123,7 +123,7 @@ def test_a_driver_brakes_along_a_trajectory_that_runs_otherwise_in_each_scenario
     path = bend_file(tmp_path)
     bends = (0.0005, 0.002, 0.08)
     concretes = [ConcreteScenario(path, {"bend": bend}) for bend in bends]
-    simulator = BuiltinSimulator(time_step=DT, duration=20.0, drivers={"Ego": "normal"})
+    simulator = Builtin(time_step=DT, duration=20.0, drivers={"Ego": "normal"})
     together = ran(simulator, concretes)
     for concrete, recording in zip(concretes, together, strict=True):
         assert not recording.collisions
@@ -135,13 +135,13 @@ def test_a_driver_brakes_along_a_trajectory_that_runs_otherwise_in_each_scenario
     # The sharp bend leads past the car.
     assert away.speed[0][away.time < 15.0].min() > 5.0
     # Without a driver it continues.
-    (undriven,) = ran(BuiltinSimulator(time_step=DT, duration=20.0), concretes[:1])
+    (undriven,) = ran(Builtin(time_step=DT, duration=20.0), concretes[:1])
     assert undriven.collisions
 
 
 def test_a_driver_slows_down_for_the_bend_of_a_trajectory(tmp_path):
     path = bend_file(tmp_path)
-    simulator = BuiltinSimulator(time_step=DT, duration=20.0, drivers={"Ego": "normal"})
+    simulator = Builtin(time_step=DT, duration=20.0, drivers={"Ego": "normal"})
     (recording,) = ran(simulator, [ConcreteScenario(path, {"bend": 0.2})])
     # 3 m/s² across at a radius of 5 m.
     assert recording.speed[0].min() == pytest.approx(np.sqrt(3.0 * 5.0), rel=0.1)
@@ -152,7 +152,7 @@ def test_a_trajectory_with_times_leaves_the_driver_nothing_to_decide(tmp_path):
     legs = "".join(f'<Vertex time="{t}">{place(x, -2)}</Vertex>' for t, x in ((0, 0), (3, 40), (8, 90)))
     path = bend_file(tmp_path, f"<Polyline>{legs}</Polyline>", timed)
     recordings = [
-        next(iter(BuiltinSimulator(time_step=DT, duration=7.9, drivers=drivers).run([ConcreteScenario(path, {})])))
+        next(iter(Builtin(time_step=DT, duration=7.9, drivers=drivers).run([ConcreteScenario(path, {})])))
         for drivers in ({}, {"Ego": "normal"})
     ]
     assert same_recording(*recordings)
@@ -176,7 +176,7 @@ def driven_by(folder, decide, speeds=(8.0, 10.0, 12.0)):
     path = scenario_file(folder, init=init, entities=car("Ego") + car("B"), parameters=speed)
     concretes = [ConcreteScenario(path, {"v": float(v)}) for v in speeds]
     driver = decide(None) if isinstance(decide, type) else Own(decide)
-    return list(BuiltinSimulator(duration=2.0, drivers={"Ego": driver}).run(concretes))
+    return list(Builtin(duration=2.0, drivers={"Ego": driver}).run(concretes))
 
 
 OWN = "the driver of Ego (test_controllers:Own)"
@@ -311,7 +311,7 @@ def limited(folder, driver, dec="10", **more):
         'maxAcceleration="200" maxDeceleration="200"', 'maxAcceleration="4" maxDeceleration="$dec"'
     )
     path = scenario_file(folder, init=init, entities=ego + car("B"), parameters=parameters)
-    return path, BuiltinSimulator(duration=1.0, drivers={"Ego": driver}, **more)
+    return path, Builtin(duration=1.0, drivers={"Ego": driver}, **more)
 
 
 def test_42_9_no_driver_gets_more_than_its_vehicle_can_do_and_it_is_said_once(tmp_path):

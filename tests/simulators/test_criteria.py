@@ -25,7 +25,7 @@ from cornercase.scenario import ConcreteScenario
 from cornercase.scenario._concrete_file import build_concrete_file, write_concrete_file
 from cornercase.scenario._file import ScenarioFile
 from cornercase.scenario._xml import read_xml
-from cornercase.simulators import BuiltinSimulator
+from cornercase.simulators import Builtin
 
 NAMES = (
     "RunningStopTest", "RunningRedLightTest", "WrongLaneTest", "OnSidewalkTest", "KeepLaneTest", "CollisionTest",
@@ -121,7 +121,7 @@ def test_43_6_a_driver_that_was_chosen_drives_in_the_concrete_file_too(tmp_path:
     both = private("Ego", teleport("50"), speed_action("15"), assigned) + private("B", teleport("90"))
     path = scenario_file(tmp_path, init=both, entities=car("Ego") + car("B"))
     write_concrete_file(ScenarioFile(path), {}, tmp_path / "out" / "one.xosc", {"Ego": "normal"})
-    (before,) = ran(BuiltinSimulator(duration=4.0, drivers={"Ego": "normal"}), [ConcreteScenario(path, {})])
+    (before,) = ran(Builtin(duration=4.0, drivers={"Ego": "normal"}), [ConcreteScenario(path, {})])
     after = run(tmp_path / "out" / "one.xosc", duration=4.0)
     assert before.speed[0, -1] < 14.0
     assert same_recording(before, after)

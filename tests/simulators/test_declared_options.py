@@ -8,9 +8,9 @@ import cornercase as cc
 from cornercase import InputError
 from cornercase._common.errors import NoticeWarning
 from cornercase._common.registry import Registry
-from cornercase.optimizers import OPTIMIZERS, create_optimizer
+from cornercase.optimizers import OPTIMIZERS
 from cornercase.scenario import ParameterSpace
-from cornercase.simulators import SIMULATORS, BuiltinSimulator, Simulator
+from cornercase.simulators import SIMULATORS, Builtin, Simulator
 from cornercase.simulators._create import create_simulator
 from helpers.fake_simulators import recording
 
@@ -40,7 +40,7 @@ class Terse(Swallowing):
         self.time_step = time_step
 
 
-class Longer(BuiltinSimulator):
+class Longer(Builtin):
     """Passes other options to its base class."""
 
     name = "longer"
@@ -133,15 +133,15 @@ def test_42_7_options_of_the_base_class_count_where_they_are_handed_on():
 
 def test_42_7_the_same_holds_of_everything_that_has_a_name(monkeypatch):
     class Line(OPTIMIZERS.get_class("random")):  # type: ignore[misc]
-        def __init__(self, space, seed, **more):
-            super().__init__(space, seed)
+        def __init__(self, **more):
+            super().__init__()
 
     monkeypatch.setattr(OPTIMIZERS, "_factories", dict(OPTIMIZERS._factories))
     OPTIMIZERS.register("line", Line)
     space = ParameterSpace.from_ranges(["a=0:1"])
-    assert create_optimizer("line", space, 1, threshold=None, budget=3).ask(2).shape == (2, 1)
+    assert OPTIMIZERS.create("line").start(space, 1, budget=3).ask(2).shape == (2, 1)
     with pytest.raises(InputError, match="The optimizer 'line' has no option 'step'; its constructor declares none"):
-        create_optimizer("line:step=3", space, 1, threshold=None, budget=3)
+        OPTIMIZERS.create("line:step=3").start(space, 1, budget=3)
     things: Registry[object] = Registry("thing", "cornercase.nothing")
     things.register("all", lambda **more: more)
     with pytest.raises(InputError, match="The thing 'all' has no option 'a'; its constructor declares none"):

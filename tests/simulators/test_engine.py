@@ -21,9 +21,9 @@ from conftest import (
     trajectory,
 )  # fmt: skip
 from cornercase._common.errors import InputError
-from cornercase.optimizers import GridOptimizer, SobolOptimizer
+from cornercase.optimizers import Grid, Sobol
 from cornercase.scenario import ConcreteScenario, LogicalScenario
-from cornercase.simulators import BuiltinSimulator, convert
+from cornercase.simulators import Builtin, convert
 
 DT = 0.05
 
@@ -501,12 +501,12 @@ rule="lessThan" value="12"/></ConstraintGroup><ConstraintGroup><ValueConstraint 
 def test_constraints_are_kept_by_searches_and_by_the_simulator(tmp_path):
     path = scenario_file(tmp_path, init=moving(speed="$v"), parameters=CONSTRAINT)
     logical = LogicalScenario.read(path, ranges=["v=5:25"])
-    for optimizer in (SobolOptimizer(logical.space, 0), GridOptimizer(logical.space, 0, 60)):
+    for optimizer in (Sobol().start(logical.space, 0), Grid().start(logical.space, 0, budget=60)):
         found = np.array([one["v"] for one in logical.space.values(optimizer.ask(40))])
         assert len(found) > 10
         assert ((found < 12) | ((found > 18) & (found <= 20))).all()
         assert (found > 18).any()
-    (result,) = BuiltinSimulator().run([logical.concrete_scenario({"v": 15.0})])
+    (result,) = Builtin().run([logical.concrete_scenario({"v": 15.0})])
     assert "v breaks a constraint" in str(result)
     with pytest.raises(InputError, match="constraints"):
         LogicalScenario.read(path, ranges=["v=21:25"])
@@ -528,7 +528,7 @@ def test_values_of_a_set_stay_together(tmp_path):
     logical = LogicalScenario.read(None, tmp_path / "space.xosc")
     assert logical.space.size == 2
     recordings = ran(
-        BuiltinSimulator(duration=2.0),
+        Builtin(duration=2.0),
         [logical.concrete_scenario(v) for v in logical.space.values(logical.space.full_factorial())],
     )
     assert {(r.speed[0][1], r.speed[0][-1]) for r in recordings} == {(5.0, 6.0), (8.0, 9.0)}
@@ -536,7 +536,7 @@ def test_values_of_a_set_stay_together(tmp_path):
     assert again.values(again.full_factorial()) == logical.space.values(logical.space.full_factorial())
     ranged = LogicalScenario.read(None, tmp_path / "space.xosc", ["v=1:2"])
     assert sorted(ranged.space.assigned_names) == ["v", "w"]
-    assert all(1 <= float(one["v"]) <= 2 for one in ranged.space.values(SobolOptimizer(ranged.space, 0).ask(5)))
+    assert all(1 <= float(one["v"]) <= 2 for one in ranged.space.values(Sobol().start(ranged.space, 0).ask(5)))
 
 
 @pytest.mark.parametrize("batch", [1, 7])
@@ -550,11 +550,9 @@ def test_many_scenarios_at_once_are_what_each_is_alone(tmp_path, batch):
     )
     path = scenario_file(tmp_path, init=moving(speed="$v"), story=story_of(events), parameters=declared)
     concretes = [ConcreteScenario(path, {"v": float(v)}) for v in np.linspace(5, 20, 7)]
-    whole = ran(BuiltinSimulator(duration=12.0), concretes)
+    whole = ran(Builtin(duration=12.0), concretes)
     for k in range(0, 7, batch):
-        for one, alone in zip(
-            whole[k : k + batch], ran(BuiltinSimulator(duration=12.0), concretes[k : k + batch]), strict=True
-        ):
+        for one, alone in zip(whole[k : k + batch], ran(Builtin(duration=12.0), concretes[k : k + batch]), strict=True):
             np.testing.assert_array_equal(one.x, alone.x)
             np.testing.assert_array_equal(one.y, alone.y)
             np.testing.assert_array_equal(one.heading, alone.heading)
@@ -576,6 +574,6 @@ def test_who_triggers_an_event_can_be_its_actor(tmp_path):
     path = scenario_file(
         tmp_path, init=starts, story=story, stop=time_trigger("4"), entities="".join(car(name) for name in "ABCD")
     )
-    (recording,) = ran(BuiltinSimulator(), [ConcreteScenario(path)])
+    (recording,) = ran(Builtin(), [ConcreteScenario(path)])
     speeds = dict(zip(recording.names, recording.speed[:, -1], strict=True))
     assert speeds == {"A": 15.0, "B": 9.9, "C": 1.0, "D": 15.0}

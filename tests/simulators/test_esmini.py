@@ -15,7 +15,7 @@ import pytest
 from conftest import ran
 from cornercase._common.errors import InputError, SimulationError
 from cornercase.scenario import ConcreteScenario
-from cornercase.simulators import SIMULATORS, EsminiSimulator
+from cornercase.simulators import SIMULATORS, Esmini
 from cornercase.simulators.pool._simulator import WorkerSimulator
 from helpers.command_line import cornercase
 
@@ -78,16 +78,16 @@ def test_parameters_collisions_and_the_same_again():
     pedestrian = REFERENCE / "esmini" / "resources" / "xosc" / "pedestrian_collision.xosc"
     if not pedestrian.is_file():
         pytest.skip("the scenario is not beside the checkout")
-    simulator = EsminiSimulator(controllers=False)
+    simulator = Esmini(controllers=False)
     first, again = ran(simulator, [ConcreteScenario(pedestrian, {})] * 2)
     np.testing.assert_array_equal(first.x, again.x)
     assert first.collisions == again.collisions
     assert len(first.collisions) == 1
-    (stopped,) = ran(EsminiSimulator(controllers=False, on_collision="stop"), [ConcreteScenario(pedestrian, {})])
+    (stopped,) = ran(Esmini(controllers=False, on_collision="stop"), [ConcreteScenario(pedestrian, {})])
     assert stopped.time[-1] == pytest.approx(first.collisions[0].time)
-    (slow,) = ran(EsminiSimulator(undriven=True), [ConcreteScenario(T, {"ego_speed": 3.0})])
+    (slow,) = ran(Esmini(undriven=True), [ConcreteScenario(T, {"ego_speed": 3.0})])
     assert slow.speed[slow.names.index("Ego")].max() == pytest.approx(3.0)
-    (wrong,) = EsminiSimulator(undriven=True).run([ConcreteScenario(T, {"no_such": 3.0})])
+    (wrong,) = Esmini(undriven=True).run([ConcreteScenario(T, {"no_such": 3.0})])
     assert str(wrong) == "esmini does not take the parameter no_such"
 
 
@@ -106,7 +106,7 @@ def test_explores(tmp_path):
 @needs_library
 def test_who_asks_for_a_driver_of_cornercase_is_refused_before_the_run():
     with pytest.raises(InputError, match="'Ego' has the driver 'normal', which esmini does not support"):
-        list(EsminiSimulator().run([ConcreteScenario(T, {})]))
+        list(Esmini().run([ConcreteScenario(T, {})]))
 
 
 # A library with one car; ``MORE`` makes its states longer, like those of another version.
@@ -163,7 +163,7 @@ def stub(tmp_path_factory):
 
 
 def test_the_interface_against_a_stand_in(stub):
-    simulator = EsminiSimulator(library=stub(), undriven=True)
+    simulator = Esmini(library=stub(), undriven=True)
     fast, usual = ran(simulator, [ConcreteScenario(T, {"ego_speed": 8.0}), ConcreteScenario(T, {})])
     assert fast.names == ("Ego",)
     assert fast.object_types == ("truck",)
@@ -175,27 +175,27 @@ def test_the_interface_against_a_stand_in(stub):
 
 def test_another_layout_and_missing_functions_are_refused(stub, tmp_path):
     with pytest.raises(InputError, match=r"another layout than that of esmini 3\.6"):
-        list(EsminiSimulator(library=stub("MORE"), undriven=True).run([ConcreteScenario(T, {})]))
+        list(Esmini(library=stub("MORE"), undriven=True).run([ConcreteScenario(T, {})]))
     with pytest.raises(InputError, match="has no function SE_SetParameterString"):
-        list(EsminiSimulator(library=stub("LESS"), undriven=True).run([ConcreteScenario(T, {})]))
+        list(Esmini(library=stub("LESS"), undriven=True).run([ConcreteScenario(T, {})]))
     (tmp_path / "no.so").write_text("no library")
     with pytest.raises(InputError, match=r"no\.so: cannot be loaded"):
-        list(EsminiSimulator(library=str(tmp_path / "no.so"), undriven=True).run([ConcreteScenario(T, {})]))
+        list(Esmini(library=str(tmp_path / "no.so"), undriven=True).run([ConcreteScenario(T, {})]))
     broken = tmp_path / "broken.xosc"
     broken.write_text(T.read_text())
-    (failed,) = EsminiSimulator(library=stub(), undriven=True).run([ConcreteScenario(broken, {})])
+    (failed,) = Esmini(library=stub(), undriven=True).run([ConcreteScenario(broken, {})])
     assert "esmini cannot load the scenario" in str(failed)
 
 
 def test_refuses_in_one_sentence(monkeypatch, tmp_path):
     monkeypatch.delenv("CORNERCASE_ESMINI", raising=False)
     with pytest.raises(InputError, match=r"esmini's library is not found; download esmini"):
-        SIMULATORS.create("esmini")
+        _ = SIMULATORS.create("esmini").settings
     with pytest.raises(InputError, match="no such file"):
-        EsminiSimulator(library=str(tmp_path / "none.so"))
+        list(Esmini(library=str(tmp_path / "none.so")).run([]))
     with pytest.raises(InputError, match="does not support cornercase's drivers"):
-        EsminiSimulator(drivers={"Ego": "normal"})
-    assert "download esmini" in EsminiSimulator.availability().problem
+        Esmini(drivers={"Ego": "normal"})
+    assert "download esmini" in Esmini.availability().problem
     done = subprocess.run(
         [sys.executable, "-c", "from cornercase.cli import main; main()", "simulators"],
         capture_output=True, text=True, env={**os.environ, "CORNERCASE_ESMINI": ""}, check=True,

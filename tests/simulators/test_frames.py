@@ -1,9 +1,9 @@
 """Compiled frames equal frames in which the storyboard is evaluated, with any number of threads and batches."""
 
+import random
 import signal
 import threading
 from pathlib import Path
-from random import Random
 
 import numpy as np
 import pytest
@@ -12,10 +12,10 @@ from conftest import at_night
 from cornercase import LogicalScenario
 from cornercase._common.errors import SimulationError
 from cornercase.drivers import NORMAL, BehaviourDriver, Driver
-from cornercase.optimizers import RandomOptimizer
+from cornercase.optimizers import Random
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario
-from cornercase.simulators import BuiltinSimulator
+from cornercase.simulators import Builtin
 from cornercase.simulators.builtin import _simulator as simulator
 from cornercase.simulators.builtin import _stepper as stepper
 from cornercase.simulators.builtin._batch import Batch
@@ -29,12 +29,12 @@ EXAMPLES = ROOT / "examples"
 def drawn(name: str, count: int) -> list[ConcreteScenario]:
     base = EXAMPLES / name / name
     logical = LogicalScenario.read(f"{base}.xosc", f"{base}.space.xosc")
-    points = RandomOptimizer(logical.space, 3).ask(count)
+    points = Random().start(logical.space, 3).ask(count)
     return [logical.concrete_scenario(values) for values in logical.space.values(points)]
 
 
 def recordings(concretes: list[ConcreteScenario]) -> list[Recording | SimulationError]:
-    return list(BuiltinSimulator(duration=20.0).run(concretes))
+    return list(Builtin(duration=20.0).run(concretes))
 
 
 def look_in_each_frame(monkeypatch) -> None:
@@ -70,7 +70,7 @@ def test_examples_are_the_same_with_a_look_in_each_frame(name, monkeypatch):
 def test_random_storyboards_are_the_same_with_a_look_in_each_frame(seed, tmp_path, monkeypatch):
     write_roads(tmp_path)
     path = Path(tmp_path) / "storyboard.xosc"
-    path.write_text(storyboard(Random(1000 + seed)))
+    path.write_text(storyboard(random.Random(1000 + seed)))
     held = recordings([ConcreteScenario(path, {})])
     look_in_each_frame(monkeypatch)
     assert_same(recordings([ConcreteScenario(path, {})]), held, 1e-9)
@@ -147,8 +147,8 @@ def test_who_decides_in_python_decides_as_in_compiled_code(name, in_python, coun
     some = {
         entity: InPython() if by_python else CALM_NAME for entity, by_python in zip(names[:3], in_python, strict=False)
     }
-    held = list(BuiltinSimulator(duration=20.0, drivers=compiled).run(concretes))
-    assert_same(BuiltinSimulator(duration=20.0, drivers=some).run(concretes), held, 0.0)
+    held = list(Builtin(duration=20.0, drivers=compiled).run(concretes))
+    assert_same(Builtin(duration=20.0, drivers=some).run(concretes), held, 0.0)
     for driver in some.values():
         if isinstance(driver, InPython):
             times = [time for time, _ in driver.asked]
@@ -171,7 +171,7 @@ def test_a_scenario_looks_only_where_something_happens(monkeypatch):
     monkeypatch.setattr(Storyboard, "evaluate_triggers", look)
     for drivers in ({}, {"Ego": InPython()}):
         looks.clear()
-        (recording,) = BuiltinSimulator(duration=20.0, drivers=drivers).run(drawn("x_intersection", 1))
+        (recording,) = Builtin(duration=20.0, drivers=drivers).run(drawn("x_intersection", 1))
         assert isinstance(recording, Recording)
         assert len(recording.time) > 300
         assert sum(looks) < 15

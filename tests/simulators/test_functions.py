@@ -10,7 +10,7 @@ from conftest import EXAMPLES, car, same_recording, scenario_file, speed_action,
 from cornercase._common.errors import InputError
 from cornercase.scenario import ConcreteScenario
 from cornercase.scenario._file import ScenarioFile
-from cornercase.simulators import BuiltinSimulator, check, convert, simulate
+from cornercase.simulators import Builtin, check, convert, simulate
 
 X = EXAMPLES / "x_intersection" / "x_intersection.xosc"
 SPACE = EXAMPLES / "x_intersection" / "x_intersection.space.xosc"
@@ -45,7 +45,7 @@ def test_a_space_that_does_not_fit_is_trouble_with_the_scenario():
 
 def test_simulate_gives_the_recording_that_the_simulator_gives():
     values, options = {"ego_start": 40.0}, dict[str, Any](duration=5.0, on_collision="stop")
-    (expected,) = BuiltinSimulator(drivers={"Ego": "cautious"}, **options).run([ConcreteScenario(X, values)])
+    (expected,) = Builtin(drivers={"Ego": "cautious"}, **options).run([ConcreteScenario(X, values)])
     recording = simulate(X, values, drivers={"Ego": "cautious"}, **options)
     assert same_recording(recording, expected)
     assert same_recording(simulate(ScenarioFile.read(X), values, drivers={"Ego": "cautious"}, **options), expected)

@@ -12,7 +12,7 @@ from cornercase._common.errors import InputError, SimulationError
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario
 from cornercase.scenario._file import ScenarioFile
-from cornercase.simulators import BuiltinSimulator
+from cornercase.simulators import Builtin
 
 # What junk is read as is said; here it only has to run, or to be refused.
 pytestmark = pytest.mark.filterwarnings("ignore::cornercase._common.errors.NoticeWarning")
@@ -157,7 +157,7 @@ def result_of(folder, content: bytes) -> object:
     path = folder / "scenario.xosc"
     path.write_bytes(content)
     try:
-        (found,) = BuiltinSimulator(duration=0.5).run([ConcreteScenario(path, {}, ScenarioFile.read(path))])
+        (found,) = Builtin(duration=0.5).run([ConcreteScenario(path, {}, ScenarioFile.read(path))])
     except InputError as error:
         return error
     return found

@@ -7,7 +7,7 @@ import pytest
 
 from conftest import car, event, private, ran, scenario_file, speed_action, story_of, teleport, time_trigger
 from cornercase.scenario import ConcreteScenario
-from cornercase.simulators import BuiltinSimulator
+from cornercase.simulators import Builtin
 from helpers.random_storyboards import write_roads
 
 DT = 0.05
@@ -18,7 +18,7 @@ def run(folder, action, *, other_lane="-1", duration=8.0, actor="Ego", at="1"):
     init += private("Other", teleport("150", other_lane), speed_action("10"))
     story = story_of(event("e", action, time_trigger(at)), actor)
     path = scenario_file(folder, init=init, story=story, entities=car("Ego") + car("Other"))
-    (recording,) = ran(BuiltinSimulator(time_step=DT, duration=duration), [ConcreteScenario(path)])
+    (recording,) = ran(Builtin(time_step=DT, duration=duration), [ConcreteScenario(path)])
     return recording
 
 
@@ -44,7 +44,7 @@ def test_who_moves_only_sideways_goes_on_the_way_that_it_came(tmp_path):
     events = event("e", change_to(-1, 'dynamicsDimension="time" value="1"'), time_trigger("1"))
     events += event("f", change_to(-1, 'dynamicsDimension="distance" value="5"'), time_trigger("2"))
     path = scenario_file(tmp_path, init=init, story=story_of(events))
-    (recording,) = ran(BuiltinSimulator(time_step=DT, duration=8.0), [ConcreteScenario(path)])
+    (recording,) = ran(Builtin(time_step=DT, duration=8.0), [ConcreteScenario(path)])
     assert abs(np.sin(recording.heading[0][30])) == pytest.approx(1.0)
     assert recording.x[0][-1] < recording.x[0][30] - 2.0
 
@@ -59,7 +59,7 @@ continuous="true" coordinateSystem="road"><DynamicConstraints maxAcceleration="0
     path = scenario_file(tmp_path, init=init, story=story, entities=car("Ego") + car("Other"))
     write_roads(tmp_path)
     path.write_text(path.read_text().replace("road.xodr", "curve.xodr"))
-    (recording,) = ran(BuiltinSimulator(time_step=DT, duration=8.0), [ConcreteScenario(path)])
+    (recording,) = ran(Builtin(time_step=DT, duration=8.0), [ConcreteScenario(path)])
     assert np.diff(recording.speed[0]).min() >= 0.0
 
 
@@ -69,7 +69,7 @@ def test_a_relative_lane_offset_is_to_the_left_along_the_others_own_road_whateve
     path = scenario_file(tmp_path, init=init, story=story, entities=car("Ego") + car("Other"))
     write_roads(tmp_path)
     path.write_text(path.read_text().replace("road.xodr", "curve.xodr"))
-    (recording,) = ran(BuiltinSimulator(time_step=DT, duration=10.0), [ConcreteScenario(path)])
+    (recording,) = ran(Builtin(time_step=DT, duration=10.0), [ConcreteScenario(path)])
     # The road begins at the origin along 0.3 rad; the other one is in the middle of a lane of 3.5 m to its right.
     across = recording.y[0][-1] * np.cos(0.3) - recording.x[0][-1] * np.sin(0.3)
     assert across == pytest.approx(-1.75 + 0.5, abs=1e-3)
@@ -93,7 +93,7 @@ def test_an_added_entity_moves_at_once(tmp_path):
     events = event("gone", gone, time_trigger("0.975")) + event("back", back, time_trigger("1.975"))
     init = private("Ego", teleport("50"), speed_action("10")) + private("Other", teleport("150"), speed_action("10"))
     path = scenario_file(tmp_path, init=init, story=story_of(events), entities=car("Ego") + car("Other"))
-    (recording,) = ran(BuiltinSimulator(time_step=DT, duration=3.0), [ConcreteScenario(path)])
+    (recording,) = ran(Builtin(time_step=DT, duration=3.0), [ConcreteScenario(path)])
     there = np.isfinite(recording.x[1])
     assert not there[(recording.time > 1.06) & (recording.time < 1.99)].any()
     first = int(np.argmax(there & (recording.time > 1.5)))
@@ -108,7 +108,7 @@ def test_a_position_with_an_orientation_is_reached_with_that_heading(tmp_path, h
 <ReachPositionCondition tolerance="1"><Position><LanePosition roadId="1" laneId="-1" s="70">{inside}</LanePosition></Position>
 </ReachPositionCondition></EntityCondition></ByEntityCondition></Condition></ConditionGroup>"""
     path = scenario_file(tmp_path, init=private("Ego", teleport("50"), speed_action("10")), stop=stop)
-    (recording,) = ran(BuiltinSimulator(time_step=DT, duration=4.0), [ConcreteScenario(path)])
+    (recording,) = ran(Builtin(time_step=DT, duration=4.0), [ConcreteScenario(path)])
     assert (recording.time[-1] < 3.0) == reached
 
 
@@ -121,7 +121,7 @@ def test_a_lane_of_no_type_is_beside_the_road(tmp_path, kind, off):
     lane = f'<lane id="-2" type="{kind}"><width sOffset="0" a="4" b="0" c="0" d="0"/></lane></right>'
     road = path.with_name("road.xodr")
     road.write_text(road.read_text().replace("</right>", lane))
-    (recording,) = ran(BuiltinSimulator(time_step=DT, duration=3.0), [ConcreteScenario(path)])
+    (recording,) = ran(Builtin(time_step=DT, duration=3.0), [ConcreteScenario(path)])
     assert (recording.time[-1] < 1.0) == off
 
 
@@ -139,7 +139,7 @@ dynamicsDimension="time" value="{time}"/><LaneChangeTarget><AbsoluteTargetLane v
 
 def alone(folder, *events, s="50", speed="10", duration=8.0):
     path = scenario_file(folder, init=private("Ego", teleport(s), speed_action(speed)), story=story_of("".join(events)))
-    (recording,) = ran(BuiltinSimulator(time_step=DT, duration=duration), [ConcreteScenario(path)])
+    (recording,) = ran(Builtin(time_step=DT, duration=duration), [ConcreteScenario(path)])
     return recording
 
 
@@ -179,7 +179,7 @@ dynamicsDimension="time" value="1"/><LaneChangeTarget><RelativeTargetLane entity
     story = story_of(event("aside", lane_offset("3.5"), time_trigger("1")), "Other")
     story += story_of(event("change", change, time_trigger("6"))).replace('"s"', '"s2"')
     path = scenario_file(tmp_path, init=init, story=story, entities=car("Ego") + car("Other"))
-    (recording,) = ran(BuiltinSimulator(time_step=DT, duration=8.0), [ConcreteScenario(path)])
+    (recording,) = ran(Builtin(time_step=DT, duration=8.0), [ConcreteScenario(path)])
     assert recording.y[1][-1] == pytest.approx(1.5)
     assert recording.y[0][-1] == pytest.approx(-2.0)
 
@@ -191,7 +191,7 @@ def test_an_offset_that_is_there_but_for_rounding_takes_no_time(tmp_path):
 </ByValueCondition></Condition></ConditionGroup>"""
         story = story_of(event("e", lane_offset(offset), time_trigger("1")))
         path = scenario_file(tmp_path, init=private("Ego", teleport("50"), speed_action("10")), story=story, stop=done)
-        (recording,) = ran(BuiltinSimulator(time_step=DT, duration=20.0), [ConcreteScenario(path)])
+        (recording,) = ran(Builtin(time_step=DT, duration=20.0), [ConcreteScenario(path)])
         return recording.time[-1]
 
     assert ends("0.0000001") == ends("0")
@@ -223,5 +223,5 @@ def test_who_is_turned_straight_across_goes_on_the_way_that_it_came(tmp_path, ow
     path = scenario_file(tmp_path, init=init, story=story_of(events))
     bend = f'<arc curvature="{curvature}"/>'
     (road := tmp_path / "road.xodr").write_text(road.read_text().replace("<line/>", bend))
-    (recording,) = ran(BuiltinSimulator(time_step=DT, duration=8.0), [ConcreteScenario(path)])
+    (recording,) = ran(Builtin(time_step=DT, duration=8.0), [ConcreteScenario(path)])
     assert np.cos(recording.heading[0][-1] - recording.heading[0][0]) > 0.9

@@ -24,7 +24,7 @@ from cornercase import check, convert
 from cornercase._common.errors import InputError
 from cornercase.scenario._concrete_file import build_concrete_file
 from cornercase.scenario._file import ScenarioFile
-from cornercase.simulators import BuiltinSimulator, EsminiSimulator
+from cornercase.simulators import Builtin, Esmini
 
 PARAMETERS = '<ParameterDeclaration name="side" parameterType="double" value="{}"/>'
 RELATIVE = (
@@ -95,7 +95,7 @@ def test_43_2_a_file_of_carlas_is_named(tmp_path: Path) -> None:
     assert str(notice).startswith(
         "signs of y and headings (scenario.xosc, line 2): the description begins with 'CARLA:'"
     )
-    assert notice in BuiltinSimulator.notices(ScenarioFile.read(turned))
+    assert notice in Builtin.notices(ScenarioFile.read(turned))
     assert not any("left-handed" in str(one) for one in check(plain).notices)
 
 
@@ -152,7 +152,7 @@ def test_43_2_a_concrete_file_stays_in_its_axes(tmp_path: Path) -> None:
 
 def test_43_2_esmini_which_does_not_know_such_axes_refuses_them(tmp_path: Path) -> None:
     turned, plain = written(tmp_path / "a", "CARLA:x", -1.0), written(tmp_path / "b", "x", 1.0)
-    simulator = EsminiSimulator.__new__(EsminiSimulator)
+    simulator = Esmini.__new__(Esmini)
     simulator._undriven = True
     simulator.check_supported(ScenarioFile.read(plain))
     with pytest.raises(InputError, match=r"scenario\.xosc: its description begins with 'CARLA:'.*`cornercase convert`"):

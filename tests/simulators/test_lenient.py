@@ -30,7 +30,7 @@ from cornercase.cli import app
 from cornercase.recordings import Recording
 from cornercase.scenario._concrete_file import write_concrete_file
 from cornercase.scenario._file import ScenarioFile
-from cornercase.simulators import BuiltinSimulator, check
+from cornercase.simulators import Builtin, check
 
 PARAMETERS = """<ParameterDeclaration name="speed" parameterType="double" value="10"/>
 <ParameterDeclaration name="owner" parameterType="string" value="Ego"/>
@@ -156,14 +156,14 @@ READ: dict[str, tuple[list[tuple[str, str]], str]] = {
 @pytest.mark.parametrize("fault", READ)
 def test_43_8_what_means_only_one_thing_is_read_so_and_said(tmp_path, fault):
     changes, said = READ[fault]
-    (good,) = ran(BuiltinSimulator(duration=4.0), [ConcreteScenario(written(tmp_path))])
+    (good,) = ran(Builtin(duration=4.0), [ConcreteScenario(written(tmp_path))])
     path = written(tmp_path, *changes)
     found = check(path)
     adapted = [notice for notice in found.notices if notice.label is NoticeLabel.ADAPTED]
     assert found.run_errors == ()
     assert any(said in str(notice) for notice in adapted), adapted
     assert all(notice.rule and notice.lines for notice in adapted)
-    (recording,) = ran(BuiltinSimulator(duration=4.0), [ConcreteScenario(path)])
+    (recording,) = ran(Builtin(duration=4.0), [ConcreteScenario(path)])
     np.testing.assert_array_equal(recording.x, good.x)
     np.testing.assert_array_equal(recording.y, good.y)
     assert not check(path, strict=True).is_valid
@@ -215,7 +215,7 @@ def test_43_8_what_may_mean_something_else_is_refused_by_name(tmp_path, fault):
     changes, why = REFUSED[fault]
     path = written(tmp_path, *changes)
     with pytest.raises(InputError, match=why) as refused:
-        ran(BuiltinSimulator(duration=1.0), [ConcreteScenario(ScenarioFile.read(path).path)])
+        ran(Builtin(duration=1.0), [ConcreteScenario(ScenarioFile.read(path).path)])
     assert str(tmp_path) in str(refused.value)
 
 
@@ -234,7 +234,7 @@ def test_43_8_numbers_in_texts_are_compared_as_numbers(tmp_path, rule, value, ho
     old = '"grade" rule="equalTo" value="10"'
     lane = ('<AbsoluteTargetLane value="-1"/>', '<AbsoluteTargetLane value="1"/>')
     path = written(tmp_path, (old, f'"grade" rule="{rule}" value="{value}"'), lane)
-    (recording,) = ran(BuiltinSimulator(duration=2.5), [ConcreteScenario(path)])
+    (recording,) = ran(Builtin(duration=2.5), [ConcreteScenario(path)])
     assert (abs(recording.y[0, -1] - recording.y[0, 0]) > 1.0) == holds
     assert any("is compared as a number" in str(notice) for notice in check(path).notices)
 
@@ -247,7 +247,7 @@ def test_43_8_a_box_of_nothing_is_that_of_its_kind(tmp_path, kind, length, width
     path = written(
         tmp_path, (box[0], '<Dimensions length="0" width="0.0" height="0"/>'), ('Category="car"', f'Category="{kind}"')
     )
-    (recording,) = ran(BuiltinSimulator(duration=1.0), [ConcreteScenario(path)])
+    (recording,) = ran(Builtin(duration=1.0), [ConcreteScenario(path)])
     assert (recording.length[0], recording.width[0]) == (length, width)
     assert any(f"the {kind} is taken as {length:g} m long" in str(notice) for notice in check(path).notices)
 
@@ -279,7 +279,7 @@ description="d"/><ParameterValueDistribution><ScenarioFile filepath="scenario.xo
     logical = LogicalScenario.read(None, space)
     assert [one.name for one in logical.space.parameters] == ["speed"]
     (values,) = logical.space.values(logical.space.center_point())
-    ran(BuiltinSimulator(duration=1.0), [ConcreteScenario(logical.scenario_file.path, values)])
+    ran(Builtin(duration=1.0), [ConcreteScenario(logical.scenario_file.path, values)])
 
 
 def test_43_8_strict_refuses_with_the_rule_and_exit_code_1(tmp_path):
@@ -297,7 +297,7 @@ def noticed(path: Path, duration: float = 6.0, **values: float) -> tuple[Recordi
     """A recording, and the sentences that are said of its run."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        (recording,) = ran(BuiltinSimulator(duration=duration), [ConcreteScenario(path, values)])
+        (recording,) = ran(Builtin(duration=duration), [ConcreteScenario(path, values)])
     return recording, [str(one.message) for one in caught]
 
 
@@ -330,7 +330,7 @@ def test_43_9_it_goes_to_the_offset_that_it_is_to_have(tmp_path):
 def test_43_9_each_scenario_of_a_batch_changes_when_it_is_told_to(tmp_path):
     path = changing(tmp_path, '<AbsoluteTargetLane value="-3"/>', "-1")
     with pytest.warns(NoticeWarning, match="lane that does not exist"):
-        late, early = ran(BuiltinSimulator(duration=4.0), [ConcreteScenario(path, {"when": w}) for w in (9.0, 0.5)])
+        late, early = ran(Builtin(duration=4.0), [ConcreteScenario(path, {"when": w}) for w in (9.0, 0.5)])
     assert (late.y[0, -1], early.y[0, -1]) == (pytest.approx(-2.0), pytest.approx(-3.0))
 
 
@@ -382,7 +382,7 @@ def test_43_8_vertices_are_passed_over_while_the_time_goes_back(tmp_path):
 
 
 def test_43_8_times_that_end_before_they_did_are_refused(tmp_path):
-    (result,) = BuiltinSimulator(duration=2.0).run([ConcreteScenario(drawn(tmp_path, "0", "4", "2"))])
+    (result,) = Builtin(duration=2.0).run([ConcreteScenario(drawn(tmp_path, "0", "4", "2"))])
     assert "must not decrease" in str(result)
 
 
@@ -403,7 +403,7 @@ def test_43_8_a_distance_that_is_missing_is_none(tmp_path, relative, needed, at)
         path = scenario_file(tmp_path, init=moving("50", "10") + private("B", place), entities=car("Ego") + car("B"))
         with warnings.catch_warnings(record=True):
             warnings.simplefilter("always")
-            (recording,) = ran(BuiltinSimulator(duration=0.2), [ConcreteScenario(path, {})])
+            (recording,) = ran(Builtin(duration=0.2), [ConcreteScenario(path, {})])
         found.append(recording.x[1, 0])
         said = [one.reason for one in check(path).notices if "missing" in str(one)]
         assert (said == ["is read as 0"]) == (each == "")
@@ -439,15 +439,15 @@ BOARD = "<Storyboard><Init><Actions/></Init><StopTrigger/></Storyboard>"
 def test_43_3_what_a_file_has_once_is_refused_the_second_time(tmp_path, old, new, said):
     path = written(tmp_path, (old, new))
     with pytest.raises(InputError, match=rf"^{re.escape(str(path))}, line \d+: {re.escape(said)}"):
-        ran(BuiltinSimulator(duration=0.1), [ConcreteScenario(path)])
+        ran(Builtin(duration=0.1), [ConcreteScenario(path)])
 
 
 @pytest.mark.parametrize("first", ["false", "true"])
 def test_43_3_of_two_declarations_of_a_parameter_the_later_one_counts(tmp_path, first):
-    (once,) = ran(BuiltinSimulator(duration=2.0), [ConcreteScenario(written(tmp_path))])
+    (once,) = ran(Builtin(duration=2.0), [ConcreteScenario(written(tmp_path))])
     path = written(tmp_path, (ON, f"{ON.replace('true', first)}\n{ON}"))
     assert "'on' is declared in line 5, too; the later one counts" in " ".join(map(str, check(path).notices))
-    (twice,) = ran(BuiltinSimulator(duration=2.0), [ConcreteScenario(path)])
+    (twice,) = ran(Builtin(duration=2.0), [ConcreteScenario(path)])
     np.testing.assert_array_equal(twice.speed, once.speed)
     assert ScenarioFile.read(path).parameters.count("on") == 1
 
@@ -469,19 +469,19 @@ def test_43_3_of_two_declarations_of_a_parameter_the_later_one_counts(tmp_path, 
 def test_43_8_what_only_python_takes_as_a_number_is_refused(tmp_path, old, new, said):
     path = written(tmp_path, (old, new))
     with pytest.raises(InputError, match=re.escape(said)):
-        ran(BuiltinSimulator(duration=0.1), [ConcreteScenario(path)])
+        ran(Builtin(duration=0.1), [ConcreteScenario(path)])
 
 
 def test_43_8_a_value_that_only_python_takes_as_a_number_is_refused(tmp_path):
     with pytest.raises(SimulationError, match="speed is '1_0', which is not a number"):
-        ran(BuiltinSimulator(duration=0.1), [ConcreteScenario(written(tmp_path), {"speed": "1_0"})])
+        ran(Builtin(duration=0.1), [ConcreteScenario(written(tmp_path), {"speed": "1_0"})])
 
 
 @pytest.mark.parametrize("expression", ["${nobody * 2}", "${speeed * 2}", "$nobody"])
 def test_43_8_a_sentence_on_an_expression_ends_once(tmp_path, expression):
     path = written(tmp_path, ('value="5"', f'value="{expression}"'))
     with pytest.raises(InputError) as raised:
-        ran(BuiltinSimulator(duration=0.1), [ConcreteScenario(path)])
+        ran(Builtin(duration=0.1), [ConcreteScenario(path)])
     assert re.search(r"[^.?][.?]$", str(raised.value)), str(raised.value)
 
 

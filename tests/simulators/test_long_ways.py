@@ -8,7 +8,7 @@ import pytest
 from conftest import car, event, scenario_file, speed_action, story_of, time_trigger
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario
-from cornercase.simulators import BuiltinSimulator
+from cornercase.simulators import Builtin
 from helpers.road_networks import chain, lane, linked, road, virtual, write
 
 
@@ -22,7 +22,7 @@ laneId="-1" s="{s}">{orientation}</LanePosition></Position></TeleportAction></Pr
 def run(folder, init, *parts, duration=10.0, entities="", story="") -> Recording:
     scenario = scenario_file(folder, init=init, story=story, entities=entities or car("Ego"))
     write(folder, *parts)
-    (result,) = BuiltinSimulator(time_step=0.1, duration=duration).run([ConcreteScenario(scenario, {})])
+    (result,) = Builtin(time_step=0.1, duration=duration).run([ConcreteScenario(scenario, {})])
     assert isinstance(result, Recording), result
     return result
 
@@ -178,7 +178,7 @@ def test_a_place_on_a_lane_or_road_that_does_not_exist_is_the_error_of_its_scena
     )
     write(tmp_path, road("1", 100.0, sections=TWO_SECTIONS))
     concretes = [ConcreteScenario(path, values), ConcreteScenario(path, {})]
-    result, other = BuiltinSimulator(duration=0.2).run(concretes)
+    result, other = Builtin(duration=0.2).run(concretes)
     assert isinstance(other, Recording)
     if words is None:
         assert isinstance(result, Recording)

@@ -18,7 +18,7 @@ from cornercase._common.io import files
 from cornercase.cli import app
 from cornercase.roads._network import RoadNetwork
 from cornercase.scenario import ConcreteScenario, LogicalScenario
-from cornercase.simulators import BuiltinSimulator
+from cornercase.simulators import Builtin
 from cornercase.simulators.pool._simulator import WorkerSimulator
 
 
@@ -78,7 +78,7 @@ def test_an_exploration_reads_each_file_once(folder, reads, tmp_path):
 
 
 def test_a_worker_reads_each_file_once(folder, reads):
-    logical, simulator = read(folder), BuiltinSimulator(duration=2.0)
+    logical, simulator = read(folder), Builtin(duration=2.0)
     reads.clear()
     for number in range(3):
         list(simulator.run(elsewhere(a_round(logical, number))))
@@ -95,7 +95,7 @@ def test_processes_keep_what_they_have_prepared(folder):
 
 
 def test_a_file_that_changes_between_rounds_is_not_mixed_in(folder):
-    logical, simulator = read(folder), BuiltinSimulator(duration=2.0)
+    logical, simulator = read(folder), Builtin(duration=2.0)
     before = list(simulator.run(a_round(logical, 0)))
     change(folder)
     for one, again in zip(before, simulator.run(a_round(logical, 0)), strict=True):
@@ -110,11 +110,11 @@ def test_a_process_refuses_a_file_that_has_changed(folder):
     concretes = a_round(read(folder), 0)
     change(folder)
     with pytest.raises(InputError, match="has changed since it was read"):
-        list(BuiltinSimulator(duration=2.0).run(elsewhere(concretes)))
+        list(Builtin(duration=2.0).run(elsewhere(concretes)))
 
 
 def test_a_scenario_named_by_its_path_is_read_as_it_is_now(folder):
-    simulator, concrete = BuiltinSimulator(duration=2.0), ConcreteScenario(folder / "x_intersection.xosc")
+    simulator, concrete = Builtin(duration=2.0), ConcreteScenario(folder / "x_intersection.xosc")
     (before,) = simulator.run([concrete])
     change(folder)
     (after,) = simulator.run([concrete])

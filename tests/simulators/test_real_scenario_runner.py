@@ -13,7 +13,7 @@ import pytest
 
 from cornercase.scenario import ConcreteScenario
 from cornercase.scenario._file import ScenarioFile
-from cornercase.simulators import CarlaSimulator, simulate
+from cornercase.simulators import Carla, simulate
 from cornercase.simulators.carla._openscenario_1_0 import ConversionOptions, write_openscenario_1_0
 from helpers.carla_or_stand_in import Served
 from helpers.isolation import REFERENCE
@@ -60,7 +60,7 @@ def test_the_real_tree_of_each_protocol_is_built_and_moves_as_the_scenario_says(
     sampled = {note.partition(" moves along")[0] for note in notes if " moves along a trajectory" in note}
     expected = simulate(scenario, duration=DURATION)
     with Served(scenario.road_path_for({})) as server:
-        simulator = CarlaSimulator(
+        simulator = Carla(
             hosts=server.host, port=server.port, scenario_runner=FOLDER, ego="Ego", duration=DURATION, patience=20.0
         )
         (found,) = simulator.run([ConcreteScenario(file, {}, scenario)])

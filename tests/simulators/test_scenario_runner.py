@@ -12,7 +12,7 @@ from conftest import ran
 from cornercase._common.errors import InputError
 from cornercase.scenario import ConcreteScenario
 from cornercase.scenario._xml import read_xml
-from cornercase.simulators import BuiltinSimulator, convert
+from cornercase.simulators import Builtin, convert
 from helpers.command_line import cornercase
 
 pytest.importorskip("qc_openscenario", reason="the schema comes with the extra 'validate'")
@@ -68,8 +68,8 @@ def test_values_are_those_of_the_concrete_scenario_and_others_move_the_same(tmp_
     values = {"pedestrian_wait": 5.0, "p1_speed": 6.0}
     target = tmp_path / "one.xosc"
     convert(X, target, ego="Ego", values=values)
-    (before,) = ran(BuiltinSimulator(duration=12.0), [ConcreteScenario(X, values)])
-    (after,) = ran(BuiltinSimulator(duration=12.0, drivers={"Ego": "normal"}), [ConcreteScenario(target, {})])
+    (before,) = ran(Builtin(duration=12.0), [ConcreteScenario(X, values)])
+    (after,) = ran(Builtin(duration=12.0, drivers={"Ego": "normal"}), [ConcreteScenario(target, {})])
     shared = min(before.time.size, after.time.size)
     for name in ("Truck", "C", "Pedestrian"):
         k, j = before.names.index(name), after.names.index(name)

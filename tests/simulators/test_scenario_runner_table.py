@@ -16,7 +16,7 @@ from conftest import AXLES, at_night
 from cornercase._common.errors import InputError
 from cornercase.scenario._file import ScenarioFile
 from cornercase.scenario._xml import read_xml
-from cornercase.simulators import CarlaSimulator, convert, simulate
+from cornercase.simulators import Carla, convert, simulate
 from cornercase.simulators.carla._dialect import TRAJECTORY_FILE, DrivingAgents
 from cornercase.simulators.carla._openscenario_1_0 import ConversionOptions, write_openscenario_1_0
 from cornercase.simulators.carla._support_table import HandlingStatus, find_row, load_support_table
@@ -395,7 +395,7 @@ def test_entities_begin_at_the_height_of_their_road(write, tmp_path):
 def test_the_simulator_names_what_is_done_otherwise(write):
     names = {
         what: notice.reason
-        for notice in CarlaSimulator.notices(ScenarioFile.read(write(action=OFFSET)))
+        for notice in Carla.notices(ScenarioFile.read(write(action=OFFSET)))
         for what in notice.parts
     }
     assert "moves along a trajectory" in names["<LaneOffsetAction>"]

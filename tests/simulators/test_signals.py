@@ -17,7 +17,7 @@ from conftest import (
 )  # fmt: skip
 from cornercase._common.errors import InputError
 from cornercase.scenario import ConcreteScenario
-from cornercase.simulators import BuiltinSimulator
+from cornercase.simulators import Builtin
 from cornercase.simulators.builtin._stepper import Stepper
 from cornercase.simulators.builtin.storyboard._storyboard import Storyboard
 
@@ -73,7 +73,7 @@ trafficSignalControllerRef="main"/></TrafficSignalAction></InfrastructureAction>
     text = path.read_text()
     path.write_text(text.replace("</RoadNetwork>", SIGNALS, 1))
     concretes = [ConcreteScenario(path, {"red": value}) for value in at]
-    together = ran(BuiltinSimulator(time_step=DT, duration=6.0), concretes)
+    together = ran(Builtin(time_step=DT, duration=6.0), concretes)
     later = begun if begun is not None and '"8"' not in condition else 0.0
     for recording, expected in zip(together, at.values(), strict=True):
         fast = recording.time[recording.speed[0] > 20]
@@ -92,7 +92,7 @@ def test_a_file_with_controllers_is_evaluated_only_when_something_changes(tmp_pa
     green = by_value('<TrafficSignalCondition name="8" state="green"/>').replace('delay="0"', 'delay="0.32"')
     path = scenario_file(tmp_path, init=moving(), story=story_of(event("go", speed_action("25"), green)))
     path.write_text(path.read_text().replace("</RoadNetwork>", SIGNALS.replace("$red", "2"), 1))
-    (few,) = ran(BuiltinSimulator(time_step=DT, duration=6.0), [ConcreteScenario(path)])
+    (few,) = ran(Builtin(time_step=DT, duration=6.0), [ConcreteScenario(path)])
     assert few.time[few.speed[0] > 20][0] == pytest.approx(2.82 + DT, abs=1.5 * DT)
     assert len(evaluations) < 30
     initialize = Stepper.__init__
@@ -102,7 +102,7 @@ def test_a_file_with_controllers_is_evaluated_only_when_something_changes(tmp_pa
         self._python_step = True
 
     monkeypatch.setattr(Stepper, "__init__", evaluate_each_frame)
-    (all_frames,) = ran(BuiltinSimulator(time_step=DT, duration=6.0), [ConcreteScenario(path)])
+    (all_frames,) = ran(Builtin(time_step=DT, duration=6.0), [ConcreteScenario(path)])
     assert same_recording(few, all_frames)
     assert len(evaluations) > 120
 
@@ -128,7 +128,7 @@ def test_a_phase_that_cannot_be_costs_no_other_scenario(tmp_path):
     )
     path.write_text(path.read_text().replace("</RoadNetwork>", SIGNALS.replace('duration="1"', 'duration="${$red/2}"')))
     concretes = [ConcreteScenario(path, {"red": red}) for red in (1.0, -1.0, 0.0)]
-    ran_, below, none = BuiltinSimulator(duration=1.0).run(concretes)
+    ran_, below, none = Builtin(duration=1.0).run(concretes)
     assert not isinstance(ran_, Exception)
     assert "duration of <Phase> is below 0" in str(below)
     assert "duration of <Phase> is 0, as are those of the other phases" in str(none)

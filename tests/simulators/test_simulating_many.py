@@ -13,14 +13,15 @@ from typing import Any
 import pytest
 
 import cornercase as cc
-from cornercase.simulators import SIMULATORS, BuiltinSimulator
+from cornercase.simulators import SIMULATORS, Builtin
+from cornercase.study import StudyFile
 from helpers.command_line import X, cornercase
 
 QUICK: Any = {"duration": 1.0}
 STARTS = (20, 31.5, 40)
 
 
-class Interrupted(BuiltinSimulator):
+class Interrupted(Builtin):
     """Is interrupted in its third scenario."""
 
     batched = False
@@ -65,7 +66,7 @@ def test_the_folder_can_be_imported(table, tmp_path):
     cc.simulate_many(X, tmp_path / "runs", table=table, **QUICK)
     study = tmp_path / "s.db"
     assert cc.import_recordings(tmp_path / "runs", study, ego="Ego", other="Truck", metrics=["distance"]).done == 3
-    with cc.Study.open(study, readonly=True) as opened:
+    with StudyFile.open(study, readonly=True) as opened:
         assert tuple(opened.table()["ego_start"]) == STARTS
 
 

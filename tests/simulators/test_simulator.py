@@ -19,14 +19,14 @@ from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario
 from cornercase.scenario._concrete_file import write_concrete_file
 from cornercase.scenario._file import ScenarioFile
-from cornercase.simulators import BuiltinSimulator
+from cornercase.simulators import Builtin
 
 PRIVATE = '<Private entityRef="Ego">{}</Private>'
 DOUBLE = '<ParameterDeclaration name="{}" parameterType="double" value="{}"/>'
 
 
 def run(path, values=None, **options) -> Recording:
-    (result,) = BuiltinSimulator(**{"duration": 10.0, **options}).run([ConcreteScenario(path, values or {})])
+    (result,) = Builtin(**{"duration": 10.0, **options}).run([ConcreteScenario(path, values or {})])
     assert isinstance(result, Recording), result
     return result
 
@@ -147,7 +147,7 @@ def test_parameters_that_shape_the_storyboard_split_the_batch(tmp_path):
     init = PRIVATE.format(teleport("250", "$lane") + speed_action("$v"))
     path = scenario_file(tmp_path, init=init, stop=time_trigger("2"), parameters=parameters)
     values = [{"lane": lane, "v": v} for v in (5.0, 8.0) for lane in (-1.0, 1.0)]
-    results = ran(BuiltinSimulator(), [ConcreteScenario(path, one) for one in values])
+    results = ran(Builtin(), [ConcreteScenario(path, one) for one in values])
     assert [round(float(r.x[0, -1]), 6) for r in results] == [260.0, 240.0, 266.0, 234.0]
 
 
@@ -158,7 +158,7 @@ def test_one_failure_leaves_the_others_alone(tmp_path):
         stop=time_trigger("1"),
         parameters=DOUBLE.format("s", "10"),
     )
-    good, bad, again = BuiltinSimulator().run([ConcreteScenario(path, {"s": s}) for s in (10.0, 900.0, 10.0)])
+    good, bad, again = Builtin().run([ConcreteScenario(path, {"s": s}) for s in (10.0, 900.0, 10.0)])
     assert isinstance(bad, SimulationError)
     assert "off the map" in str(bad)
     assert same_recording(good, again)
@@ -199,6 +199,6 @@ def test_bad_files_are_refused_in_one_sentence(tmp_path, name):
     path = scenario_file(tmp_path, init=PRIVATE.format(teleport("20")), stop=time_trigger("1"))
     path.write_text(change(path.read_text()))
     with pytest.raises(InputError, match=words) as caught:
-        list(BuiltinSimulator().run([ConcreteScenario(path)]))
+        list(Builtin().run([ConcreteScenario(path)]))
     assert "\n" not in str(caught.value)
     assert "scenario.xosc" in str(caught.value) or "road.xodr" in str(caught.value) or "absent" in str(caught.value)

@@ -9,7 +9,7 @@ import pytest
 from cornercase._common.errors import InputError
 from cornercase._common.registry import Registry
 from cornercase.scenario._file import ScenarioFile
-from cornercase.simulators import SIMULATORS, BuiltinSimulator, Simulator, list_simulators
+from cornercase.simulators import SIMULATORS, Builtin, Simulator, list_simulators
 from cornercase.simulators._create import create_simulator
 from cornercase.simulators.pool._simulator import WorkerSimulator
 from helpers import fake_simulators as fake_simulators
@@ -79,7 +79,7 @@ def test_one_that_cannot_be_loaded_is_not_available(monkeypatch):
 @pytest.mark.parametrize(
     ("name", "options", "kind"),
     [
-        ("builtin", {}, BuiltinSimulator),
+        ("builtin", {}, Builtin),
         ("builtin", {"timeout": 9.0}, WorkerSimulator),
         ("builtin", {"workers": 2}, WorkerSimulator),
         ("noisy", {}, WorkerSimulator),

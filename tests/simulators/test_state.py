@@ -8,7 +8,7 @@ from types import ModuleType
 
 from conftest import EXAMPLES, same_recording
 from cornercase.scenario import ConcreteScenario
-from cornercase.simulators import BuiltinSimulator
+from cornercase.simulators import Builtin
 from cornercase.simulators.pool._simulator import WorkerSimulator
 
 ROOMS = ("cornercase.simulators.builtin", "cornercase.drivers", "cornercase.roads", "cornercase.scenario")
@@ -40,7 +40,7 @@ def values_of_modules() -> dict[str, str]:
 
 
 def run(path, **options):
-    (recording,) = BuiltinSimulator(duration=8.0, **options).run([ConcreteScenario(path)])
+    (recording,) = Builtin(duration=8.0, **options).run([ConcreteScenario(path)])
     return recording
 
 
@@ -57,7 +57,7 @@ def test_no_module_or_class_changes_in_a_run():
 
 def test_a_run_is_the_same_after_other_runs_and_beside_them():
     first = run(PATHS[0])
-    simulator = BuiltinSimulator(duration=8.0)
+    simulator = Builtin(duration=8.0)
     # Two runs of one simulator whose results are taken in turns.
     one, other = (simulator.run([ConcreteScenario(path)] * 2) for path in PATHS)
     for _ in range(2):

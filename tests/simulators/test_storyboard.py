@@ -11,14 +11,14 @@ import pytest
 import cornercase as cc
 from conftest import car, event, scenario_file, speed_action, story_of, teleport, time_trigger
 from cornercase.scenario import ConcreteScenario
-from cornercase.simulators import BuiltinSimulator
+from cornercase.simulators import Builtin
 from helpers.random_storyboards import write_roads
 
 DT = 0.05
 
 
 def run(path, duration=10.0):
-    (result,) = BuiltinSimulator(time_step=DT, duration=duration).run([ConcreteScenario(path, {})])
+    (result,) = Builtin(time_step=DT, duration=duration).run([ConcreteScenario(path, {})])
     assert not isinstance(result, Exception), result
     return result
 
@@ -414,6 +414,6 @@ def test_an_event_that_may_never_run_is_refused(tmp_path, times):
 
 def test_a_delay_below_0_costs_the_scenario(tmp_path):
     path = file(tmp_path, event("e", speed_action("5"), time_trigger("1", delay="-2")))
-    (result,) = BuiltinSimulator(time_step=DT, duration=2.0).run([ConcreteScenario(path, {})])
+    (result,) = Builtin(time_step=DT, duration=2.0).run([ConcreteScenario(path, {})])
     assert isinstance(result, cc.SimulationError)
     assert "delay of <Condition> is below 0" in str(result)

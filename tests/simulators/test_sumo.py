@@ -20,7 +20,7 @@ from cornercase.recordings import read_recording
 from cornercase.report._rerun import rerun_payload
 from cornercase.scenario import ConcreteScenario
 from cornercase.scenario._file import ScenarioFile
-from cornercase.simulators import SIMULATORS, BuiltinSimulator, SumoSimulator, list_simulators
+from cornercase.simulators import SIMULATORS, Builtin, Sumo, list_simulators
 from cornercase.simulators._create import create_simulator
 from cornercase.simulators.sumo._network import find_or_convert_network
 from cornercase.study import StudyFile
@@ -34,7 +34,7 @@ X = EXAMPLES / "x_intersection" / "x_intersection.xosc"
 T = EXAMPLES / "t_intersection" / "t_intersection.xosc"
 
 
-def run(path, values, kind=SumoSimulator, **options):
+def run(path, values, kind=Sumo, **options):
     (found,) = kind(**options).run([ConcreteScenario(path, values)])
     assert not isinstance(found, Exception), found
     return found
@@ -68,7 +68,7 @@ def test_tempers_differ():
 
 def test_all_others_move_as_in_the_builtin_simulator():
     values = {"ego_start": 40.0, "pedestrian_wait": 5.0, "p1_speed": 7.0}
-    ours, theirs = run(X, values), run(X, values, BuiltinSimulator)
+    ours, theirs = run(X, values), run(X, values, Builtin)
     shared = min(ours.time.size, theirs.time.size)
     for name in ("Truck", "C", "Pedestrian"):
         for key in ("x", "y", "heading", "speed"):
@@ -87,13 +87,13 @@ def test_the_ego_stops_for_a_pedestrian_in_its_lane_and_not_for_one_beside_the_r
 
 def test_a_driver_of_cornercase_drives_too():
     values = {"c_start_time": 5.0}
-    builtin = of(run(T, values, BuiltinSimulator, drivers={"Ego": "simple"}), "Ego")
+    builtin = of(run(T, values, Builtin, drivers={"Ego": "simple"}), "Ego")
     here = of(run(T, values, drivers={"Ego": "simple"}), "Ego")
     np.testing.assert_array_equal(builtin["x"], here["x"])
 
 
 def test_the_same_gives_the_same_whatever_ran_before():
-    simulator = SumoSimulator(on_collision="stop")
+    simulator = Sumo(on_collision="stop")
     concretes = [ConcreteScenario(T, {"c_start_time": c, "ego_sync_s": 12.0}) for c in (0.5, 3.0, 0.5)]
     first, other, again = ran(simulator, concretes)
     np.testing.assert_array_equal(first.x, again.x)
@@ -139,7 +139,7 @@ def test_refuses_in_one_sentence(tmp_path, monkeypatch):
     with pytest.raises(InputError, match="no such network file"):
         run(T, {}, network=str(tmp_path / "none.net.xml"))
     with pytest.raises(InputError, match="seed of SUMO is -1"):
-        SumoSimulator(seed=-1)
+        Sumo(seed=-1)
     with pytest.raises(InputError, match="did you mean 'aggressive'"):
         run(T, {}, drivers={"Ego": "agressive"})
     bare = tmp_path / "bare.xosc"
@@ -163,7 +163,7 @@ def test_refuses_in_one_sentence(tmp_path, monkeypatch):
     assert not list((tmp_path / "cornercase" / "sumo").glob("*.net.xml"))
     monkeypatch.setattr("cornercase.simulators.sumo._simulator.find_spec", lambda name: None)
     with pytest.raises(InputError, match=r"pip install 'cornercase\[sumo\]'"):
-        SIMULATORS.create("sumo")
+        list(SIMULATORS.create("sumo").run([]))
 
 
 def test_the_list_says_what_is_here():

@@ -19,7 +19,7 @@ from conftest import (
     trajectory,
 )
 from cornercase.scenario import ConcreteScenario
-from cornercase.simulators import BuiltinSimulator
+from cornercase.simulators import Builtin
 from cornercase.simulators.builtin.actions._synchronize import SynchronizeAction
 
 PARAMETERS = "".join(
@@ -54,7 +54,7 @@ roadId="1" laneId="-1" s="300"/></TargetPositionMaster><TargetPosition><LanePosi
 
 
 def recordings(path, values, duration=15.0):
-    return ran(BuiltinSimulator(duration=duration), [ConcreteScenario(path, one) for one in values])
+    return ran(Builtin(duration=duration), [ConcreteScenario(path, one) for one in values])
 
 
 @pytest.mark.parametrize(("final", "speed"), [("none", None), ("speed", 8.0), ("difference", 16.0), ("factor", 10.0)])

@@ -8,7 +8,7 @@ import pytest
 from conftest import car, event, private, ran, scenario_file, speed_action, story_of, teleport, time_trigger
 from cornercase._common.errors import InputError
 from cornercase.scenario import ConcreteScenario
-from cornercase.simulators import BuiltinSimulator, check
+from cornercase.simulators import Builtin, check
 
 HITCH = '<TrailerHitch dx="-1"/>'
 COUPLER = '<TrailerCoupler dx="4"/>'
@@ -27,7 +27,7 @@ def pulling(trailer):
 def run(folder, entities, *, init=None, duration=5.0):
     init = init or f'<Private entityRef="Ego">{teleport("50")}{speed_action("10")}</Private>'
     path = scenario_file(folder, init=init, entities=entities)
-    (recording,) = ran(BuiltinSimulator(duration=duration), [ConcreteScenario(path)])
+    (recording,) = ran(Builtin(duration=duration), [ConcreteScenario(path)])
     return recording
 
 
@@ -74,7 +74,7 @@ def taking_up(folder, *events, hitch=HITCH):
         private("Ego", teleport("60"), speed_action("0")) + private("T", teleport("55")) + private("U", teleport("20"))
     )
     path = scenario_file(folder, init=init, story=story_of("".join(events)), entities=entities)
-    (recording,) = ran(BuiltinSimulator(duration=8.0), [ConcreteScenario(path)])
+    (recording,) = ran(Builtin(duration=8.0), [ConcreteScenario(path)])
     return path, recording
 
 
@@ -119,7 +119,7 @@ def test_43_9_scenarios_of_one_file_pull_each_for_itself(tmp_path):
     story = story_of(connect + at("2", speed_action("10")))
     when = '<ParameterDeclaration name="when" parameterType="double" value="1"/>'
     path = scenario_file(tmp_path, init=init, story=story, entities=entities, parameters=when)
-    early, never = ran(BuiltinSimulator(duration=5.0), [ConcreteScenario(path, {"when": w}) for w in (1.0, 9.0)])
+    early, never = ran(Builtin(duration=5.0), [ConcreteScenario(path, {"when": w}) for w in (1.0, 9.0)])
     assert early.x[1][-1] == pytest.approx(early.x[0][-1] - 5.0)
     np.testing.assert_allclose(never.x[1], 55.0)
 
@@ -167,7 +167,7 @@ def written_as_before_1_3(folder, inside, assigned=""):
     path = scenario_file(folder, init=init, entities=entities)
     location = '<CatalogLocations><VehicleCatalog><Directory path="catalogs"/></VehicleCatalog></CatalogLocations>'
     path.write_text(path.read_text().replace("<CatalogLocations/>", location))
-    (recording,) = ran(BuiltinSimulator(duration=2.0), [ConcreteScenario(path)])
+    (recording,) = ran(Builtin(duration=2.0), [ConcreteScenario(path)])
     return path, recording
 
 

@@ -8,7 +8,7 @@ import pytest
 import cornercase as cc
 from conftest import car, event, ran, scenario_file, speed_action, story_of, teleport, time_trigger
 from cornercase.scenario import ConcreteScenario
-from cornercase.simulators import BuiltinSimulator
+from cornercase.simulators import Builtin
 
 DT = 0.05
 TIMED = '<Timing domainAbsoluteRelative="relative" scale="1" offset="0"/>'
@@ -36,7 +36,7 @@ def run(folder, action, *, speed="10", duration=8.0, properties="", then=""):
     entity = car("Ego").replace("<Properties/>", f"<Properties>{properties}</Properties>")
     story = story_of(event("e", action, time_trigger("0.975")) + then)
     path = scenario_file(folder, init=init, story=story, entities=entity)
-    (recording,) = ran(BuiltinSimulator(time_step=DT, duration=duration), [ConcreteScenario(path)])
+    (recording,) = ran(Builtin(time_step=DT, duration=duration), [ConcreteScenario(path)])
     return recording
 
 
@@ -79,7 +79,7 @@ def test_who_begins_on_the_last_leg_is_first_seen_with_a_speed_that_falls_toward
     action = follow(polyline(vertex(60, -2, 0), vertex(80, -2, 10)), timing=TIMED, more='initialDistanceOffset="5"')
     init = f'<Private entityRef="Ego">{teleport("50")}{speed_action("10")}</Private>'
     path = scenario_file(tmp_path, init=init, story=story_of(event("e", action, time_trigger("0"))))
-    (recording,) = ran(BuiltinSimulator(time_step=DT, duration=1.0), [ConcreteScenario(path)])
+    (recording,) = ran(Builtin(time_step=DT, duration=1.0), [ConcreteScenario(path)])
     assert recording.speed[0][0] == pytest.approx(2.0 * (1.0 - 5.0 / 20.0))
     np.testing.assert_allclose(recording.speed[0][1:], 2.0)
 

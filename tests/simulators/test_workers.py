@@ -14,7 +14,7 @@ from conftest import at_night, moving, ran, same_recording, scenario_file
 from cornercase._common.errors import InputError, SimulationError
 from cornercase.drivers._resolve import load_user_driver
 from cornercase.scenario import ConcreteScenario
-from cornercase.simulators import BuiltinSimulator
+from cornercase.simulators import Builtin
 from cornercase.simulators._results import run_scenarios
 from cornercase.simulators.pool._simulator import WorkerSimulator
 from helpers.fake_simulators import BatchSimulator, FailingSimulator, Plan
@@ -231,4 +231,4 @@ def test_a_driver_of_ones_own_in_the_current_folder_drives_in_a_worker_too(tmp_p
     with WorkerSimulator("builtin", options) as simulator:
         (found,) = ran(simulator, [ConcreteScenario(path)])
     assert found.speed[0, -1] == pytest.approx(7.0)
-    assert same_recording(found, *ran(BuiltinSimulator(**options), [ConcreteScenario(path)]))
+    assert same_recording(found, *ran(Builtin(**options), [ConcreteScenario(path)]))

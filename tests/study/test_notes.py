@@ -41,7 +41,7 @@ def test_a_note_is_kept_changed_and_removed(explored):
     write_note(explored.path, 3, "  brakes late\nsee the ticket <b>12</b> ")
     write_note(explored.path, 1, "übersehen 行人")
     assert notes(explored.path) == {1: "übersehen 行人", 3: "brakes late\nsee the ticket <b>12</b>"}
-    assert explored.table().set_index("id")["note"].dropna().to_dict() == notes(explored.path)
+    assert explored.table()["note"].dropna().to_dict() == notes(explored.path)
     write_note(explored.path, 3, "brakes")
     write_note(explored.path, 1, " ")
     write_note(explored.path, 2, "")

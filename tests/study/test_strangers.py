@@ -426,7 +426,7 @@ def test_names_are_escaped_in_the_page(oddly_named, tmp_path):
 
 def test_names_are_escaped_in_notebooks(oddly_named):
     with StudyFile.open(oddly_named, readonly=True) as study:
-        shown = (study._repr_html_(), study.space._repr_html_(), study.recording(1)._repr_html_())
+        shown = (cc.Study.open(oddly_named)._repr_html_(), study.space._repr_html_(), study.recording(1)._repr_html_())
     assert all("&lt;script&gt;" in one and "<script" not in one for one in shown)
 
 
@@ -462,7 +462,7 @@ def test_names_are_no_formulas_in_tables(oddly_named, tmp_path):
         )
         table, read = study.table(), pd.read_csv(tmp_path / "scenarios.csv")
     assert read["distance"].dtype == np.float64
-    assert list(read["id"]) == list(table["id"])
+    assert list(read["id"]) == list(table.index)
     assert read["round"].dtype.kind == "i"
 
 

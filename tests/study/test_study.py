@@ -326,9 +326,9 @@ def test_a_row_of_the_table_is_a_scenario(study):
     study.writer.save_analyses({"wttc": ({"ids": np.array([1, 3]), "labels": np.array([0, -1])}, {})}, {1: "Ego first"})
     table = study.table()
     assert list(table) == [
-        "id", "round", "state", "a", "b", "distance", "wttc", "cluster by wttc", "outcome", "error"
+        "round", "state", "a", "b", "distance", "wttc", "cluster by wttc", "outcome", "error"
     ]  # fmt: skip
-    assert table["id"].tolist() == [1, 2, 3]
+    assert (table.index.name, table.index.tolist()) == ("id", [1, 2, 3])
     np.testing.assert_array_equal(table["wttc"], [0.5, np.nan, 1.5])
     assert table["cluster by wttc"].tolist() == [0, pd.NA, -1]
     assert table["outcome"].tolist() == ["Ego first", None, None]
@@ -367,23 +367,6 @@ def test_what_is_read_together_is_of_one_moment(study):
         assert len(reader.scores("wttc")) == len(reader.finished_rows()) == 2
 
 
-def test_a_study_says_what_it_is_and_escapes_names(tmp_path, monkeypatch):
-    # Without the page that a notebook shows.
-    monkeypatch.setattr("cornercase.report._notebook.render_notebook_report", lambda path: None)
-    space = ParameterSpace.from_ranges(["<b>=0:1"])
-    points = np.array([[0.25], [0.75]])
-    with StudyFile.create(tmp_path / "s.db", about(space, "distance", ego="<i>Ego</i>")) as study:
-        study.writer.add_pending(1, points, space.values(points))
-        for number, score in enumerate((3.0, 1.25), 1):
-            study.writer.record_result(number, recording(), {"distance": (courses()["distance"][0], score)})
-        text, page = repr(study), study._repr_html_()
-    assert "s.db" in text
-    assert "2 scenarios run, 0 failed, 0 pending" in text
-    assert "<i>" not in page
-    assert "<b>" not in page
-    assert page.index("1.25") < page.index("3.00")
-
-
 def test_a_study_with_damaged_facts_is_refused_in_a_sentence(study):
     study.close()
     with sqlite3.connect(study.path) as connection:
@@ -414,8 +397,7 @@ def test_what_an_earlier_version_did_not_write_is_noted_when_the_search_goes_on(
 
 
 def test_a_scenario_is_found_by_the_number_in_the_table(study):
-    number = study.table().id.to_numpy()[0]
-    assert isinstance(number, np.integer)
+    number = study.table().index[0]
     assert study.recording(number).names == study.recording(1).names
     np.testing.assert_array_equal(study.course(number, "wttc"), study.course(1, "wttc"))
 

@@ -13,7 +13,7 @@ import cornercase as cc
 from cornercase import InputError, SimulationError
 from cornercase.cli import app
 from cornercase.drivers import NORMAL, BehaviourDriver
-from cornercase.optimizers import SobolOptimizer
+from cornercase.optimizers import Sobol
 from cornercase.recordings import Collision, Recording
 from cornercase.scenario import ParameterSpace
 from cornercase.study import StudyFile
@@ -159,7 +159,7 @@ def test_what_a_search_chose_by_scores_does_not_grade_it(tmp_path):
 def test_searches_that_share_nothing_are_compared_by_what_fills_the_space(tmp_path):
     studies = []
     for seed, nearer in ((1, 0.0), (2, 0.0), (2, 1.5)):
-        points = SobolOptimizer(SPACE, seed).ask(64)
+        points = Sobol().start(SPACE, seed).ask(64)
         gaps = 0.2 + 3.0 * points[:, 0] - nearer * points[:, 0]
         path = tmp_path / f"{seed}-{nearer}.db"
         studies.append(written(path, gaps, points, optimizer="sobol", seed=seed))
@@ -184,7 +184,7 @@ def test_searches_that_share_nothing_are_compared_by_what_fills_the_space(tmp_pa
 
 
 def test_pairs_that_fill_the_space_bound_what_is_critical_in_one_only(tmp_path):
-    points = SobolOptimizer(SPACE, 1).ask(64)
+    points = Sobol().start(SPACE, 1).ask(64)
     gaps = 0.2 + 3.0 * points[:, 0]
     old = written(tmp_path / "old.db", gaps, points, optimizer="sobol", seed=1)
     new = written(tmp_path / "new.db", gaps - 1.5 * points[:, 0], points, optimizer="sobol", seed=1)
@@ -197,7 +197,7 @@ def test_pairs_that_fill_the_space_bound_what_is_critical_in_one_only(tmp_path):
 
 
 def test_no_change_of_a_critical_set_is_given_whose_end_was_not_met(tmp_path):
-    points = SobolOptimizer(SPACE, 0).ask(40)
+    points = Sobol().start(SPACE, 0).ask(40)
     gaps = 0.5 + points[:, 0]
     some = written(tmp_path / "some.db", gaps, points, optimizer="sobol")
     every = written(tmp_path / "every.db", 0.5 * gaps, points, optimizer="sobol")

@@ -13,11 +13,12 @@ import pytest
 from typer.testing import CliRunner
 
 import cornercase as cc
-from cornercase import METRICS, InputError, SimulationError
+from cornercase import InputError, SimulationError
 from cornercase.cli import app
 from cornercase.cli.errors import run_command
 from cornercase.drivers import NORMAL, BehaviourDriver
-from cornercase.optimizers import SobolOptimizer
+from cornercase.metrics import METRICS
+from cornercase.optimizers import Sobol
 from cornercase.recordings import Collision, Recording
 from cornercase.scenario import ParameterSpace
 from cornercase.study import StudyFile
@@ -29,7 +30,7 @@ from cornercase.suite.compare._significance import test_pairs as changes_of
 from helpers.synthetic_study import about
 
 SPACE = ParameterSpace.from_ranges(["a=0:1", "b=0:1"])
-POINTS = SobolOptimizer(SPACE, 1).ask(36)
+POINTS = Sobol().start(SPACE, 1).ask(36)
 GAPS = 1.5 + 3.0 * POINTS[:, 0]
 EXIT_CODES = {"better": 0, "the same": 0, "worse": 1, "mixed": 1, "cannot say": 2}
 
@@ -288,7 +289,7 @@ def test_where_simulators_do_not_repeat_themselves_the_tests_decide_and_say_whic
 def test_scenarios_that_are_not_the_same_ones_are_judged_by_the_tests(tmp_path):
     studies = []
     for seed, nearer in ((1, 0.0), (2, 0.0), (2, 1.5)):
-        points = SobolOptimizer(SPACE, seed).ask(64)
+        points = Sobol().start(SPACE, seed).ask(64)
         path = tmp_path / f"{seed}-{nearer}.db"
         gaps = 0.2 + 3.0 * points[:, 0] - nearer * points[:, 0]
         studies.append(written(path, gaps, points=points, optimizer="sobol", seed=seed))

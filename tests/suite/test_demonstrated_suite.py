@@ -8,7 +8,7 @@ from lxml import etree
 
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario
-from cornercase.simulators import BuiltinSimulator
+from cornercase.simulators import Builtin
 from cornercase.study import StudyFile
 from helpers.command_line import cornercase
 
@@ -25,7 +25,7 @@ def demonstrated(tmp_path_factory) -> Path:
 
 
 def collides(file: Path, driver: str) -> bool:
-    simulator = BuiltinSimulator(drivers={"Ego": driver}, on_collision="stop")
+    simulator = Builtin(drivers={"Ego": driver}, on_collision="stop")
     (recording,) = simulator.run([ConcreteScenario(file)])
     assert isinstance(recording, Recording), recording
     return any("Ego" in one.entities for one in recording.collisions)

@@ -13,6 +13,7 @@ from cornercase._common.errors import InputError
 from cornercase.drivers import generate_mutants
 from cornercase.reduction import read_reduction
 from cornercase.reduction._set_folder import MANIFEST
+from cornercase.study import StudyFile
 from cornercase.suite import analyze_mutants
 from helpers.command_line import cornercase
 
@@ -40,7 +41,7 @@ def test_a_mutant_is_exposed_where_it_collides_and_its_driver_does_not(study, ex
     assert exposure.mutants == generate_mutants("normal", 15)
     assert not set(exposure.mutants) & set(exposure.held_out.mutants)
     assert 0 < exposure.kills.sum() < exposure.kills.size
-    with cc.Study.open(study, readonly=True) as opened:
+    with StudyFile.open(study, readonly=True) as opened:
         values = {row.id: row.values for row in opened.finished_rows()}
         collided = [bool(opened.recording(i).collisions) for i in exposure.scenarios]
     assert exposure.failed.tolist() == collided
@@ -76,7 +77,7 @@ def test_mutants_choose_the_reduced_set_and_others_judge_it(study, exposure, tmp
     manifest = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
     assert manifest["exposing"]["held_out"]["exposed"] == choice.held_out.killed
     assert manifest["scenarios"][0]["why"] == first.why
-    with cc.Study.open(study, readonly=True) as opened:
+    with StudyFile.open(study, readonly=True) as opened:
         assert read_reduction(opened) == reduced
     # The suite exposes what its scenarios exposed in the study.
     result = cc.run_suite(folder, tmp_path / "run.db", mutants=15)

@@ -13,7 +13,7 @@ from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario
 from cornercase.scenario._constraints import read_declarations
 from cornercase.scenario._file import ScenarioFile
-from cornercase.simulators import SIMULATORS, BuiltinSimulator
+from cornercase.simulators import SIMULATORS, Builtin
 from cornercase.simulators._create import create_simulator
 from cornercase.simulators._results import run_scenarios
 from cornercase.study import StudyFile
@@ -139,13 +139,13 @@ def test_42_1_values_by_name_are_of_the_types_that_the_file_declares(tmp_path):
 
 def test_42_1_a_simulator_that_reads_the_file_is_given_only_what_differs_from_it(monkeypatch):
     given: list[Any] = []
-    run = BuiltinSimulator.run
+    run = Builtin.run
 
     def noted(self, concretes):
         given.extend(concretes)
         return run(self, concretes)
 
-    monkeypatch.setattr(BuiltinSimulator, "run", noted)
+    monkeypatch.setattr(Builtin, "run", noted)
     cc.simulate(X, {"p1_speed": 1.5}, duration=0.2)
     assert [one.values for one in given] == [{"p1_speed": 1.5}]
     names = ("builtin", "esmini", "sumo", "carla", "carmaker")

@@ -1,18 +1,22 @@
-"""Progress bars and progress lines."""
+"""Progress bars on terminals and in notebooks; otherwise progress lines."""
 
 from __future__ import annotations
 
+import importlib
 import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
+from html import escape
 from typing import Any, Final, Literal
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
 _SECONDS_BETWEEN_LINES: Final = 5.0
+# A notebook stores each state of a bar that is sent to it.
+_SECONDS_BETWEEN_NOTEBOOK_UPDATES: Final = 0.2
 # Seconds after the first item before a rate is shown; it would be too uncertain earlier.
 _MIN_SECONDS_FOR_RATE: Final = 1.0
 # Seconds before a step, which is often short, gets a bar.
@@ -30,7 +34,7 @@ def format_duration(seconds: float) -> str:
 
 
 class ProgressBar:
-    """Shows progress, rate, time left and a status word: a bar on a terminal, otherwise a line every few seconds.
+    """Shows progress, rate, time left and a status word: a bar on a terminal and in a notebook, otherwise lines.
 
     `activity` is the activity (``"exploring"``), `unit` what is counted (``"scenarios"``), `start_time` the start by
     `time.monotonic`; without it, the rate is counted from the first `update` on.
@@ -46,7 +50,10 @@ class ProgressBar:
         self._progress: Progress | None = None
         self._task: Any = None
         self._is_quiet = verbosity.get() == "quiet"
-        if console.is_terminal and not self._is_quiet:
+        self._notebook_bar = _NotebookBar(activity, unit) if _is_in_notebook() and not self._is_quiet else None
+        if self._notebook_bar is not None:
+            self._notebook_bar.show(0, total, "", is_last=True)
+        elif console.is_terminal and not self._is_quiet:
             self._progress = Progress(
                 TextColumn(activity),
                 BarColumn(),
@@ -71,7 +78,10 @@ class ProgressBar:
         if self._rate_start is not None and now - self._rate_start[1] >= _MIN_SECONDS_FOR_RATE:
             rate = (n_done - self._rate_start[0]) / (now - self._rate_start[1])
         speed = self._format_rate(n_done, rate)
-        if self._progress is not None:
+        if self._notebook_bar is not None:
+            text = ", ".join(filter(None, (speed, status)))
+            self._notebook_bar.show(n_done, self._total, text, is_last=n_done >= self._total)
+        elif self._progress is not None:
             self._progress.update(self._task, completed=n_done, total=self._total, rate=speed, word=status)
         elif not self._is_quiet and (
             now - self._last_line_time > _SECONDS_BETWEEN_LINES
@@ -92,6 +102,35 @@ class ProgressBar:
         """Remove the bar from the terminal."""
         if self._progress is not None:
             self._progress.stop()
+
+
+class _NotebookBar:
+    """A bar in the output of a notebook's cell."""
+
+    def __init__(self, activity: str, unit: str) -> None:
+        self._activity, self._unit = activity, unit
+        self._display: Any = None
+        self._last_time = 0.0
+
+    def show(self, n_done: int, total: int, text: str, *, is_last: bool) -> None:
+        """Show a state; unless it is the last one, only some time after the one before."""
+        now = time.monotonic()
+        if not is_last and now - self._last_time < _SECONDS_BETWEEN_NOTEBOOK_UPDATES:
+            return
+        self._last_time = now
+        label = f"{self._activity}: {n_done} of {total} {self._unit}" + (f", {text}" if text else "")
+        ipython: Any = importlib.import_module("IPython.display")
+        page = ipython.HTML(f'<progress value="{n_done}" max="{total}"></progress> {escape(label)}')
+        if self._display is None:
+            self._display = ipython.display(page, display_id=True)
+        else:
+            self._display.update(page)
+
+
+def _is_in_notebook() -> bool:
+    """Whether a notebook's kernel runs this, and not a terminal."""
+    ipython = sys.modules.get("IPython")
+    return ipython is not None and "ipykernel" in sys.modules and ipython.get_ipython() is not None
 
 
 verbosity: ContextVar[Literal["quiet", "usual", "verbose"]] = ContextVar("loudness", default="usual")

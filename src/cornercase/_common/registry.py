@@ -8,10 +8,12 @@ from importlib.metadata import EntryPoint, entry_points
 from inspect import Parameter, signature
 from typing import Any, Final, Generic, TypeVar, cast
 
+from cornercase._common.configurable import declared_options
 from cornercase._common.errors import InputError, suggest_name
 from cornercase._common.plugin_errors import convert_plugin_errors, reraise_termination_request, unwrap_factory
 from cornercase._common.process.signals import count_requests
 from cornercase._common.text.sanitize import format_exception
+from cornercase._common.validation import repr_short
 
 T = TypeVar("T")
 
@@ -71,15 +73,15 @@ class Registry(Generic[T]):
     def __contains__(self, name: object) -> bool:
         return name in self._factories or any(entry.name == name for entry in entry_points(group=self._group))
 
-    def create(self, name: str, **options: Any) -> T:
+    def create(self, name: str | type[T], **options: Any) -> T:
         """Create the object registered as `name`.
 
         Parameters
         ----------
-        name : str
+        name : str or type
             May contain options after a colon: ``"ttc:accelerating=true"``; the object then has the whole text as its
             name. If the first parameter of the factory is positional-only, it gets the whole text after the colon:
-            ``"stl:always(clearance > 0.5)"``.
+            ``"stl:always(clearance > 0.5)"``. A class need not be registered.
         **options
             Further options of the factory.
 
@@ -94,17 +96,17 @@ class Registry(Generic[T]):
 
         Examples
         --------
-        >>> from cornercase import METRICS
+        >>> from cornercase.metrics import METRICS
         >>> METRICS.create("ttc:accelerating=true").unit
         's'
         """
-        base, _, text = name.partition(":")
-        factory = self.get_factory(base)
+        base, _, text = (name if isinstance(name, str) else name.__qualname__).partition(":")
+        factory = self.get_factory(name if isinstance(name, type) else base)
         if not text:
-            if name != base:
+            if isinstance(name, str) and name != base:
                 raise InputError(f"The {self._kind} '{name}' ends in a colon; give options as in '{base}:name=value'.")
             check_options(self._kind, base, factory, options)
-            with convert_plugin_errors(f"The {self._kind} '{name}'", unwrap_factory(factory), "when it was created"):
+            with convert_plugin_errors(f"The {self._kind} '{base}'", unwrap_factory(factory), "when it was created"):
                 return factory(**options)
         if any(parameter.kind is parameter.POSITIONAL_ONLY for parameter in signature(factory).parameters.values()):
             with convert_plugin_errors(f"The {self._kind} '{name}'", unwrap_factory(factory), "when it was created"):
@@ -123,12 +125,37 @@ class Registry(Generic[T]):
         configured.name = name
         return cast(T, configured)
 
-    def get_factory(self, name: str) -> Callable[..., T]:
+    def resolve(self, value: str | T, parameter: str) -> T:
+        """Return the object that a text stands for, or an object as it is.
+
+        Parameters
+        ----------
+        value : str or object
+        parameter : str
+            Its name in messages.
+
+        Returns
+        -------
+        object
+
+        Raises
+        ------
+        InputError
+            Unknown name, or an object of another kind.
+        """
+        if isinstance(value, str) and value:
+            return self.create(value)
+        if isinstance(value, str) or self._base is None or not isinstance(value, self._base):
+            raise InputError(f"`{parameter}` {repr_short(value)}: give the name of a {self._kind}, or an object.")
+        return value
+
+    def get_factory(self, name: str | type[T]) -> Callable[..., T]:
         """Return the factory registered as `name`, without options.
 
         Parameters
         ----------
-        name : str
+        name : str or type
+            A class is its own factory.
 
         Returns
         -------
@@ -142,13 +169,13 @@ class Registry(Generic[T]):
         loaded, options = self._load(name)
         return partial(loaded, **options) if options else loaded
 
-    def get_class(self, name: str) -> type[T]:
-        """Return the class registered as `name`.
+    def get_class(self, name: str | type[T] | T) -> type[T]:
+        """Return the class registered as `name`, or the class of an object.
 
         Parameters
         ----------
-        name : str
-            May contain options after a colon.
+        name : str, type or object
+            A name may contain options after a colon. A class is returned as it is.
 
         Returns
         -------
@@ -159,12 +186,16 @@ class Registry(Generic[T]):
         InputError
             Unknown name, or a factory that is not a class.
         """
+        if not isinstance(name, str):
+            return name if isinstance(name, type) else type(name)
         loaded, _ = self._load(name.partition(":")[0])
         if not isinstance(loaded, type):
             raise InputError(f"The {self._kind} '{name}' is registered as a function; register its class.")
         return loaded
 
-    def _load(self, name: str) -> tuple[Callable[..., T], dict[str, Any]]:
+    def _load(self, name: str | type[T]) -> tuple[Callable[..., T], dict[str, Any]]:
+        if isinstance(name, type):
+            return self._check_subclass(name.__qualname__, name), {}
         if name in self._factories:
             registered, options = self._factories[name]
             loaded = EntryPoint(name, registered, self._group).load() if isinstance(registered, str) else registered
@@ -190,27 +221,6 @@ class Registry(Generic[T]):
                 f"The {self._kind} '{name}' is {actual}, which is not a subclass of {public}; derive it from that."
             )
         return loaded
-
-
-def declared_options(factory: Callable[..., Any]) -> dict[str, Parameter]:
-    """Options that a factory declares, by name.
-
-    A class with ``**options`` passes them to its base class, so it has that class's options too. Options that no
-    constructor names do not count, as nobody would notice that they are misspelled.
-    """
-    parameters = dict(signature(factory).parameters)
-    callable_ = unwrap_factory(factory)
-    for base in callable_.__mro__ if isinstance(callable_, type) else ():
-        if not any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters.values()):
-            break
-        if "__init__" in vars(base):
-            _, *own_parameters = signature(vars(base)["__init__"]).parameters.values()
-            parameters = {
-                name: parameter for name, parameter in parameters.items() if parameter.kind is not parameter.VAR_KEYWORD
-            }
-            parameters = {parameter.name: parameter for parameter in own_parameters} | parameters
-    named = (Parameter.POSITIONAL_OR_KEYWORD, Parameter.KEYWORD_ONLY)
-    return {name: parameter for name, parameter in parameters.items() if parameter.kind in named}
 
 
 def parse_options(

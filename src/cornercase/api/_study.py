@@ -1,7 +1,890 @@
-"""The study of the public API."""
+"""The study of the public API: a problem, a simulator and a seed, everything that was run, and the verbs."""
 
 from __future__ import annotations
 
-from cornercase.study import StudyFile
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, Self
 
-Study = StudyFile
+from cornercase._common.errors import InputError
+from cornercase._common.io.files import check_writable_file
+from cornercase._common.memory import DEFAULT_MEMORY
+from cornercase._common.text.html import render_html, render_html_table
+from cornercase._common.typing import FloatArray
+from cornercase._common.validation import check_int, check_path
+from cornercase.api._simulator_fields import simulator_fields
+from cornercase.api._written_page import Page
+from cornercase.exploration import Estimation, ExplorationResult, Problem, Runs
+from cornercase.exploration._config import ExplorationConfig, config_from_study
+from cornercase.exploration._explore import explore_config
+from cornercase.exploration._problem import config_from_problem, name_arguments_of_objects, problem_from_config
+from cornercase.exploration._runs import single_run_settings
+from cornercase.metrics import METRICS
+from cornercase.study import StudyFile, StudyMeta
+from cornercase.study._study_file import open_study
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from distributed import Client
+
+    from cornercase.clustering import Analysis, ClusteringMethod
+    from cornercase.evidence import Sensitivity
+    from cornercase.exploration import stop as stop_rules
+    from cornercase.optimizers import Optimizer
+    from cornercase.recordings import Recording
+    from cornercase.reduction import ArchetypeMethod, KillMatrix, ReducedSet
+    from cornercase.report import CriticalEstimates, Summary
+    from cornercase.simulators import Simulator
+
+
+class Study(PathLike[str]):
+    """A search of a logical scenario and everything that was found; make one with `create` or `open`.
+
+    Each verb opens the file for as long as it works, so nothing has to be closed, and several processes can use one
+    study. Functions that take the path of a study also take a study.
+
+    Parameters
+    ----------
+    path : path
+        SQLite file.
+    problem : Problem, optional
+        What is searched; by default that of the file.
+    simulator : Simulator or str
+        What runs the scenarios.
+    seed : int, optional
+        The same seed gives the same result; by default that of the file.
+    scenario : path, optional
+        OpenSCENARIO file that was explored; by default it is searched.
+
+    Attributes
+    ----------
+    path : Path
+        SQLite file.
+
+    See Also
+    --------
+    cornercase.study.StudyFile : Reads everything that is in the file.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> folder = "examples/x_intersection/x_intersection"
+    >>> scenario = cc.LogicalScenario.read(f"{folder}.xosc", f"{folder}.space.xosc")
+    >>> problem = cc.Problem(scenario, ego="Ego", other="Pedestrian", metrics=["wttc"], threshold=0.2)
+    >>> study = cc.Study.create("study.db", problem, cc.simulators.Builtin(), seed=1)
+    >>> study.explore(cc.optimizers.Sobol(), budget=4)
+    <ExplorationResult: 4 scenarios done in study.db; the budget of 4 scenarios is used up>
+    >>> study.recording(study.table().index[0])
+    <Recording of Ego (car), Truck (truck), C (car), Pedestrian (pedestrian), 16.45 s in 330 instants, no collision>
+    """
+
+    def __init__(
+        self,
+        path: Path | str,
+        problem: Problem | None = None,
+        simulator: Simulator | str | None = None,
+        *,
+        seed: int | None = None,
+        scenario: Path | str | None = None,
+    ) -> None:
+        self.path = check_path("path", path)
+        self._problem, self._seed = problem, None if seed is None else check_int("seed", seed, 0)
+        self._simulator_fields = {} if simulator is None else simulator_fields(simulator)
+        self._scenario = None if scenario is None else check_path("scenario", scenario)
+
+    @classmethod
+    def create(
+        cls, path: Path | str, problem: Problem, simulator: Simulator | str = "builtin", *, seed: int = 0
+    ) -> Self:
+        """Create a study in a new file.
+
+        Everything is checked at once; the file is written when `explore` asks for the first scenario.
+
+        Parameters
+        ----------
+        path : path
+            File to create.
+        problem : Problem
+            What is searched.
+        simulator : Simulator or str, default "builtin"
+            What runs the scenarios, from `cornercase.simulators`, with the drivers of the entities, or as text with
+            options after a colon.
+        seed : int, default 0
+            The same seed gives the same result.
+
+        Returns
+        -------
+        Study
+
+        Raises
+        ------
+        InputError
+            The file exists already or cannot be written, or an argument cannot be used.
+        """
+        study = cls._from_problem(path, problem, simulator, seed)
+        if study.path.exists():
+            raise InputError(
+                f"{study.path}: exists already; go on with it by `Study.open_or_create`, or name another file."
+            )
+        check_writable_file("path", study.path)
+        return study
+
+    @classmethod
+    def open(
+        cls, path: Path | str, simulator: Simulator | str | None = None, *, scenario: Path | str | None = None
+    ) -> Self:
+        """Open an existing study.
+
+        Problem, simulator and seed are those that the file names. Code that a file names is never run: if your own
+        driver or simulator drove, give `simulator` again to run further scenarios. Looking at the study needs none.
+
+        Parameters
+        ----------
+        path : path
+            File of the study.
+        simulator : Simulator or str, optional
+            What runs further scenarios; by default that of the study, without options.
+        scenario : path, optional
+            OpenSCENARIO file that was explored. By default it is searched at the path in the study, next to the study
+            and in the current folder, and recognized by its fingerprint.
+
+        Returns
+        -------
+        Study
+
+        Raises
+        ------
+        InputError
+            There is no such file, it is not a study, or it is damaged.
+        """
+        study = cls(path, None, simulator, scenario=scenario)
+        with study._read():
+            return study
+
+    @classmethod
+    def open_or_create(
+        cls, path: Path | str, problem: Problem, simulator: Simulator | str = "builtin", *, seed: int = 0
+    ) -> Self:
+        """Open the study if the file exists, and create it otherwise: what a notebook calls each time it is run.
+
+        Parameters
+        ----------
+        path : path
+            File of the study.
+        problem : Problem
+            What is searched.
+        simulator : Simulator or str, default "builtin"
+            What runs the scenarios, from `cornercase.simulators`, with the drivers of the entities, or as text with
+            options after a colon.
+        seed : int, default 0
+            The same seed gives the same result.
+
+        Returns
+        -------
+        Study
+
+        Raises
+        ------
+        InputError
+            The existing study is of another problem, simulator or seed, or an argument cannot be used.
+        """
+        study = cls._from_problem(path, problem, simulator, seed)
+        if not study.path.exists():
+            return cls.create(path, problem, simulator, seed=seed)
+        with study._read() as file, name_arguments_of_objects():
+            config = study._make_config(file.meta)
+            meta = config.make_study_meta(
+                config.make_objective(), file.meta.settings, file.meta.elsewhere, study=study.path
+            )
+            file.meta.require_resumable(meta, study.path)
+        return study
+
+    @classmethod
+    def _from_problem(cls, path: Path | str, problem: Problem, simulator: Simulator | str, seed: int) -> Self:
+        if not isinstance(problem, Problem):
+            raise InputError(f"`problem`: give a Problem, not a {type(problem).__name__}.")
+        study = cls(path, problem, simulator, seed=seed)
+        with name_arguments_of_objects():
+            study._make_config(None).require_entities()
+        return study
+
+    def __fspath__(self) -> str:
+        return str(self.path)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        """Nothing is open between two verbs."""
+
+    @property
+    def problem(self) -> Problem:
+        """What is searched. Reads the scenario file if the study was opened."""
+        if self._problem is None:
+            self._problem = problem_from_config(self._stored_config())
+        return self._problem
+
+    @property
+    def seed(self) -> int:
+        """Seed of the search."""
+        if self._seed is None:
+            with self._read() as file:
+                self._seed = file.meta.seed
+        return self._seed
+
+    def explore(
+        self,
+        optimizer: Optimizer | str | None = None,
+        *,
+        budget: int | None = None,
+        stop: stop_rules.StopRule | str | Sequence[stop_rules.StopRule | str] = (),
+        runs: Runs | None = None,
+        batch: int | None = None,
+        asynchronous: bool | None = None,
+        audit: float | None = None,
+        warm_start: Study | Path | str | None = None,
+        retry_failed: bool = False,
+        progress: bool = False,
+    ) -> ExplorationResult:
+        """Search for critical concrete scenarios.
+
+        Each scenario is stored as soon as it has ended. The same call again goes on where the search stopped; with a
+        larger `budget` it continues from there.
+
+        Parameters
+        ----------
+        optimizer : Optimizer or str, optional
+            Where to look next, from `cornercase.optimizers`, or as text with options after a colon:
+            ``"level-set:filling=0.1"``. This and all other defaults are those that the study was searched with before;
+            of a new study ``Bayes()``.
+        budget : int, optional
+            Number of scenarios in total; 200 by default.
+        stop : StopRule or str, or sequence of these
+            When to stop before the budget is used up, from `cornercase.stop`: when the critical set is known well
+            enough (``stop.missed(0.05)``; of several such rules all must hold), after a time, or without an
+            improvement.
+        runs : Runs, optional
+            How scenarios are run.
+        batch : int, optional
+            Number of scenarios per round; 10 by default.
+        asynchronous : bool, optional
+            Search without rounds: ask for the next scenario as soon as one has ended.
+        audit : float, optional
+            Fraction of the scenarios, up to 0.5, that are drawn at random and hidden from the search, to assess its
+            result.
+        warm_start : Study or path, optional
+            Study with the same parameters but another driver, simulator or time step, whose scores warm-start the
+            search.
+        retry_failed : bool, default False
+            First run the failed scenarios of the study again.
+        progress : bool, default False
+            Show a progress bar.
+
+        Returns
+        -------
+        ExplorationResult
+
+        Raises
+        ------
+        InputError
+            An argument cannot be used, or the study belongs to another exploration; it is left unchanged.
+        KeyboardInterrupt
+            It was interrupted; what has run is stored.
+
+        Warns
+        -----
+        NoticeWarning
+            Something in the scenario's files has no effect in the simulator.
+        """
+        settings = {
+            "optimizer": optimizer,
+            "budget": budget,
+            "stop_when": stop,
+            "batch": batch,
+            "asynchronous": asynchronous,
+            "audit": audit,
+            "warm_start": None if warm_start is None else check_path("warm_start", warm_start),
+            **({} if runs is None else vars(runs)),
+        }
+        with name_arguments_of_objects():
+            meta = None
+            if self.path.exists():
+                with self._read() as file:
+                    meta = file.meta
+            config = self._make_config(meta, **{key: value for key, value in settings.items() if value is not None})
+            result = explore_config(config, self.path, progress, retry_failed=retry_failed)
+        if result.interrupted:
+            # What follows in a script or notebook is not done with half a search.
+            raise KeyboardInterrupt(f"Interrupted after {result.n_finished} scenarios. The same call again resumes.")
+        return result
+
+    def cluster(
+        self,
+        by: str | Sequence[str] | None = None,
+        *,
+        gamma: float | Literal["auto"] = "auto",
+        eps: float | Literal["auto"] = "auto",
+        min_samples: int | Literal["auto"] = "auto",
+        method: ClusteringMethod | None = None,
+        window: float | None = None,
+        keep_clusters: bool = False,
+        threshold: float | None = None,
+        workers: int = 1,
+        cluster: str | Client | None = None,
+        memory: str | float = DEFAULT_MEMORY,
+        progress: bool = False,
+    ) -> dict[str, Analysis]:
+        """Cluster the scenarios by behaviour and by criticality, and store the result.
+
+        For each aspect, scenarios are compared by Dynamic Time Warping, and clustered by these distances.
+
+        Parameters
+        ----------
+        by : str or sequence of str, optional
+            Aspects: any of `cornercase.clustering.ASPECTS`, and metrics of the study. By default the ego's trajectory,
+            the bearing of the other, the interaction of both, and all metrics of the study.
+        gamma, eps : float or "auto", default "auto"
+            Kernel width and radius of the neighbourhood, without unit.
+        min_samples : int or "auto", default "auto"
+            Least number of scenarios in a dense neighbourhood.
+        method : {"dbscan", "hdbscan"}, optional
+            Algorithm that finds the clusters; by default DBSCAN.
+        window : float, optional
+            s; largest difference in time of two instants that are matched. By default any.
+        keep_clusters : bool, default False
+            Keep the existing clusters, and assign the scenarios that were run since to them.
+        threshold : float, optional
+            Score from which a scenario is critical, to compare the clusters with; by default that of the study.
+        workers : int, default 1
+            Processes of a local cluster.
+        cluster : str or distributed.Client, optional
+            Dask cluster that computes the distances.
+        memory : str or float, default "4 GB"
+            Memory limit of the process, in bytes or as text.
+        progress : bool, default False
+            Show a progress bar.
+
+        Returns
+        -------
+        dict of str to Analysis
+            By aspect.
+
+        Raises
+        ------
+        InputError
+            Fewer than two scenarios were run, the study cannot be compared by an aspect, a setting is out of range or
+            given for clusters that are kept, or the series do not fit in the memory.
+
+        See Also
+        --------
+        cornercase.clustering.analyze : Says how scenarios are compared.
+        """
+        from cornercase.clustering import analyze
+
+        with name_arguments_of_objects():
+            return analyze(
+                self.path,
+                by,
+                gamma=gamma,
+                eps=eps,
+                min_samples=min_samples,
+                method=method,
+                window=window,
+                keep_clusters=keep_clusters,
+                critical=threshold,
+                workers=workers,
+                cluster=cluster,
+                memory=memory,
+                progress=progress,
+            )
+
+    def reduce(
+        self,
+        folder: Path | str,
+        *,
+        size: int | None = None,
+        share: float | None = None,
+        cover: float | None = None,
+        archetypes: int | Literal["auto"] | None = None,
+        archetypes_by: ArchetypeMethod = "auto",
+        by: str | None = None,
+        within: float | None = None,
+        threshold: float | None = None,
+        kill_matrix: KillMatrix | None = None,
+        memory: str | float = DEFAULT_MEMORY,
+        progress: bool = False,
+    ) -> ReducedSet:
+        """Select the few scenarios that matter, and write them as OpenSCENARIO files that run on their own.
+
+        Parameters
+        ----------
+        folder : path
+            Folder to write, with a manifest; a reduced set in it is replaced.
+        size : int, optional
+            Number of scenarios. Without it and the next three, a tenth of the scenarios.
+        share : float, optional
+            Share of the scenarios, above 0 and up to 1.
+        cover : float, optional
+            As few as possible, so that none is farther from a selected one than this share of the largest distance.
+        archetypes : int or "auto", optional
+            As in the paper, only prototypes and this number of archetypes of each cluster.
+        archetypes_by : {"auto", "hull", "pcha", "parts", "kernel"}, default "auto"
+            How archetypes are found; see `cornercase.reduction.reduce`.
+        by : str, optional
+            Aspect whose clusters count; by default the first metric.
+        within : float, optional
+            Share of the median distance within clusters up to which two scenarios are similar; 0.5 by default.
+        threshold : float, optional
+            Score from which a scenario is critical, to select and to evaluate by; by default that of the study.
+        kill_matrix : KillMatrix, optional
+            Which scenarios kill which mutants of the driver, from `cornercase.suite.analyze_mutants`: scenarios that
+            kill as many as possible come first.
+        memory : str or float, default "4 GB"
+            Memory limit of the process, in bytes or as text.
+        progress : bool, default False
+            Show a progress bar for what takes more than two seconds.
+
+        Returns
+        -------
+        ReducedSet
+            The selected scenarios, why each is selected, and what they leave uncovered.
+
+        Raises
+        ------
+        InputError
+            The study was not clustered, an argument is out of range, the scenario file is not found or not the one that
+            was explored, or the folder cannot be written.
+
+        Warns
+        -----
+        NoticeWarning
+            Fewer are selected than asked for, since all others are similar to a selected one.
+
+        See Also
+        --------
+        cornercase.reduction.reduce : Says how scenarios are selected.
+        """
+        from cornercase.reduction import reduce
+
+        similarity = {} if within is None else {"within": within}
+        with name_arguments_of_objects():
+            return reduce(
+                self.path,
+                folder,
+                by=by,
+                size=size,
+                share=share,
+                cover=cover,
+                archetypes=archetypes,
+                archetypes_by=archetypes_by,
+                critical=threshold,
+                kill_matrix=kill_matrix,
+                scenario=self._scenario_path(),
+                memory=memory,
+                progress=progress,
+                **similarity,
+            )
+
+    def report(
+        self,
+        path: Path | str,
+        *,
+        figures: Path | str | bool = False,
+        threshold: float | None = None,
+        memory: str | float = DEFAULT_MEMORY,
+        progress: bool = False,
+    ) -> Page:
+        """Write the report as one HTML page without external references.
+
+        Parameters
+        ----------
+        path : path
+            Page to write; ends with ``.html``.
+        figures : bool or path, default False
+            Also write the figures as PNG and SVG into this folder; True for a folder beside the page.
+        threshold : float, optional
+            Score from which a scenario is critical; by default that of the study.
+        memory : str or float, default "4 GB"
+            Memory limit of the process, as ``"500 MB"`` or in bytes.
+        progress : bool, default False
+            Show a progress bar for steps that take more than two seconds.
+
+        Returns
+        -------
+        Page
+            The file; a notebook shows it.
+
+        Raises
+        ------
+        InputError
+            No scenario has ended, `path` is the study itself, a file cannot be written, or the report exceeds the
+            memory limit.
+        """
+        from cornercase.report import write_report
+
+        with name_arguments_of_objects():
+            return Page(
+                write_report(
+                    self.path,
+                    path,
+                    figures=figures,
+                    scenario=self._scenario_path(),
+                    critical=threshold,
+                    memory=memory,
+                    progress=progress,
+                )
+            )
+
+    def watch(
+        self,
+        *,
+        port: int = 0,
+        host: str = "127.0.0.1",
+        browser: bool = False,
+        show: Callable[[str], object] = print,
+    ) -> None:
+        """Serve the report as a live page that grows with the study, until interrupted.
+
+        Parameters
+        ----------
+        port : int, default 0
+            Port of the page; 0 for a free one.
+        host : str, default "127.0.0.1"
+            Address of the network interface. Any other lets other machines connect; they need the token in the address.
+        browser : bool, default False
+            Open the page in the browser.
+        show : callable, default print
+            Called with a sentence that contains the address of the page.
+
+        Raises
+        ------
+        InputError
+            The extra ``live`` is not installed, the address cannot be served, or the file is not a study.
+        """
+        from cornercase.report import watch
+
+        watch(self.path, port=port, host=host, scenario=self._scenario_path(), browser=browser, show=show)
+
+    def replay(
+        self,
+        scenario: int,
+        path: Path | str,
+        *,
+        next_to: int | None = None,
+        fps: float | None = None,
+        speed: float = 1.0,
+        threshold: float | None = None,
+        progress: bool = False,
+    ) -> Page:
+        """Write the replay of a scenario: the motion of all entities on the road, and how critical it is.
+
+        Parameters
+        ----------
+        scenario : int
+            Id of the scenario, as in the index of `table`.
+        path : path
+            ``.html`` for a page to play, scrub and zoom in any browser; ``.gif`` or ``.mp4`` for a film.
+        next_to : int, optional
+            Id of another scenario, shown beside it on the same clock.
+        fps : float, optional
+            Frames per second of a film, at most 60; default: 25 for MP4, 10 for GIF.
+        speed : float, default 1
+            Speed of a film: 0.5 shows 1 s of the recording in 2 s.
+        threshold : float, optional
+            Score from which a scenario is critical; by default that of the study.
+        progress : bool, default False
+            Show a progress bar.
+
+        Returns
+        -------
+        Page
+            The file; a notebook shows it.
+
+        Raises
+        ------
+        InputError
+            A scenario does not exist, failed or was not run yet; the file ending is unknown; `fps` or `speed` is given
+            for a page; ffmpeg is missing for an ``.mp4``; or the file cannot be written.
+        """
+        from cornercase.report import replay
+
+        with name_arguments_of_objects():
+            return Page(
+                replay(
+                    self.path,
+                    scenario,
+                    path,
+                    beside=next_to,
+                    fps=fps,
+                    speed=speed,
+                    scenario=self._scenario_path(),
+                    critical=threshold,
+                    progress=progress,
+                )
+            )
+
+    def estimate(
+        self,
+        path: Path | str,
+        *,
+        budget: int = 2000,
+        threshold: float | None = None,
+        encounter: float = 10.0,
+        seed: int = 0,
+        runs: Runs | None = None,
+        progress: bool = False,
+    ) -> Estimation:
+        """Estimate the probability of critical scenarios and collisions under the distributions of the space.
+
+        New scenarios are run and stored in a study of their own. The same call again goes on where it stopped.
+
+        Parameters
+        ----------
+        path : path
+            Study of the estimate, to create or resume; this one is only read.
+        budget : int, default 2000
+            Number of scenarios in total; at most 40 % of the first budget are used for learning.
+        threshold : float, optional
+            Score from which a scenario is critical; by default that of the study.
+        encounter : float, default 10.0
+            The ego and the other have an encounter if the gap between their boxes is at most this many m at some time.
+        seed : int, default 0
+            The same seed gives the same result.
+        runs : Runs, optional
+            Where scenarios are run. Each is run once.
+        progress : bool, default False
+            Show a progress bar.
+
+        Returns
+        -------
+        Estimation
+
+        Raises
+        ------
+        InputError
+            An argument cannot be used, the study has no threshold or belongs to something else, or `path` does.
+
+        See Also
+        --------
+        cornercase.exploration.estimate : Says how scenarios are drawn.
+        """
+        from cornercase.exploration import estimate
+
+        with name_arguments_of_objects():
+            return estimate(
+                self.path,
+                path,
+                budget=budget,
+                critical=threshold,
+                encounter=encounter,
+                seed=seed,
+                scenario=self._scenario_path(),
+                simulator=self._simulator_fields.get("simulator"),
+                drivers=self._simulator_fields.get("drivers"),
+                **single_run_settings(runs, "an estimate"),
+                progress=progress,
+            )
+
+    def table(self) -> pd.DataFrame:
+        """Make a table of all scenarios.
+
+        Returns
+        -------
+        DataFrame
+            One row per scenario, indexed by its id: ``round``, ``state``, the parameters, the score by each metric, and
+            once they are known ``cluster by …`` (-1 for noise), ``outcome`` and ``note``; ``error`` if it failed. All
+            columns are listed in `cornercase.study.StudyFile.table`.
+        """
+        with self._read() as file:
+            return file.table()
+
+    def recording(self, scenario: int) -> Recording:
+        """Read the recording of a scenario.
+
+        Parameters
+        ----------
+        scenario : int
+            Its id, as in the index of `table`.
+
+        Returns
+        -------
+        Recording
+
+        Raises
+        ------
+        InputError
+            The scenario has not run, or its id is not an integer.
+        """
+        with self._read() as file:
+            return file.recording(scenario)
+
+    def course(self, scenario: int, metric: str | None = None) -> FloatArray:
+        """Read the course of a metric in a scenario.
+
+        Parameters
+        ----------
+        scenario : int
+            Its id, as in the index of `table`.
+        metric : str, optional
+            By default the first one.
+
+        Returns
+        -------
+        ndarray of float64, shape (T,)
+            In the metric's unit, at the times of `recording`.
+
+        Raises
+        ------
+        InputError
+            The scenario has not run, or the study has no such metric.
+        """
+        with self._read() as file:
+            return file.course(scenario, file.meta.metrics[0] if metric is None else metric)
+
+    def critical_set(self, *, threshold: float | None = None) -> CriticalEstimates:
+        """Estimate how much of the space is critical, and how much of that was missed.
+
+        Parameters
+        ----------
+        threshold : float, optional
+            Score from which a scenario is critical; by default that of the study.
+
+        Returns
+        -------
+        CriticalEstimates
+            With intervals, or why there are none.
+
+        Raises
+        ------
+        InputError
+            No scenario was run, or there is no threshold.
+        """
+        from cornercase.report._estimates import estimate_critical
+
+        with name_arguments_of_objects(), open_study(self.path, readonly=True, critical=threshold) as file:
+            estimates = estimate_critical(file)
+        if estimates is None:
+            raise InputError(f"{self.path}: no scenario was run, or nothing says what is critical; give `threshold`.")
+        return estimates
+
+    def sensitivity(self) -> Sensitivity:
+        """Estimate how much of the variance of the searched score comes from each parameter.
+
+        Returns
+        -------
+        Sensitivity
+
+        Raises
+        ------
+        InputError
+            Fewer than 10 scenarios were run, all scores are equal, or a Pareto front was searched.
+        """
+        from cornercase.report._estimates import estimate_study_sensitivity
+
+        with self._read() as file:
+            if file.meta.pareto:
+                raise InputError(f"{self.path}: a Pareto front was searched; sensitivities need one score.")
+            try:
+                return estimate_study_sensitivity(file)
+            except InputError:
+                raise
+            except ValueError as error:
+                raise InputError(
+                    f"{self.path}: sensitivities need 10 scenarios or more with different scores."
+                ) from error
+
+    def summary(self, *, threshold: float | None = None) -> Summary:
+        """Summarize what was run and what was found, with all stored clusters and the reduced set.
+
+        Parameters
+        ----------
+        threshold : float, optional
+            Score from which a scenario is critical; by default that of the study.
+
+        Returns
+        -------
+        Summary
+
+        Raises
+        ------
+        InputError
+            The study cannot be read, or `threshold` is given but the study does not define criticality by one score.
+        """
+        from cornercase.report import summarize
+
+        with name_arguments_of_objects():
+            return summarize(self.path, critical=threshold)
+
+    def export(self, folder: Path | str, *, parquet: bool = False) -> None:
+        """Write everything as CSV: one table of scenarios, and recording and courses of each.
+
+        Parameters
+        ----------
+        folder : path
+            Gets ``scenarios.csv``, and ``recordings/ID.csv`` and ``courses/ID.csv`` of each scenario.
+        parquet : bool, default False
+            Also write ``scenarios.parquet``, ``recordings.parquet`` and ``courses.parquet`` of all scenarios.
+
+        Raises
+        ------
+        InputError
+            The folder cannot be written, or the package that writes Parquet is not installed.
+        """
+        with self._read() as file:
+            file.export(folder, parquet)
+
+    def _read(self) -> StudyFile:
+        """Open the file for reading."""
+        if self._problem is not None and not self.path.exists():
+            raise InputError(f"{self.path}: no scenario was run yet; run some with `explore`.")
+        return StudyFile.open(self.path)
+
+    def _make_config(self, meta: StudyMeta | None, **settings: Any) -> ExplorationConfig:
+        """Create the configuration; `meta` describes the existing file, and gives the defaults of `settings`."""
+        if self._problem is None:
+            return replace(self._stored_config(), **settings)
+        if meta is not None:
+            stored = {
+                "optimizer": meta.optimizer,
+                "budget": meta.budget,
+                "batch": meta.batch,
+                "asynchronous": meta.asynchronous,
+                "repeats": meta.repeats,
+                "max_repeats": meta.most_repeats,
+                "audit": meta.audit,
+            }
+            settings = stored | settings
+        return config_from_problem(self._problem, seed=self.seed, **self._simulator_fields, **settings)
+
+    def _stored_config(self) -> ExplorationConfig:
+        """Rebuild the configuration from the file; the simulator is the given one, or else that of the file."""
+        fields = dict(self._simulator_fields)
+        with self._read() as file:
+            config = config_from_study(
+                file, self.path, self._scenario, fields.get("simulator"), fields.pop("drivers", {})
+            )
+        return replace(config, **fields)
+
+    def _scenario_path(self) -> Path | None:
+        return self._scenario if self._problem is None else self._problem.scenario.path
+
+    def __repr__(self) -> str:
+        if self._problem is not None and not self.path.exists():
+            return f"<Study {str(self.path)!r}: {self._problem!r}; no scenario was run yet>"
+        with self._read() as file:
+            return repr(file)
+
+    def _repr_html_(self) -> str:
+        """Description and the most critical scenarios, for notebooks."""
+        if self._problem is not None and not self.path.exists():
+            return render_html(repr(self))
+        with self._read() as file:
+            table, metric_name = file.table(), file.meta.metrics[0]
+        # If the package of a metric is missing, the first scenarios are shown.
+        with suppress(InputError):
+            ascending = METRICS.create(metric_name).lower_is_critical
+            table = table.sort_values(metric_name, ascending=ascending, kind="stable")
+        return render_html_table(repr(self), table)

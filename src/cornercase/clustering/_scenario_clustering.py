@@ -112,7 +112,7 @@ class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
     Examples
     --------
     >>> import numpy as np
-    >>> from cornercase import ScenarioClustering
+    >>> from cornercase.clustering import ScenarioClustering
     >>> x = np.r_[np.linspace(0, 1, 20), np.linspace(9, 10, 20)]
     >>> distances = abs(x[:, None] - x)
     >>> model = ScenarioClustering().fit(distances)

@@ -13,7 +13,7 @@ from cornercase._common.plugin_errors import reraise_termination_request
 from cornercase._common.process.signals import count_requests
 from cornercase._common.text.sanitize import format_exception
 from cornercase._common.typing import FloatArray
-from cornercase.clustering._aspects import ASPECTS, EGO_TRAJECTORY, Aspect, Bearing, EgoTrajectory, Interaction
+from cornercase.clustering._aspects import ASPECTS, EGO_TRAJECTORY, Aspect, Bearing, EgoTrajectory, JointPositions
 from cornercase.metrics import METRICS
 from cornercase.recordings import Recording
 from cornercase.recordings._recording import MOTION_ARRAYS
@@ -84,7 +84,7 @@ def digested_series(digest: ScenarioDigest, aspect: Aspect, other_index: int) ->
         return digest.ego_position
     if type(aspect) is Bearing:
         return bearing
-    return np.hstack((digest.ego_position, position)) if type(aspect) is Interaction else None
+    return np.hstack((digest.ego_position, position)) if type(aspect) is JointPositions else None
 
 
 def aspect_series(

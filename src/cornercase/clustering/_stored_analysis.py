@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
+from cornercase._common.text.html import render_html_table
 from cornercase._common.typing import FloatArray, IntArray
 from cornercase.clustering._agreement import mutual_information_with_critical
 from cornercase.clustering._clustering import Candidate, Clustering
@@ -17,6 +18,9 @@ from cornercase.clustering.naming._profiles import Profile
 from cornercase.clustering.naming._rules import Rule
 from cornercase.study import StudyFile
 from cornercase.study._damage import dataclass_from_json, require_value, reraise_as_damage
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -86,6 +90,38 @@ class Analysis:
         """
         row_of = {scenario: row for row, scenario in enumerate(self.ids.tolist())}
         return np.array([row_of[int(i)] for i in scenario_ids if int(i) in row_of], dtype=np.int64)
+
+    def table(self) -> pd.DataFrame:
+        """Make a table of the clusters.
+
+        Returns
+        -------
+        DataFrame
+            One row per cluster, indexed by its number, -1 for noise: its ``name``, its ``size``, the number of
+            ``collisions``, the id of its ``example`` (its medoid; empty without a name), and for each metric the
+            median score, ``median …``.
+
+        See Also
+        --------
+        cornercase.Study.table : The cluster of each scenario.
+        """
+        import pandas as pd
+
+        profiles = self.profiles
+        columns: dict[str, Any] = {
+            "name": pd.Series([profile.name for profile in profiles], dtype=object),
+            "size": pd.Series([profile.size for profile in profiles], dtype="int64"),
+            "collisions": pd.Series([profile.collisions for profile in profiles], dtype="int64"),
+            "example": pd.Series([profile.example for profile in profiles], dtype="Int64"),
+        }
+        for metric in profiles[0].scores if profiles else ():
+            columns[f"median {metric}"] = pd.Series([profile.scores[metric][1] for profile in profiles])
+        clusters = pd.Index([profile.cluster for profile in profiles], dtype="int64", name="cluster")
+        return pd.DataFrame(columns).set_index(clusters)
+
+    def _repr_html_(self) -> str:
+        """Table of the clusters, for notebooks."""
+        return render_html_table(repr(self), self.table())
 
     def __repr__(self) -> str:
         clustering = self.clustering

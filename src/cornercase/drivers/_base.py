@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from cornercase._common.configurable import Configurable, describe_as_text
 from cornercase._common.typing import BoolArray, FloatArray
 
 
@@ -105,7 +106,7 @@ class Situation:
     active: BoolArray
 
 
-class Driver(ABC):
+class Driver(Configurable, ABC):
     """Decide the speed of one entity along its path, for all concrete scenarios of a batch in lock-step.
 
     A decision may only depend on the past of its own scenario: no random numbers, no clock, nothing from other
@@ -126,7 +127,11 @@ class Driver(ABC):
         if not any("settings" in vars(base) for base in cls.__mro__):
             cls.settings = {"driver": f"{cls.__module__}:{cls.__qualname__}"}
 
-    def start(self, scenarios: int, others: int) -> None:  # noqa: B027
+    def __str__(self) -> str:
+        # A class of a user may have a `name` of its own.
+        return describe_as_text(self)
+
+    def start(self, scenarios: int, others: int) -> None:
         """Reset all state at the start of a batch; does nothing by default.
 
         Parameters

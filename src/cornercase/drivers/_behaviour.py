@@ -43,6 +43,12 @@ class BehaviourDriver(CompiledDriver):
         self.parameters = tuple(behaviour)
         self.start(0, 0)
 
+    def __str__(self) -> str:
+        if type(self) is not BehaviourDriver:
+            return super().__str__()
+        preset, changes = Behaviour(*self.parameters).nearest_preset()
+        return ":".join([preset, *filter(None, [",".join(f"{name}={value}" for name, value in changes.items())])])
+
     @property
     def known_mask(self) -> BoolArray:
         """Entities that the driver knows of, ndarray of bool, shape (N, A)."""

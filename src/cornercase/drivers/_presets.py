@@ -63,6 +63,22 @@ class Behaviour(NamedTuple):
     sight_range: float
     horizon: float
 
+    def __repr__(self) -> str:
+        preset, changes = self.nearest_preset()
+        options = ", ".join(f"{name}={value!r}" for name, value in changes.items())
+        return f"{preset.upper()}._replace({options})" if changes else preset.upper()
+
+    def nearest_preset(self) -> tuple[str, dict[str, float]]:
+        """Return the preset with the most parameters in common, and the parameters that differ."""
+        own = self._asdict()
+        presets = {"normal": NORMAL, "cautious": CAUTIOUS, "aggressive": AGGRESSIVE}
+        changes = {
+            name: {key: own[key] for key, value in preset._asdict().items() if own[key] != value}
+            for name, preset in presets.items()
+        }
+        nearest = min(changes, key=lambda name: len(changes[name]))
+        return nearest, changes[nearest]
+
 
 CAUTIOUS = Behaviour(
     max_speed=40.0 / 3.6,

@@ -32,6 +32,7 @@ class SimpleDriver(CompiledDriver):
         If a parameter is out of range.
     """
 
+    name = "simple"
     kind = SIMPLE
 
     def __init__(

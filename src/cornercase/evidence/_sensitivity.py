@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from cornercase._common.numba.blas import single_threaded_blas
+from cornercase._common.text.html import render_html_table
 from cornercase._common.typing import FloatArray
 from cornercase.evidence.gp._blas import multiply_lower_triangular
 from cornercase.evidence.gp._kernel import evenly_spaced_indices
 from cornercase.evidence.gp._process import GaussianProcess, encode_points, require_enough_scores
 from cornercase.scenario import ParameterSpace
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 _SAMPLES: Final = 4096
 # Points at which the process is drawn for the intervals, and number of draws.
@@ -54,6 +58,30 @@ class Sensitivity:
     def is_meaningful(self) -> bool:
         """Whether enough of the variance is predicted for the indices to be meaningful."""
         return self.predicted >= MIN_PREDICTED
+
+    def table(self) -> pd.DataFrame:
+        """Make a table of the parameters.
+
+        Returns
+        -------
+        DataFrame
+            One row per parameter, indexed by its name, the most influential first: ``total`` and ``first``, and the
+            bounds of their 90 % intervals, ``total low``, ``total high``, ``first low`` and ``first high``.
+        """
+        import pandas as pd
+
+        indices = {"total": (self.total, self.total_interval), "first": (self.first, self.first_interval)}
+        columns: dict[str, Any] = {name: values for name, (values, _) in indices.items()}
+        for name, (_, intervals) in indices.items():
+            for k, bound in enumerate(("low", "high")):
+                columns[f"{name} {bound}"] = [interval[k] for interval in intervals]
+        table = pd.DataFrame(columns, index=pd.Index(self.names, name="parameter"))
+        return table.sort_values("total", ascending=False, kind="stable")
+
+    def _repr_html_(self) -> str:
+        """Table of the parameters, for notebooks."""
+        title = f"Sensitivity: the parameters predict {max(self.predicted, 0.0):.0%} of the variance"
+        return render_html_table(title, self.table(), n_rows=len(self.names))
 
     @property
     def uninfluential_parameters(self) -> tuple[str, ...]:

@@ -24,14 +24,15 @@ from cornercase.drivers import Driver
 from cornercase.drivers._description import driver_command_option, format_driver, iter_driver_changes
 from cornercase.drivers._resolve import create_driver_named_in_file, is_driver
 from cornercase.exploration._objective import Objective
-from cornercase.exploration._stopping import StopCriterion
+from cornercase.exploration.stop._rules import StopCriterion, StopRule, resolve_stop_rules
 from cornercase.metrics import METRICS, CriticalIf
 from cornercase.metrics._critical_if import find_critical_if_condition
 from cornercase.metrics._other_entities import ALL_OTHERS, resolve_others
-from cornercase.optimizers._registry import optimizer_requirements
+from cornercase.optimizers import OPTIMIZERS, Optimizer
 from cornercase.scenario import LogicalScenario
 from cornercase.scenario._file import ScenarioFile
 from cornercase.simulators import Simulator
+from cornercase.simulators._common_options import split_common_options
 from cornercase.simulators.pool._simulator import DEFAULT_MAX_FAILURES, MAX_WORKERS
 from cornercase.study import StudyFile, StudyMeta
 from cornercase.study._meta import MAX_AUDIT_FRACTION
@@ -68,19 +69,19 @@ class ExplorationConfig:
     ego: str
     other: str | Sequence[str]
     metrics: tuple[str, ...]
-    optimizer: str = "bayes"
+    optimizer: str | Optimizer = "bayes"
     critical: float | None = None
     critical_if: str | None = None
     weights: Mapping[str, float] = field(default_factory=dict)
     pareto: bool = False
-    stop_when: tuple[str, ...] = ()
+    stop_when: StopRule | Sequence[StopRule | str] = ()
     budget: int = 200
     batch: int = 10
     asynchronous: bool = False
     patience: int | None = None
     max_seconds: float | None = None
     seed: int = 0
-    simulator: str = "builtin"
+    simulator: str | Simulator = "builtin"
     workers: int = 1
     cluster: str | Client | None = None
     timeout: float | None = None
@@ -96,10 +97,10 @@ class ExplorationConfig:
     warm_start: Path | str | None = None
 
     def __post_init__(self) -> None:
-        arguments = vars(self)
-        checked: dict[str, object] = {
-            name: check_str(name, arguments[name]) for name in ("ego", "optimizer", "simulator")
-        }
+        arguments = dict(vars(self))
+        simulator, options = split_common_options(self.simulator, arguments)
+        arguments |= options
+        checked: dict[str, object] = {"ego": check_str("ego", self.ego), "simulator": simulator}
         all_entities = (
             self.logical.scenario_file.entities if ALL_OTHERS in check_str_sequence("other", self.other) else ()
         )
@@ -108,11 +109,16 @@ class ExplorationConfig:
         if self.critical_if is not None:
             checked["critical_if"] = check_str("critical_if", self.critical_if)
             self._refuse_conflicts_with_condition()
-        checked |= {name: check_str_sequence(name, arguments[name]) for name in ("metrics", "stop_when")}
+        checked["metrics"] = check_str_sequence("metrics", self.metrics)
+        criteria, max_seconds, patience = resolve_stop_rules(self.stop_when)
+        checked["stop_when"] = tuple(criteria)
+        for name, limit in {"max_seconds": max_seconds, "patience": patience}.items():
+            if limit is not None:
+                arguments[name] = limit if arguments[name] is None else min(arguments[name], limit)
         checked |= {
             name: check_int(name, arguments[name], least)
             for name, least in _MINIMUM_OF_SETTING.items()
-            if not (name == "patience" and self.patience is None)
+            if arguments[name] is not None
         }
         checked["workers"] = check_int("workers", self.workers, 1, MAX_WORKERS)
         checked |= {name: check_bool(name, arguments[name]) for name in ("asynchronous", "pareto")}
@@ -127,19 +133,18 @@ class ExplorationConfig:
             checked["warm_start"] = check_path("warm_start", self.warm_start)
         if self.cluster is not None:
             checked["cluster"] = check_cluster(self.cluster)
-        if self.max_seconds is not None:
-            checked["max_seconds"] = check_float("max_seconds", self.max_seconds, minimum=0.0)
+        if arguments["max_seconds"] is not None:
+            checked["max_seconds"] = check_float("max_seconds", arguments["max_seconds"], minimum=0.0)
         if self.timeout is not None:
             checked["timeout"] = check_float("timeout", self.timeout, above=0.0)
         weights = check_mapping("weights", self.weights)
         checked["weights"] = {name: check_float("weights", weight) for name, weight in weights.items()}
         checked["drivers"] = {
-            name: _check_driver(name, driver) for name, driver in check_mapping("drivers", self.drivers).items()
+            name: _check_driver(name, driver) for name, driver in check_mapping("drivers", arguments["drivers"]).items()
         }
         for name, value in checked.items():
             object.__setattr__(self, name, value)
         object.__setattr__(self, "max_repeats", self._checked_max_repeats())
-        self.parse_stop_criteria()
 
     @property
     def others(self) -> tuple[str, ...]:
@@ -206,14 +211,18 @@ class ExplorationConfig:
 
     def parse_stop_criteria(self) -> list[StopCriterion]:
         """Parse the criteria of `stop_when`."""
-        return [StopCriterion.parse(text) for text in self.stop_when]
+        return resolve_stop_rules(self.stop_when)[0]
 
     def minimized_threshold(self, objective: Objective) -> float | None:
         """Return the threshold as a minimized score; None if it is unknown and nothing needs it.
 
         Raises `InputError` if it is unknown but the optimizer, a stop criterion or `max_repeats` needs it.
         """
-        if self.stop_when or self.max_repeats is not None or "threshold" in optimizer_requirements(self.optimizer):
+        if (
+            self.stop_when
+            or self.max_repeats is not None
+            or "threshold" in OPTIMIZERS.get_class(self.optimizer).requires
+        ):
             return objective.minimized_threshold(self.critical)
         return objective.minimized_threshold_or_none(self.critical)
 
@@ -237,9 +246,9 @@ class ExplorationConfig:
             ego=self.ego,
             other=self.others[0] if len(self.others) == 1 else self.others,
             metrics=tuple(metric.name for metric in objective.metrics),
-            optimizer=self.optimizer,
+            optimizer=str(self.optimizer),
             # The options may contain paths of this machine.
-            simulator=remove_folders(self.simulator),
+            simulator=remove_folders(str(self.simulator)),
             settings=settings,
             critical=None if threshold is None else objective.convert_orientation(threshold),
             weights=dict(self.weights),
@@ -267,7 +276,7 @@ def config_from_study(
     study: StudyFile,
     file: Path,
     scenario: Path | str | ScenarioFile | None,
-    simulator: str | None,
+    simulator: str | Simulator | None,
     drivers: Mapping[str, str | Driver],
 ) -> ExplorationConfig:
     """Rebuild the configuration that a study was explored with.

@@ -24,6 +24,7 @@ from cornercase.exploration._estimation import Estimation
 from cornercase.exploration._explore import simulator_from_config
 from cornercase.exploration._probability_estimator import ProbabilityEstimator
 from cornercase.scenario._file import ScenarioFile
+from cornercase.simulators import Simulator
 from cornercase.simulators.pool._simulator import DEFAULT_MAX_FAILURES
 from cornercase.study import StudyFile
 from cornercase.study._study_file import open_or_create_study
@@ -50,7 +51,7 @@ def estimate(
     encounter: float = 10.0,
     seed: int = 0,
     scenario: Path | str | ScenarioFile | None = None,
-    simulator: str | None = None,
+    simulator: str | Simulator | None = None,
     drivers: Mapping[str, str | Driver] | None = None,
     workers: int = 1,
     cluster: str | Client | None = None,
@@ -82,7 +83,7 @@ def estimate(
     scenario : path or ScenarioFile, optional
         The explored file. By default it is searched for at its stored path, next to the study and in the current
         folder, and recognized by its fingerprint.
-    simulator : str, optional
+    simulator : str or Simulator, optional
         Default: that of the study, without options.
     drivers : mapping of str to str or Driver, optional
         Your own drivers by entity, if the study has such; presets are taken from the study.
@@ -159,7 +160,7 @@ def _estimate_config(
     budget: int,
     critical: float | None,
     seed: int,
-    simulator: str | None,
+    simulator: str | Simulator | None,
     drivers: Mapping[str, str | Driver],
 ) -> ExplorationConfig:
     """Return the study's configuration with another budget and seed."""

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from cornercase._common.text.html import render_html_table
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.evidence import Probability
 from cornercase.evidence._probability import probability_from_counts
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 # An interval may be too narrow below this effective sample size, or above this share of a single scenario.
 _MIN_EFFECTIVE_SAMPLES: Final = 30.0
@@ -96,6 +100,36 @@ class Estimation:
             f"<Estimation: critical {self.critical}, collision {self.collision}; {self.scenarios} scenarios in"
             f" {self.study}>"
         )
+
+    def table(self) -> pd.DataFrame:
+        """Make a table of the probabilities.
+
+        Returns
+        -------
+        DataFrame
+            One row per event, indexed by its name: ``probability``, the bounds ``low`` and ``high`` of its 95 %
+            interval, and ``error``, the relative standard error. Probabilities that are unknown are left out.
+        """
+        import pandas as pd
+
+        events = {
+            "critical": self.critical,
+            "collision": self.collision,
+            "encounter": self.encounter,
+            "critical given an encounter": self.critical_given_encounter,
+            "collision given an encounter": self.collision_given_encounter,
+        }
+        columns = ("probability", "low", "high", "error")
+        rows = {
+            name: (event.value, event.low, event.high, event.error)
+            for name, event in events.items()
+            if event is not None
+        }
+        return pd.DataFrame.from_dict(rows, orient="index", columns=columns, dtype="float64").rename_axis("event")
+
+    def _repr_html_(self) -> str:
+        """Table of the probabilities, for notebooks."""
+        return render_html_table(repr(self), self.table())
 
     def to_json(self) -> dict[str, Any]:
         """Return the result as plain values.

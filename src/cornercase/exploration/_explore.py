@@ -23,8 +23,8 @@ from cornercase.exploration._objective import Objective
 from cornercase.exploration._varied_file import open_logical_scenario
 from cornercase.exploration._verify_proposals import verify_proposals
 from cornercase.exploration._warm_start import WarmStart, read_warm_start
-from cornercase.optimizers import Optimizer, create_optimizer
-from cornercase.optimizers._registry import optimizer_requirements
+from cornercase.exploration.stop._rules import StopRule
+from cornercase.optimizers import OPTIMIZERS, Optimizer
 from cornercase.scenario import LogicalScenario
 from cornercase.simulators import Simulator
 from cornercase.simulators._create import create_simulator
@@ -50,19 +50,19 @@ def explore(
     ranges: Sequence[str] = (),
     vary: Sequence[str] = (),
     continuous: bool = False,
-    optimizer: str = "bayes",
+    optimizer: str | Optimizer = "bayes",
     critical: float | None = None,
     critical_if: str | None = None,
     weights: Mapping[str, float] | None = None,
     pareto: bool = False,
-    stop_when: Sequence[str] = (),
+    stop_when: StopRule | Sequence[StopRule | str] = (),
     budget: int = 200,
     batch: int = 10,
     asynchronous: bool = False,
     patience: int | None = None,
     max_seconds: float | None = None,
     seed: int = 0,
-    simulator: str = "builtin",
+    simulator: str | Simulator = "builtin",
     workers: int = 1,
     cluster: str | Client | None = None,
     timeout: float | None = None,
@@ -107,8 +107,8 @@ def explore(
         written next to the study as ``STUDY.varied.xosc`` and explored.
     continuous : bool, default False
         Search ranges with steps as continuous intervals.
-    optimizer : str, default "bayes"
-        Options follow a colon: ``"bayes:filling=0"``.
+    optimizer : str or Optimizer, default "bayes"
+        Such as ``cornercase.optimizers.LevelSet(filling=0.1)``; in text, options follow a colon: ``"bayes:filling=0"``.
     critical : float, optional
         Threshold: score from which a scenario is critical. Default: the metric's own.
     critical_if : str, optional
@@ -120,8 +120,9 @@ def explore(
         By metric: search the weighted sum of the scores. Metrics that are critical when high count with a minus sign.
     pareto : bool, default False
         Search the Pareto front of all metrics.
-    stop_when : sequence of str
-        Stop when the critical set is known this well, such as ``"missed<0.01"``; all criteria must hold.
+    stop_when : StopRule or sequence of StopRule or str
+        Stop when the critical set is known this well, such as ``cornercase.stop.missed(0.01)`` or ``"missed<0.01"``;
+        all criteria must hold. `cornercase.stop.seconds` and `cornercase.stop.no_improvement` end it by themselves.
     budget, batch : int
         Number of scenarios in total and per round.
     asynchronous : bool, default False
@@ -133,7 +134,9 @@ def explore(
         Time in s after which no new round starts.
     seed : int, default 0
         The same seed gives the same result.
-    simulator : str, default "builtin"
+    simulator : str or Simulator, default "builtin"
+        Such as ``cornercase.simulators.Esmini(seed=3)``, or ``"esmini:seed=3"``. An object is not run itself: one like
+        it is made in each process.
     workers : int, default 1
         Number of simulators that run in parallel.
     cluster : str or distributed.Client, optional
@@ -207,7 +210,7 @@ def explore(
             critical_if=critical_if,
             weights={} if weights is None else weights,
             pareto=pareto,
-            stop_when=check_str_sequence("stop_when", stop_when),
+            stop_when=stop_when,
             budget=budget,
             batch=batch,
             asynchronous=asynchronous,
@@ -248,8 +251,8 @@ def _make_objective_and_optimizer(config: ExplorationConfig) -> tuple[Objective,
     """Create the objective and a fresh optimizer for it."""
     objective = config.make_objective()
     threshold = config.minimized_threshold(objective)
-    optimizer = create_optimizer(
-        config.optimizer, config.logical.space, config.seed, threshold=threshold, budget=config.budget
+    optimizer = OPTIMIZERS.resolve(config.optimizer, "optimizer").start(
+        config.logical.space, config.seed, threshold=threshold, budget=config.budget
     )
     if config.pareto and not optimizer.multi_objective:
         raise InputError(f"`pareto`: {config.optimizer} takes one score; use evolutionary, or optuna:sampler=nsga2.")
@@ -303,7 +306,7 @@ def _run_exploration(
             [config.logical.scenario_file],
             [config.logical.concrete_scenario(values) for values in sample_values],
         )
-        warn_notices(_notices_at_center(config))
+        warn_notices(_notices_at_center(config, simulator))
         warn_if_ego_has_no_driver(simulator, [config.logical.scenario_file], config.ego)
         meta = config.make_study_meta(
             objective, simulator.settings, None if warm_start is None else warm_start.study_info, study=study_path
@@ -312,7 +315,7 @@ def _run_exploration(
             if warm_start is None:
                 # A resumed study holds its warm-start data itself.
                 meta = replace(meta, elsewhere=study.meta.elsewhere)
-            study.writer.resume(meta, same_budget="budget" in optimizer_requirements(config.optimizer))
+            study.writer.resume(meta, same_budget="budget" in OPTIMIZERS.get_class(config.optimizer).requires)
             if warm_start is not None:
                 study.writer.save_warm_start(warm_start.points, warm_start.scores)
             had_ended = any(row.state != "pending" for row in study.rows())
@@ -329,12 +332,10 @@ def _run_exploration(
                 raise
 
 
-def _notices_at_center(config: ExplorationConfig) -> tuple[Notice, ...]:
+def _notices_at_center(config: ExplorationConfig, simulator: Simulator) -> tuple[Notice, ...]:
     """List what has no effect in the simulator, for a scenario in the middle of the space."""
     middle_values = config.logical.space.values(config.logical.space.center_point())
-    return list_ignored_content(
-        config.simulator, config.logical.scenario_file, middle_values[0] if middle_values else None
-    )
+    return list_ignored_content(simulator, config.logical.scenario_file, middle_values[0] if middle_values else None)
 
 
 def simulator_from_config(config: ExplorationConfig) -> Simulator:

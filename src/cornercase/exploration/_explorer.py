@@ -22,7 +22,7 @@ from cornercase.exploration._constant_metrics import MIN_SCENARIOS_TO_COMPARE, d
 from cornercase.exploration._objective import Incumbent, Objective
 from cornercase.exploration._proposals import AskTell, ProposalSource
 from cornercase.exploration._runner import ScenarioRunner, StageTimer
-from cornercase.exploration._stopping import StopCriteria
+from cornercase.exploration._stop_criteria import StopCriteria
 from cornercase.exploration._study_critical_set import source_study_model
 from cornercase.metrics import compute_features
 from cornercase.optimizers import Optimizer
@@ -142,7 +142,7 @@ class ScenarioExplorer:
             self._space,
             threshold,
             config.seed,
-            config.optimizer,
+            str(config.optimizer),
             has_audits=config.audit > 0.0,
             source_model=None if threshold is None or not config.stop_when else source_study_model(study, threshold),
         )

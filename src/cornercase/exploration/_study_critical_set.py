@@ -11,8 +11,7 @@ from cornercase.evidence._critical_set_estimate import CriticalSet
 from cornercase.evidence._multi_fidelity import SourceStudyModel
 from cornercase.evidence.gp._process import encode_points
 from cornercase.metrics import compute_features, registered_features
-from cornercase.optimizers import GridOptimizer, RandomOptimizer, SobolOptimizer
-from cornercase.optimizers._registry import optimizer_requirements
+from cornercase.optimizers import OPTIMIZERS, Grid, Random, Sobol
 from cornercase.scenario import ParameterSpace
 from cornercase.study import StudyFile
 
@@ -20,12 +19,12 @@ from cornercase.study import StudyFile
 _AUDIT_SEED_SALT = 0xA0D17
 
 
-def audit_sampler(space: ParameterSpace, seed: int) -> RandomOptimizer:
+def audit_sampler(space: ParameterSpace, seed: int) -> Random:
     """Create the sampler of a study's audits: independent random points, each once.
 
     It is never told anything, so its draws depend on nothing else.
     """
-    return RandomOptimizer(space, int(np.random.SeedSequence([seed, _AUDIT_SEED_SALT]).generate_state(1)[0]))
+    return Random().start(space, int(np.random.SeedSequence([seed, _AUDIT_SEED_SALT]).generate_state(1)[0]))
 
 
 def is_score_independent(optimizer: str, space: ParameterSpace, seed: int, points: FloatArray) -> BoolArray:
@@ -35,12 +34,12 @@ def is_score_independent(optimizer: str, space: ParameterSpace, seed: int, point
     prefix of the search's space-filling sequence; a point counts even if the search also proposed it because of scores.
     """
     name = optimizer.partition(":")[0]
-    if name == GridOptimizer.name:
+    if name == Grid.name:
         return np.ones(len(points), dtype=np.bool_)
-    sampler_class = RandomOptimizer if name == RandomOptimizer.name else SobolOptimizer
+    sampler = Random() if name == Random.name else Sobol()
     keys = row_keys(space.snap(points))
     ran, initial_design = set(keys), set[bytes]()
-    for key in row_keys(sampler_class(space, seed).ask(len(points))):
+    for key in row_keys(sampler.start(space, seed).ask(len(points))):
         if key not in ran:
             break
         initial_design.add(key)
@@ -50,7 +49,7 @@ def is_score_independent(optimizer: str, space: ParameterSpace, seed: int, point
 def uses_features(optimizer: str) -> bool:
     """Return whether a search uses recording features; False if it is unknown here."""
     try:
-        return "features" in optimizer_requirements(optimizer)
+        return "features" in OPTIMIZERS.get_class(optimizer).requires
     except InputError:
         return False
 

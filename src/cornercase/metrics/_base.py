@@ -7,6 +7,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from cornercase._common.configurable import Configurable
 from cornercase._common.errors import InputError
 from cornercase._common.typing import FloatArray
 from cornercase.recordings import Recording
@@ -17,7 +18,7 @@ Score = TypeVar("Score", float, FloatArray)
 _SEVERITY_WEIGHT = 0.1
 
 
-class Metric(ABC):
+class Metric(Configurable, ABC):
     """How critical a recording is for the ego and one other entity.
 
     A subclass sets the attributes and defines `course`.
@@ -69,7 +70,6 @@ class Metric(ABC):
     7.0
     """
 
-    name: str
     unit: str
     lower_is_critical: bool
     cap: float
@@ -101,7 +101,7 @@ class Metric(ABC):
             There is no entity of that name.
         """
 
-    def check_installed(self) -> None:  # noqa: B027 - optional
+    def check_installed(self) -> None:
         """Raise if a package that the metric requires is not installed. Called before anything is run.
 
         Studies of the metric can be read without that package, so the constructor does not check it.

@@ -3,37 +3,44 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from copy import deepcopy
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, Self
 
+from cornercase._common.configurable import Configurable
 from cornercase._common.errors import InputError
+from cornercase._common.plugin_errors import convert_plugin_errors
 from cornercase._common.typing import FloatArray
+from cornercase.metrics import Feature, registered_features
+from cornercase.scenario import ParameterSpace
 
 OptimizerInput = Literal["threshold", "budget", "features"]
-"""Constructor arguments that an optimizer may require besides space and seed."""
+"""What an optimizer may require besides space and seed."""
 
 
-class Optimizer(ABC):
+class Optimizer(Configurable, ABC):
     """Proposes scenarios to run, as points of the unit cube.
 
-    An optimizer depends only on its space, its seed and the observed scores, in the order of the calls: a new one with
-    the same seed that observes the same rounds proposes the same points. So a killed study is resumed by telling it the
-    results again.
+    The constructor takes options only. `start` gives a copy that searches a space, with `ask` and `tell`. Its proposals
+    depend only on its space, its seed and the observed scores, in the order of the calls: another one with the same
+    seed that observes the same rounds proposes the same points. So a killed study is resumed by telling it the results
+    again.
 
-    A subclass takes ``space`` (a `ParameterSpace`), ``seed`` (int) and what it `requires` as keyword arguments, and
-    defines `ask` and `tell`. Further arguments have defaults; users set them after a colon, as in ``bayes:filling=0``.
+    A subclass defines `prepare`, `ask` and `tell`. The arguments of its constructor are its options and have defaults;
+    on the command line they follow a colon, as in ``bayes:filling=0``, which is also the `str` of the object. Two
+    optimizers are equal if class and options are.
 
     Attributes
     ----------
     name : str
-        As on the command line.
+        As on the command line; with the options that were given.
     multi_objective : bool, default False
         Whether it takes several scores per scenario and searches their Pareto front.
     supports_warm_start : bool, default False
         Whether `warm_start` accepts the scores of another study.
     requires : frozenset of {"threshold", "budget", "features"}, default empty
-        Keyword arguments besides ``space`` and ``seed``: ``threshold``, the score up to which a scenario is critical;
-        ``budget``, the total number of scenarios; ``features``, the `Feature` of each column of features. The proposals
+        Arguments of `prepare` besides ``space`` and ``seed``: ``threshold``, the score up to which a scenario is
+        critical; ``budget``, the total number of scenarios; ``features``, the `Feature` of each column. The proposals
         of an optimizer that requires the budget depend on it, so its studies keep their initial budget. The `tell` of
         one that requires features takes them as third argument, shape (m, f), NaN for a scenario that failed.
     is_stateful_ask : bool, default False
@@ -47,25 +54,97 @@ class Optimizer(ABC):
     Examples
     --------
     >>> import numpy as np
-    >>> from cornercase.optimizers import Optimizer
+    >>> from cornercase.optimizers import LevelSet, Optimizer
+    >>> from cornercase.scenario import ParameterSpace
+    >>> space = ParameterSpace.from_ranges(["speed=5:15", "gap=0:40"])
+    >>> LevelSet(filling=0.1).start(space, seed=1, threshold=0.5).ask(3).shape
+    (3, 2)
     >>> class Centre(Optimizer):
     ...     name = "centre"
     ...
-    ...     def __init__(self, space, seed):
-    ...         self._points = np.full((1, space.dimension), 0.5)
+    ...     def __init__(self, offset=0.0):
+    ...         self.offset = offset
+    ...
+    ...     def prepare(self, space, seed):
+    ...         self._points = np.full((1, space.dimension), 0.5 + self.offset)
     ...
     ...     def ask(self, n):
     ...         return self._points[:n]
     ...
     ...     def tell(self, points, scores):
     ...         self._points = self._points[:0]
+    >>> Centre(offset=0.25).start(space, seed=1).ask(1)
+    array([[0.75, 0.75]])
+    >>> Centre(offset=0.25), str(Centre(offset=0.25))
+    (Centre(offset=0.25), 'centre:offset=0.25')
     """
 
-    name: str
     multi_objective: ClassVar[bool] = False
     supports_warm_start: ClassVar[bool] = False
     requires: ClassVar[frozenset[OptimizerInput]] = frozenset()
     is_stateful_ask: ClassVar[bool] = False
+
+    def start(
+        self,
+        space: ParameterSpace,
+        seed: int,
+        *,
+        threshold: float | None = None,
+        budget: int | None = None,
+        features: Sequence[Feature] | None = None,
+    ) -> Self:
+        """Return a copy that searches a space; this object stays as it is.
+
+        Parameters
+        ----------
+        space : ParameterSpace
+        seed : int
+            The same seed gives the same proposals.
+        threshold : float, optional
+            Score up to which a scenario is critical, with lower as more critical. Like the next two, it has an effect
+            only if the optimizer `requires` it.
+        budget : int, optional
+            Total number of scenarios.
+        features : sequence of Feature, optional
+            Columns of the features that `tell` gets. By default all registered ones.
+
+        Returns
+        -------
+        Optimizer
+
+        Raises
+        ------
+        InputError
+            The optimizer requires a threshold or a budget and there is none, or an option does not fit the space.
+        """
+        offered = {"threshold": threshold, "budget": budget, "features": features}
+        required = {name: offered[name] for name in self.requires}
+        if "features" in required and features is None:
+            required["features"] = registered_features()
+        for name, parameter in {"threshold": "critical", "budget": "budget"}.items():
+            if name in required and required[name] is None:
+                raise InputError(f"The optimizer '{self}' needs a {name}; give one with `{parameter}`.")
+        started = self.with_options()
+        with convert_plugin_errors(f"The optimizer '{self}'", started, "in prepare"):
+            started.prepare(space, seed, **required)
+        return started
+
+    @abstractmethod
+    def prepare(self, space: ParameterSpace, seed: int, *further: Any, **required: Any) -> None:
+        """Prepare the search of a space; called once, before the first `ask`.
+
+        Parameters
+        ----------
+        space : ParameterSpace
+        seed : int
+        **required
+            What it `requires`, by name.
+
+        Raises
+        ------
+        InputError
+            An option does not fit the space.
+        """
 
     @abstractmethod
     def ask(self, n: int) -> FloatArray:

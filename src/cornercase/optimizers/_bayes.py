@@ -16,15 +16,13 @@ from cornercase.evidence.gp._kernel import evenly_spaced_indices
 from cornercase.evidence.gp._process import encode_points
 from cornercase.optimizers._candidates import CandidateOptimizer
 from cornercase.optimizers._random_features import RandomFeatureProcess
-from cornercase.scenario import ParameterSpace
 
-_INITIAL: Final = 20
 _STEPS, _STEP_SIZE = 50, 0.01  # of Adam: a tenth of PHYSBO's number of steps, ten times as long
 _N_COMPARED: Final = 200  # points on which initial length scales are compared
 _N_DISTANCE_POINTS: Final = 2000  # points whose distances give the initial length scales
 
 
-class BayesOptimizer(CandidateOptimizer):
+class Bayes(CandidateOptimizer):
     """Bayesian optimization with Thompson sampling.
 
     The setting is that of Schütt, Otten and Sax (2023), section "Optimization Workflow": automatic hyperparameters,
@@ -40,8 +38,6 @@ class BayesOptimizer(CandidateOptimizer):
 
     Parameters
     ----------
-    space : ParameterSpace
-    seed : int
     candidates : int, default 2000
         Number of points from which a round is chosen; drawn anew for each round.
     features : int, default 500
@@ -51,14 +47,13 @@ class BayesOptimizer(CandidateOptimizer):
     """
 
     name = "bayes"
+    initial = 20
 
-    def __init__(
-        self, space: ParameterSpace, seed: int, candidates: int = 2000, features: int = 500, filling: float = 0.3
-    ) -> None:
-        super().__init__(space, seed, initial=_INITIAL, filling=filling)
-        self._count, self._features = candidates, features
-        self._process: RandomFeatureProcess
-        self._score_mean_and_deviation: tuple[float, float]
+    _process: RandomFeatureProcess
+    _score_mean_and_deviation: tuple[float, float]
+
+    def __init__(self, candidates: int = 2000, features: int = 500, filling: float = 0.3) -> None:
+        self._count, self._features, self._filling = candidates, features, filling
 
     def _fit_model(self, points: FloatArray, scores: FloatArray, seed: int) -> None:
         self._score_mean_and_deviation = float(scores.mean()), float(scores.std())

@@ -11,7 +11,7 @@ import numpy as np
 from cornercase._common.numba.blas import single_threaded_blas
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.optimizers._base import Optimizer
-from cornercase.optimizers._qmc import SobolOptimizer
+from cornercase.optimizers._qmc import Sobol
 from cornercase.scenario import ParameterSpace
 
 _MIN_NEW_SCENARIOS: Final = 10  # number of new scenarios after which the model is learned anew, at least
@@ -31,17 +31,21 @@ class CandidateOptimizer(Optimizer):
     Pending points, in a search without rounds, count towards the space-filling fraction. To choose others, the model is
     conditioned on them without a score, as on the space-filling points of the same round.
 
-    `initial` is the number of points before anything is learned, `filling` the fraction of all points that fills the
-    space.
+    A subclass sets `initial`, the number of points before anything is learned, and `_filling`, the fraction of all
+    points that fills the space.
     """
+
+    initial: ClassVar[int]
 
     relearn_growth: ClassVar[float] = 0.1
     """Relative growth of the data after which the model is learned anew."""
 
-    def __init__(self, space: ParameterSpace, seed: int, *, initial: int, filling: float) -> None:
+    _filling: float
+
+    def prepare(self, space: ParameterSpace, seed: int, *further: Any, **required: Any) -> None:
+        """Begin with the Sobol' sequence of the space."""
         self._space, self._seed = space, seed
-        self._initial, self._filling = initial, filling
-        self._sequence = SobolOptimizer(space, seed)
+        self._sequence = Sobol().start(space, seed)
         self._points, self._scores = np.zeros((0, space.dimension)), np.zeros(0)
         self._n_learned, self._n_pending = 0, 0
 
@@ -79,7 +83,7 @@ class CandidateOptimizer(Optimizer):
 
     def _has_enough_scores(self) -> bool:
         """Whether there are enough scores to learn from."""
-        return len(self._points) >= self._initial
+        return len(self._points) >= self.initial
 
     @property
     def _is_finished(self) -> BoolArray:
@@ -115,7 +119,7 @@ class CandidateOptimizer(Optimizer):
 
     def _draw_candidates(self, seed: int, count: int, exclude: FloatArray) -> FloatArray:
         """Points of a sequence with its own seed, (m, d), without those of `exclude` (k, d)."""
-        sequence = SobolOptimizer(self._space, seed)
+        sequence = Sobol().start(self._space, seed)
         # Telling it the excluded points is faster than to filter all drawn points afterwards.
         sequence.tell(exclude, np.zeros(len(exclude)))
         return sequence.ask(count)

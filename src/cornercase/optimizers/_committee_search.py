@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from cornercase._common.typing import FloatArray, IntArray
-from cornercase.evidence._committee import Committee
+from cornercase.evidence._committee import Committee as CommitteeModel
 from cornercase.evidence._multi_fidelity import augment_points
 from cornercase.evidence.gp._process import encode_points
 from cornercase.metrics import Feature
@@ -17,7 +17,6 @@ from cornercase.optimizers._dedupe import Deduplicator
 from cornercase.optimizers._warm_start import WarmStartOptimizer
 from cornercase.scenario import ParameterSpace
 
-_INITIAL: Final = 24
 _TREES: Final = 64
 _BRANCH_WEIGHT: Final = 0.5  # weight of an uncertain branch against an uncertain outcome
 _MIN_SIDE: Final = 0.1  # least scale of a coordinate that the score depends on little
@@ -27,7 +26,7 @@ _NEAR_FRACTION, _MAX_DEVIATION = (
 )  # fraction of the candidates near critical scenarios, and their greatest deviation
 
 
-class CommitteeOptimizer(WarmStartOptimizer):
+class Committee(WarmStartOptimizer):
     """Proposes the scenarios about which a `Committee` is most uncertain.
 
     It learns from features of the recordings, so that it follows scores that jump between branches of a scenario. It
@@ -47,12 +46,6 @@ class CommitteeOptimizer(WarmStartOptimizer):
 
     Parameters
     ----------
-    space : ParameterSpace
-    seed : int
-    threshold : float
-        Score up to which a scenario is critical.
-    features : sequence of Feature, optional
-        Features that `tell` gets for each scenario. Without them, it learns from the scores alone.
     candidates : int, default 4096
         Number of points from which a round is chosen; 85 % of them near critical scenarios.
     filling : float, default 0.15
@@ -60,23 +53,20 @@ class CommitteeOptimizer(WarmStartOptimizer):
     """
 
     name = "committee"
+    initial = 24
     requires = frozenset({"threshold", "features"})
     relearn_growth = 0.25
 
-    def __init__(
-        self,
-        space: ParameterSpace,
-        seed: int,
-        threshold: float,
-        features: Sequence[Feature] = (),
-        candidates: int = 4096,
-        filling: float = 0.15,
-    ) -> None:
-        super().__init__(space, seed, initial=_INITIAL, filling=filling)
-        self.threshold, self._features, self._count = threshold, tuple(features), candidates
+    def __init__(self, candidates: int = 4096, filling: float = 0.15) -> None:
+        self._count, self._filling = candidates, filling
+
+    def prepare(self, space: ParameterSpace, seed: int, threshold: float, features: Sequence[Feature]) -> None:
+        """Prepare the search, as `Optimizer.prepare`; without features, it learns from the scores alone."""
+        super().prepare(space, seed)
+        self.threshold, self._features = threshold, tuple(features)
         self._deduplicator = Deduplicator(space)
         self._observed_features: FloatArray | None = np.zeros((0, len(self._features))) if self._features else None
-        self._committee: Committee
+        self._committee: CommitteeModel
 
     def tell(self, points: FloatArray, scores: FloatArray, features: FloatArray | None = None) -> None:
         """Observe the scores of one round, as in `Optimizer.tell`, and features of the recordings.
@@ -98,7 +88,7 @@ class CommitteeOptimizer(WarmStartOptimizer):
         )
 
     def _fit_model(self, points: FloatArray, scores: FloatArray, seed: int) -> None:
-        self._committee = Committee(
+        self._committee = CommitteeModel(
             _threshold_between_scores(scores, self.threshold),
             self._features if self._observed_features is not None else (),
             has_prediction=self._source_model is not None,

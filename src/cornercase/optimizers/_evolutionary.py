@@ -10,13 +10,13 @@ from cornercase._common.errors import InputError
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.optimizers._base import Optimizer
 from cornercase.optimizers._dedupe import Deduplicator
-from cornercase.optimizers._qmc import SobolOptimizer
+from cornercase.optimizers._qmc import Sobol
 from cornercase.scenario import ParameterSpace
 
 _TRIES = 50
 
 
-class EvolutionaryOptimizer(Optimizer):
+class Evolutionary(Optimizer):
     """Genetic algorithm; with several scores it is NSGA-II and searches their Pareto front.
 
     The parents of a round are the best of all observed scenarios, by non-dominated sorting and crowding distance,
@@ -29,8 +29,6 @@ class EvolutionaryOptimizer(Optimizer):
 
     Parameters
     ----------
-    space : ParameterSpace
-    seed : int
     population : int, default 40
         Number of initial points of the Sobol' sequence, and of the best scenarios that can be parents.
 
@@ -43,12 +41,16 @@ class EvolutionaryOptimizer(Optimizer):
     name = "evolutionary"
     multi_objective = True
 
-    def __init__(self, space: ParameterSpace, seed: int, population: int = 40) -> None:
+    def __init__(self, population: int = 40) -> None:
         if population < 2:
             raise InputError(f"evolutionary cannot take a population of {population:g}; give 2 or more.")
-        self._space, self._seed, self._population = space, seed, int(population)
+        self._population = int(population)
+
+    def prepare(self, space: ParameterSpace, seed: int) -> None:
+        """Begin with the Sobol' sequence of the space."""
+        self._space, self._seed = space, seed
         self._has_choices = np.array([bool(parameter.choices) for parameter in space.parameters])
-        self._sequence = SobolOptimizer(space, seed)
+        self._sequence = Sobol().start(space, seed)
         self._deduplicator = Deduplicator(space)
         self._points = np.zeros((0, space.dimension))
         self._scores: FloatArray | None = None

@@ -15,29 +15,19 @@ from cornercase.scenario import ParameterSpace
 _MAX_POINTS: Final = 1_000_000
 
 
-class GridOptimizer(Optimizer):
+class Grid(Optimizer):
     """Full factorial design.
 
-    Parameters
-    ----------
-    space : ParameterSpace
-    seed : int
-        Not used: a grid is not random.
-    budget : int, default 3375
-        The grid has as many steps per parameter as fit into this number of scenarios, at least one. More than a
-        million points are refused.
-
-    Raises
-    ------
-    InputError
-        The grid would have more points.
+    The grid has as many steps per parameter as fit into the budget, at least one. It is not random. `start` refuses a
+    grid of more than a million points.
     """
 
     name = "grid"
     multi_objective = True
     requires = frozenset({"budget"})
 
-    def __init__(self, space: ParameterSpace, seed: int, budget: int = 3375) -> None:
+    def prepare(self, space: ParameterSpace, seed: int, budget: int) -> None:
+        """Make the grid, as `Optimizer.prepare`."""
         self._n_observed = 0
         steps = [1] * space.dimension
         sizes = [parameter.size or budget for parameter in space.parameters]

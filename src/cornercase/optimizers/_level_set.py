@@ -22,7 +22,6 @@ from cornercase.optimizers._straddle import StraddleSelection, straddle_gains
 from cornercase.optimizers._warm_start import WarmStartOptimizer
 from cornercase.scenario import ParameterSpace
 
-_INITIAL: Final = 24  # points before anything is learned
 _N_BEST: Final = 4096  # best candidates that are kept until the process is learned anew
 _N_FIRST_TRIED: Final = 512  # of these, how many are tried first
 _LOCAL_MINIMA_FRACTION: Final = 0.15  # fraction of the points that follow local minima of the scores
@@ -33,7 +32,7 @@ _MIN_PROBABILITY: Final = 0.05  # probability of being critical from which a can
 _UNCERTAIN_FRACTIONS, _FILLING_FACTORS = (0.03, 0.08), (2.5, 1.0)
 
 
-class LevelSetOptimizer(WarmStartOptimizer):
+class LevelSet(WarmStartOptimizer):
     """Proposes the scenarios about which a Gaussian process is most uncertain whether they are critical.
 
     A scenario is critical if its score is at most the threshold. Each point of a round has the largest ``1.96 s - |m -
@@ -60,10 +59,6 @@ class LevelSetOptimizer(WarmStartOptimizer):
 
     Parameters
     ----------
-    space : ParameterSpace
-    seed : int
-    threshold : float
-        Score up to which a scenario is critical.
     candidates : int, default 20000
         Number of points from which is chosen.
     filling : float, default 0.2
@@ -71,18 +66,21 @@ class LevelSetOptimizer(WarmStartOptimizer):
     """
 
     name = "level-set"
+    initial = 24
     requires = frozenset({"threshold"})
 
-    def __init__(
-        self, space: ParameterSpace, seed: int, threshold: float, candidates: int = 20_000, filling: float = 0.2
-    ) -> None:
-        super().__init__(space, seed, initial=_INITIAL, filling=filling)
-        self.threshold = threshold
+    _process: GaussianProcess
+    _candidates: FloatArray
+    _all_candidates: FloatArray
+
+    def __init__(self, candidates: int = 20_000, filling: float = 0.2) -> None:
         self._count, self._min_filling = candidates, filling
+
+    def prepare(self, space: ParameterSpace, seed: int, threshold: float) -> None:
+        """Prepare the search, as `Optimizer.prepare`."""
+        super().prepare(space, seed)
+        self.threshold, self._filling = threshold, self._min_filling
         self._deduplicator = Deduplicator(space)
-        self._process: GaussianProcess
-        self._candidates: FloatArray
-        self._all_candidates: FloatArray
 
     def tell(self, points: FloatArray, scores: FloatArray) -> None:
         """Observe scores (m,) of points (m, d), as in `Optimizer.tell`."""

@@ -11,14 +11,14 @@ from cornercase._common.errors import InputError, suggest_name
 from cornercase._common.typing import FloatArray
 from cornercase.optimizers._base import Optimizer
 from cornercase.optimizers._dedupe import Deduplicator
-from cornercase.optimizers._qmc import SobolOptimizer
+from cornercase.optimizers._qmc import Sobol
 from cornercase.scenario import ParameterSpace
 
 _SAMPLERS: Final = ("tpe", "nsga2", "cmaes", "gp", "random")
 _TRIES = 20
 
 
-class OptunaOptimizer(Optimizer):
+class Optuna(Optimizer):
     """A sampler of Optuna, with one score or several.
 
     A sampler has a state besides points and scores. So if it observes points that it did not propose, as when a study
@@ -29,8 +29,6 @@ class OptunaOptimizer(Optimizer):
 
     Parameters
     ----------
-    space : ParameterSpace
-    seed : int
     sampler : {"tpe", "nsga2", "cmaes", "gp", "random"}, default "tpe"
         Tree-structured Parzen estimator with a constant liar for rounds, NSGA-II, CMA-ES (needs the package cmaes),
         Gaussian process (needs torch), or independent points.
@@ -38,18 +36,22 @@ class OptunaOptimizer(Optimizer):
     Raises
     ------
     InputError
-        Optuna is not installed, or there is no such sampler.
+        There is no such sampler. `start` raises it if Optuna is not installed.
     """
 
     name = "optuna"
     multi_objective = True
     is_stateful_ask = True
 
-    def __init__(self, space: ParameterSpace, seed: int, sampler: str = "tpe") -> None:
+    def __init__(self, sampler: str = "tpe") -> None:
         if sampler not in _SAMPLERS:
             raise InputError(f"There is no sampler '{sampler}' of Optuna here; {suggest_name(sampler, _SAMPLERS)}")
-        self._space, self._seed, self._sampler_name = space, seed, sampler
-        self._sequence = SobolOptimizer(space, seed)
+        self._sampler_name = sampler
+
+    def prepare(self, space: ParameterSpace, seed: int) -> None:
+        """Create the sampler, as `Optimizer.prepare`."""
+        self._space, self._seed = space, seed
+        self._sequence = Sobol().start(space, seed)
         self._deduplicator = Deduplicator(space)
         # Optuna's trials of proposed points without a result; None for points of the sequence.
         self._open_trials: dict[bytes, Any] = {}

@@ -26,7 +26,8 @@ class SequenceOptimizer(Optimizer):
 
     multi_objective = True
 
-    def __init__(self, space: ParameterSpace, seed: int) -> None:
+    def prepare(self, space: ParameterSpace, seed: int) -> None:
+        """Begin the sequence, as `Optimizer.prepare`."""
         self._space, self._seed = space, seed
         self._deduplicator = Deduplicator(space)
         # Drawn points of the sequence that can be proposed.
@@ -93,22 +94,17 @@ class SequenceOptimizer(Optimizer):
         return True
 
 
-class SobolOptimizer(SequenceOptimizer):
+class Sobol(SequenceOptimizer):
     """Scrambled Sobol' sequence.
 
     Source: A. B. Owen, "Scrambling Sobol' and Niederreiter-Xing points", Journal of Complexity 14 (1998); implemented
     in scipy.
-
-    Parameters
-    ----------
-    space : ParameterSpace
-    seed : int
     """
 
     name = "sobol"
 
-    def __init__(self, space: ParameterSpace, seed: int) -> None:
-        super().__init__(space, seed)
+    def prepare(self, space: ParameterSpace, seed: int) -> None:
+        super().prepare(space, seed)
         # Imported late, since it takes half a second and few searches need it.
         from scipy.stats import qmc
 
@@ -118,19 +114,13 @@ class SobolOptimizer(SequenceOptimizer):
         return np.asarray(self._sobol.random(count))
 
 
-class RandomOptimizer(SequenceOptimizer):
-    """Independent points, uniform over the unit cube.
-
-    Parameters
-    ----------
-    space : ParameterSpace
-    seed : int
-    """
+class Random(SequenceOptimizer):
+    """Independent points, uniform over the unit cube."""
 
     name = "random"
 
-    def __init__(self, space: ParameterSpace, seed: int) -> None:
-        super().__init__(space, seed)
+    def prepare(self, space: ParameterSpace, seed: int) -> None:
+        super().prepare(space, seed)
         self._random = np.random.default_rng(seed)
 
     def _draw_next(self, count: int) -> FloatArray:

@@ -5,14 +5,18 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
-from html import escape
+from typing import TYPE_CHECKING
 
+from cornercase._common.text.html import render_html_table
 from cornercase.reduction._cluster_shapes import ClusterShape
 from cornercase.reduction._coverage import Coverage
 from cornercase.reduction._critical_coverage import CriticalCoverage
 from cornercase.reduction._kill_matrix import MutantSelection
 from cornercase.reduction._selection_state import Role
 from cornercase.scenario import Value
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 @dataclass(frozen=True)
@@ -97,27 +101,26 @@ class ReducedSet:
         counts = ", ".join(f"{count} {role}{'' if count == 1 else 's'}" for role, count in roles.items())
         return f"ReducedSet({len(self.scenarios)} of {self.n_run} scenarios kept by {self.by}: {counts or 'none'})"
 
-    def _repr_html_(self) -> str:
-        """Table of the selected scenarios, for notebooks."""
-        if not self.scenarios:
-            return f"<p>{escape(repr(self))}</p>"
-        first = self.scenarios[0]
-        head = ["id", "cluster", "role", *first.values, *first.scores, "why"]
+    def table(self) -> pd.DataFrame:
+        """Make a table of the selected scenarios.
+
+        Returns
+        -------
+        DataFrame
+            One row per scenario, indexed by its id in the study, in the order of selection: ``cluster``, ``role``, the
+            parameters, the score by each metric, ``why`` and ``file``.
+        """
+        import pandas as pd
+
         rows = [
-            [
-                scenario.id,
-                scenario.cluster,
-                scenario.role,
-                *scenario.values.values(),
-                *scenario.scores.values(),
-                scenario.why,
-            ]
+            {"id": scenario.id, "cluster": scenario.cluster, "role": scenario.role}
+            | dict(scenario.values)
+            | dict(scenario.scores)
+            | {"why": scenario.why, "file": scenario.file}
             for scenario in self.scenarios
         ]
-        cells = "".join(f"<tr>{''.join(f'<td>{escape(_format_cell(cell))}</td>' for cell in row)}</tr>" for row in rows)
-        names = "".join(f"<th>{escape(name)}</th>" for name in head)
-        return f"<p>{escape(repr(self))}</p><table><tr>{names}</tr>{cells}</table>"
+        return pd.DataFrame(rows).set_index("id") if rows else pd.DataFrame()
 
-
-def _format_cell(value: object) -> str:
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
+    def _repr_html_(self) -> str:
+        """Table of the selected scenarios, for notebooks."""
+        return render_html_table(repr(self), self.table(), n_rows=len(self))

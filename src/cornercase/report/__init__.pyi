@@ -1,3 +1,6 @@
+from ._estimates import AuditEstimates as AuditEstimates
+from ._estimates import CriticalEstimates as CriticalEstimates
+from ._estimates import CriticalSetEstimates as CriticalSetEstimates
 from ._page import write_report as write_report
 from ._summary import FailureSummary as FailureSummary
 from ._summary import MetricSummary as MetricSummary

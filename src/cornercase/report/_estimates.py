@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from html import escape
 
 import numpy as np
 
 from cornercase._common.errors import skip_if_not_enough_data
-from cornercase._common.typing import FloatArray
 from cornercase.evidence import Estimate, Sensitivity
 from cornercase.evidence._critical_set_estimate import MIN_REGION_FRACTION
 from cornercase.evidence._proportions import proportion_interval
@@ -23,39 +23,117 @@ _MIN_SCENARIOS, _MAX_SCENARIOS, _MAX_SIZES = 10, 1000, 8
 
 @dataclass(frozen=True)
 class CriticalEstimates:
-    """Estimates about the critical scenarios of a study."""
+    """Estimates about the critical scenarios of a study.
 
-    threshold: float  # in the unit of the objective
+    Attributes
+    ----------
+    threshold : float
+        Score from which a scenario is critical, in the unit of the objective.
+    lower_is_critical : bool
+    unit : str
+        Empty for none.
+    n_critical : int
+        Number of critical scenarios that were run.
+    critical_set : CriticalSetEstimates or None
+        None if too few scenarios were run.
+    audits : AuditEstimates or None
+        None without audits.
+    """
+
+    threshold: float
     lower_is_critical: bool
-    unit: str  # empty for none
-    n_critical: int  # number of critical scenarios that were run
-    critical_set: CriticalSetEstimates | None  # None if too few scenarios were run
-    audits: AuditEstimates | None = None  # None without audits
+    unit: str
+    n_critical: int
+    critical_set: CriticalSetEstimates | None
+    audits: AuditEstimates | None = None
+
+    def _repr_html_(self) -> str:
+        """The estimates in a list, for notebooks."""
+        sign = "<=" if self.lower_is_critical else ">="
+        facts = [f"critical if the score {sign} {self.threshold:g} {self.unit}; {self.n_critical} such scenarios ran"]
+        if self.critical_set is None:
+            facts.append("too few scenarios for estimates about the whole space")
+        else:
+            facts += self.critical_set.descriptions()
+        return f"<ul>{''.join(f'<li>{escape(fact)}</li>' for fact in facts)}</ul>"
 
 
 @dataclass(frozen=True)
 class CriticalSetEstimates:
-    """Estimates about all critical scenarios of the space, including those that were not run."""
+    """Estimates about all critical scenarios of the space, including those that were not run.
 
-    critical_fraction: Estimate  # critical share of the space
-    missed_fraction: Estimate  # share of the critical set that was not found
-    p_overlooked_region: float  # probability that a critical region of size `region_fraction` contains no run
-    unexplored_fraction: float  # share of the space whose surrounding region of size `region_fraction` contains no run
-    region_fraction: float  # share of the space
-    max_hidden_fraction: float  # share of the critical set that a region without runs could hold
-    interval_unavailable: str | None = None  # why `critical_fraction` has no interval; None if it has
-    missed_interval_unavailable: str | None = None  # why `missed_fraction` has no interval; None if it has
-    by_committee: bool = False  # predicted by a committee, not by a Gaussian process of the scores
+    Attributes
+    ----------
+    critical_fraction : Estimate
+        Critical share of the space.
+    missed_fraction : Estimate
+        Share of the critical set that was not found.
+    p_overlooked_region : float
+        Probability that a critical region of size `region_fraction` contains no run.
+    unexplored_fraction : float
+        Share of the space whose surrounding region of size `region_fraction` contains no run.
+    region_fraction : float
+        Share of the space.
+    max_hidden_fraction : float
+        Share of the critical set that a region without runs could hold.
+    interval_unavailable : str or None
+        Why `critical_fraction` has no interval; None if it has.
+    missed_interval_unavailable : str or None
+        Why `missed_fraction` has no interval; None if it has.
+    by_committee : bool
+        Whether a committee predicted them, not a Gaussian process of the scores.
+    """
+
+    critical_fraction: Estimate
+    missed_fraction: Estimate
+    p_overlooked_region: float
+    unexplored_fraction: float
+    region_fraction: float
+    max_hidden_fraction: float
+    interval_unavailable: str | None = None
+    missed_interval_unavailable: str | None = None
+    by_committee: bool = False
+
+    def descriptions(self) -> list[str]:
+        """Describe the two fractions, with intervals or why there is none.
+
+        Returns
+        -------
+        list of str
+        """
+        fractions = (
+            ("critical share of the space", self.critical_fraction, self.interval_unavailable),
+            ("missed share of the critical set", self.missed_fraction, self.missed_interval_unavailable),
+        )
+        return [
+            f"{name}: {estimate.value:.2%} "
+            + (
+                f"(90 % interval: {estimate.low:.2%} to {estimate.high:.2%})"
+                if why is None
+                else f"(no interval: {why})"
+            )
+            for name, estimate, why in fractions
+        ]
 
 
 @dataclass(frozen=True)
 class AuditEstimates:
-    """Estimates from the audits: random scenarios whose results the search did not see."""
+    """Estimates from the audits: random scenarios whose results the search did not see.
 
-    n_scenarios: int  # number of audits that were run
-    n_critical: int  # number of critical audits
-    critical_fraction: Estimate  # critical share of the space
-    missed_fraction: Estimate | None  # share of the critical set that was not found; None if unknown
+    Attributes
+    ----------
+    n_scenarios, n_critical : int
+        Number of audits that were run, and of critical ones.
+    critical_fraction : Estimate
+        Critical share of the space.
+    missed_fraction : Estimate or None
+        Share of the critical set that was not found; None if unknown.
+    """
+
+    n_scenarios: int
+    n_critical: int
+    critical_fraction: Estimate
+    missed_fraction: Estimate | None
 
 
 @dataclass(frozen=True)
@@ -108,21 +186,29 @@ def estimate_space(study: StudyFile) -> SpaceEstimates:
     if not rows:
         return SpaceEstimates()
     objective = Objective.from_study_meta(meta)
-    oriented = objective.minimized_scores(study)
     if objective.pareto:
         scores = {metric.name: study.scores(metric.name) for metric in objective.metrics}
-        front = np.flatnonzero(is_on_pareto_front(oriented)).tolist()
+        front = np.flatnonzero(is_on_pareto_front(objective.minimized_scores(study))).tolist()
         return SpaceEstimates({rows[k].id: {name: float(column[k]) for name, column in scores.items()} for k in front})
     sensitivity = None
     with skip_if_not_enough_data():
-        searched = ~study.audit_mask()
-        sensitivity = estimate_sensitivity(study.space, study.points()[searched], oriented[searched], meta.seed)
-    return SpaceEstimates(None, _estimate_critical(study, objective, oriented), sensitivity)
+        sensitivity = estimate_study_sensitivity(study)
+    return SpaceEstimates(None, estimate_critical(study), sensitivity)
 
 
-def _estimate_critical(study: StudyFile, objective: Objective, oriented: FloatArray) -> CriticalEstimates | None:
-    if study.critical is None:
+def estimate_study_sensitivity(study: StudyFile) -> Sensitivity:
+    """Estimate the sensitivity of the searched score to the parameters; ValueError for fewer than 10 scores."""
+    scores = Objective.from_study_meta(study.meta).minimized_scores(study)
+    searched = ~study.audit_mask()
+    return estimate_sensitivity(study.space, study.points()[searched], scores[searched], study.meta.seed)
+
+
+def estimate_critical(study: StudyFile) -> CriticalEstimates | None:
+    """Estimate the critical set of a study; None without a threshold or a scenario that ran."""
+    if study.critical is None or not study.finished_rows():
         return None
+    objective = Objective.from_study_meta(study.meta)
+    oriented = objective.minimized_scores(study)
     threshold = objective.convert_orientation(study.critical)
     audits = study.audit_mask()
     estimates, missed = None, None

@@ -6,12 +6,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Self
 
 import numpy as np
 
 from cornercase._common.errors import InputError
-from cornercase._common.validation import check_bool, check_path, check_str_sequence
+from cornercase._common.validation import check_bool, check_float, check_path, check_str, check_str_sequence
 from cornercase.scenario._constraints import read_declarations
 from cornercase.scenario._file import ScenarioFile
 from cornercase.scenario._parameter import Value
@@ -170,12 +170,54 @@ class LogicalScenario:
         file.add_files(files)
         if varied is None:
             raise InputError(f"{file.path}: nothing is varied; give a `space` file, or `ranges` such as NAME=LOW:HIGH.")
-        file.require_declared(list(varied.assigned_names))
-        varied = varied.as_continuous() if check_bool("continuous", continuous) else varied
+        return cls._from_space(file, varied.as_continuous() if check_bool("continuous", continuous) else varied)
+
+    @classmethod
+    def _from_space(cls, file: ScenarioFile, space: ParameterSpace) -> Self:
+        """Check the parameters against their declarations, and add their types, constraints and roads."""
+        file.require_declared(list(space.assigned_names))
         declarations = read_declarations(file.root, str(file.path))
-        varied = varied.with_types(declarations, str(file.path)).with_constraints(declarations, str(file.path))
-        file = add_varied_roads(file, varied)
-        return cls(file.path, varied, file.fingerprint(), file)
+        space = space.with_types(declarations, str(file.path)).with_constraints(declarations, str(file.path))
+        file = add_varied_roads(file, space)
+        return cls(file.path, space, file.fingerprint(), file)
+
+    def vary(self, name: str, low: float, high: float, *, step: float | None = None) -> Self:
+        """Return a scenario in which a parameter has this range; all other parameters stay.
+
+        Parameters
+        ----------
+        name : str
+            A parameter that the scenario file declares. It is added to the space, or its range is replaced.
+        low, high : float
+            Bounds of the range, in the parameter's unit.
+        step : float, optional
+            Distance of two values; by default all values between the bounds are possible.
+
+        Returns
+        -------
+        LogicalScenario
+
+        Raises
+        ------
+        InputError
+            The scenario does not declare the parameter, or the range is not one.
+
+        See Also
+        --------
+        cornercase.scenario.vary : Varies numbers that are no parameters.
+
+        Examples
+        --------
+        >>> from cornercase import LogicalScenario
+        >>> logical = LogicalScenario.read("examples/r157/deceleration.xosc", ranges=["gap=20:40"])
+        >>> logical.vary("deceleration", 1, 6, step=0.5)
+        <LogicalScenario 'examples/r157/deceleration.xosc': gap 20 to 40, deceleration 1 to 6 by 0.5>
+        """
+        bounds = [check_float("low", low), check_float("high", high)]
+        if step is not None:
+            bounds.append(check_float("step", step, above=0.0))
+        text = f"{check_str('name', name)}={':'.join(map(repr, bounds))}"
+        return self._from_space(self.scenario_file, self.space.with_ranges([text]))
 
     def concrete_scenario(self, values: Mapping[str, Value]) -> ConcreteScenario:
         """Return a concrete scenario.

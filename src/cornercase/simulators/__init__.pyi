@@ -8,10 +8,10 @@ from ._simulate_many import SimulatedFolder as SimulatedFolder
 from ._simulate_many import simulate_many as simulate_many
 from .builtin._check import Check as Check
 from .builtin._check import check as check
-from .builtin._simulator import BuiltinSimulator as BuiltinSimulator
+from .builtin._simulator import Builtin as Builtin
 from .carla._openscenario_1_0 import Conversion as Conversion
 from .carla._openscenario_1_0 import convert as convert
-from .carla._simulator import CarlaSimulator as CarlaSimulator
-from .carmaker._simulator import CarMakerSimulator as CarMakerSimulator
-from .esmini._simulator import EsminiSimulator as EsminiSimulator
-from .sumo._simulator import SumoSimulator as SumoSimulator
+from .carla._simulator import Carla as Carla
+from .carmaker._simulator import CarMaker as CarMaker
+from .esmini._simulator import Esmini as Esmini
+from .sumo._simulator import Sumo as Sumo

@@ -5,8 +5,9 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Literal, Self
+from typing import ClassVar, Final, Literal, Self
 
+from cornercase._common.configurable import Configurable
 from cornercase._common.errors import InputError, SimulationError
 from cornercase._common.io.support_table import Notice, issue_notice_warning
 from cornercase._common.plugin_errors import convert_plugin_errors
@@ -16,6 +17,9 @@ from cornercase.drivers._description import serialize_driver
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario, Value
 from cornercase.scenario._file import ScenarioFile
+
+COMMON_OPTIONS: Final = frozenset({"time_step", "duration", "on_collision", "drivers"})
+"""Options that are offered to every simulator."""
 
 
 @dataclass(frozen=True)
@@ -37,21 +41,23 @@ class Availability:
     features: tuple[str, ...] = ()
 
 
-class Simulator(ABC):
+class Simulator(Configurable, ABC):
     """Runs concrete scenarios; the base class of all simulators.
 
     Your own simulator is a subclass with `settings` and `run`, registered in the entry-point group
     ``cornercase.simulators``. The other declarations have defaults for a program that runs one scenario at a time.
 
-    Constructor options are keyword arguments. Those of ``time_step`` and ``duration`` in s, ``on_collision``
-    (``"continue"`` or ``"stop"``) and ``drivers`` (driver or its name, by entity) that the constructor declares are
-    passed; drivers for a simulator that does not declare them are refused. Further options come after the colon of its
-    name (``"esmini:seed=3"``); undeclared ones are refused, also if it takes ``**options``.
+    Its constructor starts nothing and needs nothing installed: an object describes a simulator, and one like it is made
+    where it runs. Constructor options are keyword arguments. Those of ``time_step`` and ``duration`` in s,
+    ``on_collision`` (``"continue"`` or ``"stop"``) and ``drivers`` (driver or its name, by entity) that the constructor
+    declares are passed; drivers for a simulator that does not declare them are refused. Further options come after the
+    colon of its name (``"esmini:seed=3"``); undeclared ones are refused, also if it takes ``**options``.
 
     Attributes
     ----------
     name : str
-        As registered, with its options if it was created with any: ``"esmini:seed=3"``.
+        As registered, with its options if it was created with any: ``"esmini:seed=3"``. Time step, duration,
+        ``on_collision`` and drivers are not part of it, since all simulators have them.
     settings : dict
         Everything besides the scenario that the recordings depend on, as plain JSON values. It is stored with a study,
         and a study is resumed only with the same settings.
@@ -93,7 +99,7 @@ class Simulator(ABC):
     ...             )
     """
 
-    name: str
+    options_outside_name = COMMON_OPTIONS | {"ego", "worker"}
     settings: dict[str, object]
     requires: ClassVar[tuple[str, ...]] = ()
     in_process: ClassVar[bool] = False
@@ -122,7 +128,7 @@ class Simulator(ABC):
             No scenario can be run, whatever its values, for example because the scenario file cannot be used.
         """
 
-    def check_supported(self, scenario: ScenarioFile) -> None:  # noqa: B027 - optional
+    def check_supported(self, scenario: ScenarioFile) -> None:
         """Refuse a scenario that this simulator does not support; called before anything is run.
 
         Parameters
@@ -135,7 +141,7 @@ class Simulator(ABC):
             The simulator lacks what the scenario needs. By default nothing is refused.
         """
 
-    def check_runnable(self, concretes: Sequence[ConcreteScenario]) -> None:  # noqa: B027 - optional
+    def check_runnable(self, concretes: Sequence[ConcreteScenario]) -> None:
         """Refuse scenarios none of which can be run, without running any; called before a study is created.
 
         Parameters
@@ -202,10 +208,10 @@ class Simulator(ABC):
         """
         return ()
 
-    def cancel(self) -> None:  # noqa: B027 - optional
+    def cancel(self) -> None:
         """Cancel what runs in another thread soon; by default nothing happens."""
 
-    def close(self) -> None:  # noqa: B027 - optional
+    def close(self) -> None:
         """Release resources; by default there are none."""
 
     def __enter__(self) -> Self:

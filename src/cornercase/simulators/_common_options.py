@@ -6,12 +6,13 @@ from collections.abc import Mapping
 from inspect import Parameter, signature
 from typing import Any, Final
 
+from cornercase._common.configurable import declared_options, given_options
 from cornercase._common.errors import InputError
 from cornercase._common.io.support_table import issue_notice_warning
-from cornercase._common.registry import declared_options
+from cornercase._common.validation import check_str, repr_short
 from cornercase.simulators._base import Simulator
 
-# Default values, which a simulator need not declare.
+# Default values of `COMMON_OPTIONS`, which a simulator need not declare.
 _DEFAULT_OPTIONS: Final[dict[str, Any]] = {
     "drivers": {},
     "on_collision": "continue",
@@ -47,3 +48,23 @@ def select_declared_options(name: str, simulator: type[Simulator], options: Mapp
     if any(parameter.kind is Parameter.VAR_KEYWORD for parameter in signature(simulator).parameters.values()):
         return dict(options)
     return {key: value for key, value in options.items() if key in declared or key not in _DEFAULT_OPTIONS}
+
+
+def split_common_options(
+    simulator: str | Simulator, options: Mapping[str, Any]
+) -> tuple[str | Simulator, dict[str, Any]]:
+    """Return a simulator without the options that all get, and these options, as given to it or in `options`.
+
+    Raises `InputError` if both have another value, or for neither text nor simulator.
+    """
+    common = {key: options[key] for key in _DEFAULT_OPTIONS}
+    if isinstance(simulator, str):
+        return check_str("simulator", simulator), common
+    if not isinstance(simulator, Simulator):
+        raise InputError(f"`simulator` {repr_short(simulator)}: give the name of a simulator, or an object.")
+    own = {key: value for key, value in given_options(simulator).items() if key in _DEFAULT_OPTIONS}
+    for key, value in own.items():
+        if common[key] not in (None, _DEFAULT_OPTIONS[key], value):
+            raise InputError(f"`{key}`: the simulator {simulator!r} has another value; give it once.")
+    declared = declared_options(type(simulator))
+    return simulator.with_options(**{key: declared[key].default for key in own}), common | own

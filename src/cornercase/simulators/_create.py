@@ -9,6 +9,7 @@ from multiprocessing import current_process
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from cornercase._common.configurable import given_options
 from cornercase._common.validation import check_float, check_int, check_str
 from cornercase.drivers._description import user_driver_spec
 from cornercase.simulators._base import Simulator
@@ -24,7 +25,7 @@ _MAIN_GUARD_PATTERN: Final = re.compile(r"""__name__\s*==\s*["']__main__["']|["'
 
 
 def create_simulator(
-    name: str,
+    simulator: str | Simulator,
     options: Mapping[str, Any] | None = None,
     *,
     ego: str = "Ego",
@@ -34,7 +35,7 @@ def create_simulator(
     cluster: str | Client | None = None,
     max_failures: int = DEFAULT_MAX_FAILURES,
 ) -> Simulator:
-    """Create a simulator by name (options after a colon), in this process, in worker processes or on a Dask cluster.
+    """Create a simulator by name or like an object, in this process, in worker processes or on a Dask cluster.
 
     A simulator with `in_process` runs in this process unless there are several workers, a time-out or a user's driver
     given by name. Otherwise it runs in worker processes, where a crash or hang costs only the scenario at fault.
@@ -53,10 +54,15 @@ def create_simulator(
     timeout = None if timeout is None else check_float("timeout", timeout, above=0.0)
     workers = check_int("workers", workers, 1, MAX_WORKERS)
     retries, max_failures = check_int("retries", retries), check_int("max_failures", max_failures)
-    simulator_class = SIMULATORS.get_class(check_str("simulator", name))
-    accepted = select_declared_options(name, simulator_class, options or {}) | (
+    if isinstance(simulator, str):
+        check_str("simulator", simulator)
+    simulator_class = SIMULATORS.get_class(simulator)
+    accepted = select_declared_options(str(simulator), simulator_class, options or {}) | (
         {"ego": ego} if "ego" in simulator_class.requires else {}
     )
+    name: str | type[Simulator] = simulator if isinstance(simulator, str) else simulator_class
+    if not isinstance(simulator, str):
+        accepted = given_options(simulator) | accepted
     if cluster is not None:
         return ClusterSimulator(name, accepted, cluster, workers, timeout, retries, max_failures)
     if (

@@ -11,6 +11,7 @@ from cornercase._common.text.sanitize import format_exception
 from cornercase.drivers import Driver
 from cornercase.drivers._description import serialize_driver, user_driver_spec
 from cornercase.drivers._resolve import driver_by_name
+from cornercase.simulators._base import Simulator
 
 _DRIVERS_OPTION: Final = "drivers"
 
@@ -39,8 +40,10 @@ class DriverSpec:
         return driver
 
 
-def pickle_options(options: Mapping[str, Any], dumps: Callable[[Any], bytes]) -> bytes:
-    """Pickle the options of a simulator by `dumps`; the receiver creates drivers that were given by class name.
+def pickle_simulator(
+    simulator: str | type[Simulator], options: Mapping[str, Any], dumps: Callable[[Any], bytes]
+) -> bytes:
+    """Pickle name or class and the options of a simulator; the receiver creates drivers that were given by class name.
 
     Raises `InputError` if a driver or another option cannot be pickled.
     """
@@ -50,7 +53,7 @@ def pickle_options(options: Mapping[str, Any], dumps: Callable[[Any], bytes]) ->
     }
     sent = {**options, _DRIVERS_OPTION: drivers} if drivers else dict(options)
     try:
-        return dumps(sent)
+        return dumps((simulator, sent))
     except Exception as error:
         for entity, driver in drivers.items():
             _require_picklable(entity, driver, dumps)

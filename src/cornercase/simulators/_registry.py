@@ -13,11 +13,11 @@ SIMULATORS: Final[Registry[Simulator]] = Registry("simulator", "cornercase.simul
 """Simulators by name; each is a subclass of `Simulator`."""
 
 for _name, _target in (
-    ("builtin", "builtin._simulator:BuiltinSimulator"),
-    ("carla", "carla._simulator:CarlaSimulator"),
-    ("carmaker", "carmaker._simulator:CarMakerSimulator"),
-    ("esmini", "esmini._simulator:EsminiSimulator"),
-    ("sumo", "sumo._simulator:SumoSimulator"),
+    ("builtin", "builtin._simulator:Builtin"),
+    ("carla", "carla._simulator:Carla"),
+    ("carmaker", "carmaker._simulator:CarMaker"),
+    ("esmini", "esmini._simulator:Esmini"),
+    ("sumo", "sumo._simulator:Sumo"),
 ):
     SIMULATORS.register(_name, f"cornercase.simulators.{_target}")
 

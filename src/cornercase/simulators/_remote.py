@@ -14,12 +14,12 @@ from cornercase.simulators._registry import SIMULATORS
 class RemoteSimulator(Simulator):
     """Runs scenarios in other processes; a local instance checks options and scenarios."""
 
-    def __init__(self, name: str, options: dict[str, Any]) -> None:
-        self.name = name
+    def __init__(self, name: str | type[Simulator], options: dict[str, Any]) -> None:
         self.simulator_class = SIMULATORS.get_class(name)
         self.parameter_passing = self.simulator_class.parameter_passing
         # Runs nothing; checks options, and scenarios before they are run.
         self._local_instance = SIMULATORS.create(name, **options)
+        self.name = name if isinstance(name, str) else self._local_instance.name
         self.settings = self._local_instance.settings
         # Shared with `parallel_instances`.
         self._noticed: set[str] = set()

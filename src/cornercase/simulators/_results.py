@@ -15,7 +15,6 @@ from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario, Value
 from cornercase.scenario._file import ScenarioFile
 from cornercase.simulators._base import Simulator
-from cornercase.simulators._registry import SIMULATORS
 from cornercase.simulators._remote import RemoteSimulator
 
 Outcome = Recording | SimulationError
@@ -75,7 +74,7 @@ def check_simulator_accepts(
     Each of `scenarios` has to be supported, and at least one of the sample `concretes` has to be runnable.
     """
     with convert_plugin_errors(
-        f"The simulator '{simulator.name}'", _simulator_class(simulator), "in require_means or require_runnable"
+        f"The simulator '{simulator.name}'", get_simulator_class(simulator), "in require_means or require_runnable"
     ):
         for scenario in scenarios:
             simulator.check_supported(scenario)
@@ -93,7 +92,7 @@ def find_refusals(simulator: Simulator, concretes: Sequence[ConcreteScenario]) -
         return {}
     refusals: dict[int, InputError] = {}
     with convert_plugin_errors(
-        f"The simulator '{simulator.name}'", _simulator_class(simulator), "in require_means or require_runnable"
+        f"The simulator '{simulator.name}'", get_simulator_class(simulator), "in require_means or require_runnable"
     ):
         for k, concrete in enumerate(concretes):
             try:
@@ -112,15 +111,15 @@ def describe_file_error(path: Path, error: InputError) -> str:
 
 
 def list_ignored_content(
-    name: str, scenario: ScenarioFile, values: Mapping[str, Value] | None = None
+    simulator: Simulator, scenario: ScenarioFile, values: Mapping[str, Value] | None = None
 ) -> tuple[Notice, ...]:
     """List scenario content without effect in a simulator; `InputError` if the simulator's class fails."""
-    declared = SIMULATORS.get_class(name)
-    with convert_plugin_errors(f"The simulator '{name}'", declared, "in notices"):
+    declared = get_simulator_class(simulator)
+    with convert_plugin_errors(f"The simulator '{simulator.name}'", declared, "in notices"):
         return tuple(declared.notices(scenario, values))
 
 
-def _simulator_class(simulator: Simulator) -> type[Simulator]:
+def get_simulator_class(simulator: Simulator) -> type[Simulator]:
     """Class of a simulator, also if it runs in other processes."""
     return simulator.simulator_class if isinstance(simulator, RemoteSimulator) else type(simulator)
 

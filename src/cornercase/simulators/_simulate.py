@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from cornercase._common.errors import InputError
 from cornercase._common.io.support_table import warn_notices
@@ -15,6 +16,8 @@ from cornercase.drivers._resolve import resolve_driver
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario, Value
 from cornercase.scenario._file import ScenarioFile
+from cornercase.simulators._base import Simulator
+from cornercase.simulators._common_options import split_common_options
 from cornercase.simulators._create import create_simulator
 from cornercase.simulators._results import check_simulator_accepts, list_ignored_content, run_scenarios
 from cornercase.simulators._run_notices import RunNotices
@@ -28,7 +31,7 @@ def simulate(
     duration: float = 60.0,
     on_collision: str = "continue",
     drivers: Mapping[str, str | Driver] | None = None,
-    simulator: str = "builtin",
+    simulator: str | Simulator = "builtin",
     ego: str = "Ego",
     timeout: float | None = None,
 ) -> Recording:
@@ -48,8 +51,8 @@ def simulate(
         Whether entities pass through each other, or the run ends. The file's own stop trigger holds either way.
     drivers : mapping of str to str or Driver, optional
         By entity: a name as on the command line, or a driver object. Overrides the file's controller properties.
-    simulator : str, default "builtin"
-        Registered name, with options after a colon (``"esmini:seed=3"``).
+    simulator : str or Simulator, default "builtin"
+        Such as ``Esmini(seed=3)``, or its name with options after a colon: ``"esmini:seed=3"``.
     ego : str, default "Ego"
         Entity under test, for a simulator that needs to know it.
     timeout : float, optional
@@ -83,18 +86,20 @@ def simulate(
     file = scenario if isinstance(scenario, ScenarioFile) else ScenarioFile.read(scenario)
     checked_values = check_parameter_values("values", values)
     file.require_declared(list(checked_values))
-    options = {
+    options: dict[str, Any] = {
         "time_step": time_step,
         "duration": duration,
         "on_collision": on_collision,
-        "drivers": {entity: resolve_driver(driver) for entity, driver in (drivers or {}).items()},
+        "drivers": drivers or {},
     }
+    simulator, options = split_common_options(simulator, options)
+    options["drivers"] = {entity: resolve_driver(driver) for entity, driver in options["drivers"].items()}
     with collect_interrupts(), create_simulator(simulator, options, ego=ego, timeout=timeout) as started:
         check_simulator_accepts(started, [file])
         (result,) = run_scenarios(started, [ConcreteScenario(file.path, checked_values, file)])
     if isinstance(result, Exception):
         raise InputError(prefix_file(file.path, f"{result}."))
-    warn_notices(list_ignored_content(simulator, file, checked_values))
+    warn_notices(list_ignored_content(started, file, checked_values))
     notices = RunNotices(started)
     notices.add_run(result, lambda: file)
     notices.issue_warnings()

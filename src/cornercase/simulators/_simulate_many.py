@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from cornercase._common import validation
 from cornercase._common.errors import InputError, SimulationError
@@ -21,6 +21,7 @@ from cornercase.scenario import ConcreteScenario, Value
 from cornercase.scenario._file import ScenarioFile
 from cornercase.scenario._value_table import FILE_COLUMN, read_value_table
 from cornercase.simulators._base import Simulator
+from cornercase.simulators._common_options import split_common_options
 from cornercase.simulators._create import create_simulator
 from cornercase.simulators._output_folder import NOTES_FILE, TABLE_FILE, PlannedRecording, RecordingsFolder
 from cornercase.simulators._results import (
@@ -91,7 +92,7 @@ def simulate_many(
     duration: float = 60.0,
     on_collision: str = "continue",
     drivers: Mapping[str, str | Driver] | None = None,
-    simulator: str = "builtin",
+    simulator: str | Simulator = "builtin",
     ego: str = "Ego",
     workers: int = 1,
     cluster: str | Client | None = None,
@@ -125,8 +126,8 @@ def simulate_many(
         Whether entities pass through each other, or the run ends.
     drivers : mapping of str to str or Driver, optional
         By entity.
-    simulator : str, default "builtin"
-        Registered name, with options after a colon.
+    simulator : str or Simulator, default "builtin"
+        As in `simulate`.
     ego : str, default "Ego"
         Entity under test, for a simulator that needs to know it.
     workers : int, default 1
@@ -189,12 +190,14 @@ def simulate_many(
     if table is not None:
         for name in (TABLE_FILE, NOTES_FILE):
             check_output_differs_from_source(folder / name, table, "folder")
-    options = {
+    options: dict[str, Any] = {
         "time_step": time_step,
         "duration": duration,
         "on_collision": on_collision,
-        "drivers": {entity: resolve_driver(driver) for entity, driver in (drivers or {}).items()},
+        "drivers": drivers or {},
     }
+    simulator, options = split_common_options(simulator, options)
+    options["drivers"] = {entity: resolve_driver(driver) for entity, driver in options["drivers"].items()}
     started = create_simulator(
         simulator,
         options,
@@ -219,12 +222,12 @@ def simulate_many(
             ]
         else:
             check_simulator_accepts(started, scenario_files, [plan.concrete_scenario for plan in planned])
-        output_folder = RecordingsFolder(folder, planned, {"simulator": simulator, **started.settings})
+        output_folder = RecordingsFolder(folder, planned, {"simulator": str(simulator), **started.settings})
         warn_notices(
             deduplicate_notices(
                 notice
                 for scenario in scenario_files
-                for notice in list_ignored_content(simulator, scenario, checked_values)
+                for notice in list_ignored_content(started, scenario, checked_values)
             )
         )
         failures |= _run_missing(

@@ -89,4 +89,4 @@ def build_scenario_table(
     varied = {
         f"parameter {name}" if name in leading or name in columns else name: values_ for name, values_ in varied.items()
     }
-    return pd.DataFrame(leading | varied | columns)
+    return pd.DataFrame(leading | varied | columns).set_index("id")

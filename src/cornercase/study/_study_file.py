@@ -6,14 +6,12 @@ import json
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, closing, contextmanager, suppress
-from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Self
 
 import numpy as np
 
 from cornercase._common import validation
-from cornercase._common.displays import DISPLAYS
 from cornercase._common.errors import InputError
 from cornercase._common.io.atomic import atomic_write_group
 from cornercase._common.io.files import check_folder
@@ -50,7 +48,6 @@ if TYPE_CHECKING:
 
 # Largest integer of SQLite.
 _MAX_ID: Final = 2**63 - 1
-_N_SHOWN_ROWS: Final = 10
 _CRITICAL_RUN_COLUMNS: Final = ("critical runs", "critical runs from", "critical runs to")
 
 # Files are read and checked; the optimizer proposes and learns; scenarios are simulated, measured and stored; the
@@ -719,17 +716,6 @@ class StudyFile:
             f" {counts.get('pending', 0)} pending>"
         )
 
-    def _repr_html_(self) -> str:
-        with suppress(InputError):
-            if "study" in DISPLAYS and (page := DISPLAYS.create("study", path=self.path)) is not None:
-                return page
-        table = self.table()
-        # If the package of a metric is missing, the first scenarios are shown.
-        with suppress(InputError):
-            metric = METRICS.create(self.meta.metrics[0])
-            table = table.sort_values(metric.name, ascending=metric.lower_is_critical, kind="stable")
-        return f"<p>{escape(repr(self))}</p>{table.head(_N_SHOWN_ROWS).to_html(index=False)}"
-
     def critical_run_rates(self) -> FloatArray | None:
         """Probability that a run of each scenario is critical, if each was run several times.
 
@@ -901,8 +887,8 @@ class StudyFile:
         Returns
         -------
         DataFrame
-            One row per scenario, in the order of the ids, with the columns ``id``, ``round`` and ``state``, and
-            ``audit`` if there are audits; a column for each parameter; for each metric one of the score, and
+            One row per scenario, indexed by its id, with the columns ``round`` and ``state``, and ``audit`` if there
+            are audits; a column for each parameter; for each metric one of the score, and
             ``lowest …`` and ``highest …`` of its runs if each scenario was run several times, ``critical runs`` as in
             `critical_run_rates`, and ``runs``, the number of runs that did not fail, if it may vary; with several
             others ``other by …`` for each metric, the entity that the score is against; ``cluster by …`` for each

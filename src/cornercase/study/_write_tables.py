@@ -26,7 +26,8 @@ def write_table(folder: Path, table: pd.DataFrame, parquet: bool = False) -> Non
 
     In the CSV, texts that a spreadsheet would take for formulas get an apostrophe before them.
     """
-    renamed = table.set_axis(replace_spaces_in_names(map(str, table.columns)), axis="columns")
+    columns = table.reset_index()
+    renamed = columns.set_axis(replace_spaces_in_names(map(str, columns.columns)), axis="columns")
     if parquet:
         path = folder / "scenarios.parquet"
         _require_pyarrow(path)

@@ -10,13 +10,13 @@ from cornercase._common.errors import InputError
 from cornercase.study import ScenarioRecord, StudyFile
 from cornercase.study._damage import reraise_as_damage
 from cornercase.suite._recording_difference import RecordingDifference, compare_recording_pair
-from cornercase.suite._suite import Suite
+from cornercase.suite._suite_contents import SuiteContents
 
 # Largest number of bytes of a file name.
 _MAX_NAME_BYTES: Final = 255
 
 
-def find_baseline_study(suite: Suite, against: Path | None) -> tuple[Path | None, str]:
+def find_baseline_study(suite: SuiteContents, against: Path | None) -> tuple[Path | None, str]:
     """Find the study to compare the recordings of a suite with.
 
     By default it is looked for by name beside the manifest and in the folder above, and recognized by its fingerprint.
@@ -43,7 +43,7 @@ def find_baseline_study(suite: Suite, against: Path | None) -> tuple[Path | None
     return None, f"{name} was not found unchanged and readable beside the manifest or in the folder above"
 
 
-def compare_with_baseline(suite: Suite, baseline: Path, study: StudyFile) -> dict[int, RecordingDifference]:
+def compare_with_baseline(suite: SuiteContents, baseline: Path, study: StudyFile) -> dict[int, RecordingDifference]:
     """Compare the recordings of a suite with those of an earlier study, by id of each scenario that ran in both."""
     with StudyFile.open(baseline, readonly=True) as earlier, reraise_as_damage(baseline):
         sources = _match_baseline_rows(suite, earlier)
@@ -59,7 +59,7 @@ def compare_with_baseline(suite: Suite, baseline: Path, study: StudyFile) -> dic
         return differences
 
 
-def _read_baseline(suite: Suite, study: StudyFile) -> None:
+def _read_baseline(suite: SuiteContents, study: StudyFile) -> None:
     """Read everything that is compared later, so that damage is reported before anything is run."""
     for row in _match_baseline_rows(suite, study).values():
         if row.state == "done":
@@ -67,7 +67,7 @@ def _read_baseline(suite: Suite, study: StudyFile) -> None:
             study.scenario_scores(row.id)
 
 
-def _match_baseline_rows(suite: Suite, study: StudyFile) -> Mapping[int, ScenarioRecord]:
+def _match_baseline_rows(suite: SuiteContents, study: StudyFile) -> Mapping[int, ScenarioRecord]:
     """Scenario of the earlier study, by the id in that of the suite."""
     rows = {row.id: row for row in study.rows()}
     if study.meta.suite:

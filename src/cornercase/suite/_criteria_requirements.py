@@ -10,7 +10,7 @@ from cornercase._common.io.support_table import issue_notice_warning
 from cornercase.scenario._runner_criteria import RunnerCriterion, read_runner_criteria
 from cornercase.scenario._scope import Scope
 from cornercase.suite._requirement import Requirement, requirement_prefix
-from cornercase.suite._suite import Suite, SuiteScenario
+from cornercase.suite._suite_contents import SuiteContents, SuiteScenario
 
 # Criteria that a recording can answer; others need lanes, signals or routes of CARLA's map.
 _REQUIREMENT_TEMPLATES: Final[dict[str, Callable[[float | None], str | None]]] = {
@@ -20,7 +20,7 @@ _REQUIREMENT_TEMPLATES: Final[dict[str, Callable[[float | None], str | None]]] =
 }
 
 
-def requirements_from_files(suite: Suite) -> list[Requirement]:
+def requirements_from_files(suite: SuiteContents) -> list[Requirement]:
     """Make requirements from the criteria in a suite's files; one that not all files have applies to those files.
 
     Raises `InputError` if there is none; warns about criteria that a recording cannot answer.
@@ -55,14 +55,14 @@ def requirements_from_files(suite: Suite) -> list[Requirement]:
     return [_parse_requirement(text, suite) for text in texts]
 
 
-def _describe_sources(suite: Suite) -> str:
+def _describe_sources(suite: SuiteContents) -> str:
     """Name the file or folder of the criteria."""
     if len(suite.runnable_scenarios) == 1:
         return suite.runnable_scenarios[0].file_name
     return f"the scenarios of {suite.folder.resolve().name}"
 
 
-def _parse_requirement(text: str, suite: Suite) -> Requirement:
+def _parse_requirement(text: str, suite: SuiteContents) -> Requirement:
     try:
         return Requirement.parse(text)
     except InputError as error:

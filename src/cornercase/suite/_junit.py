@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from junitparser import Error, Failure, JUnitXml, Skipped, TestCase, TestSuite
 from lxml import etree
 
 from cornercase._common.io.files import atomic_write
 from cornercase._common.text.sanitize import escape_control_characters
-from cornercase.suite._suite_result import ScenarioResult, SuiteResult
 from cornercase.suite._verdict import Verdict
+
+if TYPE_CHECKING:
+    from cornercase.suite._suite_result import ScenarioResult, SuiteResult
 
 JUNIT_START: Final = b"<?xml version='1.0' encoding='utf-8'?>\n<testsuites "
 """Start of each file."""

@@ -24,14 +24,14 @@ from cornercase.scenario._file import ScenarioFile
 from cornercase.scenario._types import convert_to_type
 from cornercase.simulators import check_settings
 from cornercase.study._import_recordings import IMPORTED_SIMULATOR
-from cornercase.suite._suite import Suite, SuiteScenario
+from cornercase.suite._suite_contents import SuiteContents, SuiteScenario
 
 # Errors that damaged values cause.
 _READ_ERRORS: Final = (ValueError, LookupError, TypeError, AttributeError, ArithmeticError, RecursionError)
 _DEFAULT_SETTINGS: Final[dict[str, Any]] = {"time_step": 0.05, "duration": 60.0, "on_collision": "continue"}
 
 
-def read_manifest(path: Path) -> Suite:
+def read_manifest(path: Path) -> SuiteContents:
     """Read a manifest and the files that it names, after completing a `reduce` that was interrupted.
 
     Raises `InputError` if it is not a manifest or of another format, or if a file is missing or has changed since.
@@ -85,7 +85,7 @@ def _load_manifest_json(path: Path) -> dict[str, Any]:
     return manifest
 
 
-def _build_suite(path: Path, manifest: Mapping[str, Any]) -> Suite:
+def _build_suite(path: Path, manifest: Mapping[str, Any]) -> SuiteContents:
     folder = path.parent
     digests = {str(name_): str(digest) for name_, digest in manifest["files"].items()}
     for name_, digest in digests.items():
@@ -117,7 +117,7 @@ def _build_suite(path: Path, manifest: Mapping[str, Any]) -> Suite:
     time_step, duration, on_collision = (settings.get(name, default) for name, default in _DEFAULT_SETTINGS.items())
     check_settings(time_step, duration, on_collision, None)
     critical = manifest["critical_threshold"]
-    return Suite(
+    return SuiteContents(
         path=path,
         scenarios=tuple(scenarios),
         space=space,

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from cornercase._common.io.files import atomic_write
 from cornercase._common.text.sanitize import escape_control_characters
-from cornercase.suite._suite_result import SuiteResult
+
+if TYPE_CHECKING:
+    from cornercase.suite._suite_result import SuiteResult
 
 # Characters with a meaning in Markdown.
 _MARKDOWN_SPECIAL: Final = re.compile(r"([\\`*_\[\]<>|#~&$!@])")

@@ -29,7 +29,7 @@ from cornercase.study._scenario_file import find_explored_scenario
 from cornercase.study._study_file import open_study
 from cornercase.suite._judge import judge
 from cornercase.suite._requirement import Requirement
-from cornercase.suite._suite import Suite
+from cornercase.suite._suite_contents import SuiteContents
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -138,7 +138,7 @@ def analyze_mutants(
 
 
 def draw_mutants(
-    suite: Suite,
+    suite: SuiteContents,
     ego: str,
     drivers: Mapping[str, Any],
     requirements: Sequence[Requirement],
@@ -156,7 +156,7 @@ def draw_mutants(
 
 
 def analyze_suite_mutants(
-    suite: Suite,
+    suite: SuiteContents,
     entities: tuple[str, Sequence[str]],
     driver_and_mutants: tuple[str, tuple[Mutant, ...]],
     requirements: Sequence[Requirement],

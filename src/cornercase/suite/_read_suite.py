@@ -17,12 +17,12 @@ from cornercase.scenario._file import ScenarioFile
 from cornercase.scenario._types import convert_to_type
 from cornercase.simulators._results import describe_file_error
 from cornercase.suite._manifest import read_manifest
-from cornercase.suite._suite import Suite, SuiteScenario
+from cornercase.suite._suite_contents import SuiteContents, SuiteScenario
 
 _FILE_PARAMETER: Final = "file"
 
 
-def read_suite(source: Path | str) -> Suite:
+def read_suite(source: Path | str) -> SuiteContents:
     """Read a suite from a manifest that `cornercase.reduce` wrote, its folder, any folder of scenarios, or one file.
 
     Without a manifest, all ``.xosc`` files of the folder are run. Distributions of parameters and catalogs among them
@@ -40,7 +40,7 @@ def read_suite(source: Path | str) -> Suite:
     return _suite_from_files(path, [path]) if path.suffix.lower() == ".xosc" else read_manifest(path)
 
 
-def _suite_from_files(folder: Path, files: Sequence[Path]) -> Suite:
+def _suite_from_files(folder: Path, files: Sequence[Path]) -> SuiteContents:
     for file in files:
         # Names are stored as UTF-8.
         if (
@@ -66,7 +66,7 @@ def _suite_from_files(folder: Path, files: Sequence[Path]) -> Suite:
         raise next(iter(errors.values()))
     values, space = _find_varied_parameters(scenarios, errors)
     reasons = {path: describe_file_error(path, error) for path, error in errors.items()}
-    return Suite(
+    return SuiteContents(
         path=folder,
         scenarios=tuple(
             SuiteScenario(scenario.path.name, scenario, parameters, error=reasons.get(scenario.path, ""))

@@ -11,11 +11,14 @@ from cornercase.simulators._results import run_scenarios
 from cornercase.study import ScenarioRecord, StudyFile
 from cornercase.suite._judge import depends_on_reference
 from cornercase.suite._requirement import Requirement
-from cornercase.suite._suite import Suite
+from cornercase.suite._suite_contents import SuiteContents
 
 
 def run_reference_drivers(
-    suite: Suite, study: StudyFile, requirements: Sequence[Requirement], simulators_by_driver: Mapping[str, Simulator]
+    suite: SuiteContents,
+    study: StudyFile,
+    requirements: Sequence[Requirement],
+    simulators_by_driver: Mapping[str, Simulator],
 ) -> None:
     """Run each scenario whose verdict depends on reference drivers again with them, and store the outcomes.
 
@@ -34,7 +37,7 @@ def run_reference_drivers(
 
 
 def _needs_reference_run(
-    suite: Suite, study: StudyFile, row: ScenarioRecord, reference: str, requirements: Sequence[Requirement]
+    suite: SuiteContents, study: StudyFile, row: ScenarioRecord, reference: str, requirements: Sequence[Requirement]
 ) -> bool:
     scenario = suite.scenarios[row.id - 1]
     applicable = [item for item in requirements if item.applies_to(scenario.file_name, scenario.cluster_name)]

@@ -17,12 +17,12 @@ from cornercase.exploration._repeatability import check_repeatability
 from cornercase.metrics import METRICS, Metric
 from cornercase.metrics._measure import evaluate_metrics
 from cornercase.recordings import Recording
-from cornercase.simulators import SIMULATORS, Simulator
-from cornercase.simulators._results import find_refusals, list_ignored_content, run_scenarios
+from cornercase.simulators import Simulator
+from cornercase.simulators._results import find_refusals, get_simulator_class, list_ignored_content, run_scenarios
 from cornercase.simulators._run_notices import RunNotices, warn_if_ego_has_no_driver
 from cornercase.study import ScenarioRecord, StudyFile, StudyMeta
 from cornercase.study._study_file import open_or_create_study
-from cornercase.suite._suite import Suite, SuiteScenario
+from cornercase.suite._suite_contents import SuiteContents, SuiteScenario
 
 _NONDETERMINISM_ADVICE: Final = (
     "a driver or the simulator draws random numbers, or keeps state between runs: fix it, or verdicts may change from"
@@ -30,7 +30,7 @@ _NONDETERMINISM_ADVICE: Final = (
 )
 
 
-def mark_unsupported(suite: Suite, simulator: Simulator) -> Suite:
+def mark_unsupported(suite: SuiteContents, simulator: Simulator) -> SuiteContents:
     """Mark the scenarios of a suite that a simulator cannot run; raises `InputError` if these are all."""
     usable = suite.runnable_scenarios
     refused = find_refusals(simulator, [scenario.concrete_scenario for scenario in usable])
@@ -44,7 +44,7 @@ def mark_unsupported(suite: Suite, simulator: Simulator) -> Suite:
 
 
 def run_pending_scenarios(
-    suite: Suite, meta: StudyMeta, simulator: Simulator, study_path: Path, workers: int | None, progress: bool
+    suite: SuiteContents, meta: StudyMeta, simulator: Simulator, study_path: Path, workers: int | None, progress: bool
 ) -> int:
     """Run the scenarios that a study does not hold yet, and store each one when it has ended.
 
@@ -81,18 +81,18 @@ def run_pending_scenarios(
         return n_before
 
 
-def _run_again(suite: Suite, simulator: Simulator, row: ScenarioRecord) -> Recording | SimulationError:
+def _run_again(suite: SuiteContents, simulator: Simulator, row: ScenarioRecord) -> Recording | SimulationError:
     (outcome,) = run_scenarios(simulator, [suite.scenarios[row.id - 1].concrete_scenario])
     return outcome
 
 
-def _warn_about_files(suite: Suite, simulator: Simulator, ego: str) -> None:
+def _warn_about_files(suite: SuiteContents, simulator: Simulator, ego: str) -> None:
     """Warn about everything in the files that has no effect, each once, and if no driver drives the ego."""
     warn_notices(
         deduplicate_notices(
             notice
             for scenario in suite.runnable_scenarios
-            for notice in list_ignored_content(simulator.name, scenario.scenario)
+            for notice in list_ignored_content(simulator, scenario.scenario)
         )
     )
     warn_if_ego_has_no_driver(simulator, (scenario.scenario for scenario in suite.runnable_scenarios), ego)
@@ -118,7 +118,7 @@ def _run_pending(
             yield done
     pending = [row for row in pending if not scenarios[row.id - 1].error]
     # A batch gives no results before its last scenario has ended.
-    takes_batches = SIMULATORS.get_class(simulator.name).batched
+    takes_batches = get_simulator_class(simulator).batched
     batch_size = workers if workers is not None and takes_batches else max(len(pending), 1)
     for first in range(0, len(pending), batch_size):
         batch = pending[first : first + batch_size]

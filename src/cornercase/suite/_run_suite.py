@@ -44,7 +44,7 @@ from cornercase.suite._reference_drivers import run_reference_drivers
 from cornercase.suite._requirement import Requirement
 from cornercase.suite._requirement_files import read_requirements
 from cornercase.suite._run_scenarios import mark_unsupported, run_pending_scenarios
-from cornercase.suite._suite import Suite
+from cornercase.suite._suite_contents import SuiteContents
 from cornercase.suite._suite_result import ScenarioResult, SuiteResult
 from cornercase.suite._verdict import Verdict, worst_state
 
@@ -67,7 +67,7 @@ def run_suite(
     ego: str | None = None,
     other: str | Sequence[str] | None = None,
     metrics: Sequence[str] = (),
-    simulator: str | None = None,
+    simulator: str | Simulator | None = None,
     workers: int = 1,
     cluster: str | Client | None = None,
     timeout: float | None = None,
@@ -110,7 +110,7 @@ def run_suite(
     metrics : sequence of str
         Criticality metrics to store; by default those of the manifest, without one those in the requirements, or else
         ``clearance``.
-    simulator : str, optional
+    simulator : str or Simulator, optional
         By default that of the manifest; without one the builtin simulator.
     workers : int, default 1
         Number of parallel simulators.
@@ -182,7 +182,7 @@ def run_suite(
     options["drivers"] = _resolve_drivers(contents, drivers)
     if mutants is not None:
         # Check before anything is run.
-        require_builtin_simulator(name)
+        require_builtin_simulator(str(name))
         driver_and_mutants = draw_mutants(contents, entities[0], options["drivers"], parsed, mutants, seed)
     reference_names = dict.fromkeys(name for item in parsed for name in item.expression.reference_drivers)
     with open_connection(cluster, workers) as client:
@@ -198,7 +198,13 @@ def run_suite(
                 for item in reference_names
             }
             meta = _build_meta(
-                contents, entities, _choose_metrics(contents, metrics, parsed), parsed, name, started.settings, path
+                contents,
+                entities,
+                _choose_metrics(contents, metrics, parsed),
+                parsed,
+                str(name),
+                started.settings,
+                path,
             )
             n_parallel = workers if client is None else None
             n_before = run_pending_scenarios(
@@ -274,12 +280,12 @@ def _remove_duplicates(requirements: Sequence[Requirement]) -> list[Requirement]
 
 
 def _resolve_entities(
-    suite: Suite,
+    suite: SuiteContents,
     ego: str | None,
     other: str | Sequence[str] | None,
     requirements: Sequence[Requirement],
     drivers: Mapping[str, object],
-) -> tuple[Suite, tuple[str, tuple[str, ...]]]:
+) -> tuple[SuiteContents, tuple[str, tuple[str, ...]]]:
     """Resolve the names of the ego and the others; mark files that lack an entity, unless all do."""
     for role, given, own in (("ego", ego, suite.ego), ("other", other, suite.other)):
         if given is None and not own:
@@ -303,7 +309,7 @@ def _resolve_entities(
     return suite, (ego_name, others)
 
 
-def _mark_lacking_entity(suite: Suite, role_by_entity: Mapping[str, str]) -> Suite:
+def _mark_lacking_entity(suite: SuiteContents, role_by_entity: Mapping[str, str]) -> SuiteContents:
     """Mark the scenarios that lack an entity (name to role); raises `InputError` if all do."""
     lacking: dict[str, InputError] = {}
     for scenario in suite.runnable_scenarios:
@@ -324,7 +330,7 @@ def _mark_lacking_entity(suite: Suite, role_by_entity: Mapping[str, str]) -> Sui
     return replace(suite, scenarios=scenarios)
 
 
-def _describe_no_match(suite: Suite, requirement: Requirement) -> str:
+def _describe_no_match(suite: SuiteContents, requirement: Requirement) -> str:
     if not requirement.is_for_clusters:
         return f"no file of {suite.path} has such a name"
     kinds = dict.fromkeys(scenario.cluster_name for scenario in suite.scenarios if scenario.cluster_name)
@@ -333,7 +339,9 @@ def _describe_no_match(suite: Suite, requirement: Requirement) -> str:
     return f"no scenario of {suite.path} belongs to such a cluster; there are {'; '.join(kinds)}"
 
 
-def _choose_metrics(suite: Suite, requested: Sequence[str], requirements: Sequence[Requirement]) -> tuple[str, ...]:
+def _choose_metrics(
+    suite: SuiteContents, requested: Sequence[str], requirements: Sequence[Requirement]
+) -> tuple[str, ...]:
     # A condition would need further runs with reference drivers.
     names = list(check_str_sequence("metrics", requested)) or [
         name for name in suite.metrics if not find_critical_if_condition([name])
@@ -346,9 +354,9 @@ def _choose_metrics(suite: Suite, requested: Sequence[str], requirements: Sequen
     return tuple(metric.name for metric in instances)
 
 
-def _choose_simulator(suite: Suite, requested: str | None) -> str:
+def _choose_simulator(suite: SuiteContents, requested: str | Simulator | None) -> str | Simulator:
     if requested is not None:
-        return check_str("simulator", requested)
+        return requested if isinstance(requested, Simulator) else check_str("simulator", requested)
     name, colon, _ = suite.simulator.partition(":")
     # Options may name files and programs; the manifest may come from anywhere.
     if colon:
@@ -358,7 +366,7 @@ def _choose_simulator(suite: Suite, requested: str | None) -> str:
     return name or _BUILTIN
 
 
-def _resolve_drivers(suite: Suite, requested: Mapping[str, str | Driver] | None) -> dict[str, str | Driver]:
+def _resolve_drivers(suite: SuiteContents, requested: Mapping[str, str | Driver] | None) -> dict[str, str | Driver]:
     drivers: dict[str, str | Driver] = {}
     for entity, driver in check_mapping("drivers", requested or {}).items():
         if (isinstance(driver, str) and driver) or is_driver(driver):
@@ -376,7 +384,7 @@ def _resolve_drivers(suite: Suite, requested: Mapping[str, str | Driver] | None)
 
 
 def _build_meta(
-    suite: Suite,
+    suite: SuiteContents,
     entities: tuple[str, tuple[str, ...]],
     metrics: tuple[str, ...],
     requirements: Sequence[Requirement],
@@ -409,7 +417,11 @@ def _build_meta(
 
 
 def _build_result(
-    suite: Suite, study: StudyFile, requirements: list[Requirement], baseline: Path | None, no_baseline_reason: str
+    suite: SuiteContents,
+    study: StudyFile,
+    requirements: list[Requirement],
+    baseline: Path | None,
+    no_baseline_reason: str,
 ) -> SuiteResult:
     differences = {} if baseline is None else compare_with_baseline(suite, baseline, study)
     against = {name: study.score_sources(name) for name in study.meta.metrics if len(study.meta.others) > 1}

@@ -6,12 +6,19 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
+from cornercase._common.text.html import render_html_table
+from cornercase._common.validation import check_path
 from cornercase.reduction import KillMatrix
 from cornercase.scenario import Value
+from cornercase.suite._junit import write_junit
+from cornercase.suite._markdown import write_markdown_summary
 from cornercase.suite._recording_difference import RecordingDifference
 from cornercase.suite._verdict import Verdict, VerdictState, worst_state
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 @dataclass(frozen=True)
@@ -149,6 +156,77 @@ class SuiteResult:
         distances = [item.distance for item in compared if item.distance is not None and not item.same]
         note = f"; the ego is up to {max(distances):.3g} m away" if distances else ""
         return f"{n_same} of {len(compared)} recordings are identical to those in {self.against.name}{note}"
+
+    def table(self) -> pd.DataFrame:
+        """Make a table of the scenarios.
+
+        Returns
+        -------
+        DataFrame
+            One row per scenario, indexed by its id in the study of the suite: ``file``, ``state``, ``reason``, ``kind``
+            (the cluster that it represents), ``duration`` in s, and the score by each metric.
+        """
+        import pandas as pd
+
+        rows = [
+            {
+                "id": scenario.id,
+                "file": scenario.file,
+                "state": scenario.state,
+                "reason": scenario.reason,
+                "kind": scenario.kind,
+                "duration": scenario.duration,
+            }
+            | dict(scenario.scores)
+            for scenario in self.scenarios
+        ]
+        return pd.DataFrame(rows).set_index("id")
+
+    def junit(self, path: Path | str) -> Path:
+        """Write the verdicts as JUnit XML, which Jenkins, GitLab and others show.
+
+        Parameters
+        ----------
+        path : path
+            File to write. The same results give the same bytes.
+
+        Returns
+        -------
+        Path
+
+        Raises
+        ------
+        InputError
+            The file cannot be written.
+        """
+        file = check_path("path", path)
+        write_junit(self, file)
+        return file
+
+    def markdown(self, path: Path | str) -> Path:
+        """Write the verdicts as a Markdown table, which GitHub shows on the page of a job.
+
+        Parameters
+        ----------
+        path : path
+            File to write. The same results give the same bytes.
+
+        Returns
+        -------
+        Path
+
+        Raises
+        ------
+        InputError
+            The file cannot be written.
+        """
+        file = check_path("path", path)
+        write_markdown_summary(self, file)
+        return file
+
+    def _repr_html_(self) -> str:
+        """Table of the scenarios, for notebooks."""
+        return render_html_table(repr(self), self.table(), n_rows=len(self.scenarios))
 
     def __repr__(self) -> str:
         return f"<SuiteResult: {self.summary}, in {str(self.study)!r}>"

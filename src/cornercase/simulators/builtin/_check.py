@@ -16,7 +16,7 @@ from cornercase._common.text.source_lines import prefix_file
 from cornercase.scenario import ConcreteScenario, LogicalScenario, ParameterSpace
 from cornercase.scenario._file import ScenarioFile
 from cornercase.scenario._xml import read_xml
-from cornercase.simulators.builtin._simulator import BuiltinSimulator
+from cornercase.simulators.builtin._simulator import Builtin
 from cornercase.simulators.builtin._unsupported import collect_notices
 
 _COUNTED_ELEMENTS: Final = ("ScenarioObject", "Story", "Act", "ManeuverGroup", "Event")
@@ -117,7 +117,7 @@ def check(scenario: Path | str | ScenarioFile, space: Path | str | None = None, 
             parameter_space = LogicalScenario.read(file, space).space
             (values,) = parameter_space.values(parameter_space.center_point())
             concrete = ConcreteScenario(file.path, values, file)
-        (result,) = BuiltinSimulator(duration=0.05).run([concrete])
+        (result,) = Builtin(duration=0.05).run([concrete])
         if isinstance(result, Exception):
             run_errors.append(prefix_file(file.path, f"{result}."))
     except InputError as error:

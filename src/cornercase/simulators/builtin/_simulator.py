@@ -37,7 +37,7 @@ _MIN_SCENARIOS_PER_BATCH = 512
 _MAX_RECORDING_BYTES = 4_000_000
 
 
-class BuiltinSimulator(Simulator):
+class Builtin(Simulator):
     """Simulates all concrete scenarios at once, one or a hundred thousand.
 
     Parameters

@@ -42,7 +42,7 @@ _ERROR_PATTERN: Final = re.compile(r"^\w*(Error|Exception)\b")
 class ScenarioRunnerProcess:
     """Runs OpenSCENARIO 1.0 files, one process per file.
 
-    Empty arguments stand for the environment variables, as in `CarlaSimulator`. Raises `InputError` if ScenarioRunner
+    Empty arguments stand for the environment variables, as in `Carla`. Raises `InputError` if ScenarioRunner
     is not found or too old.
     """
 

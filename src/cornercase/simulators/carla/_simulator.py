@@ -7,6 +7,7 @@ import shutil
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 from pathlib import Path
@@ -53,7 +54,7 @@ _UNSUPPORTED_CATEGORIES: Final = ("semitrailer", "trailer", "train", "tram")
 _SILENCE_FACTOR: Final = 3
 
 
-class CarlaSimulator(Simulator):
+class Carla(Simulator):
     """Runs concrete scenarios by ScenarioRunner in synchronous mode, on a CARLA server that nothing else uses.
 
     Each scenario is written as OpenSCENARIO 1.0 and run by its own ScenarioRunner process, in ScenarioRunner's
@@ -103,7 +104,8 @@ class CarlaSimulator(Simulator):
     Raises
     ------
     InputError
-        CARLA's client is not installed, ScenarioRunner is not found or too old, or an option is out of range.
+        An option is out of range. `run` raises it if CARLA's client is not installed, or ScenarioRunner is not found or
+        too old.
     """
 
     name = "carla"
@@ -133,9 +135,7 @@ class CarlaSimulator(Simulator):
         open_loop: bool = False,
         patience: float = 20.0,
     ) -> None:
-        settings = check_settings(time_step, duration, on_collision, None)
-        if find_spec("carla") is None:
-            raise InputError(_MISSING_CLIENT_MESSAGE)
+        self._common_settings = check_settings(time_step, duration, on_collision, None)
         for entity, driver in (drivers or {}).items():
             if driver not in BEHAVIORS:
                 raise InputError(
@@ -147,19 +147,30 @@ class CarlaSimulator(Simulator):
             raise InputError(f"patience={patience:g}: give a time above 0 s.")
         self._time_step, self._duration, self._stop_on_collision = time_step, duration, on_collision == "stop"
         self._drivers = {entity: str(driver) for entity, driver in (drivers or {}).items()}
-        self._ego, self._record, self._seed, self._undriven = ego, record, seed, bool(undriven)
-        self._open_loop = bool(open_loop)
+        self._ego, self._record, self._seed = ego, record, check_seed(seed, "CARLA's traffic manager")
+        self._undriven, self._open_loop = bool(undriven), bool(open_loop)
         self._server = CarlaServer(*worker_address(hosts, port, worker, _PORTS_PER_SERVER), patience)
-        self._runner = ScenarioRunnerProcess(scenario_runner, python, carla_root)
+        self._runner_folders = scenario_runner, python, carla_root
         self._traffic_port, self._folder = 8000 + worker, folder
         self._last_scenario: ScenarioFile | None = None
         self._agent = None if not agent else _existing_file(agent, "agent")
         self._agent_config = None if not agent_config else _existing_file(agent_config, "agent_config")
-        self.settings: dict[str, object] = settings | {
+
+    @cached_property
+    def _runner(self) -> ScenarioRunnerProcess:
+        return ScenarioRunnerProcess(*self._runner_folders)
+
+    @cached_property
+    def settings(self) -> dict[str, object]:  # type: ignore[override]
+        """What recordings depend on; `InputError` if CARLA's client or ScenarioRunner is missing."""
+        _require_client()
+        # A missing ScenarioRunner is told before anything is run.
+        _ = self._runner
+        return self._common_settings | {
             "drivers": self._drivers,
-            "ego": ego,
-            "record": record,
-            "seed": check_seed(seed, "CARLA's traffic manager"),
+            "ego": self._ego,
+            "record": self._record,
+            "seed": self._seed,
             "carla": version("carla"),
             # Recordings also depend on the agent.
             "agent": _file_fingerprint(self._agent),
@@ -206,6 +217,7 @@ class CarlaSimulator(Simulator):
 
     def run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Recording | SimulationError]:
         """Run scenarios; `InputError` also if no server answers or its version differs from the client's."""
+        _require_client()
         for concrete in concretes:
             scenario = self._last_scenario = concrete.load_file(self._last_scenario)
             behaviors = self._behavior_agents(scenario)
@@ -333,3 +345,8 @@ def _existing_file(text: str, option: str) -> Path:
 
 def _file_fingerprint(path: Path | None) -> str | None:
     return None if path is None else f"{path.name} {hashlib.sha256(path.read_bytes()).hexdigest()[:16]}"
+
+
+def _require_client() -> None:
+    if find_spec("carla") is None:
+        raise InputError(_MISSING_CLIENT_MESSAGE)

@@ -14,7 +14,7 @@ from cornercase._common.typing import FloatArray
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario, Value
 from cornercase.scenario._file import ScenarioFile
-from cornercase.simulators.builtin._simulator import BuiltinSimulator
+from cornercase.simulators.builtin._simulator import Builtin
 from cornercase.simulators.carla._storyboard_rewrite import (
     format_number,
     make_speed_action,
@@ -39,7 +39,7 @@ def simulate_builtin(
 
     Raises `InputError` if it cannot be run, or an entity does not exist at the start.
     """
-    simulator = BuiltinSimulator(time_step=time_step, duration=duration)
+    simulator = Builtin(time_step=time_step, duration=duration)
     (recording,) = simulator.run([ConcreteScenario(scenario.path, dict(values), scenario)])
     if isinstance(recording, SimulationError):
         raise InputError(prefix_file(scenario.path, f"{recording}."))

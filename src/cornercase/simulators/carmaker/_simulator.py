@@ -41,7 +41,7 @@ def _is_port_open() -> bool:
     return True
 
 
-class CarMakerSimulator(Simulator):
+class CarMaker(Simulator):
     """Runs a TestRun of CarMaker, with a named value for each parameter.
 
     If IPG's Python module ``cmapi`` can be imported, it starts CarMaker; otherwise a running CarMaker has to listen on

@@ -26,7 +26,7 @@ from cornercase.scenario import ConcreteScenario
 from cornercase.scenario._bundle import ScenarioBundle
 from cornercase.scenario._file import ScenarioFile
 from cornercase.simulators._base import Simulator
-from cornercase.simulators._option_pickling import pickle_options
+from cornercase.simulators._option_pickling import pickle_simulator
 from cornercase.simulators._remote import RemoteSimulator
 from cornercase.simulators._results import Outcome
 from cornercase.simulators.dask._worker import (
@@ -73,7 +73,7 @@ class ClusterSimulator(RemoteSimulator):
 
     def __init__(
         self,
-        name: str,
+        name: str | type[Simulator],
         options: dict[str, Any],
         cluster: str | Client,
         workers: int = 1,
@@ -93,8 +93,8 @@ class ClusterSimulator(RemoteSimulator):
         self._job = SimulatorJob(
             uuid.uuid4().hex,
             __version__,
-            name,
-            pickle_options(options, cloudpickle.dumps),
+            self.name,
+            pickle_simulator(name, options, cloudpickle.dumps),
             timeout,
             retries,
             max_failures,

@@ -21,7 +21,7 @@ from cornercase.scenario._file import ScenarioFile
 from cornercase.simulators._base import Simulator
 from cornercase.simulators._registry import SIMULATORS
 from cornercase.simulators._results import Outcome, run_scenarios_as_given
-from cornercase.simulators.pool._process import unpickle_options
+from cornercase.simulators.pool._process import unpickle_simulator
 from cornercase.simulators.pool._simulator import DEFAULT_MAX_FAILURES, WorkerSimulator
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 class SimulatorJob:
     """Simulator and settings of one exploration or suite; `version` is that of the sender, `timeout` in s.
 
-    `options` are pickled, since the scheduler may not know the user's driver classes.
+    `options` are those of `pickle_simulator`, since the scheduler may not know the user's classes.
     """
 
     key: str
@@ -66,7 +66,7 @@ class _JobState:
     def __init__(self, job: SimulatorJob) -> None:
         self._job = job
         try:
-            self._options = unpickle_options(job.options)
+            self._simulator, self._options = unpickle_simulator(job.options)
         except Exception as error:
             raise InputError(
                 f"`cluster`: a worker cannot load a driver of your own ({format_exception(error)});"
@@ -76,7 +76,7 @@ class _JobState:
         self._free_numbers: list[int] = []
         self._simulators: list[Simulator] = []
         self._condition = Condition()
-        declared = SIMULATORS.get_class(job.simulator)
+        declared = SIMULATORS.get_class(self._simulator)
         self._wants_worker_number = "worker" in declared.requires
         # An in-process simulator uses all cores of this process.
         self._runs_in_process = declared.in_process and job.timeout is None
@@ -103,13 +103,13 @@ class _JobState:
         job = self._job
         options = self._options | ({"worker": number} if self._wants_worker_number else {})
         if self._runs_in_process:
-            return SIMULATORS.create(job.simulator, **options)
+            return SIMULATORS.create(self._simulator, **options)
         if current_process().daemon:
             raise InputError(
                 "`cluster`: its workers may not start processes; set DASK_DISTRIBUTED__WORKER__DAEMON=False when you"
                 " start them."
             )
-        return WorkerSimulator(job.simulator, options, 1, job.timeout, job.retries, job.max_failures)
+        return WorkerSimulator(self._simulator, options, 1, job.timeout, job.retries, job.max_failures)
 
     def unpack_scenario(self, key: str, bundle: ScenarioBundle) -> tuple[ScenarioFile, Path]:
         from distributed import get_worker

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Iterator, Mapping, Sequence
+from functools import cached_property
 from pathlib import Path
 from typing import Final
 
@@ -33,7 +34,7 @@ _VEHICLE_CATEGORIES: Final = (
 _VEHICLE_TYPE, _PEDESTRIAN_TYPE = 1, 2
 
 
-class EsminiSimulator(Simulator):
+class Esmini(Simulator):
     """Runs concrete scenarios with esmini, one at a time per process.
 
     Parameters
@@ -57,7 +58,7 @@ class EsminiSimulator(Simulator):
     Raises
     ------
     InputError
-        The library is not found or cannot be used, or an option is out of range.
+        An option is out of range. `run` raises it if the library is not found or cannot be used.
     """
 
     name = "esmini"
@@ -80,18 +81,24 @@ class EsminiSimulator(Simulator):
             raise InputError(
                 "`drivers`: esmini does not support cornercase's drivers; name its own in the scenario file."
             )
-        self._path = find_library_path(library)
+        self._common_settings = check_settings(time_step, duration, on_collision, None)
         self._time_step, self._duration, self._stop_on_collision = time_step, duration, on_collision == "stop"
-        self._seed, self._controllers, self._undriven = seed, bool(controllers), bool(undriven)
+        self._seed, self._library_path = check_seed(seed, "esmini"), library
+        self._controllers, self._undriven = bool(controllers), bool(undriven)
         self._library: ctypes.CDLL | None = None
         self._layout_checked = False
         self._last_scenario: ScenarioFile | None = None
-        self.settings: dict[str, object] = {
-            **check_settings(time_step, duration, on_collision, None),
-            "seed": check_seed(seed, "esmini"),
+
+    @cached_property
+    def settings(self) -> dict[str, object]:  # type: ignore[override]
+        """What recordings depend on; `InputError` if the library is not found."""
+        path = find_library_path(self._library_path)
+        return {
+            **self._common_settings,
+            "seed": self._seed,
             "controllers": self._controllers,
-            "library": self._path.name,
-            "library size": self._path.stat().st_size,
+            "library": path.name,
+            "library size": path.stat().st_size,
         }
 
     @classmethod
@@ -107,7 +114,7 @@ class EsminiSimulator(Simulator):
     def run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Recording | SimulationError]:
         """Run scenarios; `InputError` also if the library has another memory layout."""
         if self._library is None:
-            self._library = load_library(self._path)
+            self._library = load_library(find_library_path(self._library_path))
         for concrete in concretes:
             scenario = self._last_scenario = concrete.load_file(self._last_scenario)
             self.check_supported(scenario)

@@ -31,7 +31,7 @@ from cornercase._common.process.signals import defer_interrupts
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators._base import Simulator
-from cornercase.simulators._option_pickling import create_drivers_from_specs, pickle_options
+from cornercase.simulators._option_pickling import create_drivers_from_specs, pickle_simulator
 from cornercase.simulators._registry import SIMULATORS
 from cornercase.simulators._results import Outcome, run_scenarios_as_given
 
@@ -70,10 +70,12 @@ class WorkerProcess:
     connection: Connection
     task: WorkerTask
 
-    def __init__(self, name: str, options: dict[str, Any], timeout: float | None, guardian: Reaper) -> None:
-        self._name, self._timeout, self._guardian = name, timeout, guardian
-        # As bytes, so that the process imports the user's drivers from where this one did.
-        self._options = pickle_options(options, pickle.dumps)
+    def __init__(
+        self, name: str | type[Simulator], options: dict[str, Any], timeout: float | None, guardian: Reaper
+    ) -> None:
+        self._timeout, self._guardian = timeout, guardian
+        # As bytes, so that the process imports the user's classes from where this one did.
+        self._simulator = pickle_simulator(name, options, pickle.dumps)
         self._process: Any = None
         self._folder: Path | None = None
         self._exit_code: int | None = None
@@ -90,7 +92,7 @@ class WorkerProcess:
             # Removed after the process, however it ends.
             self._folder = self._guardian.make_temporary_folder()
             self.connection, child_connection = context.Pipe()
-            arguments = child_connection, self._name, self._options, self._folder
+            arguments = child_connection, self._simulator, self._folder
             process = context.Process(target=_worker_main, args=arguments, daemon=True)
             # An interrupt in the middle would leave an orphaned process.
             with defer_interrupts(), block_interrupts(*termination_signals()), hide_current_folder_from_children():
@@ -180,7 +182,7 @@ class WorkerProcess:
         self._process = self._folder = None
 
 
-def _worker_main(connection: Connection, name: str, options: bytes, folder: Path) -> None:
+def _worker_main(connection: Connection, simulator_description: bytes, folder: Path) -> None:
     """Create a simulator in the worker process, and run tasks until the connection closes."""
     # Ctrl-C is handled by the main process, which lets this one finish its scenario or stops it.
     detach_from_terminal()
@@ -188,7 +190,8 @@ def _worker_main(connection: Connection, name: str, options: bytes, folder: Path
     set_temporary_folder(folder)
     try:
         with convert_plugin_errors("A worker process", None, "as it began"):
-            simulator = SIMULATORS.create(name, **unpickle_options(options))
+            name, options = unpickle_simulator(simulator_description)
+            simulator = SIMULATORS.create(name, **options)
     except InputError as error:
         _send_message(connection, error)
         return
@@ -203,10 +206,10 @@ def _worker_main(connection: Connection, name: str, options: bytes, folder: Path
             _run_and_send(connection, simulator, concretes)
 
 
-def unpickle_options(options: bytes) -> dict[str, Any]:
-    """Unpickle the options of a simulator; modules of the user's drivers may be in the current folder."""
-    options_with_names: dict[str, Any] = unpickle_with_current_folder(options)
-    return create_drivers_from_specs(options_with_names)
+def unpickle_simulator(description: bytes) -> tuple[str | type[Simulator], dict[str, Any]]:
+    """Name or class of a simulator, and its options; modules of the user may be in the current folder."""
+    name, options = unpickle_with_current_folder(description)
+    return name, create_drivers_from_specs(options)
 
 
 def _run_and_send(connection: Connection, simulator: Simulator, concretes: list[ConcreteScenario]) -> None:

@@ -15,6 +15,7 @@ from cornercase._common.process.reaper import Reaper
 from cornercase._common.text.sanitize import quote_name
 from cornercase.drivers._description import user_driver_spec
 from cornercase.scenario import ConcreteScenario
+from cornercase.simulators._base import Simulator
 from cornercase.simulators._remote import RemoteSimulator
 from cornercase.simulators._results import Outcome
 from cornercase.simulators.pool._process import NoticeMessage, WorkerProcess, WorkerTask
@@ -54,7 +55,7 @@ class WorkerSimulator(RemoteSimulator):
 
     def __init__(
         self,
-        name: str,
+        name: str | type[Simulator],
         options: dict[str, Any],
         workers: int = 1,
         timeout: float | None = None,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from functools import partial
+from functools import cached_property, partial
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 
@@ -28,7 +28,7 @@ from cornercase.simulators.sumo._network import find_or_convert_network
 _MISSING_MESSAGE = "SUMO is not installed; pip install 'cornercase[sumo]'."
 
 
-class SumoSimulator(Simulator):
+class Sumo(Simulator):
     """Runs concrete scenarios in which SUMO's car-following and junction models drive.
 
     SUMO drives entities with the driver ``cautious``, ``normal`` or ``aggressive``, as a vehicle type of that name. The
@@ -54,7 +54,7 @@ class SumoSimulator(Simulator):
     Raises
     ------
     InputError
-        SUMO is not installed, or an option is out of range.
+        An option is out of range. `run` raises it if SUMO is not installed.
     """
 
     name = "sumo"
@@ -71,16 +71,19 @@ class SumoSimulator(Simulator):
         seed: int = 0,
         network: str | None = None,
     ) -> None:
-        settings = check_settings(time_step, duration, on_collision, drivers)
-        if find_spec("libsumo") is None:
-            raise InputError(_MISSING_MESSAGE)
+        self._common_settings = check_settings(time_step, duration, on_collision, drivers)
         self._time_step, self._duration, self._on_collision = time_step, duration, on_collision
-        self._drivers, self._seed, self._network = dict(drivers or {}), seed, network
+        self._drivers, self._seed, self._network = dict(drivers or {}), check_seed(seed, "SUMO"), network
         self._prepared: PreparedScenario | None = None
-        self.settings: dict[str, object] = {
-            **settings,
-            "seed": check_seed(seed, "SUMO"),
-            "network": None if network is None else remove_folders(network),
+
+    @cached_property
+    def settings(self) -> dict[str, object]:  # type: ignore[override]
+        """What recordings depend on; `InputError` if SUMO is not installed."""
+        _require_installed()
+        return {
+            **self._common_settings,
+            "seed": self._seed,
+            "network": None if self._network is None else remove_folders(self._network),
             "sumo": version("libsumo"),
         }
 
@@ -109,7 +112,8 @@ class SumoSimulator(Simulator):
         return read_and_collect_notices(scenario, values)
 
     def run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Recording | SimulationError]:
-        """Run scenarios, as `Simulator.run`."""
+        """Run scenarios; `InputError` also if SUMO is not installed."""
+        _require_installed()
         prepared = self._prepared
         for concrete in concretes:
             scenario = concrete.load_file(None if prepared is None else prepared.scenario)
@@ -174,3 +178,8 @@ class _SumoDriver(Driver):
     def acceleration(self, situation: Situation) -> FloatArray:
         """Return zero, shape (1,): the coupling sets the speed."""
         return np.zeros(1)
+
+
+def _require_installed() -> None:
+    if find_spec("libsumo") is None:
+        raise InputError(_MISSING_MESSAGE)

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
+from cornercase._common.text.html import render_html_table
 from cornercase.evidence import Estimate, SetDifference
 from cornercase.scenario import Value
 from cornercase.suite._verdict import Verdict
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 ALPHA: Final = 0.05
 """Significance level: the probability that any test finds a difference between two runs of one version."""
@@ -387,6 +391,36 @@ class Comparison:
 
     def __bool__(self) -> bool:
         return self.changed
+
+    def table(self) -> pd.DataFrame:
+        """Make a table of the scenarios that ran with both versions.
+
+        Returns
+        -------
+        DataFrame
+            One row per pair, indexed by ``old`` and ``new``, the ids in both studies: the parameters, ``run`` (whether
+            the recordings are the same), and for each metric, and for ``outcome`` and ``critical``, a column with
+            ``old`` and one with ``new`` before its name. Empty if a run failed, or without a threshold.
+        """
+        import pandas as pd
+
+        rows = []
+        for pair in self.pairs:
+            row: dict[str, Any] = {"old": pair.ids[0], "new": pair.ids[1]} | dict(pair.values) | {"run": pair.run}
+            both: dict[str, tuple[Any, Any]] = dict(pair.scores)
+            if pair.both_ran:
+                both["outcome"] = pair.outcomes
+            if pair.is_critical is not None:
+                both["critical"] = pair.is_critical
+            for name, values in both.items():
+                row |= dict(zip((f"old {name}", f"new {name}"), values, strict=True))
+            rows.append(row)
+        return pd.DataFrame(rows).set_index(["old", "new"]) if rows else pd.DataFrame()
+
+    def _repr_html_(self) -> str:
+        """The verdict, and the pairs that are not the same, for notebooks."""
+        table = self.table()
+        return render_html_table(repr(self), table[table["run"] != "the same"] if len(table) else table)
 
     def __repr__(self) -> str:
         return f"<Comparison of {self.names[0]} and {self.names[1]}: {self.headline}>"

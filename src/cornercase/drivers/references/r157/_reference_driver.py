@@ -51,9 +51,12 @@ class ReferenceDriver(Driver):
                     f"`delay` of the driver '{name}' is {delay}; it has to be a number of seconds, 0 or more."
                 )
             reference = replace(reference, delay=float(delay))
-        self._reference = reference
+        self._reference, self._text = reference, name if delay is None else f"{name}:delay={delay}"
         self.settings = {"driver": name, "delay": reference.delay}
         self.start(0, 0)
+
+    def __str__(self) -> str:
+        return self._text
 
     def start(self, scenarios: int, others: int) -> None:
         """Reset all state for a batch of N `scenarios` with A `others` in each."""

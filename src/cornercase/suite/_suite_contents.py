@@ -56,7 +56,7 @@ class SuiteScenario:
 
 
 @dataclass(frozen=True)
-class Suite:
+class SuiteContents:
     """The scenarios of a suite and the settings they were run with; settings are empty if unknown.
 
     `place` is the manifest or the folder; `study` and `fingerprint` identify the study that the scenarios were selected

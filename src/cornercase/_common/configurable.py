@@ -1,0 +1,148 @@
+"""Objects that are described by their class and the options of their constructor."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import fields, is_dataclass
+from functools import wraps
+from inspect import Parameter, signature
+from typing import Any, ClassVar, Final, Self
+
+from cornercase._common.plugin_errors import unwrap_factory
+
+# Where an object keeps the options that it was given.
+_GIVEN_OPTIONS: Final = "_given_options"
+
+
+class Configurable:
+    """Base class of objects with options: `repr` evaluates, `str` is the text of the command line, `==` compares.
+
+    The constructors of subclasses are wrapped, so that no class has to keep its options for that. `name` is the name in
+    the registry, and becomes the whole text if there are options. `options_outside_name` are not part of the text.
+    """
+
+    name: str = ""
+    options_outside_name: ClassVar[frozenset[str]] = frozenset()
+
+    def __init_subclass__(cls, **arguments: Any) -> None:
+        super().__init_subclass__(**arguments)
+        if "__init__" in vars(cls):
+            cls.__init__ = _remember_options(cls.__init__)  # type: ignore[method-assign]
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({', '.join(_format_options(self, given_options(self), repr))})"
+
+    def __str__(self) -> str:
+        return self.name or describe_as_text(self)
+
+    def __eq__(self, other: object) -> bool:
+        return type(other) is type(self) and given_options(self) == given_options(other)
+
+    def __hash__(self) -> int:
+        return hash((type(self), frozenset(given_options(self))))
+
+    def with_options(self, **changes: Any) -> Self:
+        """Return a fresh object of the same class and name, with some options changed."""
+        options = given_options(self) | changes
+        positional = [options.pop(name) for name in _positional_options(type(self)) & options.keys()]
+        made = type(self)(*positional, **options)
+        if made.name != self.name:
+            made.name = self.name
+        return made
+
+
+def given_options(configured: object) -> dict[str, Any]:
+    """Options that an object was constructed with, without those that have their default value."""
+    if is_dataclass(configured):
+        # Its constructor is made when the class exists already.
+        values = {field.name: getattr(configured, field.name) for field in fields(configured) if field.init}
+        return _leave_out_defaults(type(configured), values)
+    return dict(vars(configured).get(_GIVEN_OPTIONS, {}))
+
+
+def describe_as_text(configured: Configurable) -> str:
+    """Text that stands for an object on the command line: ``"level-set:filling=0.1"``.
+
+    Options that text cannot express are left out. A class without a name is named as ``package.module:Class``.
+    """
+    cls = type(configured)
+    options = {
+        name: value
+        for name, value in given_options(configured).items()
+        if isinstance(value, bool | int | float | str) and name not in cls.options_outside_name
+    }
+    base = cls.name if cls.name and isinstance(cls.name, str) else f"{cls.__module__}:{cls.__qualname__}"
+    return f"{base}:{','.join(_format_options(configured, options, format_option_value))}" if options else base
+
+
+def format_option_value(value: object) -> str:
+    """Text of an option's value on the command line."""
+    return str(value).lower() if isinstance(value, bool) else str(value)
+
+
+def declared_options(factory: Callable[..., Any]) -> dict[str, Parameter]:
+    """Options that a factory declares, by name.
+
+    A class with ``**options`` passes them to its base class, so it has that class's options too. Options that no
+    constructor names do not count, as nobody would notice that they are misspelled.
+    """
+    parameters = dict(signature(factory).parameters)
+    callable_ = unwrap_factory(factory)
+    for base in callable_.__mro__ if isinstance(callable_, type) else ():
+        if not any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters.values()):
+            break
+        if "__init__" in vars(base):
+            _, *own_parameters = signature(vars(base)["__init__"]).parameters.values()
+            parameters = {
+                name: parameter for name, parameter in parameters.items() if parameter.kind is not parameter.VAR_KEYWORD
+            }
+            parameters = {parameter.name: parameter for parameter in own_parameters} | parameters
+    named = (Parameter.POSITIONAL_OR_KEYWORD, Parameter.KEYWORD_ONLY)
+    return {name: parameter for name, parameter in parameters.items() if parameter.kind in named}
+
+
+def _remember_options(constructor: Callable[..., None]) -> Callable[..., None]:
+    """Constructor that first keeps what it was given."""
+
+    @wraps(constructor)
+    def construct(self: Configurable, *positional: Any, **options: Any) -> None:
+        cls = type(self)
+        # A constructor may call that of its base class, which is wrapped too.
+        if _GIVEN_OPTIONS not in vars(self):
+            given = dict(zip(signature(cls).parameters, positional, strict=False)) | options
+            vars(self)[_GIVEN_OPTIONS] = _leave_out_defaults(cls, given)
+            if given and cls.name and isinstance(cls.name, str):
+                self.name = describe_as_text(self)
+        constructor(self, *positional, **options)
+
+    return construct
+
+
+def _leave_out_defaults(cls: type[Any], options: dict[str, Any]) -> dict[str, Any]:
+    """Options without those that have their default value; without options there is no need for a signature."""
+    declared = declared_options(cls) | dict(signature(cls).parameters) if options else {}
+    return {
+        name: value
+        for name, value in options.items()
+        if name not in declared or not _is_equal(value, declared[name].default)
+    }
+
+
+def _is_equal(value: object, default: object) -> bool:
+    """Whether two options are equal; arrays never are."""
+    try:
+        return bool(value == default)
+    except ValueError:
+        return False
+
+
+def _positional_options(cls: type[Any]) -> set[str]:
+    return {name for name, one in signature(cls).parameters.items() if one.kind is one.POSITIONAL_ONLY}
+
+
+def _format_options(configured: object, options: dict[str, Any], format_value: Callable[[object], str]) -> list[str]:
+    positional = _positional_options(type(configured))
+    return [
+        format_value(value) if name in positional else f"{name}={format_value(value)}"
+        for name, value in options.items()
+    ]

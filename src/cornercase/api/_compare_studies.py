@@ -1,0 +1,93 @@
+"""Compare two studies, and write the page of the comparison."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+
+from cornercase import suite
+from cornercase._common.validation import check_path
+from cornercase.api._written_page import Page
+from cornercase.report import write_comparison
+from cornercase.study import StudyFile
+
+
+@dataclass(frozen=True, repr=False)
+class Comparison(suite.Comparison):
+    """Result of a comparison of two versions; as a bool it says whether anything changed.
+
+    Attributes and `table` are those of `cornercase.suite.Comparison`.
+
+    Attributes
+    ----------
+    studies : tuple of (Path, Path)
+        The studies that were compared, old and new.
+    """
+
+    studies: tuple[Path, Path] = field(kw_only=True)
+
+    def write(self, path: Path | str) -> Page:
+        """Write the page of the comparison: verdict, changes, charts, and replays of example scenarios.
+
+        Parameters
+        ----------
+        path : path
+            File to write. The same comparison gives the same bytes.
+
+        Returns
+        -------
+        Page
+            The file; a notebook shows it.
+
+        Raises
+        ------
+        InputError
+            The file cannot be written, or a study cannot be read.
+        """
+        return Page(write_comparison(self, *self.studies, path))
+
+
+def compare(
+    old: StudyFile | Path | str,
+    new: StudyFile | Path | str,
+    *,
+    metrics: str | Sequence[str] | None = None,
+    critical: float | None = None,
+    tolerances: Mapping[str, float] | None = None,
+) -> Comparison:
+    """Compare two versions of the system under test, and tell whether the new one is better or worse.
+
+    Parameters
+    ----------
+    old, new : Study or path
+        Studies of the same scenario, parameter space and entities; drivers, simulators, versions and time steps may
+        differ.
+    metrics : str or sequence of str, optional
+        Metrics to compare by; by default all, which have to be the same in both.
+    critical : float, optional
+        Threshold for both studies, which keep their own; by default their own, which have to be equal.
+    tolerances : mapping of str to float, optional
+        By metric, in its unit: how much a score may change and still count as the same, as in
+        `cornercase.suite.compare`.
+
+    Returns
+    -------
+    Comparison
+        `verdict` says whether the new version is better, worse, mixed or the same, or that nothing can be said.
+
+    Raises
+    ------
+    InputError
+        The studies cannot be compared, as in `cornercase.suite.compare`, which says how it is decided.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> cc.compare("old.db", "new.db").write("compare.html")  # doctest: +SKIP
+    <Page 'compare.html'>
+    """
+    result = suite.compare(old, new, metrics=metrics, critical=critical, tolerances=tolerances)
+    values = {item.name: getattr(result, item.name) for item in fields(result)}
+    paths = (study.path if isinstance(study, StudyFile) else check_path("study", study) for study in (old, new))
+    return Comparison(**values, studies=(next(paths), next(paths)))

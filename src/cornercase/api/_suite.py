@@ -1,0 +1,200 @@
+"""A suite: the few scenarios that matter, run again."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Self
+
+from cornercase._common.text.html import render_html_table
+from cornercase._common.validation import check_path
+from cornercase.api._simulator_fields import simulator_fields
+from cornercase.drivers import Driver
+from cornercase.exploration import Runs
+from cornercase.exploration._runs import single_run_settings
+from cornercase.simulators import Simulator
+from cornercase.suite import SuiteResult, run_suite
+from cornercase.suite._read_suite import read_suite
+from cornercase.suite._suite_contents import SuiteContents
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+class Suite:
+    """Scenarios that run by themselves, such as a reduced set, to test versions with; make one with `open`.
+
+    Parameters
+    ----------
+    path : path
+        Folder of a reduced set or its manifest, or any folder of concrete scenarios.
+    ego : str, optional
+        Name of the entity under test; by default that of the manifest.
+    other : str or sequence of str, optional
+        Entity that the ego is measured against. With several, the most critical one counts; ``"*"`` stands for all
+        others in the files. By default that of the manifest.
+
+    Attributes
+    ----------
+    path : Path
+        The folder, or the manifest.
+
+    Raises
+    ------
+    InputError
+        There is nothing to run, or a file cannot be used, is missing or has changed since the manifest was written.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> result = cc.Suite.open("reduced").run(require=["no collision"])  # doctest: +SKIP
+    >>> result.junit("out.xml")  # doctest: +SKIP
+    PosixPath('out.xml')
+    """
+
+    def __init__(self, path: Path | str, *, ego: str | None = None, other: str | Sequence[str] | None = None) -> None:
+        self.path = check_path("path", path)
+        self._contents: SuiteContents = read_suite(self.path)
+        self._ego, self._other = ego, other
+
+    @classmethod
+    def open(cls, path: Path | str, *, ego: str | None = None, other: str | Sequence[str] | None = None) -> Self:
+        """Open a suite.
+
+        Parameters
+        ----------
+        path : path
+            Folder of a reduced set or its manifest, or any folder of concrete scenarios.
+        ego : str, optional
+            Name of the entity under test; by default that of the manifest.
+        other : str or sequence of str, optional
+            Entity that the ego is measured against; by default that of the manifest. ``"*"`` stands for all others.
+
+        Returns
+        -------
+        Suite
+
+        Raises
+        ------
+        InputError
+            There is nothing to run, or a file cannot be used, is missing or has changed since the manifest was written.
+        """
+        return cls(path, ego=ego, other=other)
+
+    def run(
+        self,
+        study: Path | str | None = None,
+        *,
+        require: Sequence[str] = (),
+        requirements: Path | str | None = None,
+        require_from_file: bool = False,
+        metrics: Sequence[str] = (),
+        simulator: Simulator | str | None = None,
+        drivers: Mapping[str, str | Driver] | None = None,
+        runs: Runs | None = None,
+        against: Path | str | None = None,
+        mutants: int | None = None,
+        seed: int = 0,
+        progress: bool = False,
+    ) -> SuiteResult:
+        """Run the scenarios, judge them, and compare them with those that they were selected from.
+
+        Each scenario is stored when it has ended. The same call again resumes an interrupted run; with other
+        requirements it judges what has run.
+
+        Parameters
+        ----------
+        study : path, optional
+            Study to create or continue. Default: beside the folder of the suite, with its name and ``.run.db``. Another
+            driver or simulator needs another study.
+        require : sequence of str
+            Requirements on each scenario, as `cornercase.suite.Requirement.parse` reads them.
+        requirements : path, optional
+            TOML or YAML file with further requirements.
+        require_from_file : bool, default False
+            Use the criteria for ScenarioRunner in the files as requirements, if a recording can answer them; a notice
+            names the others.
+        metrics : sequence of str
+            Criticality metrics to store; by default those of the manifest, without one those in the requirements, or
+            else ``clearance``.
+        simulator : Simulator or str, optional
+            By default that of the manifest; without one the builtin simulator.
+        drivers : mapping of str to str or Driver, optional
+            Drivers by entity: a preset or ``package.module:Class``, either with options after a colon, or an instance.
+            By default those in the files.
+        runs : Runs, optional
+            Where scenarios are run, and what happens if a simulator dies or hangs. Each scenario is run once.
+        against : path, optional
+            Study with earlier recordings: the one that was reduced, or another run of the suite. By default the former,
+            if it is beside the manifest or in the folder above.
+        mutants : int, optional
+            Also run the scenarios with this number of mutants of the ego's driver, and count those that are killed:
+            see `cornercase.suite.run_suite`.
+        seed : int, default 0
+            The same seed gives the same mutants.
+        progress : bool, default False
+            Show progress.
+
+        Returns
+        -------
+        SuiteResult
+
+        Raises
+        ------
+        InputError
+            An argument or file cannot be used, a file of the manifest is missing or has changed, no scenario can be
+            run, or the study is of something else.
+
+        Warns
+        -----
+        NoticeWarning
+            Something in the files has no effect in the simulator.
+        """
+        fields = {} if simulator is None else simulator_fields(simulator)
+        fields["drivers"] = {**fields.get("drivers", {}), **(drivers or {})}
+        return run_suite(
+            self.path,
+            self._default_study() if study is None else study,
+            require=require,
+            requirements=requirements,
+            require_from_file=require_from_file,
+            ego=self._ego,
+            other=self._other,
+            metrics=metrics,
+            **fields,
+            **single_run_settings(runs, "a suite"),
+            against=against,
+            mutants=mutants,
+            seed=seed,
+            progress=progress,
+        )
+
+    def _default_study(self) -> Path:
+        folder = self._contents.folder
+        return folder.with_name(f"{folder.resolve().name}.run.db") if folder.name else folder / "suite.run.db"
+
+    def table(self) -> pd.DataFrame:
+        """Make a table of the scenarios.
+
+        Returns
+        -------
+        DataFrame
+            One row per scenario: ``file``, ``kind`` (the cluster that it represents), ``role``, ``why`` it was
+            selected, and ``error``, why it cannot be run. Empty if unknown.
+        """
+        import pandas as pd
+
+        columns = {"file": "file_name", "kind": "cluster_name", "role": "role", "why": "selection_reason"}
+        return pd.DataFrame(
+            [
+                {name: getattr(scenario, attribute) for name, attribute in columns.items()} | {"error": scenario.error}
+                for scenario in self._contents.scenarios
+            ]
+        )
+
+    def __repr__(self) -> str:
+        return f"<Suite {str(self.path)!r}: {len(self._contents.scenarios)} scenarios>"
+
+    def _repr_html_(self) -> str:
+        """Table of the scenarios, for notebooks."""
+        return render_html_table(repr(self), self.table(), n_rows=len(self._contents.scenarios))

@@ -1,0 +1,53 @@
+"""A written page, which notebooks show."""
+
+from __future__ import annotations
+
+import os
+from html import escape
+from pathlib import Path
+from typing import Final
+
+from cornercase._common.text.html import render_html
+
+_FRAME_HEIGHT: Final = 700
+# Larger pages would make notebooks too large.
+_MAX_BYTES: Final = 20_000_000
+
+
+class Page(os.PathLike[str]):
+    """A file that was written; a notebook shows it if it is an HTML page.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Attributes
+    ----------
+    path : Path
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __fspath__(self) -> str:
+        return str(self.path)
+
+    def __str__(self) -> str:
+        return str(self.path)
+
+    def __repr__(self) -> str:
+        return f"<Page {str(self.path)!r}>"
+
+    def _repr_html_(self) -> str:
+        """The page in a frame that cannot reach the notebook; a line for films, and if it is large or was removed."""
+        try:
+            if self.path.suffix.lower() not in (".html", ".htm") or self.path.stat().st_size > _MAX_BYTES:
+                return render_html(str(self.path))
+            page = self.path.read_text(encoding="utf-8")
+        except OSError:
+            return render_html(f"{self.path}: was removed")
+        return (
+            f'<iframe srcdoc="{escape(page)}" title="{escape(self.path.name)}" sandbox="allow-scripts allow-downloads"'
+            f' style="width: 100%; height: {_FRAME_HEIGHT}px; border: 0"></iframe>'
+        )

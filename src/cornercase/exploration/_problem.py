@@ -1,0 +1,142 @@
+"""What is searched: a logical scenario, the entity under test, and what counts as critical."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from cornercase._common.errors import InputError
+from cornercase._common.text.html import render_html
+from cornercase._common.validation import check_str_sequence, repr_short
+from cornercase.exploration._config import ExplorationConfig
+from cornercase.scenario import LogicalScenario
+
+# Arguments of the objects, by their name in `ExplorationConfig` and in the functions.
+_NAME_IN_OBJECTS: Final = {"critical": "threshold", "critical_if": "condition", "stop_when": "stop"}
+
+
+@dataclass(frozen=True, repr=False)
+class Problem:
+    """What is searched: a logical scenario, the entity under test, and what counts as critical.
+
+    Parameters
+    ----------
+    scenario : LogicalScenario
+        Scenario and the ranges of its parameters.
+    ego : str
+        Name of the entity under test.
+    other : str or sequence of str
+        Entities that the ego is measured against; the most critical one counts. ``"*"`` means all others.
+    metrics : str or sequence of str
+        Criticality metrics, with options after a colon. All are stored; the first is searched unless `weights` are
+        given.
+    threshold : float, optional
+        Score from which a scenario is critical, in the unit of the objective. Default: the metric's own.
+    condition : str, optional
+        Condition that replaces metric and threshold, and is searched: ``"collision and not reference:cc-human"``. It
+        consists of ``collision`` (of the ego with anybody), ``reference:NAME`` (the ego would also collide if this
+        driver drove it), bounds on scores such as ``ttc < 1``, ``and``, ``or``, ``not`` and brackets.
+    weights : mapping of str to float, optional
+        By metric: search the weighted sum of the scores. Metrics that are critical when high count with a minus sign.
+    pareto : bool, default False
+        Search the Pareto front of all metrics.
+
+    Raises
+    ------
+    InputError
+        The scenario lacks an entity, there is no such metric, or the arguments contradict each other.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> folder = "examples/x_intersection/x_intersection"
+    >>> scenario = cc.LogicalScenario.read(f"{folder}.xosc", f"{folder}.space.xosc")
+    >>> cc.Problem(scenario, ego="Ego", other="Pedestrian", metrics=["wttc"], threshold=0.2)
+    <Problem 'x_intersection': Ego and Pedestrian, critical if wttc <= 0.2 s>
+    """
+
+    scenario: LogicalScenario
+    ego: str
+    other: str | Sequence[str]
+    metrics: str | Sequence[str]
+    threshold: float | None = None
+    condition: str | None = None
+    weights: Mapping[str, float] = field(default_factory=dict)
+    pareto: bool = False
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.scenario, LogicalScenario):
+            raise InputError(
+                f"`scenario` {repr_short(self.scenario)}: give a scenario that `LogicalScenario.read` has read."
+            )
+        with name_arguments_of_objects():
+            config = config_from_problem(self)
+            config.require_entities()
+            config.make_objective().minimized_threshold_or_none(config.critical)
+        for name in ("other", "metrics", "weights"):
+            object.__setattr__(self, name, getattr(config, name))
+        object.__setattr__(self, "threshold", config.critical)
+
+    def __repr__(self) -> str:
+        others = self.other if isinstance(self.other, str) else ", ".join(self.other)
+        return f"<Problem {self.scenario.path.stem!r}: {self.ego} and {others}, {self._criterion()}>"
+
+    def _criterion(self) -> str:
+        """What is searched, in a few words."""
+        config = config_from_problem(self)
+        objective = config.make_objective()
+        if self.condition is not None:
+            return f"critical if {self.condition}"
+        threshold = objective.minimized_threshold_or_none(self.threshold)
+        if threshold is None:
+            return f"searched by {objective.label}"
+        sign, unit = ("<=" if objective.lower_is_critical else ">="), objective.unit
+        return f"critical if {objective.label} {sign} {objective.convert_orientation(threshold):g} {unit}".rstrip()
+
+    def _repr_html_(self) -> str:
+        """Description and table of the parameters, for notebooks."""
+        return render_html(repr(self), self.scenario.space._repr_html_())
+
+
+def problem_from_config(config: ExplorationConfig) -> Problem:
+    """Return the problem of a configuration."""
+    return Problem(
+        config.logical,
+        config.ego,
+        config.other,
+        config.metrics,
+        config.critical,
+        config.critical_if,
+        config.weights,
+        config.pareto,
+    )
+
+
+def config_from_problem(problem: Problem, **settings: Any) -> ExplorationConfig:
+    """Create the configuration of an exploration; `settings` are its fields that do not belong to the problem."""
+    return ExplorationConfig(
+        logical=problem.scenario,
+        ego=problem.ego,
+        other=problem.other,
+        metrics=check_str_sequence("metrics", problem.metrics),
+        critical=problem.threshold,
+        critical_if=problem.condition,
+        weights=problem.weights,
+        pareto=problem.pareto,
+        **settings,
+    )
+
+
+@contextmanager
+def name_arguments_of_objects() -> Iterator[None]:
+    """Name arguments in messages as `Problem` and the verbs do: `` `critical` `` becomes `` `threshold` ``."""
+    try:
+        yield
+    except InputError as error:
+        message = re.sub(r"`(\w+)`", lambda match: f"`{_NAME_IN_OBJECTS.get(match[1], match[1])}`", str(error))
+        if message == str(error):
+            raise
+        raise InputError(message) from error

@@ -1,0 +1,5 @@
+"""When an exploration ends: rules to combine."""
+
+import lazy_loader as lazy
+
+__getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)

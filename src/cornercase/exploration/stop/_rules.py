@@ -1,0 +1,307 @@
+"""Rules that end an exploration."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import inf
+
+from cornercase._common.errors import InputError
+from cornercase._common.validation import check_float, check_int, repr_short
+from cornercase.evidence._critical_set_estimate import MIN_REGION_FRACTION, CriticalSet
+
+_CRITERION_PATTERN = re.compile(r"(?P<what>[a-z-]+)(?:\((?P<size>[^()]*)\))?<(?P<below>.+)")
+
+_SIZED_QUANTITIES = ("overlooked", "unvisited")
+_QUANTITIES = ("missed", "interval", "audited-missed", *_SIZED_QUANTITIES)
+
+
+class StopRule:
+    """When an exploration ends; made by the functions of `cornercase.stop`.
+
+    `repr` evaluates, `str` is the text of the command line, and rules are compared by value.
+
+    Examples
+    --------
+    >>> from cornercase import stop
+    >>> str(stop.missed(0.05)), stop.overlooked(0.05, size=0.02), stop.seconds(60) == stop.seconds(60.0)
+    ('missed<0.05', overlooked(0.05, size=0.02), True)
+    """
+
+
+@dataclass(frozen=True, repr=False)
+class StopCriterion(StopRule):
+    """An upper bound on a quantity of a `CriticalSet`.
+
+    `size` is the smallest region that counts, as a fraction of the space. Raises `InputError` if bound or size is no
+    fraction.
+    """
+
+    quantity: str
+    bound: float
+    size: float = MIN_REGION_FRACTION
+
+    def __post_init__(self) -> None:
+        for name in ("bound", "size"):
+            object.__setattr__(self, name, _check_fraction(getattr(self, name), str(self)))
+
+    @classmethod
+    def parse(cls, text: str) -> StopCriterion:
+        """Parse a criterion such as ``missed<0.01`` or ``overlooked(0.02)<0.05``."""
+        match = _CRITERION_PATTERN.fullmatch(text.replace(" ", ""))
+        if match is None or match["what"] not in _QUANTITIES:
+            raise InputError(
+                f"`stop_when` {text}: write it as missed<0.01, interval<0.05, overlooked(0.01)<0.05,"
+                " unvisited(0.01)<0.05 or audited-missed<0.1, in quotes."
+            )
+        if match["size"] is not None and match["what"] not in _SIZED_QUANTITIES:
+            raise InputError(f"`stop_when` {text}: only overlooked and unvisited accept a size.")
+        size = _check_fraction(match["size"], text) if match["size"] else MIN_REGION_FRACTION
+        return cls(match["what"], _check_fraction(match["below"], text), size)
+
+    def __str__(self) -> str:
+        size = f"({self.size})" if self.quantity in _SIZED_QUANTITIES else ""
+        return f"{self.quantity}{size}<{self.bound}"
+
+    def __repr__(self) -> str:
+        size = "" if self.size == MIN_REGION_FRACTION else f", size={self.size}"
+        return f"{self.quantity.replace('-', '_')}({self.bound}{size})"
+
+    def evaluate(self, critical_set: CriticalSet) -> float:
+        """Value of the quantity, from 0 to 1; 1 if it is unknown."""
+        if self.quantity == "missed":
+            return (
+                1.0
+                if critical_set.missed_interval_unavailable
+                else min(critical_set.missed_fraction.high + critical_set.max_hidden_fraction, 1.0)
+            )
+        if self.quantity == "audited-missed":
+            return critical_set.audited_missed_upper_bound
+        if self.quantity == "interval":
+            return (
+                1.0
+                if critical_set.interval_unavailable
+                else critical_set.critical_fraction.high - critical_set.critical_fraction.low
+            )
+        return (
+            critical_set.p_overlooked_region(self.size)
+            if self.quantity == "overlooked"
+            else critical_set.unexplored_fraction(self.size)
+        )
+
+    def describe_value(self, value: float) -> str:
+        """Describe the value that was reached."""
+        if self.quantity == "missed":
+            return f"at most {value:.2%} of the critical set is missed"
+        if self.quantity == "audited-missed":
+            return f"according to the audits, at most {value:.2%} of the critical set is missed"
+        if self.quantity == "interval":
+            return f"the critical share is known within {value:.2%}"
+        if self.quantity == "unvisited":
+            return f"in {value:.2%} of the space, no scenario was run within a region of {self.size:.2%}"
+        return f"with a probability of {value:.2%} a critical region of {self.size:.2%} or more was overlooked"
+
+
+@dataclass(frozen=True, repr=False)
+class TimeLimit(StopRule):
+    """No new round starts after this time in s."""
+
+    seconds: float
+
+    def __str__(self) -> str:
+        return f"max_seconds={self.seconds:g}"
+
+    def __repr__(self) -> str:
+        return f"seconds({self.seconds:g})"
+
+
+@dataclass(frozen=True, repr=False)
+class NoImprovement(StopRule):
+    """That many rounds had no score at least as critical as the best so far."""
+
+    rounds: int
+
+    def __str__(self) -> str:
+        return f"patience={self.rounds}"
+
+    def __repr__(self) -> str:
+        return f"no_improvement(rounds={self.rounds})"
+
+
+def missed(bound: float) -> StopRule:
+    """Stop when less than a fraction of the critical set is missed.
+
+    Parameters
+    ----------
+    bound : float
+        Above 0, up to 1. It is compared with the upper end of the 90 % interval of the missed fraction of the critical
+        set, plus what a region that was not found could add.
+
+    Returns
+    -------
+    StopRule
+
+    Raises
+    ------
+    InputError
+        `bound` is no fraction.
+
+    Examples
+    --------
+    >>> from cornercase import stop
+    >>> stop.missed(0.05)
+    missed(0.05)
+    """
+    return StopCriterion("missed", bound)
+
+
+def interval(bound: float) -> StopRule:
+    """Stop when the critical fraction of the space is known well enough.
+
+    Parameters
+    ----------
+    bound : float
+        Above 0, up to 1. It is compared with the width of the 90 % interval of the critical fraction.
+
+    Returns
+    -------
+    StopRule
+
+    Raises
+    ------
+    InputError
+        `bound` is no fraction.
+    """
+    return StopCriterion("interval", bound)
+
+
+def overlooked(bound: float, size: float = MIN_REGION_FRACTION) -> StopRule:
+    """Stop when it is improbable that a critical region was overlooked.
+
+    Parameters
+    ----------
+    bound : float
+        Above 0, up to 1. It is compared with the probability that there is such a region.
+    size : float, default 0.01
+        Smallest region that counts, as a fraction of the space.
+
+    Returns
+    -------
+    StopRule
+
+    Raises
+    ------
+    InputError
+        `bound` or `size` is no fraction.
+    """
+    return StopCriterion("overlooked", bound, size)
+
+
+def unvisited(bound: float, size: float = MIN_REGION_FRACTION) -> StopRule:
+    """Stop when something was run nearly everywhere.
+
+    Parameters
+    ----------
+    bound : float
+        Above 0, up to 1. It is compared with the fraction of the space around which nothing was run.
+    size : float, default 0.01
+        Size of the region around a point, as a fraction of the space.
+
+    Returns
+    -------
+    StopRule
+
+    Raises
+    ------
+    InputError
+        `bound` or `size` is no fraction.
+    """
+    return StopCriterion("unvisited", bound, size)
+
+
+def audited_missed(bound: float) -> StopRule:
+    """Stop when the audits show that less than a fraction of the critical set is missed.
+
+    Parameters
+    ----------
+    bound : float
+        Above 0, up to 1. It is compared with the upper bound of the missed fraction by the audits, so the exploration
+        has to have audits.
+
+    Returns
+    -------
+    StopRule
+
+    Raises
+    ------
+    InputError
+        `bound` is no fraction.
+    """
+    return StopCriterion("audited-missed", bound)
+
+
+def seconds(limit: float) -> StopRule:
+    """Stop after a time; the round that is running ends first.
+
+    Parameters
+    ----------
+    limit : float
+        In s.
+
+    Returns
+    -------
+    StopRule
+
+    Raises
+    ------
+    InputError
+        `limit` is negative or not finite.
+    """
+    return TimeLimit(check_float("seconds", limit, minimum=0.0))
+
+
+def no_improvement(rounds: int) -> StopRule:
+    """Stop after rounds without a score that is at least as critical as the best so far.
+
+    Parameters
+    ----------
+    rounds : int
+        Number of rounds in a row; without rounds, of scenarios.
+
+    Returns
+    -------
+    StopRule
+
+    Raises
+    ------
+    InputError
+        `rounds` is below 1.
+    """
+    return NoImprovement(check_int("rounds", rounds, 1))
+
+
+def resolve_stop_rules(rules: object) -> tuple[list[StopCriterion], float | None, int | None]:
+    """Criteria that have to hold together, time limit in s, and rounds without an improvement, of one rule or several.
+
+    Rules may be texts of criteria. Of several limits the smallest counts; None without one. Raises `InputError` for
+    anything else.
+    """
+    several = rules if isinstance(rules, Sequence) and not isinstance(rules, str) else [rules]
+    resolved = [StopCriterion.parse(rule) if isinstance(rule, str) else rule for rule in several]
+    for rule in resolved:
+        if not isinstance(rule, StopRule):
+            raise InputError(f"`stop_when` {repr_short(rule)}: give a rule such as stop.missed(0.05), or its text.")
+    time_limit = min((rule.seconds for rule in resolved if isinstance(rule, TimeLimit)), default=None)
+    rounds = min((rule.rounds for rule in resolved if isinstance(rule, NoImprovement)), default=None)
+    return [rule for rule in resolved if isinstance(rule, StopCriterion)], time_limit, rounds
+
+
+def _check_fraction(value: object, criterion: str) -> float:
+    try:
+        number = float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError):
+        number = inf
+    if not 0.0 < number <= 1.0:
+        raise InputError(f"`stop_when` {criterion}: '{value}' has to be a number above 0 and up to 1.")
+    return number

@@ -1,0 +1,79 @@
+"""What is searched, and how scenarios are run: objects that check what they are given."""
+
+from __future__ import annotations
+
+import pytest
+
+import cornercase as cc
+from helpers.command_line import SPACE, X
+
+
+@pytest.fixture(scope="module")
+def scenario() -> cc.LogicalScenario:
+    return cc.LogicalScenario.read(X, SPACE)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "criterion"),
+    [
+        ({"metrics": ["wttc"]}, "critical if wttc <= 1 s"),
+        ({"metrics": "wttc", "threshold": 0.2}, "critical if wttc <= 0.2 s"),
+        ({"metrics": ["wttc"], "condition": "collision"}, "critical if collision"),
+        ({"metrics": ["wttc", "distance"], "pareto": True}, "searched by Pareto front of wttc, distance"),
+        (
+            {"metrics": ["wttc", "distance"], "weights": {"wttc": 1, "distance": 2}, "threshold": 3},
+            "critical if 1 wttc + 2 distance <= 3",
+        ),
+    ],
+)
+def test_it_says_what_is_critical(scenario, arguments, criterion):
+    problem = cc.Problem(scenario, ego="Ego", other="Pedestrian", **arguments)
+    assert repr(problem) == f"<Problem 'x_intersection': Ego and Pedestrian, {criterion}>"
+    assert problem._repr_html_().count("<tr>") == 1 + len(scenario.space.parameters)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"ego": "Egon"}, "did you mean 'Ego'"),
+        ({"other": "Pedestrain"}, "did you mean 'Pedestrian'"),
+        ({"metrics": ["wtc"]}, "did you mean 'wttc'"),
+        ({"metrics": []}, "metric"),
+        ({"threshold": "low"}, "`threshold` 'low'"),
+        ({"condition": "collision", "threshold": 1.0}, "`condition` already defines .* leave `threshold` out"),
+        ({"metrics": ["wttc", "distance"], "pareto": True, "threshold": 1.0}, "a Pareto front has no threshold"),
+        ({"weights": {"distance": 1.0}}, "distance"),
+        ({"scenario": "x.xosc"}, "give a scenario that `LogicalScenario.read` has read"),
+    ],
+)
+def test_it_refuses_what_cannot_be_searched(scenario, arguments, message):
+    given = {"scenario": scenario, "ego": "Ego", "other": "Pedestrian", "metrics": ["wttc"]} | arguments
+    with pytest.raises(cc.InputError, match=message):
+        cc.Problem(**given)
+
+
+def test_all_others_get_their_names(scenario):
+    assert cc.Problem(scenario, "Ego", "*", ["wttc"]).other == ("Truck", "C", "Pedestrian")
+
+
+@pytest.mark.parametrize(
+    "runs", [cc.Runs(), cc.Runs(workers=4, timeout=1.5), cc.Runs(repeats=3, max_repeats=9, cluster="local")]
+)
+def test_runs_say_what_differs_from_the_default(runs):
+    assert eval(repr(runs), {"Runs": cc.Runs}) == runs
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"workers": 0}, "`workers` 0"),
+        ({"workers": 2.5}, "`workers` 2.5"),
+        ({"timeout": 0.0}, "`timeout` 0"),
+        ({"retries": -1}, "`retries` -1"),
+        ({"cluster": 7}, "`cluster` 7"),
+        ({"repeats": 0}, "`repeats` 0"),
+    ],
+)
+def test_runs_are_checked_at_once(arguments, message):
+    with pytest.raises(cc.InputError, match=message):
+        cc.Runs(**arguments)

@@ -1,0 +1,212 @@
+"""The study with verbs: what a user does from a file to a report, and what is refused."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import signal
+from inspect import signature
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import cornercase as cc
+from cornercase.drivers import SimpleDriver
+from cornercase.metrics import METRICS
+from cornercase.recordings import Recording
+from cornercase.simulators import Builtin
+from cornercase.study import StudyFile
+from helpers.command_line import SPACE, X
+
+pytestmark = pytest.mark.filterwarnings("ignore::cornercase.NoticeWarning")
+
+VERBS = ("explore", "cluster", "reduce", "report", "watch", "replay", "estimate")
+READS = ("table", "recording", "course", "critical_set", "sensitivity", "summary", "export")
+
+
+@pytest.fixture(scope="module")
+def problem() -> cc.Problem:
+    scenario = cc.LogicalScenario.read(X, SPACE)
+    return cc.Problem(scenario, ego="Ego", other="Pedestrian", metrics=["wttc", "distance"], threshold=0.2)
+
+
+@pytest.fixture(scope="module")
+def explored(problem, tmp_path_factory) -> cc.Study:
+    study = cc.Study.create(tmp_path_factory.mktemp("explored") / "study.db", problem, seed=1)
+    study.explore("sobol", budget=24)
+    study.cluster(by=["interaction", "wttc"])
+    return study
+
+
+def test_tab_completion_shows_verbs_and_what_is_read(explored):
+    shown = {name for name in dir(explored) if not name.startswith("_")}
+    assert shown == {*VERBS, *READS, "create", "open", "open_or_create", "path", "problem", "seed"}
+
+
+@pytest.mark.parametrize("method", [getattr(cc.Study, name) for name in (*VERBS, *READS)] + [cc.Suite.run])
+def test_a_verb_has_at_most_twelve_parameters(method):
+    assert len(signature(method).parameters) - 1 <= 12
+
+
+def test_creating_checks_everything_and_writes_nothing(problem, tmp_path):
+    path = tmp_path / "study.db"
+    study = cc.Study.create(path, problem, seed=3)
+    assert not path.exists()
+    assert "no scenario was run yet" in repr(study)
+    assert "no scenario was run yet" in study._repr_html_()
+    with pytest.raises(cc.InputError, match="no scenario was run yet; run some with `explore`"):
+        study.table()
+    with pytest.raises(cc.InputError, match="There is no simulator 'bultin'"):
+        cc.Study.create(path, problem, "bultin")
+    with pytest.raises(cc.InputError, match="`seed`"):
+        cc.Study.create(path, problem, seed=-1)
+    with pytest.raises(cc.InputError, match="`problem`: give a Problem, not a str"):
+        cc.Study.create(path, cast("Any", "x.xosc"))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_study_goes_on_by_the_same_call_and_keeps_its_settings(problem, explored, tmp_path):
+    path = shutil.copy(explored.path, tmp_path / "study.db")
+    with pytest.raises(cc.InputError, match="exists already; go on with it by `Study"):
+        cc.Study.create(path, problem)
+    study = cc.Study.open_or_create(path, problem, seed=1)
+    assert study.explore().done == 24
+    # Optimizer, batch and seed are those of the file.
+    assert cc.Study.open(path).explore(budget=30).done == 30
+    whole = cc.Study.create(tmp_path / "whole.db", problem, seed=1)
+    whole.explore("sobol", budget=30)
+    pd.testing.assert_frame_equal(whole.table()[["ego_start", "wttc"]], study.table()[["ego_start", "wttc"]])
+
+
+def test_another_problem_is_refused_when_the_study_is_opened(problem, explored):
+    for other, seed, message in (
+        (cc.Problem(problem.scenario, "Ego", "C", ["wttc", "distance"], 0.2), 1, "metrics against another entity"),
+        (problem, 2, "another seed"),
+        (cc.Problem(problem.scenario, "Ego", "Pedestrian", ["wttc", "distance"], 0.3), 1, "threshold"),
+    ):
+        with pytest.raises(cc.InputError, match=message):
+            cc.Study.open_or_create(explored.path, other, seed=seed)
+
+
+def test_opening_needs_the_path_alone(problem, explored):
+    study = cc.Study.open(explored.path)
+    assert study.seed == 1
+    assert repr(study.problem) == repr(problem)
+    assert study.problem.scenario.space == problem.scenario.space
+    assert study.problem.metrics == ("wttc", "distance")
+
+
+def test_the_index_of_the_table_names_recordings_and_courses(explored):
+    table = explored.table()
+    assert table.index.tolist() == list(range(1, 25))
+    for scenario in table.index[:3]:
+        recording = explored.recording(scenario)
+        assert isinstance(recording, Recording)
+        metric = METRICS.create("wttc")
+        course = metric.course(recording, "Ego", "Pedestrian")
+        np.testing.assert_array_equal(explored.course(scenario), course)
+        assert metric.score(course) == table.loc[scenario, "wttc"]
+
+
+def test_an_export_has_the_ids_in_its_first_column(explored, tmp_path):
+    explored.export(tmp_path / "tables")
+    read = pd.read_csv(tmp_path / "tables" / "scenarios.csv", index_col="id")
+    assert read.index.tolist() == explored.table().index.tolist()
+    assert read["cluster_by_wttc"].tolist() == explored.table()["cluster by wttc"].tolist()
+    assert len(list((tmp_path / "tables" / "recordings").iterdir())) == 24
+
+
+def test_clusters_have_a_table_that_adds_up(explored):
+    for by, analysis in explored.summary().analyses.items():
+        table = analysis.table()
+        counts = explored.table()[f"cluster by {by}"].value_counts()
+        assert table["size"].to_dict() == counts.to_dict()
+        for cluster, example in table["example"].dropna().items():
+            assert explored.table().loc[example, f"cluster by {by}"] == cluster
+        members = explored.table()[explored.table()[f"cluster by {by}"] == 0]
+        assert table.loc[0, "median wttc"] == pytest.approx(members["wttc"].median())
+
+
+def test_the_critical_set_counts_the_critical_scenarios(explored):
+    scores = explored.table()["wttc"]
+    assert explored.critical_set().n_critical == (scores <= 0.2).sum()
+    loose = explored.critical_set(threshold=1.0)
+    assert loose.n_critical == (scores <= 1.0).sum()
+    assert loose.critical_set is not None
+    assert 0.0 < loose.critical_set.critical_fraction.value <= 1.0
+
+
+def test_sensitivities_are_listed_by_influence(explored):
+    table = explored.sensitivity().table()
+    assert set(table.index) == set(explored.problem.scenario.space.names)
+    assert table["total"].is_monotonic_decreasing
+    assert (table["total low"] <= table["total"]).all()
+    assert (table["total"] <= table["total high"]).all()
+
+
+def test_what_cannot_be_estimated_is_said(problem, tmp_path):
+    study = cc.Study.create(tmp_path / "few.db", problem)
+    study.explore("sobol", budget=2)
+    with pytest.raises(cc.InputError, match="sensitivities need 10 scenarios or more"):
+        study.sensitivity()
+    # Messages name arguments as the verbs do.
+    front = cc.Problem(problem.scenario, "Ego", "Pedestrian", ["wttc", "distance"], pareto=True)
+    study = cc.Study.create(tmp_path / "front.db", front)
+    study.explore("sobol", budget=2)
+    with pytest.raises(cc.InputError, match="a Pareto front has no threshold; leave out `threshold`"):
+        study.critical_set(threshold=0.2)
+    with pytest.raises(cc.InputError, match="nothing says what is critical"):
+        study.critical_set()
+
+
+def test_functions_take_a_study(explored, tmp_path):
+    assert cc.summarize(explored).n_run == 24
+    page = explored.report(tmp_path / "verb.html")
+    cc.write_report(explored, tmp_path / "function.html")
+    assert Path(page).read_bytes() == (tmp_path / "function.html").read_bytes()
+    comparison = cc.compare(explored, explored.path)
+    assert comparison.studies == (explored.path, explored.path)
+    assert not comparison
+
+
+def test_own_drivers_are_given_again_and_code_that_a_study_names_is_not_run(problem, tmp_path):
+    path = tmp_path / "own.db"
+    cc.explore(
+        problem.scenario, path, ego="Ego", other="Pedestrian", metrics=["wttc"], budget=2, drivers={"Ego": Own()}
+    )
+    study = cc.Study.open(path)
+    assert len(study.table()) == 2
+    with pytest.raises(cc.InputError, match="code that a study names is not run"):
+        study.explore(budget=3)
+
+
+def test_an_interrupted_search_goes_on_by_the_same_call(problem, explored, tmp_path, monkeypatch):
+    study, calls = cc.Study.create(tmp_path / "study.db", problem, seed=1), []
+    run = Builtin.run
+
+    def interrupted(self, scenarios, *rest, **more):
+        calls.append(len(scenarios))
+        if len(calls) == 2:
+            signal.raise_signal(signal.SIGINT)
+        return run(self, scenarios, *rest, **more)
+
+    monkeypatch.setattr(Builtin, "run", interrupted)
+    with pytest.raises(KeyboardInterrupt, match=re.escape("Interrupted after 10 scenarios. The same call again")):
+        study.explore("sobol", budget=24)
+    assert (study.table()["state"] == "done").sum() == 10
+    assert study.explore("sobol", budget=24).done == 24
+    pd.testing.assert_series_equal(study.table()["wttc"], explored.table()["wttc"])
+
+
+def test_a_study_can_be_used_as_a_context(explored):
+    with cc.Study.open(explored.path) as study:
+        assert len(study.table()) == 24
+    # It holds no file open, so a writer gets it.
+    StudyFile.open(explored.path, readonly=False).close()
+
+
+class Own(SimpleDriver):
+    """A driver that is no part of cornercase."""
