@@ -1,3 +1,7 @@
+from . import drivers as drivers
+from . import metrics as metrics
+from . import optimizers as optimizers
+from . import simulators as simulators
 from ._common.errors import InputError as InputError
 from ._common.errors import NoticeWarning as NoticeWarning
 from ._common.errors import SimulationError as SimulationError

@@ -114,7 +114,7 @@ def test_a_search_stops_by_its_audits_and_only_with_audits(tmp_path):
 
 @pytest.mark.parametrize("name", ["sobol", "random", "bayes", "evolutionary", "bayes:filling=0", "grid"])
 def test_what_was_chosen_blindly_is_found_again(name):
-    optimizer, told = OPTIMIZERS.create(name).start(SPACE, 3), np.zeros((0, 2))
+    optimizer, told = OPTIMIZERS.create(name).start(SPACE, 3, budget=3375), np.zeros((0, 2))
     for _ in range(7):
         points = optimizer.ask(10)
         optimizer.tell(points, synthetic_scores(points))

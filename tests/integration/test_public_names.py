@@ -18,6 +18,7 @@ TYPES = (
     "Measurement", "Metric", "Optimizer", "Parameter", "ParameterSpace", "Recording", "ReducedSet", "ScenarioClustering",
     "SimulatedFolder", "Simulator", "Study", "SuiteResult", "Summary",
 )  # fmt: skip
+PACKAGES = ("drivers", "metrics", "optimizers", "simulators", "stop")
 REGISTRIES = ("DRIVERS", "METRICS", "OPTIMIZERS", "SIMULATORS")
 ERRORS = ("InputError", "NoticeWarning", "SimulationError", "SimulatorError")
 
@@ -29,7 +30,7 @@ def names() -> list[str]:
 
 
 def test_the_public_names_are_these():
-    assert sorted(names()) == sorted((*FUNCTIONS, *TYPES, *REGISTRIES, *ERRORS, "__version__"))
+    assert sorted(names()) == sorted((*FUNCTIONS, *TYPES, *REGISTRIES, *ERRORS, *PACKAGES, "__version__"))
 
 
 def test_dir_shows_them_and_each_is_there():

@@ -24,7 +24,7 @@ from cornercase.drivers import Driver
 from cornercase.drivers._description import driver_command_option, format_driver, iter_driver_changes
 from cornercase.drivers._resolve import create_driver_named_in_file, is_driver
 from cornercase.exploration._objective import Objective
-from cornercase.exploration.stop._rules import StopCriterion, StopRule, resolve_stop_rules
+from cornercase.exploration.stop._stop_rules import StopCriterion, StopRule, resolve_stop_rules
 from cornercase.metrics import METRICS, CriticalIf
 from cornercase.metrics._other_entities import ALL_OTHERS, resolve_others
 from cornercase.metrics.formulas._critical_if import find_critical_if_condition
@@ -101,6 +101,7 @@ class ExplorationConfig:
         simulator, options = split_common_options(self.simulator, arguments)
         arguments |= options
         checked: dict[str, object] = {"ego": check_str("ego", self.ego), "simulator": simulator}
+        checked["optimizer"] = OPTIMIZERS.resolve(self.optimizer, "optimizer")
         all_entities = (
             self.logical.scenario_file.entities if ALL_OTHERS in check_str_sequence("other", self.other) else ()
         )
@@ -118,7 +119,7 @@ class ExplorationConfig:
         checked |= {
             name: check_int(name, arguments[name], least)
             for name, least in _MINIMUM_OF_SETTING.items()
-            if arguments[name] is not None
+            if not (name == "patience" and arguments[name] is None)
         }
         checked["workers"] = check_int("workers", self.workers, 1, MAX_WORKERS)
         checked |= {name: check_bool(name, arguments[name]) for name in ("asynchronous", "pareto")}

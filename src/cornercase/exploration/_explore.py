@@ -23,7 +23,7 @@ from cornercase.exploration._objective import Objective
 from cornercase.exploration._varied_file import open_logical_scenario
 from cornercase.exploration._verify_proposals import verify_proposals
 from cornercase.exploration._warm_start import WarmStart, read_warm_start
-from cornercase.exploration.stop._rules import StopRule
+from cornercase.exploration.stop._stop_rules import StopRule
 from cornercase.optimizers import OPTIMIZERS, Optimizer
 from cornercase.scenario import LogicalScenario
 from cornercase.simulators import Simulator
