@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,7 +20,12 @@ from cornercase.simulators import *  # noqa: F403
 from cornercase.study import StudyFile
 from helpers.command_line import SPACE, X
 
-REGISTRIES = {"driver": cc.DRIVERS, "metric": cc.METRICS, "optimizer": cc.OPTIMIZERS, "simulator": cc.SIMULATORS}
+REGISTRIES: dict[str, Any] = {
+    "driver": cc.DRIVERS,
+    "metric": cc.METRICS,
+    "optimizer": cc.OPTIMIZERS,
+    "simulator": cc.SIMULATORS,
+}
 OWN_OPTIONS = (
     "bayes:filling=0.1", "level-set:candidates=100,filling=0.5", "evolutionary:population=12", "optuna:sampler=nsga2",
     "esmini:seed=3", "sumo:seed=7", "carla:port=3000,undriven=true", "ttc:accelerating=true",
@@ -90,7 +96,7 @@ def test_a_stop_rule_that_cannot_hold_is_refused():
 
 
 @dataclass
-class Halves(cc.Optimizer):  # type: ignore[misc]
+class Halves(cc.Optimizer):
     """Points of the lower part of a space; nobody has registered it."""
 
     part: float = 0.5
@@ -105,7 +111,7 @@ class Halves(cc.Optimizer):  # type: ignore[misc]
         self._points = self._points[len(points) :]
 
 
-class Slower(cc.simulators.Builtin):  # type: ignore[misc]
+class Slower(cc.simulators.Builtin):
     """The builtin simulator for some seconds only; nobody has registered it."""
 
     name, in_process = "slower", False
@@ -115,7 +121,14 @@ class Slower(cc.simulators.Builtin):  # type: ignore[misc]
 
 
 def explored(path, **options):
-    about = {"space": SPACE, "ego": "Ego", "other": "Pedestrian", "metrics": ["wttc"], "budget": 4, "batch": 2}
+    about: dict[str, Any] = {
+        "space": SPACE,
+        "ego": "Ego",
+        "other": "Pedestrian",
+        "metrics": ["wttc"],
+        "budget": 4,
+        "batch": 2,
+    }
     cc.explore(X, path, **about | options)
     with StudyFile.open(path, readonly=True) as study:
         return study.meta, [list(row.point) for row in study.rows()], study.scores("wttc").tolist()

@@ -13,9 +13,10 @@ from cornercase.evidence import Estimate, Sensitivity
 from cornercase.evidence._critical_set_estimate import MIN_REGION_FRACTION
 from cornercase.evidence._proportions import proportion_interval
 from cornercase.evidence._sensitivity import estimate_sensitivity
-from cornercase.exploration._objective import Objective, is_on_pareto_front
+from cornercase.exploration._incumbent import is_on_pareto_front
 from cornercase.exploration._study_critical_set import estimate_critical_set, uses_features
 from cornercase.study import StudyFile
+from cornercase.study._criterion import Criterion
 
 # The missed share is estimated for this range of scenario counts, at this many sizes.
 _MIN_SCENARIOS, _MAX_SCENARIOS, _MAX_SIZES = 10, 1000, 8
@@ -86,8 +87,9 @@ def estimate_missed_fractions(study: StudyFile, estimates: SpaceEstimates) -> It
         return
     rounds = np.array([row.round for row in rows])
     ends = (np.flatnonzero(np.diff(rounds)) + 1).tolist()
-    objective = Objective.from_study_meta(study.meta)
-    scores, threshold = objective.minimized_scores(study), objective.convert_orientation(critical.threshold)
+    criterion = study.criterion
+    scores, threshold = criterion.objective.minimized_scores(study), criterion.oriented
+    assert threshold is not None
     sizes: list[int] = []
     if not uses_features(study.meta.optimizer):
         targets = [len(rows) / 2.0**k for k in range(_MAX_SIZES - 1, 0, -1)]
@@ -107,7 +109,8 @@ def estimate_space(study: StudyFile) -> SpaceEstimates:
     rows, meta = study.finished_rows(), study.meta
     if not rows:
         return SpaceEstimates()
-    objective = Objective.from_study_meta(meta)
+    criterion = study.criterion
+    objective = criterion.objective
     oriented = objective.minimized_scores(study)
     if objective.pareto:
         scores = {metric.name: study.scores(metric.name) for metric in objective.metrics}
@@ -117,13 +120,13 @@ def estimate_space(study: StudyFile) -> SpaceEstimates:
     with skip_if_not_enough_data():
         searched = ~study.audit_mask()
         sensitivity = estimate_sensitivity(study.space, study.points()[searched], oriented[searched], meta.seed)
-    return SpaceEstimates(None, _estimate_critical(study, objective, oriented), sensitivity)
+    return SpaceEstimates(None, _estimate_critical(study, criterion, oriented), sensitivity)
 
 
-def _estimate_critical(study: StudyFile, objective: Objective, oriented: FloatArray) -> CriticalEstimates | None:
-    if study.critical is None:
+def _estimate_critical(study: StudyFile, criterion: Criterion, oriented: FloatArray) -> CriticalEstimates | None:
+    threshold, objective = criterion.oriented, criterion.objective
+    if criterion.raw is None or threshold is None:
         return None
-    threshold = objective.convert_orientation(study.critical)
     audits = study.audit_mask()
     estimates, missed = None, None
     with skip_if_not_enough_data():
@@ -140,7 +143,7 @@ def _estimate_critical(study: StudyFile, objective: Objective, oriented: FloatAr
             critical_set.uses_committee,
         )
         missed = critical_set.audited_missed_fraction
-    n_critical_audits = int((oriented[audits] <= threshold).sum())
+    n_critical_audits = int(criterion.is_critical(oriented[audits]).sum())
     n_audits = int(audits.sum())
     audit = (
         AuditEstimates(n_audits, n_critical_audits, proportion_interval(n_critical_audits, n_audits), missed)
@@ -148,10 +151,10 @@ def _estimate_critical(study: StudyFile, objective: Objective, oriented: FloatAr
         else None
     )
     return CriticalEstimates(
-        threshold=float(study.critical),
+        threshold=float(criterion.raw),
         lower_is_critical=objective.lower_is_critical,
         unit=objective.unit,
-        n_critical=int((oriented <= threshold).sum()),
+        n_critical=int(criterion.is_critical(oriented).sum()),
         critical_set=estimates,
         audits=audit,
     )
