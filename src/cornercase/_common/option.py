@@ -55,12 +55,12 @@ class Option:
 
     help: str
     """For the command line, with metavars."""
-    about: str = ""
-    """For Python, if it differs."""
+    docs: str = ""
+    """For Python, if they differ."""
     panel: str = ""
     """Heading in the help, and on the page of options."""
-    flag: str | None = None
-    """Name on the command line if it is not that of Python, such as ``--metric``; empty if it is not there."""
+    flag: str = ""
+    """Name on the command line if it is not that of Python, such as ``--metric``."""
     metavar: str | None = None
     minimum: float | None = None
     above: float | None = None
@@ -96,7 +96,7 @@ class Option:
     @property
     def is_list(self) -> bool:
         """Whether it can be given repeatedly on the command line."""
-        return self.command_type == list[str]
+        return bool(self.command_type == list[str])
 
     @property
     def is_mapping(self) -> bool:
@@ -124,7 +124,7 @@ class Option:
             self,
             default=None,
             help=f"{clause}; default: {source}.",
-            about=f"{_CLAUSE.split(self.about)[0]}. Default: {source}.",
+            docs=f"{_CLAUSE.split(self.docs)[0]}. Default: {source}.",
         )
 
     def check(self, value: Any) -> Any:
@@ -171,8 +171,8 @@ def read_options(*groups: type[Any]) -> dict[str, Option]:
             name=item.name,
             annotation=str(item.type).removesuffix(" | None"),
             default=_read_default(item),
-            flag=f"--{item.name.replace('_', '-')}" if described.flag is None else described.flag,
-            about=described.about or described.help,
+            flag=described.flag or f"--{item.name.replace('_', '-')}",
+            docs=described.docs or described.help,
         )
         for group in groups
         for item in fields(group)
@@ -215,6 +215,6 @@ def document_options(options: Mapping[str, Option]) -> Callable[[Function], Func
 def _document(item: Option) -> str:
     indent = " " * 8
     text = textwrap.fill(
-        item.about, _LINE_LENGTH, initial_indent=indent, subsequent_indent=indent, break_on_hyphens=False
+        item.docs, _LINE_LENGTH, initial_indent=indent, subsequent_indent=indent, break_on_hyphens=False
     )
     return f"    {item.name} : {item.documented_type}\n{text}"

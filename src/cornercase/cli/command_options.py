@@ -87,7 +87,7 @@ class SectionedCommand(TyperCommand):
             heading = "Arguments" if parameter.param_type_name == "argument" else "Options"
             record = parameter.get_help_record(ctx)
             if record is not None:
-                sections.setdefault(getattr(parameter, "rich_help_panel", None) or heading, []).append(record)
+                sections.setdefault(vars(parameter).get("rich_help_panel") or heading, []).append(record)
         for heading, records in sections.items():
             with formatter.section(heading):
                 formatter.write_dl(records)

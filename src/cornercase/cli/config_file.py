@@ -14,7 +14,7 @@ from cornercase._common.option import Option
 from cornercase.exploration._explore_options import OPTIONS
 
 _SCENARIO: Final = Option("OpenSCENARIO file.", annotation="Path | str", name="scenario", flag="--scenario")
-_OPTIONS: Final = {option.key: option for option in (_SCENARIO, *OPTIONS.values()) if option.flag}
+_OPTIONS: Final = {option.key: option for option in (_SCENARIO, *OPTIONS.values())}
 _ALLOWED_KEYS: Final = [key for key, option in _OPTIONS.items() if option.in_file]
 # Besides options of the table that must not be in a file.
 _COMMAND_LINE_ONLY: Final = ("output", "maps", "profile", "config")

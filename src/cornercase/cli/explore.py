@@ -16,7 +16,7 @@ from cornercase.exploration._explore_options import OPTIONS
 
 
 @app.command(cls=SectionedCommand)
-@with_options(*(name for name, option in OPTIONS.items() if option.flag))
+@with_options(*OPTIONS)
 def explore(
     scenario: Annotated[
         Path | None,

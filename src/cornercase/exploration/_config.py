@@ -160,7 +160,7 @@ class ExplorationConfig(ExplorationOptions):
             critical=None if threshold is None else objective.convert_orientation(threshold),
             elsewhere=warm_start_info or {},
             **{
-                option.stored: getattr(self, name)
+                str(option.stored): getattr(self, name)
                 for name, option in CONFIG_OPTIONS.items()
                 if option.is_field_of_study
             },

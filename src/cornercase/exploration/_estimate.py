@@ -85,13 +85,13 @@ def estimate(
     **options
         How the scenarios are run: any of the parameters below.
 
-    Other Parameters
-    ----------------
-    OPTIONS
-
     Returns
     -------
     Estimation
+
+    Other Parameters
+    ----------------
+    OPTIONS
 
     Raises
     ------

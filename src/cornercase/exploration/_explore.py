@@ -44,6 +44,7 @@ def explore(
     ego: str,
     other: str | Sequence[str],
     metrics: Sequence[str],
+    progress: bool = False,
     **options: Unpack[ExploreOptions],
 ) -> ExplorationResult:
     """Search a logical scenario for its critical concrete scenarios.
@@ -58,16 +59,18 @@ def explore(
     study : path
         Study file to create or resume.
     REQUIRED
+    progress : bool, default False
+        Show progress on standard error.
     **options
         Any of the parameters below.
-
-    Other Parameters
-    ----------------
-    OPTIONS
 
     Returns
     -------
     ExplorationResult
+
+    Other Parameters
+    ----------------
+    OPTIONS
 
     Raises
     ------
@@ -90,17 +93,18 @@ def explore(
     <ExplorationResult: 4 scenarios done in study.db; the budget of 4 scenarios is used up>
     """
     refuse_unknown("explore", OPTIONS, options)
+    given: dict[str, Any] = {**options, "ego": ego, "other": other, "metrics": metrics}
     file = check_path("study", study)
-    space, call, settings = (
-        {name: value for name, value in options.items() if name in group}
-        for group in (SPACE_OPTIONS, CALL_OPTIONS, CONFIG_OPTIONS)
+    space, settings, call = (
+        {name: value for name, value in given.items() if name in group}
+        for group in (SPACE_OPTIONS, CONFIG_OPTIONS, CALL_OPTIONS)
     )
     with open_logical_scenario(scenario, file, **space) as logical_scenario:
-        config = ExplorationConfig(logical_scenario, ego=ego, other=other, metrics=metrics, **settings)
+        config = ExplorationConfig(logical_scenario, **settings)
         call = check_options("explore", CALL_OPTIONS, call)
         if call.pop("check_proposals"):
             return _verify_proposals_of_study(config, file)
-        return explore_config(config, file, **call)
+        return explore_config(config, file, progress, **call)
 
 
 def _verify_proposals_of_study(config: ExplorationConfig, study: Path) -> ExplorationResult:

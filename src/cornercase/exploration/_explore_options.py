@@ -23,38 +23,23 @@ _search = partial(option, panel="Search")
 _study = partial(option, panel="Study", in_file=False)
 
 
-def _stored_condition(meta: StudyMeta) -> str | None:
-    from cornercase.metrics.formulas._critical_if import find_critical_if_condition
-
-    return find_critical_if_condition(meta.metrics) or None
-
-
+# fmt: off
 @dataclass(frozen=True, kw_only=True)
 class SpaceOptions:
     """What varies, where the logical scenario is a file."""
 
     space: Path | str | None = _problem(
-        None,
-        "ParameterValueDistribution file.",
-        about="ParameterValueDistribution file. Like `ranges`, `vary` and `continuous`, only if `scenario` is a path.",
-        metavar="FILE.xosc",
-    )
+        None, "ParameterValueDistribution file.", metavar="FILE.xosc",
+        docs="ParameterValueDistribution file. Like `ranges`, `vary` and `continuous`, only if `scenario` is a path.")
     ranges: tuple[str, ...] = _problem(
-        (),
-        "Add or replace a parameter.",
-        about="``NAME=LOW:HIGH[:STEP]``; they add parameters to the space or replace them.",
-        flag="--range",
-        metavar="NAME=LOW:HIGH[:STEP]",
-    )
+        (), "Add or replace a parameter.", flag="--range", metavar="NAME=LOW:HIGH[:STEP]",
+        docs="``NAME=LOW:HIGH[:STEP]``; they add parameters to the space or replace them.")
     vary: tuple[str, ...] = _problem(
-        (),
-        "Vary a number of the file, by its name in the list of 'cornercase vary FILE.xosc'; without a range, in the"
-        " proposed range.",
-        about="``NAME=LOW:HIGH[:STEP]`` or ``NAME`` for numbers in the file, under the names that"
+        (), "Vary a number of the file, by its name in the list of 'cornercase vary FILE.xosc'; without a range, in the"
+        " proposed range.", metavar="NAME[=LOW:HIGH[:STEP]]",
+        docs="``NAME=LOW:HIGH[:STEP]`` or ``NAME`` for numbers in the file, under the names that"
         " `cornercase.scenario.list_variables` gives them. A copy of the scenario with parameters in their place is"
-        " written next to the study as ``STUDY.varied.xosc`` and explored.",
-        metavar="NAME[=LOW:HIGH[:STEP]]",
-    )
+        " written next to the study as ``STUDY.varied.xosc`` and explored.")
     continuous: bool = _problem(False, "Search ranges with steps as continuous intervals.")
 
 
@@ -62,154 +47,79 @@ class SpaceOptions:
 class ExplorationOptions(SimulationOptions, RunOptions):
     """What is tested, how it is searched, and how scenarios are run."""
 
-    ego: str = field(metadata={"option": Option("Entity under test.", panel=_PROBLEM, metavar="NAME", stored="ego")})
-    other: str | Sequence[str] = field(
-        metadata={
-            "option": Option(
-                "Other entity; repeat it for several, '*' for all others. The most critical one counts.",
-                about='Entities that the ego is measured against; the most critical one counts. ``"*"`` means all'
-                " others.",
-                panel=_PROBLEM,
-                metavar="NAME|*",
-                stored=lambda meta: meta.others,
-            )
-        }
-    )
-    metrics: tuple[str, ...] = field(
-        metadata={
-            "option": Option(
-                "Criticality metric. Repeat it for several: all are stored, the first is searched.",
-                about="Criticality metrics. All are stored; the first is searched unless `weights` are given.",
-                panel=_PROBLEM,
-                flag="--metric",
-                metavar="NAME",
-                stored=lambda meta: meta.metrics[1:] if _stored_condition(meta) else meta.metrics,
-            )
-        }
-    )
+    ego: str = field(metadata={"option": Option(
+        "Entity under test.", panel=_PROBLEM, metavar="NAME", stored="ego")})
+    other: str | Sequence[str] = field(metadata={"option": Option(
+        "Other entity; repeat it for several, '*' for all others. The most critical one counts.",
+        docs='Entities that the ego is measured against; the most critical one counts. ``"*"`` means all others.',
+        panel=_PROBLEM, metavar="NAME|*", stored=lambda meta: meta.others)})
+    metrics: tuple[str, ...] = field(metadata={"option": Option(
+        "Criticality metric. Repeat it for several: all are stored, the first is searched.",
+        docs="Criticality metrics. All are stored; the first is searched unless `weights` are given.",
+        panel=_PROBLEM, flag="--metric", metavar="NAME",
+        stored=lambda meta: meta.metrics[1:] if meta.condition else meta.metrics)})
     critical_if: str | None = _problem(
-        None,
-        "Search a condition instead: 'collision and not reference:cc-human' is what this driver would have prevented;"
-        " bounds on scores ('ttc < 1'), and, or, not, brackets.",
-        about='Condition that replaces metric and threshold, and is searched: ``"collision and not'
+        None, "Search a condition instead: 'collision and not reference:cc-human' is what this driver would have"
+        " prevented; bounds on scores ('ttc < 1'), and, or, not, brackets.", metavar="CONDITION",
+        docs="Condition that replaces metric and threshold, and is searched: ``\"collision and not"
         ' reference:cc-human"``. It consists of ``collision`` (of the ego with anybody), ``reference:NAME`` (the ego'
         " would also collide if this driver drove it), bounds on scores such as ``ttc < 1``, ``and``, ``or``, ``not``"
         " and brackets. If the result depends on a reference, the scenario is run a second time.",
-        metavar="CONDITION",
-        stored=_stored_condition,
-    )
+        stored=lambda meta: meta.condition or None)
     critical: float | None = _problem(
-        None,
-        "Score from which a scenario is critical; default: the metric's own.",
-        about="Threshold: score from which a scenario is critical. Default: the metric's own.",
-        metavar="X",
-        stored=lambda meta: None if _stored_condition(meta) else meta.critical,
-    )
+        None, "Score from which a scenario is critical; default: the metric's own.", metavar="X",
+        stored=lambda meta: None if meta.condition else meta.critical)
     optimizer: str = _search(
-        "bayes",
-        "bayes, level-set, committee, evolutionary, optuna, sobol, grid or random; options after a colon, as in"
-        " bayes:filling=0.",
-        about='Options follow a colon: ``"bayes:filling=0"``.',
-        metavar="NAME",
-        stored="optimizer",
-    )
+        "bayes", "bayes, level-set, committee, evolutionary, optuna, sobol, grid or random; options after a colon, as"
+        " in bayes:filling=0.", metavar="NAME", stored="optimizer")
     budget: int = _search(200, "Number of concrete scenarios to run in all.", metavar="N", minimum=1, stored="budget")
     seed: int = _search(0, "Same seed, same result.", metavar="N", minimum=0, stored="seed")
     batch: int = _search(10, "Number of concrete scenarios in a round.", metavar="N", minimum=1, stored="batch")
     weights: Mapping[str, float] = _search(
-        dict,
-        "Search the weighted sum of these metrics.",
-        about="By metric: search the weighted sum of the scores. Metrics that are critical when high count with a minus"
-        " sign.",
-        flag="--weight",
-        metavar="METRIC=W",
-        stored="weights",
-    )
+        dict, "Search the weighted sum of these metrics.", flag="--weight", metavar="METRIC=W", stored="weights",
+        docs="By metric: search the weighted sum of the scores. Metrics that are critical when high count with a minus"
+        " sign.")
     pareto: bool = _search(False, "Search the Pareto front of all metrics.", stored="pareto")
     repeats: int = _search(
-        1,
-        "Run each scenario N times; its score is the median.",
-        about="How often each scenario is run; the median score counts.",
-        metavar="N",
-        minimum=1,
-        stored="repeats",
-    )
+        1, "Run each scenario N times; its score is the median.", metavar="N", minimum=1, stored="repeats",
+        docs="How often each scenario is run; the median score counts.")
     max_repeats: int | None = _search(
-        None,
-        "Run a scenario N times more, up to M times in all, while it is open whether it is critical: while the 90 %"
-        " interval of the probability that a run is critical contains 0.5.",
-        about="Upper limit of runs per scenario. A scenario gets `repeats` further runs as long as it is undecided on"
-        " which side of the threshold it is: while the 90 % interval of the probability that a run is critical"
-        " (`cornercase.study.StudyFile.critical_run_rates`) contains 0.5. Default: each scenario is run `repeats`"
-        " times.",
-        metavar="M",
-        minimum=1,
+        None, "Run a scenario N times more, up to M times in all, while it is open whether it is critical: while the"
+        " 90 % interval of the probability that a run is critical contains 0.5.", metavar="M", minimum=1,
         stored="most_repeats",
-    )
+        docs="Upper limit of runs per scenario. A scenario gets `repeats` further runs as long as it is undecided on"
+        " which side of the threshold it is: while the 90 % interval of the probability that a run is critical"
+        " (`cornercase.study.StudyFile.critical_run_rates`) contains 0.5. Default: each is run `repeats` times.")
     audit: float = _search(
-        0.0,
-        "Share of scenarios drawn at random and hidden from the search, to judge what it found.",
-        about="Fraction of the scenarios, up to 0.5, that are drawn at random and hidden from the search, to assess its"
-        " result.",
-        metavar="SHARE",
-        minimum=0.0,
-        stored="audit",
-    )
+        0.0, "Share of scenarios, up to 0.5, drawn at random and hidden from the search, to judge what it found.",
+        metavar="SHARE", minimum=0.0, stored="audit")
     asynchronous: bool = _search(
-        False,
-        "Work without rounds: propose the next scenario as soon as one has ended.",
-        about="Search without rounds: ask for the next scenario as soon as one has ended. With one simulator, the same"
+        False, "Work without rounds: propose the next scenario as soon as one has ended.", stored="asynchronous",
+        docs="Search without rounds: ask for the next scenario as soon as one has ended. With one simulator, the same"
         " seed gives the same result. With several, the result depends on the order in which scenarios end, which is"
-        " stored.",
-        stored="asynchronous",
-    )
+        " stored.")
     warm_start: Path | str | None = _search(
-        None,
-        "Begin from the scores of a study of the same parameters: another driver, simulator or time step.",
-        about="Study with the same parameters but another driver, simulator or time step, whose scores warm-start the"
-        " search. They are copied; a search that is resumed does not need that study.",
-        metavar="OTHER.db",
-        stored=lambda meta: meta.elsewhere.get("study"),
-    )
+        None, "Begin from the scores of a study of the same parameters: another driver, simulator or time step.",
+        metavar="OTHER.db", stored=lambda meta: meta.elsewhere.get("study"),
+        docs="Study with the same parameters but another driver, simulator or time step, whose scores warm-start the"
+        " search. They are copied; a search that is resumed does not need that study.")
     stop_when: tuple[str, ...] = _search(
-        (),
-        "Stop when enough is known about the critical set: missed<0.01, interval<0.05, overlooked(0.01)<0.05,"
-        " unvisited(0.01)<0.05, audited-missed<0.1; with several, when all hold.",
-        about='Stop when the critical set is known this well, such as ``"missed<0.01"``; all criteria must hold.',
-        metavar="WHAT<X",
-    )
+        (), "Stop when enough is known about the critical set: missed<0.01, interval<0.05, overlooked(0.01)<0.05,"
+        " unvisited(0.01)<0.05, audited-missed<0.1; with several, when all hold.", metavar="WHAT<X")
     patience: int | None = _search(
-        None,
-        "Stop after N rounds without anything new (asynchronous: after as many scenarios).",
-        about="Stop after this many rounds without an improvement; without rounds, after as many scenarios.",
-        metavar="N",
-        minimum=1,
-    )
-    max_seconds: float | None = _search(
-        None,
-        "Stop after this time in s.",
-        about="Time in s after which no new round starts.",
-        metavar="S",
-        minimum=0.0,
-    )
+        None, "Stop after N rounds without anything new (asynchronous: after as many scenarios).", metavar="N",
+        docs="Stop after this many rounds without an improvement; without rounds, after as many scenarios.", minimum=1)
+    max_seconds: float | None = _search(None, "Start no new round after this time in s.", metavar="S", minimum=0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
 class CallOptions:
     """What one call does with the study, besides searching."""
 
-    check_proposals: bool = _study(
-        False,
-        "Simulate nothing; test whether the stored results give the same proposals.",
-        about="Simulate nothing; check that the stored results lead to the same proposals.",
-    )
+    check_proposals: bool = _study(False, "Simulate nothing; test whether the stored results give the same proposals.")
     retry_failed: bool = _study(
-        False,
-        "First run the failed scenarios of the study once more.",
-        about="First run the failed scenarios of the study again, for example after an external failure. Later"
-        " proposals stay.",
-    )
-    progress: bool = _study(False, "Show progress on standard error.", flag="")
+        False, "First run the failed scenarios of the study once more; later proposals stay.")
+# fmt: on
 
 
 class ExploreOptions(SimulationKeywords, total=False):
@@ -237,7 +147,6 @@ class ExploreOptions(SimulationKeywords, total=False):
     max_seconds: float | None
     check_proposals: bool
     retry_failed: bool
-    progress: bool
 
 
 _PANELS: Final = (_PROBLEM, "Search", "Simulation", "Runs", "Study")

@@ -112,13 +112,13 @@ def simulate_many(
     **options
         How the scenarios are run: any of the parameters below.
 
-    Other Parameters
-    ----------------
-    OPTIONS
-
     Returns
     -------
     SimulatedFolder
+
+    Other Parameters
+    ----------------
+    OPTIONS
 
     Raises
     ------

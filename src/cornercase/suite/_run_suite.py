@@ -126,13 +126,13 @@ def run_suite(
         manifest, metrics are those in the requirements or ``clearance``, the simulator is the builtin one, with its
         default settings.
 
-    Other Parameters
-    ----------------
-    OPTIONS
-
     Returns
     -------
     SuiteResult
+
+    Other Parameters
+    ----------------
+    OPTIONS
 
     Raises
     ------
