@@ -81,8 +81,8 @@ def timed(search: str, asynchronous: bool, workers: int, budget: int, folder: Pa
     """Run one exploration in processes that are there already, and tell how long it took."""
     logical = LogicalScenario.read(EXAMPLE.with_suffix(".xosc"), EXAMPLE.with_suffix(".space.xosc"))
     configuration = ExplorationConfig(
-        logical, "Ego", "Pedestrian", ("wttc",), optimizer=search, simulator="sleeping", budget=budget, batch=workers,
-        workers=workers, asynchronous=asynchronous, seed=1,
+        logical, ego="Ego", other="Pedestrian", metrics=("wttc",), optimizer=search, simulator="sleeping",
+        budget=budget, batch=workers, workers=workers, asynchronous=asynchronous, seed=1,
     )  # fmt: skip
     criterion = configuration.make_criterion()
     optimizer = OPTIMIZERS.create(search).start(logical.space, 1, threshold=criterion.oriented, budget=budget)

@@ -64,7 +64,8 @@ html_show_sourcelink = False
 
 def setup(app: Sphinx) -> None:
     """Write the pages that are made from the program before any page is read."""
-    from generated_pages import write_commands, write_names
+    from generated_pages import write_commands, write_names, write_options
 
     write_commands(HERE / "reference" / "commands.md")
+    write_options(HERE / "reference" / "options.md")
     write_names(HERE / "reference" / "api.rst", HERE / "reference" / "api")

@@ -16,6 +16,7 @@ from typer.main import get_command
 from typer.testing import CliRunner
 
 from cornercase.cli import app
+from cornercase.exploration._explore_options import OPTIONS
 
 # In the order in which data goes through them.
 ROOMS = (
@@ -39,6 +40,14 @@ requirement was violated or versions differ; 2 where the input cannot be used, a
 Ctrl-C.
 """
 
+_OPTIONS = """\
+# Options of a search
+
+What `cornercase explore` takes on the command line, `cornercase.explore` in Python, and a study file (`explore --config
+study.toml`) under the name of the command line without the dashes. A study file names no code, no programs and nowhere to
+write, so that one that somebody sent can be used. `cornercase show --config study.db` prints the file of a study.
+"""
+
 
 def write_commands(page: Path) -> None:
     """Write the help texts of all commands.
@@ -53,6 +62,29 @@ def write_commands(page: Path) -> None:
         shown = CliRunner().invoke(app, [name, "--help"], env={"COLUMNS": "100"}, prog_name="cornercase")
         parts.append(f"## {name}\n\n```text\n{shown.stdout.strip()}\n```\n")
     page.write_text("\n".join(parts), encoding="utf-8")
+
+
+def write_options(page: Path) -> None:
+    """Write the options of an exploration: their names on the command line, in study files and in Python.
+
+    Parameters
+    ----------
+    page : Path
+        Markdown file to write.
+    """
+    parts = [_OPTIONS]
+    for panel, options in itertools.groupby(OPTIONS.values(), key=lambda option: option.panel):
+        parts.append(
+            f"\n## {panel}\n\n| command line | Python | default | in a file | |\n| --- | --- | --- | --- | --- |"
+        )
+        for option in options:
+            shown = f"{option.flag} {option.metavar or ''}".rstrip().replace("|", "\\|")
+            default = (
+                "required" if option.default is ... else "" if option.is_empty_by_default else f"`{option.default}`"
+            )
+            file = "yes" if option.in_file else "no"
+            parts.append(f"| `{shown}` | `{option.name}` | {default} | {file} | {option.help.replace('*', '&#42;')} |")
+    page.write_text("\n".join(parts) + "\n", encoding="utf-8")
 
 
 def write_names(page: Path, folder: Path) -> None:

@@ -6,6 +6,7 @@ import ast
 import dataclasses
 import importlib
 import inspect
+import re
 import textwrap
 from collections.abc import Callable, Iterator
 from functools import cached_property
@@ -149,7 +150,12 @@ def undocumented(item: Public) -> list[str]:
         return []
     record = inspect.isclass(item.value) and (dataclasses.is_dataclass(item.value) or hasattr(item.value, "_fields"))
     asked = STRUCTURE if record or (inspect.isclass(item.value) and function_of(item.value) is None) else CALLED
-    found = [text for code, text in validate(item.name)["errors"] if code in asked]
+    keywords = keyword_names(item)
+    found = [
+        text
+        for code, text in validate(item.name)["errors"]
+        if code in asked and not (code == "PR02" and set(re.findall(r"'(\w+)'", text)) == keywords)
+    ]
     if record:
         fields = {name for name in inspect.signature(item.value).parameters if not name.startswith("_")}
         # Those of its base class are described there.
@@ -157,6 +163,17 @@ def undocumented(item: Public) -> list[str]:
             fields -= getattr(base, "__dataclass_fields__", {}).keys()
         found += sorted(fields - names(documentation(item), "Parameters", "Attributes"))
     return found
+
+
+def keyword_names(item: Public) -> set[str]:
+    """Names that ``**options: Unpack[X]`` stands for: they are documented as other parameters."""
+    function = function_of(item.value)
+    packed = [str(kind) for kind in (function.__annotations__ if function else {}).values() if "Unpack[" in str(kind)]
+    return {
+        name
+        for kind in packed
+        for name in function.__globals__[kind[len("Unpack[") : -1]].__annotations__  # type: ignore[union-attr]
+    }
 
 
 def unnamed_errors(item: Public) -> set[str]:

@@ -8,7 +8,8 @@ import typer.main
 
 from conftest import car, scenario_file, speed_action, teleport
 from cornercase.cli import app
-from cornercase.cli.option_names import _COMMANDS, _OPTION_BY_PARAMETER, _PARAMETERS_WITH_OPTION, use_option_names
+from cornercase.cli.option_names import use_option_names
+from cornercase.exploration._explore_options import OPTIONS
 from helpers.command_line import cornercase
 
 
@@ -27,13 +28,17 @@ def test_what_is_neither_stays():
     assert use_option_names("The file `a.csv` has no column `speed`.") == ("The file `a.csv` has no column `speed`.")
 
 
-def test_every_option_and_command_that_is_named_exists():
-    group: Any = typer.main.get_command(app)
-    commands = group.commands
-    options = {text for command in commands.values() for one in command.params for text in one.opts}
-    assert set(_COMMANDS) <= set(commands)
-    assert set(_OPTION_BY_PARAMETER.values()) <= options
-    assert {use_option_names(f"`{name}`") for name in _PARAMETERS_WITH_OPTION} <= options
+def test_each_parameter_of_an_exploration_becomes_its_option():
+    command: Any = typer.main.get_command(app)
+    options = {text for item in command.commands["explore"].params for text in item.opts}
+    for name, option in OPTIONS.items():
+        assert option.flag in options | {""}
+        assert use_option_names(f"`{name}`") == (option.flag or f"`{name}`")
+
+
+def test_options_of_other_commands_are_named_too():
+    message = "`tolerances`, `kill_mutants` of `reduce`, `values`, `output`"
+    assert use_option_names(message) == "--tolerance, --kill-mutants of 'cornercase reduce', --set, -o"
 
 
 def test_an_exploration_tells_how_many_failed(tmp_path):

@@ -35,7 +35,7 @@ MADE = {"_build", "gallery", "api"}
 PAGES = sorted(
     page
     for page in [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")]
-    if not MADE & set(page.parts) and page.name != "commands.md"
+    if not MADE & set(page.parts) and page.name not in ("commands.md", "options.md")
 )
 # They need nothing but the examples, or what one of them has written, and take less than a second.
 CHEAP = ("check", "convert", "measure", "metrics", "simulate", "simulators")

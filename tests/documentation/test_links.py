@@ -14,11 +14,11 @@ from markdown_it.token import Token
 ROOT = Path(__file__).parents[2]
 # What `make docs` makes; the pages of the gallery come from scripts.
 MADE = {"_build", "gallery", "api"}
-WRITTEN_BY_SPHINX = {"reference/commands", "reference/api", "gallery/index"}
+WRITTEN_BY_SPHINX = {"reference/commands", "reference/options", "reference/api", "gallery/index"}
 PAGES = [
     page
     for page in sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *(ROOT / "examples").rglob("*.md")])
-    if not MADE & set(page.parts) and page.name != "commands.md"
+    if not MADE & set(page.parts) and page.name not in ("commands.md", "options.md")
 ]
 
 

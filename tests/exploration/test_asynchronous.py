@@ -94,7 +94,9 @@ class Listening(Optimizer):
 
 def about(optimizer="sobol", **options):
     given: dict[str, Any] = {"budget": 47, "asynchronous": True, "seed": 7} | options
-    return ExplorationConfig(LOGICAL, "Ego", "B", ("distance",), optimizer=optimizer, critical=1.0, **given)
+    return ExplorationConfig(
+        LOGICAL, ego="Ego", other="B", metrics=("distance",), optimizer=optimizer, critical=1.0, **given
+    )
 
 
 def fresh(one):

@@ -47,7 +47,7 @@ class Listening(Optimizer):
 
 def explored(path, simulator=None, **options):
     """Start or resume the exploration of a synthetic scenario with audits."""
-    about = ExplorationConfig(LOGICAL, "Ego", "B", seed=7, **AUDITED | options)
+    about = ExplorationConfig(LOGICAL, ego="Ego", other="B", seed=7, **AUDITED | options)
     criterion = about.make_criterion(Objective([METRICS.create("distance")]))
     optimizer = Listening(OPTIMIZERS.resolve(about.optimizer, "optimizer").start(SPACE, 7))
     with (
@@ -133,7 +133,7 @@ def synthetic_scores(points):
 
 def test_a_space_that_is_used_up_ends_the_search_though_audits_are_wanted(tmp_path):
     small = LogicalScenario(Path("synthetic.xosc"), ParameterSpace.from_ranges(["a=0:0.8:0.2", "b=0:1:0.5"]), "0")
-    about = ExplorationConfig(small, "Ego", "B", seed=7, **AUDITED | {"optimizer": "sobol", "audit": 0.3})
+    about = ExplorationConfig(small, ego="Ego", other="B", seed=7, **AUDITED | {"optimizer": "sobol", "audit": 0.3})
     criterion = about.make_criterion(Objective([METRICS.create("distance")]))
     optimizer = OPTIMIZERS.create("sobol").start(small.space, 7)
     with StudyFile.create(tmp_path / "s.db", about.make_study_meta(criterion, {})) as study:

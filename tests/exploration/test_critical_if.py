@@ -185,7 +185,9 @@ class Failing(Synthetic):
 
 
 def test_where_the_second_run_fails_the_scenario_does(tmp_path):
-    about = ExplorationConfig(LOGICAL, "Ego", "B", ("distance",), critical_if="reference:cautious", budget=4, batch=4)
+    about = ExplorationConfig(
+        LOGICAL, ego="Ego", other="B", metrics=("distance",), critical_if="reference:cautious", budget=4, batch=4
+    )
     criterion = about.make_criterion()
     path = tmp_path / "s.db"
     with StudyFile.create(path, about.make_study_meta(criterion, {})) as opened:

@@ -42,7 +42,14 @@ def opened(path, space=LOGICAL.space):
 
 def estimator(study, simulator=None, budget=800, logical=LOGICAL, learn=320):
     configuration = ExplorationConfig(
-        logical, "Ego", "B", ("distance",), optimizer="random", critical=CRITICAL, budget=budget, seed=3
+        logical,
+        ego="Ego",
+        other="B",
+        metrics=("distance",),
+        optimizer="random",
+        critical=CRITICAL,
+        budget=budget,
+        seed=3,
     )
     sampling = ImportanceSampling(logical.space, 2, learn, 3)
     return ProbabilityEstimator(configuration, simulator or Synthetic(), sampling, study, 1.0)
@@ -87,7 +94,7 @@ class Touching(Synthetic):
 def test_a_collision_is_critical_also_by_a_metric_that_is_not_defined_in_one(tmp_path):
     metrics = ("pet",)
     configuration = ExplorationConfig(
-        LOGICAL, "Ego", ["B"], metrics, optimizer="random", critical=1.0, budget=300, seed=3
+        LOGICAL, ego="Ego", other=["B"], metrics=metrics, optimizer="random", critical=1.0, budget=300, seed=3
     )
     meta = about(LOGICAL.space, *metrics, budget=300)
     with StudyFile.create(tmp_path / "e.db", meta) as study:
@@ -262,7 +269,7 @@ def test_of_repeated_runs_is_told_how_many_are_critical_and_how_open_that_is(tmp
     meta = about(LOGICAL.space, "distance", critical=30.0, repeats=6)
     with StudyFile.create(tmp_path / "s.db", meta) as study:
         configuration = ExplorationConfig(
-            LOGICAL, "Ego", "C", ("distance",), optimizer="sobol", critical=30.0, budget=6, repeats=6
+            LOGICAL, ego="Ego", other="C", metrics=("distance",), optimizer="sobol", critical=30.0, budget=6, repeats=6
         )
         simulator = NoisySimulator()
         ScenarioExplorer(configuration, simulator, OPTIMIZERS.create("sobol").start(LOGICAL.space, 0), study).run()

@@ -49,7 +49,9 @@ def test_from_python_a_scenario_is_explored_by_its_path_or_as_it_was_read(tmp_pa
 def test_numbers_out_of_range_are_refused(given):
     (name,) = given
     with pytest.raises(InputError, match=f"`{name}`"):
-        ExplorationConfig(paper_experiment_config("t-intersection").logical, "Ego", "C", ("distance",), **given)
+        ExplorationConfig(
+            paper_experiment_config("t-intersection").logical, ego="Ego", other="C", metrics=("distance",), **given
+        )
 
 
 NAN = float("nan")

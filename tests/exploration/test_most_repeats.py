@@ -87,7 +87,7 @@ class Wavering(Simulator):
 def about(**more):
     given = {"critical": THRESHOLD, "budget": 24, "batch": 8, "repeats": REPEATS, "max_repeats": MOST} | more
     return ExplorationConfig(
-        LOGICAL, "Ego", "B", ("distance",), optimizer="sobol", simulator="wavering", seed=3, **given
+        LOGICAL, ego="Ego", other="B", metrics=("distance",), optimizer="sobol", simulator="wavering", seed=3, **given
     )
 
 

@@ -78,7 +78,7 @@ def about(space, *metrics, **more):
 
 def explorer(study, simulator=None, optimizer="bayes", metrics=("distance",), budget=47, logical=LOGICAL, **options):
     objective = Objective([METRICS.create(name) if isinstance(name, str) else name for name in metrics])
-    configuration = ExplorationConfig(logical, "Ego", "B", (), budget=budget, seed=7, **options)
+    configuration = ExplorationConfig(logical, ego="Ego", other="B", metrics=(), budget=budget, seed=7, **options)
     threshold = Criterion.from_given(objective, 1.0, is_required=False).oriented
     optimizer = OPTIMIZERS.create(optimizer).start(logical.space, 7, threshold=threshold, budget=budget)
     kind = AsynchronousExplorer if configuration.asynchronous else ScenarioExplorer

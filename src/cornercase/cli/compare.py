@@ -22,13 +22,13 @@ def compare(
     old: Annotated[Path, typer.Argument(metavar="OLD.db", help="Study of the old version.")],
     new: Annotated[Path, typer.Argument(metavar="NEW.db", help="Study of the new version, of the same scenario.")],
     *,
-    metric: Annotated[
+    metrics: Annotated[
         list[str] | None, Option("--metric", metavar="NAME", help="Metric to compare by; default: all.")
     ] = None,
     critical: Annotated[
         float | None, Option(metavar="X", help="Use this threshold for both studies, which keep their own.")
     ] = None,
-    tolerance: Annotated[
+    tolerances: Annotated[
         list[str] | None,
         Option(
             "--tolerance",
@@ -65,7 +65,7 @@ def compare(
     from cornercase.suite.compare._describe_comparison import describe_comparison
 
     comparison = suite.compare(
-        old, new, metrics=metric, critical=critical, tolerances=parsing.parse_numbers(tolerance or (), "--tolerance")
+        old, new, metrics=metrics, critical=critical, tolerances=parsing.parse_numbers(tolerances or (), "--tolerance")
     )
     if output is not None:
         from cornercase.report import write_comparison

@@ -10,35 +10,14 @@ import typer
 
 from cornercase._common.errors import InputError, suggest_name
 from cornercase._common.io.files import read_file
+from cornercase._common.option import Option
+from cornercase.exploration._explore_options import OPTIONS
 
-_TEXT_OPTIONS: Final = ("ego", "optimizer", "critical-if", "simulator", "on-collision")
-_LIST_OPTIONS: Final = ("other", "metric", "range", "vary", "weight", "stop-when", "driver")
-_PATH_OPTIONS: Final = ("scenario", "space", "warm-start")
-_INTEGER_OPTIONS: Final = (
-    "budget",
-    "batch",
-    "patience",
-    "seed",
-    "workers",
-    "retries",
-    "max-failures",
-    "repeats",
-    "max-repeats",
-)
-_NUMBER_OPTIONS: Final = ("critical", "max-seconds", "timeout", "audit", "time-step", "duration")
-_FLAG_OPTIONS: Final = ("continuous", "pareto", "asynchronous")
-ALLOWED_KEYS: Final = (
-    *_PATH_OPTIONS,
-    *_TEXT_OPTIONS,
-    *_LIST_OPTIONS,
-    *_INTEGER_OPTIONS,
-    *_NUMBER_OPTIONS,
-    *_FLAG_OPTIONS,
-)
-"""Keys of a study file: options of explore by name, and the scenario."""
-
-# Where to write and run, and checks and repairs, must be on the command line.
-_COMMAND_LINE_ONLY: Final = ("output", "cluster", "maps", "profile", "check-proposals", "retry-failed", "config")
+_SCENARIO: Final = Option("OpenSCENARIO file.", annotation="Path | str", name="scenario", flag="--scenario")
+_OPTIONS: Final = {option.key: option for option in (_SCENARIO, *OPTIONS.values())}
+_ALLOWED_KEYS: Final = [key for key, option in _OPTIONS.items() if option.in_file]
+# Besides options of the table that must not be in a file.
+_COMMAND_LINE_ONLY: Final = ("output", "maps", "profile", "config")
 _MAX_BYTES: Final = 1_000_000
 
 
@@ -58,39 +37,40 @@ def read_study_file(path: Path) -> dict[str, Any]:
         raise InputError(f"{path}: is not valid TOML ({str(error)[:200]}).") from error
     options = {}
     for key, value in table.items():
-        if key in _COMMAND_LINE_ONLY:
+        if key in _COMMAND_LINE_ONLY or (key in _OPTIONS and not _OPTIONS[key].in_file):
             raise InputError(f"{path}: '{key}' is not allowed in a study file; give --{key} on the command line.")
-        if key not in ALLOWED_KEYS:
-            raise InputError(f"{path}: has '{key[:60]}', which is not known; {suggest_name(key, ALLOWED_KEYS)}")
-        options["ranges" if key == "range" else key.replace("-", "_")] = _check_value(path, key, value)
+        if key not in _OPTIONS:
+            raise InputError(f"{path}: has '{key[:60]}', which is not known; {suggest_name(key, _ALLOWED_KEYS)}")
+        options[_OPTIONS[key].name] = _check_value(path, _OPTIONS[key], value)
     return options
 
 
-def _check_value(path: Path, key: str, value: Any) -> Any:
-    if key in _LIST_OPTIONS:
+def _check_value(path: Path, option: Option, value: Any) -> Any:
+    key = option.key
+    if option.is_list:
         texts = [value] if isinstance(value, str) else value
         if not isinstance(texts, list) or not all(isinstance(item, str) and item for item in texts):
             raise InputError(f"{path}: '{key}' is not a list of strings; write {key} = [\"…\"].")
-        if key == "driver":
+        if option.name == "drivers":
             for item in texts:
                 _require_registered_driver(path, item)
         return texts
-    if key in _FLAG_OPTIONS:
+    if option.annotation == "bool":
         if not isinstance(value, bool):
             raise InputError(f"{path}: '{key}' is neither true nor false.")
         return value
-    if key in _INTEGER_OPTIONS or key in _NUMBER_OPTIONS:
-        types = (int,) if key in _INTEGER_OPTIONS else (int, float)
-        if isinstance(value, bool) or not isinstance(value, types):
-            raise InputError(f"{path}: '{key}' is not a {'whole ' if key in _INTEGER_OPTIONS else ''}number.")
+    if option.annotation in ("int", "float"):
+        is_whole = option.annotation == "int"
+        if isinstance(value, bool) or not isinstance(value, int if is_whole else int | float):
+            raise InputError(f"{path}: '{key}' is not a {'whole ' if is_whole else ''}number.")
         return value
     if not isinstance(value, str) or not value:
         raise InputError(f"{path}: '{key}' is not a string; write {key} = \"…\".")
-    if key == "simulator" and ":" in value:
+    if option.name == "simulator" and ":" in value:
         raise InputError(
             f"{path}: 'simulator' has options, which may name programs; give --simulator {value} on the command line."
         )
-    return str(path.parent / value) if key in _PATH_OPTIONS else value
+    return str(path.parent / value) if option.annotation == "Path | str" else value
 
 
 def _require_registered_driver(path: Path, text: str) -> None:

@@ -9,6 +9,7 @@ import typer
 
 from cornercase._common.errors import InputError
 from cornercase.cli import options as opt
+from cornercase.cli.command_options import with_options
 from cornercase.cli.option_names import use_option_names
 from cornercase.cli.options import Option, app, err, out
 from cornercase.cli.profiling import Profile
@@ -22,16 +23,17 @@ _SUITE_SIZE: Final = 20
 
 
 @app.command()
+@with_options("seed", "simulator", "workers")
 def demo(
     name: Annotated[str, typer.Argument(metavar="x-intersection|t-intersection", help="Name of the example.")],
     *,
     budget: Annotated[
         int | None, Option(metavar="N", help="Concrete scenarios to run; default: as in the paper.", min=1)
     ] = None,
-    seed: opt.Seed = 0,
+    seed: int = 0,
     driver: Annotated[str | None, Option(metavar="NAME", help="Driver of the ego.")] = None,
-    simulator: opt.SimulatorName = "builtin",
-    workers: opt.Workers = 1,
+    simulator: str = "builtin",
+    workers: int = 1,
     output: Annotated[Path | None, Option("--output", "-o", metavar="DIR", help="Folder to write.")] = None,
     profile: Profile = None,
 ) -> None:

@@ -4,44 +4,36 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from cornercase._common.text.sanitize import format_json
 from cornercase.cli import options as opt
-from cornercase.cli import parsing
+from cornercase.cli.command_options import SectionedCommand, with_options
 from cornercase.cli.options import Option, app, err, out
 from cornercase.cli.signals import interrupt_exit_code
+from cornercase.simulators._run_options import RUN_OPTIONS
 
 if TYPE_CHECKING:
     from cornercase.evidence import Probability
     from cornercase.exploration import Estimation
 
 
-@app.command()
+@app.command(cls=SectionedCommand)
+@with_options("seed", "drivers", *RUN_OPTIONS, critical="as in the study", simulator="that of the study")
 def estimate(
     study: opt.StudyFile,
     *,
     output: Annotated[Path, Option("--output", "-o", metavar="ESTIMATE.db", help="Study to write or continue.")],
     budget: Annotated[int, Option(metavar="N", help="Number of concrete scenarios to run in all.", min=100)] = 2000,
-    critical: Annotated[
-        float | None, Option(metavar="X", help="Score from which a scenario is critical; default: as in the study.")
-    ] = None,
     encounter: Annotated[
         float, Option(metavar="M", help="The two meet if their gap is at most this many m.", min=0)
     ] = 10.0,
-    seed: opt.Seed = 0,
     scenario: opt.NamedScenario = None,
-    simulator: opt.StudySimulator = None,
-    workers: opt.Workers = 1,
-    cluster: opt.Cluster = None,
-    timeout: opt.Timeout = None,
-    retries: opt.Retries = 1,
-    max_failures: opt.MaxFailures = 5,
-    driver: opt.Drivers = None,
     as_json: opt.Json = False,
     maps: opt.Maps = None,
+    **options: Any,
 ) -> None:
     """Estimate how probable critical scenarios and collisions are.
 
@@ -58,17 +50,9 @@ def estimate(
         study,
         output,
         budget=budget,
-        critical=critical,
         encounter=encounter,
-        seed=seed,
         scenario=scenario,
-        simulator=simulator,
-        drivers=parsing.parse_pairs(driver or (), "--driver"),
-        workers=workers,
-        cluster=cluster,
-        timeout=timeout,
-        retries=retries,
-        max_failures=max_failures,
+        **options,
         progress=True,
     )
     if as_json:

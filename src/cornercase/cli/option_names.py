@@ -4,60 +4,47 @@ from __future__ import annotations
 
 import re
 import warnings
+from functools import cache
 from typing import Any, Final
+
+from typer.main import get_command
 
 from cornercase._common.errors import NoticeWarning
 from cornercase._common.text.sanitize import shorten
-from cornercase.cli.options import err, show_tracebacks
+from cornercase.cli.options import app, err, show_tracebacks
 
 MAX_LINE_LENGTH: Final = 1400
 """Longest line that is printed about an input, however long the names in it are."""
-_PARAMETERS_WITH_OPTION: Final = (
-    "against", "archetypes", "archetypes_by", "asynchronous", "audit", "batch", "beside", "budget", "by",
-    "check_proposals", "cluster",
-    "continuous", "cover", "critical", "critical_if", "duration",
-    "ego", "encounter", "eps", "fps", "gamma", "host", "junit", "keep_clusters", "kill_mutants", "maps", "max_failures",
-    "max_repeats",
-    "max_seconds", "memory", "method", "min_samples", "on_collision", "optimizer", "other", "pareto",
-    "patience", "port", "profile", "repair", "repeats", "require", "require_from_file", "requirements", "retries",
-    "retry_failed", "scenario", "seed", "share", "simulator", "size",
-    "space", "stop_when", "summary", "time_step", "timeout", "vary", "warm_start", "window", "within", "workers",
-)  # fmt: skip
-# Parameters whose option has a different name.
+# Parameters that no command has under this name.
 _OPTION_BY_PARAMETER: Final = {
     "client": "--cluster",
-    "drivers": "--driver",
     "folder": "-o",
     "kill_matrix": "--kill-mutants",
-    "metrics": "--metric",
-    "output": "-o",
     "path": "-o",
-    "ranges": "--range",
     "study": "-o",
-    "table": "--parameters",
-    "tolerances": "--tolerance",
-    "values": "--set",
-    "weights": "--weight",
 }
-_COMMANDS: Final = (
-    "analyze", "check", "compare", "convert", "demo", "estimate", "explore", "export", "import", "measure", "reduce",
-    "replay", "report", "show", "simulate", "test", "vary", "verify", "watch",
-)  # fmt: skip
+# Also a column of recordings, which messages name.
+_AMBIGUOUS: Final = "speed"
 _QUOTED: Final = re.compile(r"`(\w+)`")
 
 
 def use_option_names(message: str) -> str:
     """Replace parameters and functions in backticks by options and commands: `` `stop_when` `` by ``--stop-when``."""
+    names = _names_on_command_line()
+    return _QUOTED.sub(lambda match: names.get(match[1], match[0]), message)
 
-    def translate(match: re.Match[str]) -> str:
-        name = match[1]
-        if name in _OPTION_BY_PARAMETER:
-            return _OPTION_BY_PARAMETER[name]
-        if name in _PARAMETERS_WITH_OPTION:
-            return f"--{name.replace('_', '-')}"
-        return f"'cornercase {name}'" if name in _COMMANDS else match[0]
 
-    return _QUOTED.sub(translate, message)
+@cache
+def _names_on_command_line() -> dict[str, str]:
+    """Return options and commands by the names that parameters and functions have in Python."""
+    commands: dict[str, Any] = vars(get_command(app))["commands"]
+    options = {
+        item.name: min(item.opts, key=len)
+        for command in commands.values()
+        for item in command.params
+        if item.param_type_name == "option" and item.name != _AMBIGUOUS
+    }
+    return options | _OPTION_BY_PARAMETER | {name: f"'cornercase {name}'" for name in commands if name not in options}
 
 
 def print_notices() -> None:

@@ -47,6 +47,7 @@ show_tracebacks: ContextVar[bool] = ContextVar("debugging", default=False)
 """Whether tracebacks are shown."""
 
 Option = typer.Option
+
 ScenarioFile = Annotated[Path, typer.Argument(metavar="SCENARIO.xosc", help="OpenSCENARIO file.")]
 ScenarioFiles = Annotated[list[Path], typer.Argument(metavar="SCENARIO.xosc…", help="OpenSCENARIO files.")]
 ExploredScenario = Annotated[
@@ -57,13 +58,9 @@ NamedScenario = Annotated[
     Path | None,
     Option(metavar="FILE.xosc", help="Scenario that was explored; default: as the study names it, beside it or here."),
 ]
-SpaceFile = Annotated[Path | None, Option(metavar="FILE.xosc", help="ParameterValueDistribution file.")]
 StudyFile = Annotated[Path, typer.Argument(metavar="STUDY.db", help="Study, as written by explore.")]
 StudyOutput = Annotated[Path, Option("--output", "-o", metavar="STUDY.db", help="Study to write or continue.")]
 PageOutput = Annotated[Path, Option("--output", "-o", metavar="FILE.html", help="Page to write.")]
-Critical = Annotated[
-    float | None, Option(metavar="X", help="Score from which a scenario is critical; default: the metric's own.")
-]
 CriticalOverride = Annotated[
     float | None,
     Option(
@@ -72,43 +69,7 @@ CriticalOverride = Annotated[
         help="Use another threshold: score from which a scenario is critical. The study keeps its own.",
     ),
 ]
-Ego = Annotated[str, Option(metavar="NAME", help="Entity under test.")]
-Other = Annotated[
-    list[str],
-    Option(
-        metavar="NAME|*", help="Other entity; repeat it for several, '*' for all others. The most critical one counts."
-    ),
-]
-Metrics = Annotated[
-    list[str],
-    Option(
-        "--metric",
-        metavar="NAME",
-        help="Criticality metric. Repeat it for several: all are stored, the first is searched.",
-    ),
-]
-Seed = Annotated[int, Option(metavar="N", help="Same seed, same result.", min=0)]
 MutantSeed = Annotated[int, Option(metavar="N", help="Seed of the mutants: same seed, same mutants.", min=0)]
-TimeStep = Annotated[float, Option(metavar="S", help="Time step in s.")]
-Duration = Annotated[float, Option(metavar="S", help="Longest duration of a scenario in s.")]
-OnCollision = Annotated[str, Option(metavar="stop|continue", help="What a collision does to the run.")]
-Drivers = Annotated[
-    list[str] | None,
-    Option(
-        "--driver",
-        metavar="ENTITY=NAME",
-        help="Driver of an entity: normal, normal:horizon=4, or a class of your own, package.module:Class:option=3.",
-    ),
-]
-Vary = Annotated[
-    list[str] | None,
-    Option(
-        "--vary",
-        metavar="NAME[=LOW:HIGH[:STEP]]",
-        help="Vary a number of the file, by its name in the list of 'cornercase vary FILE.xosc'; without a range, in"
-        " the proposed range.",
-    ),
-]
 Values = Annotated[list[str] | None, Option("--set", metavar="NAME=VALUE", help="Value of a parameter.")]
 CompareBy = Annotated[
     list[str] | None,
@@ -121,39 +82,7 @@ CompareBy = Annotated[
 Gamma = Annotated[str, Option(metavar="X|auto", help="Kernel width parameter.")]
 Eps = Annotated[str, Option(metavar="X|auto", help="DBSCAN's neighbourhood in the kernel space.")]
 MinSamples = Annotated[str, Option(metavar="N|auto", help="DBSCAN's least number of neighbours.")]
-SimulatorName = Annotated[str, Option("--simulator", metavar="NAME", help="Simulator that runs the scenarios.")]
-StudySimulator = Annotated[
-    str | None,
-    Option("--simulator", metavar="NAME", help="Simulator that runs the scenarios; default: that of the study."),
-]
-Timeout = Annotated[float | None, Option(metavar="S", help="Give up a scenario after this time in s.")]
-Retries = Annotated[
-    int,
-    Option(
-        metavar="N",
-        help="How often to run a scenario again if the simulator died or hung, or a worker was lost.",
-        min=0,
-    ),
-]
-MaxFailures = Annotated[
-    int,
-    Option(
-        "--max-failures",
-        metavar="N",
-        help="End after N scenarios in a row in which the simulator died or hung, or if the first N all fail; 0 for"
-        " no limit.",
-        min=0,
-    ),
-]
-Workers = Annotated[int, Option(metavar="N", help="Number of simulators that run in parallel.", min=1)]
 LocalWorkers = Annotated[int, Option("--workers", metavar="N", help="Number of processes of --cluster local.", min=1)]
-Cluster = Annotated[
-    str | None,
-    Option(
-        metavar="ADDRESS|local",
-        help="Run on a Dask cluster: address or file of its scheduler; local starts --workers on this machine.",
-    ),
-]
 Memory = Annotated[str, Option(metavar="SIZE", help="Memory that the command may use, such as 4GB or 500MB.")]
 Json = Annotated[bool, Option("--json", help="Print JSON, for programs.")]
 

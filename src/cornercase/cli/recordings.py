@@ -10,10 +10,12 @@ from rich.table import Table
 
 from cornercase._common.io.files import check_output_differs_from_source
 from cornercase.cli import options as opt
+from cornercase.cli.command_options import with_options
 from cornercase.cli.options import Option, app, out
 
 
 @app.command()
+@with_options("ego", "other", metrics="all that take no formula")
 def measure(
     recording: Annotated[
         Path,
@@ -24,13 +26,10 @@ def measure(
         ),
     ],
     *,
-    ego: opt.Ego,
-    other: opt.Other,
+    ego: str,
+    other: list[str],
     output: Annotated[Path, Option("--output", "-o", metavar="FILE.csv", help="Courses to write.")],
-    metric: Annotated[
-        list[str] | None,
-        Option("--metric", metavar="NAME", help="Criticality metric; default: all that take no formula."),
-    ] = None,
+    metrics: list[str] | None = None,
 ) -> None:
     """Measure a recording, of this or any other simulator, and print the scores.
 
@@ -42,7 +41,7 @@ def measure(
     from cornercase.recordings._csv import write_courses
 
     check_output_differs_from_source(output, recording)
-    measurement = measure_recording(recording, ego, other, metric)
+    measurement = measure_recording(recording, ego, other, metrics)
     write_courses(output, measurement.time, measurement.courses)
     table = Table(*measurement.column_names(), box=None)
     for row in measurement.rows():
@@ -52,17 +51,18 @@ def measure(
 
 
 @app.command(name="import")
+@with_options("ego", "other", "metrics", "critical")
 def import_(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder with recordings and parameters.csv.")],
     *,
-    ego: opt.Ego,
-    other: opt.Other,
-    metric: opt.Metrics,
+    ego: str,
+    other: list[str],
+    metrics: list[str],
     output: opt.StudyOutput,
     table: Annotated[
         Path | None, Option("--parameters", metavar="FILE.csv", help="Column 'file', and one for each parameter.")
     ] = None,
-    critical: opt.Critical = None,
+    critical: float | None = None,
 ) -> None:
     """Make a study from existing recordings, to cluster and reduce them.
 
@@ -76,7 +76,7 @@ def import_(
     from cornercase.study import import_recordings
 
     result = import_recordings(
-        folder, output, ego=ego, other=other, metrics=metric, table=table, critical=critical, progress=True
+        folder, output, ego=ego, other=other, metrics=metrics, table=table, critical=critical, progress=True
     )
     out.print(f"{result.done} scenarios in {output}")
     if result.failed:

@@ -11,15 +11,17 @@ from cornercase._common.errors import InputError
 from cornercase._common.text.sanitize import shorten
 from cornercase.cli import options as opt
 from cornercase.cli import parsing
+from cornercase.cli.command_options import with_options
 from cornercase.cli.option_names import MAX_LINE_LENGTH, use_option_names
 from cornercase.cli.options import Option, app, err, out
 
 
 @app.command()
+@with_options("space")
 def check(
     scenarios: opt.ScenarioFiles,
     *,
-    space: opt.SpaceFile = None,
+    space: Path | None = None,
     strict: Annotated[
         bool, Option("--strict", help="Refuse violations of the standard even if they can be read, and name the rule.")
     ] = False,
@@ -98,10 +100,11 @@ def _format_parameter(parameter: Any) -> str:
 
 
 @app.command(name="convert")
+@with_options("ego")
 def convert_scenario(
     scenario: opt.ScenarioFile,
     *,
-    ego: opt.Ego,
+    ego: str,
     output: Annotated[Path, Option("--output", "-o", metavar="FILE.xosc", help="File to write.")],
     values: opt.Values = None,
     maps: opt.Maps = None,

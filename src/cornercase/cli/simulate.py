@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -11,13 +11,16 @@ from cornercase._common.errors import InputError
 from cornercase._common.io.files import check_output_differs_from_source
 from cornercase.cli import options as opt
 from cornercase.cli import parsing
+from cornercase.cli.command_options import SectionedCommand, with_options
 from cornercase.cli.options import Option, app, out
+from cornercase.simulators._run_options import SIMULATION_OPTIONS
 
 if TYPE_CHECKING:
     from cornercase.simulators import SimulatedFolder
 
 
-@app.command()
+@app.command(cls=SectionedCommand)
+@with_options(*SIMULATION_OPTIONS)
 def simulate(
     scenarios: opt.ScenarioFiles,
     *,
@@ -34,18 +37,9 @@ def simulate(
         ),
     ] = None,
     values: opt.Values = None,
-    time_step: opt.TimeStep = 0.05,
-    duration: opt.Duration = 60.0,
-    on_collision: opt.OnCollision = "continue",
-    driver: opt.Drivers = None,
-    simulator: opt.SimulatorName = "builtin",
     ego: Annotated[str, Option(metavar="NAME", help="Entity under test, for a simulator that needs it.")] = "Ego",
-    workers: opt.Workers = 1,
-    cluster: opt.Cluster = None,
-    timeout: opt.Timeout = None,
-    retries: opt.Retries = 1,
-    max_failures: opt.MaxFailures = 5,
     maps: opt.Maps = None,
+    **options: Any,
 ) -> None:
     """Run concrete scenarios and write their recordings.
 
@@ -63,44 +57,19 @@ def simulate(
     from cornercase import simulators
 
     parameters = parsing.parse_pairs(values or (), "--set")
-    drivers = parsing.parse_pairs(driver or (), "--driver")
     if table is not None or len(scenarios) > 1:
         result = simulators.simulate_many(
-            scenarios,
-            output,
-            table=table,
-            values=parameters,
-            time_step=time_step,
-            duration=duration,
-            on_collision=on_collision,
-            drivers=drivers,
-            simulator=simulator,
-            ego=ego,
-            workers=workers,
-            cluster=cluster,
-            timeout=timeout,
-            retries=retries,
-            max_failures=max_failures,
-            progress=True,
+            scenarios, output, table=table, values=parameters, ego=ego, **options, progress=True
         )
         _print_folder_result(result)
         return
-    if workers > 1 or cluster is not None:
-        option = "--cluster" if cluster is not None else "--workers"
+    if options["workers"] > 1 or options["cluster"] is not None:
+        option = "--cluster" if options["cluster"] is not None else "--workers"
         raise InputError(f"{option}: is for several scenarios; give more files, or --parameters.")
     (scenario,) = scenarios
     check_output_differs_from_source(output, scenario)
-    recording = simulators.simulate(
-        scenario,
-        parameters,
-        time_step=time_step,
-        duration=duration,
-        on_collision=on_collision,
-        drivers=drivers,
-        simulator=simulator,
-        ego=ego,
-        timeout=timeout,
-    )
+    names = ("time_step", "duration", "on_collision", "drivers", "simulator", "timeout")
+    recording = simulators.simulate(scenario, parameters, ego=ego, **{name: options[name] for name in names})
     recording.to_csv(output)
     out.print(f"{len(recording.names)} entities, {recording.time[-1]:g} s, written to {output}")
     for collision in recording.collisions:

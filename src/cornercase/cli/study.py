@@ -11,11 +11,13 @@ from cornercase._common.errors import InputError
 from cornercase._common.memory import DEFAULT_MEMORY
 from cornercase.cli import options as opt
 from cornercase.cli import parsing
+from cornercase.cli.command_options import with_options
 from cornercase.cli.options import Option, app, out
 from cornercase.cli.profiling import Profile
 
 
 @app.command()
+@with_options("cluster")
 def analyze(
     study: opt.StudyFile,
     *,
@@ -33,7 +35,7 @@ def analyze(
         bool, Option("--keep-clusters", help="Keep existing clusters; assign new scenarios to them.")
     ] = False,
     workers: opt.LocalWorkers = 1,
-    cluster: opt.Cluster = None,
+    cluster: str | None = None,
     critical: opt.CriticalOverride = None,
     memory: opt.Memory = DEFAULT_MEMORY,
     profile: Profile = None,
@@ -82,6 +84,7 @@ def analyze(
 
 
 @app.command()
+@with_options("cluster")
 def reduce(
     study: opt.StudyFile,
     *,
@@ -132,7 +135,7 @@ def reduce(
     seed: opt.MutantSeed = 0,
     scenario: opt.NamedScenario = None,
     workers: opt.LocalWorkers = 1,
-    cluster: opt.Cluster = None,
+    cluster: str | None = None,
     critical: opt.CriticalOverride = None,
     memory: opt.Memory = DEFAULT_MEMORY,
     profile: Profile = None,

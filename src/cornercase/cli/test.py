@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 from rich.table import Column, Table
 
 from cornercase._common.text.sanitize import format_json
 from cornercase.cli import options as opt
-from cornercase.cli import parsing
+from cornercase.cli.command_options import SectionedCommand, with_options
 from cornercase.cli.options import Option, app, err, out
+from cornercase.simulators._run_options import RUN_OPTIONS
 
 if TYPE_CHECKING:
     from cornercase.reduction import KillMatrix
@@ -22,9 +23,12 @@ if TYPE_CHECKING:
 _MAX_NAMED_SCENARIOS: Final = 3
 # Length of file names that leaves room for the reasons on 80 columns.
 _MAX_FILE_NAME_LENGTH: Final = 30
+# Options that a suite has.
+_OF_MANIFEST: Final = ("ego", "other", "metrics", "simulator", "time_step", "duration", "on_collision")
 
 
-@app.command(name="test")
+@app.command(name="test", cls=SectionedCommand)
+@with_options("drivers", *RUN_OPTIONS, **dict.fromkeys(_OF_MANIFEST, "as in the manifest"))
 def test_suite(
     suite: Annotated[
         Path,
@@ -72,35 +76,12 @@ def test_suite(
             help="Study with earlier recordings; default: the one that was reduced, if it lies beside the manifest.",
         ),
     ] = None,
-    simulator: Annotated[
-        str | None, Option(metavar="NAME", help="Simulator that runs the scenarios; default: that of the manifest.")
-    ] = None,
-    driver: opt.Drivers = None,
-    workers: opt.Workers = 1,
-    cluster: opt.Cluster = None,
-    timeout: opt.Timeout = None,
-    retries: opt.Retries = 1,
-    max_failures: opt.MaxFailures = 5,
-    ego: Annotated[str | None, Option(metavar="NAME", help="Entity under test; default: as in the manifest.")] = None,
-    other: Annotated[
-        list[str] | None, Option(metavar="NAME|*", help="Other entity, also several; default: as in the manifest.")
-    ] = None,
-    metric: Annotated[
-        list[str] | None,
-        Option("--metric", metavar="NAME", help="Criticality metric to store; default: those of the manifest."),
-    ] = None,
-    time_step: Annotated[float | None, Option(metavar="S", help="Time step in s; default: as in the manifest.")] = None,
-    duration: Annotated[
-        float | None, Option(metavar="S", help="Longest duration in s; default: as in the manifest.")
-    ] = None,
-    on_collision: Annotated[
-        str | None, Option(metavar="stop|continue", help="What a collision does; default: as in the manifest.")
-    ] = None,
     mutants: Annotated[
         int | None, Option(metavar="N", help="Test how many of N mutants of the ego's driver the suite exposes.", min=1)
     ] = None,
     seed: opt.MutantSeed = 0,
     maps: opt.Maps = None,
+    **options: Any,
 ) -> None:
     """Run a reduced set, or any concrete scenarios, and judge the runs.
 
@@ -120,24 +101,12 @@ def test_suite(
         require=require or (),
         requirements=requirements,
         require_from_file=require_from_file,
-        ego=ego,
-        other=other,
-        metrics=metric or (),
-        simulator=simulator,
-        workers=workers,
-        cluster=cluster,
-        timeout=timeout,
-        retries=retries,
-        max_failures=max_failures,
-        time_step=time_step,
-        duration=duration,
-        on_collision=on_collision,
-        drivers=parsing.parse_pairs(driver or (), "--driver"),
         against=against,
         junit=junit,
         summary=summary,
         mutants=mutants,
         seed=seed,
+        **options,
         progress=True,
     )
     if as_json:

@@ -12,7 +12,8 @@ import typer
 
 from cornercase._common.errors import InputError
 from cornercase._common.text.sanitize import shorten
-from cornercase.cli.options import Maps, ScenarioFile, Vary, app, out
+from cornercase.cli.command_options import with_options
+from cornercase.cli.options import Maps, ScenarioFile, app, out
 
 if TYPE_CHECKING:
     from cornercase.scenario import Variable
@@ -23,10 +24,11 @@ _MAX_LINE_LENGTH: Final = 80
 
 
 @app.command(name="vary")
+@with_options("vary")
 def vary_scenario(
     scenario: ScenarioFile,
     *,
-    vary: Vary = None,
+    vary: tuple[str, ...] = (),
     vary_all: Annotated[bool, typer.Option("--all", help="Vary all numbers with a proposed range.")] = False,
     output: Annotated[
         Path | None,
@@ -57,7 +59,7 @@ def vary_scenario(
         return
     if output is None:
         raise InputError("--vary, --all: give the scenario to write, with -o OUT.xosc.")
-    logical = write_varied(scenario, vary or (), output, proposed=vary_all)
+    logical = write_varied(scenario, vary, output, proposed=vary_all)
     for parameter in logical.space.parameters:
         out.print(f"varied: {parameter}")
     space = output.with_suffix(".space.xosc")

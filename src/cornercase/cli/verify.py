@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from cornercase._common.memory import DEFAULT_MEMORY
 from cornercase._common.text.sanitize import format_json
 from cornercase.cli import options as opt
-from cornercase.cli import parsing
+from cornercase.cli.command_options import with_options
 from cornercase.cli.options import Option, app, out
 
 
 @app.command()
+@with_options("drivers", "workers", simulator="that of the study")
 def verify(
     study: opt.StudyFile,
     *,
@@ -27,12 +28,10 @@ def verify(
         ),
     ] = False,
     scenario: opt.NamedScenario = None,
-    simulator: opt.StudySimulator = None,
-    driver: opt.Drivers = None,
-    workers: opt.Workers = 1,
     memory: opt.Memory = DEFAULT_MEMORY,
     as_json: opt.Json = False,
     maps: opt.Maps = None,
+    **options: Any,
 ) -> None:
     """Test whether a study is undamaged; exit code 1 if it is not.
 
@@ -50,10 +49,7 @@ def verify(
     if repair and not result.is_sound:
         from cornercase.exploration import repair as repair_study
 
-        drivers = parsing.parse_pairs(driver or [], "--driver")
-        repaired = repair_study(
-            study, scenario=scenario, simulator=simulator, drivers=drivers, workers=workers, memory=memory
-        )
+        repaired = repair_study(study, scenario=scenario, memory=memory, **options)
         again, lost, damaged = repaired.rerun_ids, repaired.lost_content, repaired.damaged_file
     if as_json:
         values = {"sound": result.is_sound, "checked": result.checked, "problems": list(result.problems)}

@@ -2,37 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any
 
 from cornercase._common.errors import InputError
-from cornercase._common.process.dask import check_cluster
 from cornercase._common.text.sanitize import remove_folders
-from cornercase._common.validation import (
-    check_bool,
-    check_float,
-    check_int,
-    check_mapping,
-    check_path,
-    check_str,
-    check_str_sequence,
-    repr_short,
-)
+from cornercase._common.validation import check_mapping, repr_short
 from cornercase.drivers import Driver
 from cornercase.drivers._description import driver_command_option, format_driver, iter_driver_changes
 from cornercase.drivers._resolve import create_driver_named_in_file, is_driver
-from cornercase.exploration.stop._stop_rules import StopCriterion, StopRule, resolve_stop_rules
+from cornercase.exploration._explore_options import (
+    CONFIG_OPTIONS,
+    SEARCH_SETTINGS,
+    ExplorationOptions,
+    stored_values,
+)
+from cornercase.exploration.stop._stop_rules import StopCriterion, resolve_stop_rules
 from cornercase.metrics import METRICS, CriticalIf
-from cornercase.metrics._critical_if import find_critical_if_condition
 from cornercase.metrics._other_entities import ALL_OTHERS, resolve_others
-from cornercase.optimizers import OPTIMIZERS, Optimizer
+from cornercase.optimizers import OPTIMIZERS
 from cornercase.scenario import LogicalScenario
 from cornercase.scenario._file import ScenarioFile
 from cornercase.simulators import Simulator
 from cornercase.simulators._common_options import split_common_options
-from cornercase.simulators.pool._simulator import DEFAULT_MAX_FAILURES, MAX_WORKERS
 from cornercase.study import StudyFile, StudyMeta
 from cornercase.study._criterion import Criterion
 from cornercase.study._meta import MAX_AUDIT_FRACTION
@@ -41,24 +35,10 @@ from cornercase.study._run_rates import MIN_DECISIVE_RUNS
 from cornercase.study._scenario_file import find_explored_scenario
 from cornercase.study._stored_paths import stored_path
 
-if TYPE_CHECKING:
-    from distributed import Client
-
-# Minimum of each integer setting.
-_MINIMUM_OF_SETTING: Final = {
-    "budget": 1,
-    "batch": 1,
-    "patience": 1,
-    "seed": 0,
-    "retries": 0,
-    "max_failures": 0,
-    "repeats": 1,
-}
-
 
 @dataclass(frozen=True)
-class ExplorationConfig:
-    """Validated settings of an exploration; the fields are the parameters of `explore`.
+class ExplorationConfig(ExplorationOptions):
+    """Validated settings of an exploration; the fields are options of `explore`.
 
     `other` becomes a tuple if it has several names, and ``"*"`` becomes the names of all others. `max_repeats` becomes
     None if it equals `repeats`. Without rounds, `patience` and the stop criteria are evaluated after every `batch`
@@ -67,86 +47,29 @@ class ExplorationConfig:
     """
 
     logical: LogicalScenario
-    ego: str
-    other: str | Sequence[str]
-    metrics: tuple[str, ...]
-    optimizer: str | Optimizer = "bayes"
-    critical: float | None = None
-    critical_if: str | None = None
-    weights: Mapping[str, float] = field(default_factory=dict)
-    pareto: bool = False
-    stop_when: StopRule | Sequence[StopRule | str] = ()
-    budget: int = 200
-    batch: int = 10
-    asynchronous: bool = False
-    patience: int | None = None
-    max_seconds: float | None = None
-    seed: int = 0
-    simulator: str | Simulator = "builtin"
-    workers: int = 1
-    cluster: str | Client | None = None
-    timeout: float | None = None
-    retries: int = 1
-    max_failures: int = DEFAULT_MAX_FAILURES
-    repeats: int = 1
-    max_repeats: int | None = None
-    audit: float = 0.0
-    time_step: float = 0.05
-    duration: float = 60.0
-    on_collision: str = "continue"
-    drivers: Mapping[str, str | Driver] = field(default_factory=dict)
-    warm_start: Path | str | None = None
 
     def __post_init__(self) -> None:
-        arguments = dict(vars(self))
-        simulator, options = split_common_options(self.simulator, arguments)
-        arguments |= options
-        checked: dict[str, object] = {"ego": check_str("ego", self.ego), "simulator": simulator}
-        checked["optimizer"] = OPTIMIZERS.resolve(self.optimizer, "optimizer")
-        all_entities = (
-            self.logical.scenario_file.entities if ALL_OTHERS in check_str_sequence("other", self.other) else ()
-        )
-        others = resolve_others(self.other, check_str("ego", self.ego), all_entities)
-        checked["other"] = others[0] if len(others) == 1 else others
-        if self.critical_if is not None:
-            checked["critical_if"] = check_str("critical_if", self.critical_if)
-            self._refuse_conflicts_with_condition()
-        checked["metrics"] = check_str_sequence("metrics", self.metrics)
+        given = dict(vars(self))
+        given["simulator"], common = split_common_options(self.simulator, given)
+        given |= common
+        given["optimizer"] = OPTIMIZERS.resolve(self.optimizer, "optimizer")
         criteria, max_seconds, patience = resolve_stop_rules(self.stop_when)
-        checked["stop_when"] = tuple(criteria)
+        given["stop_when"] = tuple(criteria)
         for name, limit in {"max_seconds": max_seconds, "patience": patience}.items():
             if limit is not None:
-                arguments[name] = limit if arguments[name] is None else min(arguments[name], limit)
-        checked |= {
-            name: check_int(name, arguments[name], least)
-            for name, least in _MINIMUM_OF_SETTING.items()
-            if not (name == "patience" and arguments[name] is None)
-        }
-        checked["workers"] = check_int("workers", self.workers, 1, MAX_WORKERS)
-        checked |= {name: check_bool(name, arguments[name]) for name in ("asynchronous", "pareto")}
-        checked["on_collision"] = check_str("on_collision", self.on_collision, ("continue", "stop"))
-        checked |= {name: check_float(name, arguments[name], above=0.0) for name in ("time_step", "duration")}
-        checked["audit"] = check_float("audit", self.audit, minimum=0.0)
+                given[name] = limit if given[name] is None else min(given[name], limit)
+        for name, option in CONFIG_OPTIONS.items():
+            object.__setattr__(self, name, option.check(given[name]))
+        all_entities = self.logical.scenario_file.entities if ALL_OTHERS in self.other else ()
+        others = resolve_others(self.other, self.ego, all_entities)
+        object.__setattr__(self, "other", others[0] if len(others) == 1 else others)
+        if self.critical_if is not None:
+            self._refuse_conflicts_with_condition()
         if self.audit > MAX_AUDIT_FRACTION:
             raise InputError(f"`audit` {self.audit:g}: give a fraction of the scenarios up to {MAX_AUDIT_FRACTION:g}.")
-        if self.critical is not None:
-            checked["critical"] = check_float("critical", self.critical)
-        if self.warm_start is not None:
-            checked["warm_start"] = check_path("warm_start", self.warm_start)
-        if self.cluster is not None:
-            checked["cluster"] = check_cluster(self.cluster)
-        if arguments["max_seconds"] is not None:
-            checked["max_seconds"] = check_float("max_seconds", arguments["max_seconds"], minimum=0.0)
-        if self.timeout is not None:
-            checked["timeout"] = check_float("timeout", self.timeout, above=0.0)
-        weights = check_mapping("weights", self.weights)
-        checked["weights"] = {name: check_float("weights", weight) for name, weight in weights.items()}
-        checked["drivers"] = {
-            name: _check_driver(name, driver) for name, driver in check_mapping("drivers", arguments["drivers"]).items()
-        }
-        for name, value in checked.items():
-            object.__setattr__(self, name, value)
-        object.__setattr__(self, "max_repeats", self._checked_max_repeats())
+        for entity, driver in self.drivers.items():
+            _check_driver(entity, driver)
+        object.__setattr__(self, "max_repeats", self._decisive_max_repeats())
 
     @property
     def others(self) -> tuple[str, ...]:
@@ -162,12 +85,10 @@ class ExplorationConfig:
             if value not in (None, 1):
                 raise InputError(f"`critical_if` is evaluated on one run of each scenario; leave `{name}` out.")
 
-    def _checked_max_repeats(self) -> int | None:
-        """Return the checked upper limit of runs per scenario; None if it equals `repeats`."""
-        if self.max_repeats is None:
-            return None
-        limit = check_int("max_repeats", self.max_repeats, 1)
-        if limit == self.repeats:
+    def _decisive_max_repeats(self) -> int | None:
+        """Return the upper limit of runs per scenario; None if it equals `repeats`."""
+        limit = self.max_repeats
+        if limit in (None, self.repeats):
             return None
         if self.pareto or self.weights:
             other = "pareto" if self.pareto else "weights"
@@ -240,33 +161,32 @@ class ExplorationConfig:
             scenario=stored_path(self.logical.path, study),
             fingerprint=self.logical.fingerprint,
             space=self.logical.space,
-            ego=self.ego,
             other=self.others[0] if len(self.others) == 1 else self.others,
             metrics=tuple(metric.name for metric in criterion.objective.metrics),
-            optimizer=str(self.optimizer),
             # The options may contain paths of this machine.
             simulator=remove_folders(str(self.simulator)),
-            settings=settings,
+            settings={**self._stored_settings(), **settings},
             critical=criterion.raw,
-            weights=dict(self.weights),
-            pareto=self.pareto,
-            seed=self.seed,
-            budget=self.budget,
-            batch=self.batch,
-            asynchronous=self.asynchronous,
-            repeats=self.repeats,
-            most_repeats=self.max_repeats,
-            audit=self.audit,
             elsewhere=warm_start_info or {},
+            **{
+                str(option.stored): str(getattr(self, name)) if name == "optimizer" else getattr(self, name)
+                for name, option in CONFIG_OPTIONS.items()
+                if option.is_field_of_study
+            },
         )
 
+    def _stored_settings(self) -> dict[str, object]:
+        """Return the settings that the study stores although they are none of the simulator, unless default."""
+        return {
+            name: getattr(self, name)
+            for name, option in CONFIG_OPTIONS.items()
+            if option.stored == "settings" and getattr(self, name) != option.default
+        }
 
-def _check_driver(entity: str, driver: object) -> str | Driver:
-    if isinstance(driver, str) and driver:
-        return driver
-    if not is_driver(driver):
+
+def _check_driver(entity: str, driver: object) -> None:
+    if not (driver and isinstance(driver, str)) and not is_driver(driver):
         raise InputError(f"`drivers` {entity}={repr_short(driver)}: give the name of a driver, or an instance.")
-    return driver
 
 
 def config_from_study(
@@ -297,30 +217,15 @@ def config_from_study(
             raise InputError(
                 f"{file}: {format_driver(driver)} drove {entity}; code that a study names is not run, so {hint}."
             )
-    run_settings: dict[str, Any] = {
-        name: settings[name] for name in ("time_step", "duration", "on_collision") if name in settings
+    values = stored_values(meta) | {
+        "simulator": meta.simulator.partition(":")[0] if simulator is None else simulator,
+        "drivers": resolved_drivers,
+        # Its scores are copied into the study.
+        "warm_start": None,
     }
-    condition = find_critical_if_condition(meta.metrics)
     return ExplorationConfig(
-        logical=LogicalScenario(source.path, meta.space, meta.fingerprint, source),
-        ego=meta.ego,
-        other=meta.other,
-        metrics=tuple(name for name in meta.metrics if not find_critical_if_condition([name])),
-        optimizer=meta.optimizer,
-        critical=None if condition else meta.critical,
-        critical_if=condition or None,
-        weights=meta.weights,
-        pareto=meta.pareto,
-        budget=meta.budget,
-        batch=meta.batch,
-        asynchronous=meta.asynchronous,
-        seed=meta.seed,
-        repeats=meta.repeats,
-        max_repeats=meta.most_repeats,
-        audit=meta.audit,
-        simulator=meta.simulator.partition(":")[0] if simulator is None else simulator,
-        drivers=resolved_drivers,
-        **run_settings,
+        LogicalScenario(source.path, meta.space, meta.fingerprint, source),
+        **{name: value for name, value in values.items() if value is not None},
     )
 
 
@@ -337,7 +242,9 @@ def require_same_settings(study: Path, meta: StudyMeta, simulator: Simulator) ->
     """Raise `InputError` if the settings of a simulator differ from those stored in the study."""
     own_settings: dict[str, Any] = dict(simulator.settings)
     different = [
-        name for name in sorted({*own_settings, *meta.settings}) if own_settings.get(name) != meta.settings.get(name)
+        name
+        for name in sorted({*own_settings, *meta.settings} - SEARCH_SETTINGS)
+        if own_settings.get(name) != meta.settings.get(name)
     ]
     if different:
         changes = iter_driver_changes(meta.settings.get("drivers"), own_settings.get("drivers"))

@@ -9,12 +9,13 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final, Unpack
 
 import numpy as np
 
 from cornercase._common.errors import InputError
 from cornercase._common.io.files import check_output_differs_from_source
+from cornercase._common.option import check_options, document_options
 from cornercase._common.typing import FloatArray
 from cornercase._common.validation import check_bool, check_float, check_int, check_path
 from cornercase.drivers import Driver
@@ -25,13 +26,10 @@ from cornercase.exploration._explore import simulator_from_config
 from cornercase.exploration._probability_estimator import ProbabilityEstimator
 from cornercase.scenario._file import ScenarioFile
 from cornercase.simulators import Simulator
-from cornercase.simulators.pool._simulator import DEFAULT_MAX_FAILURES
+from cornercase.simulators._run_options import RUN_OPTIONS, RunKeywords
 from cornercase.study import StudyFile
 from cornercase.study._criterion import Criterion
 from cornercase.study._study_file import open_or_create_study
-
-if TYPE_CHECKING:
-    from distributed import Client
 
 _LEARNING_FRACTION: Final = 0.4
 _MIN_BUDGET: Final = 100
@@ -42,7 +40,7 @@ _ESTIMATE_OPTIMIZER_NAME = re.compile(
 )
 
 
-# The parameters are the options of the command.
+@document_options(RUN_OPTIONS)
 def estimate(
     study: Path | str,
     output: Path | str,
@@ -54,12 +52,8 @@ def estimate(
     scenario: Path | str | ScenarioFile | None = None,
     simulator: str | Simulator | None = None,
     drivers: Mapping[str, str | Driver] | None = None,
-    workers: int = 1,
-    cluster: str | Client | None = None,
-    timeout: float | None = None,
-    retries: int = 1,
-    max_failures: int = DEFAULT_MAX_FAILURES,
     progress: bool = False,
+    **options: Unpack[RunKeywords],
 ) -> Estimation:
     """Estimate the probability of critical scenarios and collisions under the distributions of a study's space.
 
@@ -88,25 +82,18 @@ def estimate(
         Default: that of the study, without options.
     drivers : mapping of str to str or Driver, optional
         Your own drivers by entity, if the study has such; presets are taken from the study.
-    workers : int, default 1
-        Number of simulators that run in parallel.
-    cluster : str or distributed.Client, optional
-        Dask cluster to run on: ``"local"`` for `workers` local processes, the address of a scheduler, a scheduler file,
-        or a client, which stays open.
-    timeout : float, optional
-        Time in s after which a scenario is cancelled.
-    retries : int, default 1
-        How often a scenario is run again after the simulator died or hung.
-    max_failures : int, default 5
-        Stop after this many consecutive scenarios in which the simulator died or hung; 0 for no limit. An exception of
-        a driver, the simulator or a metric fails its scenario only, unless that many scenarios have failed before any
-        gave a result.
     progress : bool, default False
         Show progress on standard error.
+    **options
+        How the scenarios are run: any of the parameters below.
 
     Returns
     -------
     Estimation
+
+    Other Parameters
+    ----------------
+    OPTIONS
 
     Raises
     ------
@@ -128,12 +115,12 @@ def estimate(
     budget, seed = check_int("budget", budget, minimum=_MIN_BUDGET), check_int("seed", seed)
     encounter = check_float("encounter", encounter, minimum=0.0)
     check_bool("progress", progress)
+    run_options = check_options("estimate", RUN_OPTIONS, options)
     with StudyFile.open(study_file, readonly=True) as source:
         if _ESTIMATE_OPTIMIZER_NAME.fullmatch(source.meta.optimizer):
             raise InputError(f"{study_file}: is an estimate itself; name the study that it is based on.")
         config = _estimate_config(source, scenario, budget, critical, seed, simulator, drivers or {})
-        config = replace(config, workers=workers, cluster=cluster, timeout=timeout)
-        config = replace(config, retries=retries, max_failures=max_failures)
+        config = replace(config, **run_options)
         learn, n_known = _stored_sample_sizes(output_file, round(_LEARNING_FRACTION * budget))
         criterion = Criterion.from_given(config.make_objective(), config.critical)
         points, scores = source.points(), criterion.objective.minimized_scores(source)

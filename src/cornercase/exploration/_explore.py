@@ -7,39 +7,36 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, Unpack
 
 from cornercase._common.errors import InputError
 from cornercase._common.io.files import check_output_differs_from_source
 from cornercase._common.io.support_table import Notice, warn_notices
+from cornercase._common.option import check_options, document_options, refuse_unknown
 from cornercase._common.process.dask import open_connection
-from cornercase._common.validation import check_bool, check_path, check_str_sequence
+from cornercase._common.validation import check_bool, check_path
 from cornercase.drivers import Driver
 from cornercase.drivers._resolve import resolve_driver
 from cornercase.exploration._asynchronous import AsynchronousExplorer
 from cornercase.exploration._config import ExplorationConfig
+from cornercase.exploration._explore_options import CALL_OPTIONS, CONFIG_OPTIONS, OPTIONS, SPACE_OPTIONS, ExploreOptions
 from cornercase.exploration._explorer import ExplorationResult, ScenarioExplorer
 from cornercase.exploration._varied_file import open_logical_scenario
 from cornercase.exploration._verify_proposals import verify_proposals
 from cornercase.exploration._warm_start import WarmStart, read_warm_start
-from cornercase.exploration.stop._stop_rules import StopRule
 from cornercase.optimizers import OPTIMIZERS, Optimizer
 from cornercase.scenario import LogicalScenario
 from cornercase.simulators import Simulator
 from cornercase.simulators._create import create_simulator
 from cornercase.simulators._results import check_simulator_accepts, list_ignored_content
 from cornercase.simulators._run_notices import warn_if_ego_has_no_driver
-from cornercase.simulators.pool._simulator import DEFAULT_MAX_FAILURES
 from cornercase.study import StudyFile
 from cornercase.study._criterion import Criterion
 from cornercase.study._objective import Objective
 from cornercase.study._study_file import open_or_create_study
 
-if TYPE_CHECKING:
-    from distributed import Client
 
-
-# The parameters are the options of the command.
+@document_options(OPTIONS)
 def explore(
     scenario: LogicalScenario | Path | str | None,
     study: Path | str,
@@ -47,39 +44,8 @@ def explore(
     ego: str,
     other: str | Sequence[str],
     metrics: Sequence[str],
-    space: Path | str | None = None,
-    ranges: Sequence[str] = (),
-    vary: Sequence[str] = (),
-    continuous: bool = False,
-    optimizer: str | Optimizer = "bayes",
-    critical: float | None = None,
-    critical_if: str | None = None,
-    weights: Mapping[str, float] | None = None,
-    pareto: bool = False,
-    stop_when: StopRule | Sequence[StopRule | str] = (),
-    budget: int = 200,
-    batch: int = 10,
-    asynchronous: bool = False,
-    patience: int | None = None,
-    max_seconds: float | None = None,
-    seed: int = 0,
-    simulator: str | Simulator = "builtin",
-    workers: int = 1,
-    cluster: str | Client | None = None,
-    timeout: float | None = None,
-    retries: int = 1,
-    max_failures: int = DEFAULT_MAX_FAILURES,
-    repeats: int = 1,
-    max_repeats: int | None = None,
-    audit: float = 0.0,
-    time_step: float = 0.05,
-    duration: float = 60.0,
-    on_collision: str = "continue",
-    drivers: Mapping[str, str | Driver] | None = None,
-    check_proposals: bool = False,
-    warm_start: Path | str | None = None,
-    retry_failed: bool = False,
     progress: bool = False,
+    **options: Unpack[ExploreOptions],
 ) -> ExplorationResult:
     """Search a logical scenario for its critical concrete scenarios.
 
@@ -92,92 +58,19 @@ def explore(
         OpenSCENARIO file. None: the file that `space` names.
     study : path
         Study file to create or resume.
-    ego : str
-        Name of the entity under test.
-    other : str or sequence of str
-        Entities that the ego is measured against; the most critical one counts. ``"*"`` means all others.
-    metrics : sequence of str
-        Criticality metrics. All are stored; the first is searched unless `weights` are given.
-    space : path, optional
-        ParameterValueDistribution file. Like `ranges`, `vary` and `continuous`, only if `scenario` is a path.
-    ranges : sequence of str
-        ``NAME=LOW:HIGH[:STEP]``; they add parameters to the space or replace them.
-    vary : sequence of str
-        ``NAME=LOW:HIGH[:STEP]`` or ``NAME`` for numbers in the file, under the names that
-        `cornercase.scenario.list_variables` gives them. A copy of the scenario with parameters in their place is
-        written next to the study as ``STUDY.varied.xosc`` and explored.
-    continuous : bool, default False
-        Search ranges with steps as continuous intervals.
-    optimizer : str or Optimizer, default "bayes"
-        Such as ``cornercase.optimizers.LevelSet(filling=0.1)``; in text, options follow a colon: ``"bayes:filling=0"``.
-    critical : float, optional
-        Threshold: score from which a scenario is critical. Default: the metric's own.
-    critical_if : str, optional
-        Condition that replaces metric and threshold, and is searched: ``"collision and not reference:cc-human"``. It
-        consists of ``collision`` (of the ego with anybody), ``reference:NAME`` (the ego would also collide if this
-        driver drove it), bounds on scores such as ``ttc < 1``, ``and``, ``or``, ``not`` and brackets. If the result
-        depends on a reference, the scenario is run a second time.
-    weights : mapping of str to float, optional
-        By metric: search the weighted sum of the scores. Metrics that are critical when high count with a minus sign.
-    pareto : bool, default False
-        Search the Pareto front of all metrics.
-    stop_when : StopRule or sequence of StopRule or str
-        Stop when the critical set is known this well, such as ``cornercase.stop.missed(0.01)`` or ``"missed<0.01"``;
-        all criteria must hold. `cornercase.stop.seconds` and `cornercase.stop.no_improvement` end it by themselves.
-    budget, batch : int
-        Number of scenarios in total and per round.
-    asynchronous : bool, default False
-        Search without rounds: ask for the next scenario as soon as one has ended. With one simulator, the same seed
-        gives the same result. With several, the result depends on the order in which scenarios end, which is stored.
-    patience : int, optional
-        Stop after this many rounds without an improvement; without rounds, after as many scenarios.
-    max_seconds : float, optional
-        Time in s after which no new round starts.
-    seed : int, default 0
-        The same seed gives the same result.
-    simulator : str or Simulator, default "builtin"
-        Such as ``cornercase.simulators.Esmini(seed=3)``, or ``"esmini:seed=3"``. An object is not run itself: one like
-        it is made in each process.
-    workers : int, default 1
-        Number of simulators that run in parallel.
-    cluster : str or distributed.Client, optional
-        Dask cluster to run on: ``"local"`` for `workers` local processes, the address of a scheduler, a scheduler file,
-        or a client, which stays open.
-    timeout : float, optional
-        Time in s after which a scenario is cancelled.
-    retries : int, default 1
-        How often a scenario is run again after the simulator died or hung.
-    max_failures : int, default 5
-        Stop after this many consecutive scenarios in which the simulator died or hung; 0 for no limit. An exception of
-        a driver, the simulator or a metric fails its scenario only, unless that many scenarios have failed before any
-        gave a result.
-    repeats : int, default 1
-        How often each scenario is run; the median score counts.
-    max_repeats : int, optional
-        Upper limit of runs per scenario. A scenario gets `repeats` further runs as long as it is undecided on which
-        side of the threshold it is: while the 90 % interval of the probability that a run is critical
-        (`cornercase.study.StudyFile.critical_run_rates`) contains 0.5. Default: each scenario is run `repeats` times.
-    audit : float, default 0.0
-        Fraction of the scenarios, up to 0.5, that are drawn at random and hidden from the search, to assess its result.
-    time_step, duration : float
-        In s.
-    on_collision : {"continue", "stop"}
-        Whether a run goes on after a collision.
-    drivers : mapping of str to str or Driver, optional
-        By entity: a preset or ``package.module:Class``, both with options after a colon, or a driver object.
-    check_proposals : bool, default False
-        Simulate nothing; check that the stored results lead to the same proposals.
-    warm_start : path, optional
-        Study with the same parameters but another driver, simulator or time step, whose scores warm-start the search.
-        They are copied; a search that is resumed does not need that study.
-    retry_failed : bool, default False
-        First run the failed scenarios of the study again, for example after an external failure. Later proposals stay.
+    REQUIRED
     progress : bool, default False
         Show progress on standard error.
+    **options
+        Any of the parameters below.
 
     Returns
     -------
     ExplorationResult
+
+    Other Parameters
+    ----------------
+    OPTIONS
 
     Raises
     ------
@@ -199,43 +92,19 @@ def explore(
     ... )
     <ExplorationResult: 4 scenarios done in study.db; the budget of 4 scenarios is used up>
     """
+    refuse_unknown("explore", OPTIONS, options)
+    given: dict[str, Any] = {**options, "ego": ego, "other": other, "metrics": metrics}
     file = check_path("study", study)
-    with open_logical_scenario(scenario, file, space, ranges, vary, continuous) as logical_scenario:
-        config = ExplorationConfig(
-            logical=logical_scenario,
-            ego=ego,
-            other=other,
-            metrics=check_str_sequence("metrics", metrics),
-            optimizer=optimizer,
-            critical=critical,
-            critical_if=critical_if,
-            weights={} if weights is None else weights,
-            pareto=pareto,
-            stop_when=stop_when,
-            budget=budget,
-            batch=batch,
-            asynchronous=asynchronous,
-            patience=patience,
-            max_seconds=max_seconds,
-            seed=seed,
-            simulator=simulator,
-            workers=workers,
-            cluster=cluster,
-            timeout=timeout,
-            retries=retries,
-            max_failures=max_failures,
-            repeats=repeats,
-            max_repeats=max_repeats,
-            audit=audit,
-            time_step=time_step,
-            duration=duration,
-            on_collision=on_collision,
-            drivers={} if drivers is None else drivers,
-            warm_start=warm_start,
-        )
-        if check_bool("check_proposals", check_proposals):
+    space, settings, call = (
+        {name: value for name, value in given.items() if name in group}
+        for group in (SPACE_OPTIONS, CONFIG_OPTIONS, CALL_OPTIONS)
+    )
+    with open_logical_scenario(scenario, file, **space) as logical_scenario:
+        config = ExplorationConfig(logical_scenario, **settings)
+        call = check_options("explore", CALL_OPTIONS, call)
+        if call.pop("check_proposals"):
             return _verify_proposals_of_study(config, file)
-        return explore_config(config, file, progress, retry_failed=retry_failed)
+        return explore_config(config, file, progress, **call)
 
 
 def _verify_proposals_of_study(config: ExplorationConfig, study: Path) -> ExplorationResult:

@@ -19,10 +19,10 @@ from cornercase.scenario._vary import VariedScenario
 def open_logical_scenario(
     scenario: LogicalScenario | Path | str | None,
     study: Path,
-    space: Path | str | None,
-    ranges: Sequence[str],
-    vary: Sequence[str],
-    continuous: bool,
+    space: Path | str | None = None,
+    ranges: Sequence[str] = (),
+    vary: Sequence[str] = (),
+    continuous: bool = False,
 ) -> Iterator[LogicalScenario]:
     """Read the logical scenario of `explore`; with `vary`, write and read a copy with parameters next to the study.
 

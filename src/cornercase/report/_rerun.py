@@ -15,11 +15,12 @@ from cornercase._common.io.files import portable_name
 from cornercase._common.text.sanitize import escape_control_characters
 from cornercase.drivers._description import driver_command_option
 from cornercase.reduction import read_reduction
-from cornercase.report._commands import OPTION_BY_SETTING, describe_unnamed_drivers
+from cornercase.report._commands import describe_unnamed_drivers
 from cornercase.scenario import Value
 from cornercase.scenario._concrete_file import build_concrete_file
 from cornercase.scenario._file import ScenarioFile
 from cornercase.scenario._types import INTEGER_TYPES, convert_to_type, format_value
+from cornercase.simulators._run_options import SIMULATION_OPTIONS
 from cornercase.study import ScenarioRecord, StudyFile, StudyMeta
 from cornercase.study._import_recordings import IMPORTED_SIMULATOR
 from cornercase.study._scenario_file import find_explored_scenario
@@ -94,7 +95,11 @@ def _reason_without_command(meta: StudyMeta) -> str:
 
 
 def _simulate_options(meta: StudyMeta) -> list[str]:
-    options = [f"{option}={meta.settings[name]}" for name, option in OPTION_BY_SETTING.items() if name in meta.settings]
+    options = [
+        f"{option.flag}={meta.settings[name]}"
+        for name, option in SIMULATION_OPTIONS.items()
+        if option.stored == "simulator" and name in meta.settings
+    ]
     if meta.simulator != _BUILTIN:
         options += [f"--simulator={meta.simulator}", f"--ego={meta.ego}"]
     return [

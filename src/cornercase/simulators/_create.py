@@ -15,8 +15,9 @@ from cornercase.drivers._description import user_driver_spec
 from cornercase.simulators._base import Simulator
 from cornercase.simulators._common_options import select_declared_options
 from cornercase.simulators._registry import SIMULATORS
+from cornercase.simulators._run_options import DEFAULT_MAX_FAILURES, MAX_WORKERS
 from cornercase.simulators.dask._simulator import ClusterSimulator
-from cornercase.simulators.pool._simulator import DEFAULT_MAX_FAILURES, MAX_WORKERS, WorkerSimulator
+from cornercase.simulators.pool._simulator import WorkerSimulator
 
 if TYPE_CHECKING:
     from distributed import Client

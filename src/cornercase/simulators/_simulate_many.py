@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Final, Unpack
 
 from cornercase._common import validation
 from cornercase._common.errors import InputError, SimulationError
 from cornercase._common.io.files import check_folder, check_output_differs_from_source, portable_name
 from cornercase._common.io.support_table import deduplicate_notices, warn_notices
+from cornercase._common.option import check_options, document_options
 from cornercase._common.plugin_errors import group_failure_messages
 from cornercase._common.process.signals import collect_interrupts
 from cornercase._common.progress import ProgressBar
 from cornercase._common.text.source_lines import prefix_file
-from cornercase.drivers import Driver
 from cornercase.drivers._resolve import resolve_driver
 from cornercase.scenario import ConcreteScenario, Value
 from cornercase.scenario._file import ScenarioFile
@@ -32,10 +32,7 @@ from cornercase.simulators._results import (
     run_scenarios,
 )
 from cornercase.simulators._run_notices import RunNotices
-from cornercase.simulators.pool._simulator import DEFAULT_MAX_FAILURES
-
-if TYPE_CHECKING:
-    from distributed import Client
+from cornercase.simulators._run_options import SIMULATION_OPTIONS, SimulationKeywords
 
 _CSV_SUFFIX: Final = ".csv"
 # Scenarios per parallel simulator and batch. More gains little, and keeps unwritten recordings in memory.
@@ -81,25 +78,16 @@ def _format_scenario_count(count: int) -> str:
     return f"{count} scenario{'s' if count > 1 else ''}"
 
 
-# The parameters are the options of the command.
+@document_options(SIMULATION_OPTIONS)
 def simulate_many(
     scenarios: Path | str | ScenarioFile | Sequence[Path | str | ScenarioFile],
     folder: Path | str,
     *,
     table: Path | str | None = None,
     values: Mapping[str, Value] | None = None,
-    time_step: float = 0.05,
-    duration: float = 60.0,
-    on_collision: str = "continue",
-    drivers: Mapping[str, str | Driver] | None = None,
-    simulator: str | Simulator = "builtin",
     ego: str = "Ego",
-    workers: int = 1,
-    cluster: str | Client | None = None,
-    timeout: float | None = None,
-    retries: int = 1,
-    max_failures: int = DEFAULT_MAX_FAILURES,
     progress: bool = False,
+    **options: Unpack[SimulationKeywords],
 ) -> SimulatedFolder:
     """Run many concrete scenarios, and write a recording of each into a folder.
 
@@ -118,35 +106,20 @@ def simulate_many(
         (``NAME.csv``); without it they are named after the scenario, with a number.
     values : mapping of str to float or str, optional
         Parameter values in all scenarios.
-    time_step : float, default 0.05
-        In s.
-    duration : float, default 60
-        Maximum duration of a scenario in s.
-    on_collision : {"continue", "stop"}, default "continue"
-        Whether entities pass through each other, or the run ends.
-    drivers : mapping of str to str or Driver, optional
-        By entity.
-    simulator : str or Simulator, default "builtin"
-        As in `simulate`.
     ego : str, default "Ego"
         Entity under test, for a simulator that needs to know it.
-    workers : int, default 1
-        Number of simulators that run in parallel.
-    cluster : str or distributed.Client, optional
-        Dask cluster to run on: ``"local"`` for `workers` local processes, the address of a scheduler, a scheduler file,
-        or a client, which stays open.
-    timeout : float, optional
-        Time in s after which a scenario is cancelled.
-    retries : int, default 1
-        How often a scenario is run again after the simulator died or hung.
-    max_failures : int, default 5
-        Stop after this many consecutive scenarios in which the simulator died or hung; 0 for no limit.
     progress : bool, default False
         Show a progress bar.
+    **options
+        How the scenarios are run: any of the parameters below.
 
     Returns
     -------
     SimulatedFolder
+
+    Other Parameters
+    ----------------
+    OPTIONS
 
     Raises
     ------
@@ -172,6 +145,7 @@ def simulate_many(
     >>> cornercase.simulate_many(scenario, "recordings", table="values.csv", duration=2.0)
     <SimulatedFolder: 1 recordings in 'recordings'>
     """
+    checked = check_options("simulate_many", SIMULATION_OPTIONS, options)
     inputs = scenarios if isinstance(scenarios, Sequence) and not isinstance(scenarios, str) else [scenarios]
     scenario_files, failures = _read_scenario_files(inputs)
     folder = check_folder("folder", folder)
@@ -190,24 +164,12 @@ def simulate_many(
     if table is not None:
         for name in (TABLE_FILE, NOTES_FILE):
             check_output_differs_from_source(folder / name, table, "folder")
-    options: dict[str, Any] = {
-        "time_step": time_step,
-        "duration": duration,
-        "on_collision": on_collision,
-        "drivers": drivers or {},
-    }
-    simulator, options = split_common_options(simulator, options)
-    options["drivers"] = {entity: resolve_driver(driver) for entity, driver in options["drivers"].items()}
-    started = create_simulator(
-        simulator,
-        options,
-        ego=ego,
-        workers=workers,
-        timeout=timeout,
-        retries=retries,
-        cluster=cluster,
-        max_failures=max_failures,
+    simulator, settings = split_common_options(
+        checked.pop("simulator"),
+        {name: checked.pop(name) for name in ("time_step", "duration", "on_collision", "drivers")},
     )
+    settings["drivers"] = {entity: resolve_driver(driver) for entity, driver in settings["drivers"].items()}
+    started = create_simulator(simulator, settings, ego=ego, **checked)
     with started:
         if table is None:
             refused = find_refusals(started, [plan.concrete_scenario for plan in planned])

@@ -177,6 +177,11 @@ class StudyMeta:
         return tuple(name for name in self.metrics if name in self.weights) if self.weights else self.metrics[:1]
 
     @property
+    def condition(self) -> str:
+        """Condition that defines what is critical; empty if a threshold does."""
+        return find_critical_if_condition(self.metrics)
+
+    @property
     def repeats_text(self) -> str:
         """Number of runs of each scenario, in words."""
         return str(self.repeats) if self.most_repeats is None else f"{self.repeats} to {self.most_repeats}"
@@ -343,7 +348,7 @@ class StudyMeta:
             if name == "elsewhere":
                 # The file may have moved; its scores must be the same.
                 mine, theirs_value = mine.get("sha256"), theirs_value.get("sha256")
-            if name == "metrics" and find_critical_if_condition(mine) != find_critical_if_condition(theirs_value):
+            if name == "metrics" and self.condition != other.condition:
                 description = "another condition of what is critical"
             if mine != theirs_value:
                 if name == "settings":

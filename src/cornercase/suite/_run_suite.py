@@ -7,15 +7,15 @@ from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final, Unpack
 
 from cornercase._common.errors import InputError
 from cornercase._common.io.files import check_output_differs_from_source, check_output_is_not_study, check_writable_file
+from cornercase._common.option import check_options, document_options
 from cornercase._common.process.dask import open_connection
 from cornercase._common.text.sanitize import escape_control_characters, remove_folders
 from cornercase._common.validation import (
     check_bool,
-    check_int,
     check_mapping,
     check_str,
     check_str_sequence,
@@ -24,13 +24,14 @@ from cornercase._common.validation import (
 from cornercase._common.validation import check_path as path_argument
 from cornercase.drivers import Driver
 from cornercase.drivers._resolve import is_driver, resolve_driver
+from cornercase.exploration._explore_options import OPTIONS
 from cornercase.metrics import METRICS
 from cornercase.metrics._critical_if import find_critical_if_condition
 from cornercase.metrics._other_entities import ALL_OTHERS, resolve_others
 from cornercase.simulators import Simulator
 from cornercase.simulators._create import create_simulator
 from cornercase.simulators._results import describe_file_error
-from cornercase.simulators.pool._simulator import DEFAULT_MAX_FAILURES, MAX_WORKERS
+from cornercase.simulators._run_options import RUN_OPTIONS, RunKeywords
 from cornercase.study import StudyFile, StudyMeta
 from cornercase.study._stored_paths import stored_path
 from cornercase.suite._baseline import compare_with_baseline, find_baseline_study
@@ -48,15 +49,30 @@ from cornercase.suite._suite_contents import SuiteContents
 from cornercase.suite._suite_result import ScenarioResult, SuiteResult
 from cornercase.suite._verdict import Verdict, worst_state
 
-if TYPE_CHECKING:
-    from distributed import Client
-
 _DEFAULT_SETTINGS: Final[dict[str, Any]] = {"time_step": 0.05, "duration": 60.0, "on_collision": "continue"}
 _BUILTIN: Final = "builtin"
 _RAN_REQUIREMENT: Final = "runs"
 
 
-# The parameters are the options of the command.
+class SuiteKeywords(RunKeywords, total=False):
+    """What a suite has, but for a run may be given otherwise, and how it is run."""
+
+    ego: str | None
+    other: str | Sequence[str] | None
+    metrics: Sequence[str]
+    simulator: str | None
+    time_step: float | None
+    duration: float | None
+    on_collision: str | None
+    drivers: Mapping[str, str | Driver] | None
+
+
+SUITE_OPTIONS: Final = {name: OPTIONS[name] for name in SuiteKeywords.__annotations__}
+for _name in ("ego", "other", "metrics", "simulator", *_DEFAULT_SETTINGS):
+    SUITE_OPTIONS[_name] = OPTIONS[_name].with_default_of("as in the manifest")
+
+
+@document_options(SUITE_OPTIONS)
 def run_suite(
     suite: Path | str,
     study: Path | str,
@@ -64,25 +80,13 @@ def run_suite(
     require: Sequence[str] = (),
     requirements: Path | str | None = None,
     require_from_file: bool = False,
-    ego: str | None = None,
-    other: str | Sequence[str] | None = None,
-    metrics: Sequence[str] = (),
-    simulator: str | Simulator | None = None,
-    workers: int = 1,
-    cluster: str | Client | None = None,
-    timeout: float | None = None,
-    retries: int = 1,
-    max_failures: int = DEFAULT_MAX_FAILURES,
-    time_step: float | None = None,
-    duration: float | None = None,
-    on_collision: str | None = None,
-    drivers: Mapping[str, str | Driver] | None = None,
     against: Path | str | None = None,
     junit: Path | str | None = None,
     summary: Path | str | None = None,
     mutants: int | None = None,
     seed: int = 0,
     progress: bool = False,
+    **options: Unpack[SuiteKeywords],
 ) -> SuiteResult:
     """Run the scenarios of a suite again, judge them, and compare them with those that they were selected from.
 
@@ -102,35 +106,6 @@ def run_suite(
     require_from_file : bool, default False
         Use the criteria for ScenarioRunner in the files as requirements, if a recording can answer them; a notice names
         the others.
-    ego : str, optional
-        Name of the entity under test; by default that of the manifest.
-    other : str or sequence of str, optional
-        Entity that the ego is measured against. With several, the most critical one counts; ``"*"`` stands for all
-        others in the files. By default that of the manifest.
-    metrics : sequence of str
-        Criticality metrics to store; by default those of the manifest, without one those in the requirements, or else
-        ``clearance``.
-    simulator : str or Simulator, optional
-        By default that of the manifest; without one the builtin simulator.
-    workers : int, default 1
-        Number of parallel simulators.
-    cluster : str or distributed.Client, optional
-        Dask cluster to run on: ``"local"`` for `workers` processes here, the address of a scheduler, the scheduler
-        file, or a client, which stays open.
-    timeout : float, optional
-        Time in s after which a scenario is stopped.
-    retries : int, default 1
-        How often a scenario is run again after the simulator crashed or hung.
-    max_failures : int, default 5
-        Number of consecutive scenarios in which the simulator crashes or hangs, after which the run stops; 0 for no
-        limit.
-    time_step, duration : float, optional
-        s; by default those of the manifest, without one 0.05 s and 60 s.
-    on_collision : {"continue", "stop"}, optional
-        Effect of a collision on the run; by default as in the manifest, without one ``"continue"``.
-    drivers : mapping of str to str or Driver, optional
-        Drivers by entity: a preset or ``package.module:Class``, either with options after a colon, or an instance. By
-        default those in the files.
     against : path, optional
         Study with earlier recordings: the one that was reduced, or another run of the suite. By default the former, if
         it is beside the manifest or in the folder above.
@@ -146,10 +121,18 @@ def run_suite(
         The same seed gives the same mutants; see `cornercase.drivers.generate_mutants`.
     progress : bool, default False
         Show progress on standard error.
+    **options
+        What the manifest says otherwise, and how the scenarios are run: any of the parameters below. Without a
+        manifest, metrics are those in the requirements or ``clearance``, the simulator is the builtin one, with its
+        default settings.
 
     Returns
     -------
     SuiteResult
+
+    Other Parameters
+    ----------------
+    OPTIONS
 
     Raises
     ------
@@ -162,6 +145,7 @@ def run_suite(
     NoticeWarning
         Something in the files has no effect in the simulator.
     """
+    given = check_options("run_suite", SUITE_OPTIONS, options)
     path = path_argument("study", study)
     parsed = _parse_requirements(require, requirements)
     contents = read_suite(suite)
@@ -173,40 +157,39 @@ def run_suite(
     for item in read:
         check_output_differs_from_source(path, item)
     outputs = _prepare_outputs(junit, summary, path, read)
-    contents, entities = _resolve_entities(contents, ego, other, parsed, drivers or {})
-    workers = check_int("workers", workers, 1, MAX_WORKERS)
-    options = {name: contents.settings.get(name, default) for name, default in _DEFAULT_SETTINGS.items()}
-    overrides = {"time_step": time_step, "duration": duration, "on_collision": on_collision}
-    options |= {name: value for name, value in overrides.items() if value is not None}
-    name = _choose_simulator(contents, simulator)
-    options["drivers"] = _resolve_drivers(contents, drivers)
+    contents, entities = _resolve_entities(contents, given["ego"], given["other"], parsed, given["drivers"])
+    settings = {
+        name: contents.settings.get(name, default) if given[name] is None else given[name]
+        for name, default in _DEFAULT_SETTINGS.items()
+    }
+    name = _choose_simulator(contents, given["simulator"])
+    settings["drivers"] = _resolve_drivers(contents, given["drivers"])
     if mutants is not None:
         # Check before anything is run.
         require_builtin_simulator(str(name))
-        driver_and_mutants = draw_mutants(contents, entities[0], options["drivers"], parsed, mutants, seed)
+        driver_and_mutants = draw_mutants(contents, entities[0], settings["drivers"], parsed, mutants, seed)
     reference_names = dict.fromkeys(name for item in parsed for name in item.expression.reference_drivers)
-    with open_connection(cluster, workers) as client:
-        start: Callable[..., Simulator] = partial(
-            create_simulator, name, ego=entities[0], timeout=timeout, retries=retries
-        )
-        start = partial(start, max_failures=max_failures)
-        start = partial(start, workers=workers) if client is None else partial(start, cluster=client)
-        with start(options) as started, ExitStack() as stack:
+    runs = {name: given[name] for name in RUN_OPTIONS}
+    with open_connection(runs["cluster"], runs["workers"]) as client:
+        if client is not None:
+            runs |= {"cluster": client, "workers": 1}
+        start: Callable[..., Simulator] = partial(create_simulator, name, ego=entities[0], **runs)
+        with start(settings) as started, ExitStack() as stack:
             contents = mark_unsupported(contents, started)
             references = {
-                item: stack.enter_context(_start_with_reference(start, options, entities[0], item))
+                item: stack.enter_context(_start_with_reference(start, settings, entities[0], item))
                 for item in reference_names
             }
             meta = _build_meta(
                 contents,
                 entities,
-                _choose_metrics(contents, metrics, parsed),
+                _choose_metrics(contents, given["metrics"] or (), parsed),
                 parsed,
                 str(name),
                 started.settings,
                 path,
             )
-            n_parallel = workers if client is None else None
+            n_parallel = runs["workers"] if client is None else None
             n_before = run_pending_scenarios(
                 contents, meta, started, path, n_parallel, check_bool("progress", progress)
             )
@@ -219,7 +202,7 @@ def run_suite(
             write(result, target)
         if mutants is not None:
             kills = analyze_suite_mutants(
-                contents, entities, driver_and_mutants, parsed, options, client=client, progress=progress
+                contents, entities, driver_and_mutants, parsed, settings, client=client, progress=progress
             )
             result = replace(result, kill_matrix=kills)
     return result

@@ -29,6 +29,7 @@ from cornercase.simulators._base import Simulator
 from cornercase.simulators._option_pickling import pickle_simulator
 from cornercase.simulators._remote import RemoteSimulator
 from cornercase.simulators._results import Outcome
+from cornercase.simulators._run_options import DEFAULT_MAX_FAILURES
 from cornercase.simulators.dask._worker import (
     BatchResult,
     JobAttempt,
@@ -38,7 +39,6 @@ from cornercase.simulators.dask._worker import (
     identity_task,
     run_scenarios_of_job,
 )
-from cornercase.simulators.pool._simulator import DEFAULT_MAX_FAILURES
 
 if TYPE_CHECKING:
     from distributed import Client, Future

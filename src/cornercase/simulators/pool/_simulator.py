@@ -18,14 +18,11 @@ from cornercase.scenario import ConcreteScenario
 from cornercase.simulators._base import Simulator
 from cornercase.simulators._remote import RemoteSimulator
 from cornercase.simulators._results import Outcome
+from cornercase.simulators._run_options import DEFAULT_MAX_FAILURES
 from cornercase.simulators.pool._process import NoticeMessage, WorkerProcess, WorkerTask
 
-DEFAULT_MAX_FAILURES: Final = 5
-"""Default number of consecutive failures after which the simulator, not the scenarios, is considered at fault."""
 # In s.
 _MAX_SINGLE_WAIT: Final = 3600.0
-MAX_WORKERS: Final = 1024
-"""Maximum number of worker processes: more than any machine has cores, and few enough to be started."""
 
 
 @dataclass

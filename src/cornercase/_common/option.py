@@ -1,0 +1,226 @@
+"""Options that are said once, as fields of a dataclass: Python, the command line, files and pages are made of them."""
+
+from __future__ import annotations
+
+import re
+import textwrap
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import MISSING, Field, dataclass, field, fields, replace
+from pathlib import Path
+from typing import Any, Final, NamedTuple, TypeVar
+
+from cornercase._common.errors import suggest_name
+from cornercase._common.validation import (
+    check_bool,
+    check_float,
+    check_int,
+    check_mapping,
+    check_path,
+    check_str,
+    check_str_sequence,
+)
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+_LINE_LENGTH: Final = 110
+# End of the first clause of a text.
+_CLAUSE: Final = re.compile(r"[;.:]( |$)")
+
+
+class _Kind(NamedTuple):
+    """What one type of field means: the type on the command line, and the type in documentation."""
+
+    command_type: Any
+    documentation: str
+
+
+# By annotation of the field, without None.
+_KINDS: Final = {
+    "str": _Kind(str, "str"),
+    "Path | str": _Kind(Path, "path"),
+    "str | Client": _Kind(str, "str or distributed.Client"),
+    "str | Optimizer": _Kind(str, "str or Optimizer"),
+    "str | Simulator": _Kind(str, "str or Simulator"),
+    "StopRule | Sequence[StopRule | str]": _Kind(list[str], "StopRule or sequence of StopRule or str"),
+    "int": _Kind(int, "int"),
+    "float": _Kind(float, "float"),
+    "bool": _Kind(bool, "bool"),
+    "tuple[str, ...]": _Kind(list[str], "sequence of str"),
+    "str | Sequence[str]": _Kind(list[str], "str or sequence of str"),
+    "Mapping[str, float]": _Kind(list[str], "mapping of str to float"),
+    "Mapping[str, str | Driver]": _Kind(list[str], "mapping of str to str or Driver"),
+}
+
+
+@dataclass(frozen=True)
+class Option:
+    """An option: what a field of a dataclass cannot say of itself, and (by `read_options`) what it says."""
+
+    help: str
+    """For the command line, with metavars."""
+    docs: str = ""
+    """For Python, if they differ."""
+    panel: str = ""
+    """Heading in the help, and on the page of options."""
+    flag: str = ""
+    """Name on the command line if it is not that of Python, such as ``--metric``."""
+    metavar: str | None = None
+    minimum: float | None = None
+    above: float | None = None
+    """Exclusive minimum."""
+    maximum: int | None = None
+    choices: tuple[str, ...] = ()
+    in_file: bool = True
+    """Whether a study file may name it: nothing there runs code, starts programs or says where to write."""
+    stored: str | Callable[[Any], Any] | None = None
+    """Where a study holds it: a field of `StudyMeta`; ``"settings"``: among these, by name; ``"simulator"``: there,
+    because the simulator reports it; a function that derives it from the `StudyMeta`; None: nowhere."""
+    name: str = ""
+    annotation: str = ""
+    """Type of the field, without None."""
+    default: Any = ...
+    """Ellipsis if it has to be given."""
+
+    @property
+    def key(self) -> str:
+        """Name in a study file."""
+        return self.flag.removeprefix("--")
+
+    @property
+    def command_type(self) -> Any:
+        """Type on the command line: a list for everything that can be given repeatedly."""
+        return _KINDS[self.annotation].command_type
+
+    @property
+    def is_field_of_study(self) -> bool:
+        """Whether a field of `StudyMeta` holds it as it is."""
+        return isinstance(self.stored, str) and self.stored not in ("settings", "simulator")
+
+    @property
+    def is_list(self) -> bool:
+        """Whether it can be given repeatedly on the command line."""
+        return bool(self.command_type == list[str])
+
+    @property
+    def is_mapping(self) -> bool:
+        """Whether it has values by name, NAME=VALUE on the command line."""
+        return self.annotation.startswith("Mapping")
+
+    @property
+    def documented_type(self) -> str:
+        """Type and default, as numpydoc writes them."""
+        kind = _KINDS[self.annotation].documentation
+        kind = f"{{{', '.join(map(_quote, self.choices))}}}" if self.choices else kind
+        if self.default is ...:
+            return kind
+        return f"{kind}, optional" if self.is_empty_by_default else f"{kind}, default {_quote(self.default)}"
+
+    @property
+    def is_empty_by_default(self) -> bool:
+        """Whether it has no value unless one is given."""
+        return self.default in (None, (), {})
+
+    def with_default_of(self, source: str) -> Option:
+        """Return the option without a default of its own; `source` is what has one instead, for its documentation."""
+        clause = _CLAUSE.split(self.help)[0]
+        return replace(
+            self,
+            default=None,
+            help=f"{clause}; default: {source}.",
+            docs=f"{_CLAUSE.split(self.docs)[0]}. Default: {source}.",
+        )
+
+    def check(self, value: Any) -> Any:
+        """Return a valid value; `InputError` names the option. None stands for a default that is empty."""
+        if value is None and self.default in (None, {}):
+            return self.default
+        match self.annotation:
+            case "int":
+                return check_int(self.name, value, int(self.minimum or 0), self.maximum)
+            case "float":
+                return check_float(self.name, value, above=self.above, minimum=self.minimum)
+            case "bool":
+                return check_bool(self.name, value)
+            case "Path | str":
+                return check_path(self.name, value)
+            case "str":
+                return check_str(self.name, value, self.choices)
+            case "str | Client":
+                from cornercase._common.process.dask import check_cluster
+
+                return check_cluster(value)
+            case "str | Optimizer" | "str | Simulator" | "StopRule | Sequence[StopRule | str]":
+                # Rooms that know these objects check them.
+                return value
+        if not self.is_mapping:
+            return check_str_sequence(self.name, value)
+        values = check_mapping(self.name, value)
+        is_number = self.annotation.endswith("float]")
+        return {name: check_float(self.name, item) for name, item in values.items()} if is_number else values
+
+
+def _quote(value: object) -> str:
+    return f'"{value}"' if isinstance(value, str) else str(value)
+
+
+def option(default: Any, text: str, **description: Any) -> Any:
+    """Return a dataclass field that is an `Option` with `text` as help; `default` may be a function that makes it."""
+    values = {"default_factory": default} if callable(default) else {"default": default}
+    return field(**values, metadata={"option": Option(text, **description)})
+
+
+def read_options(*groups: type[Any]) -> dict[str, Option]:
+    """Return the options that dataclasses have as fields with the metadata ``option``, by name."""
+    return {
+        item.name: replace(
+            described := item.metadata["option"],
+            name=item.name,
+            annotation=str(item.type).removesuffix(" | None"),
+            default=_read_default(item),
+            flag=described.flag or f"--{item.name.replace('_', '-')}",
+            docs=described.docs or described.help,
+        )
+        for group in groups
+        for item in fields(group)
+        if "option" in item.metadata
+    }
+
+
+def _read_default(item: Field[Any]) -> Any:
+    if item.default_factory is not MISSING:
+        return item.default_factory()
+    return ... if item.default is MISSING else item.default
+
+
+def check_options(function: str, options: Mapping[str, Option], given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the keyword arguments of a function, checked, with defaults; `TypeError` for an unknown name."""
+    refuse_unknown(function, options, given)
+    return {name: item.check(given.get(name, item.default)) for name, item in options.items()}
+
+
+def refuse_unknown(function: str, options: Mapping[str, Option], given: Collection[str]) -> None:
+    """Raise `TypeError`, as Python does, if a keyword argument of a function is not among its options."""
+    for name in given:
+        if name not in options:
+            hint = suggest_name(name, options)
+            raise TypeError(f"{function}() got an unexpected keyword argument '{name}'; {hint}")
+
+
+def document_options(options: Mapping[str, Option]) -> Callable[[Function], Function]:
+    """Put options into a docstring of numpydoc: those that are required and the others, each in place of a line."""
+
+    def decorate(function: Function) -> Function:
+        for mark, is_required in (("    REQUIRED", True), ("    OPTIONS", False)):
+            text = "\n".join(_document(item) for item in options.values() if (item.default is ...) == is_required)
+            function.__doc__ = (function.__doc__ or "").replace(mark, text)
+        return function
+
+    return decorate
+
+
+def _document(item: Option) -> str:
+    indent = " " * 8
+    text = textwrap.fill(
+        item.docs, _LINE_LENGTH, initial_indent=indent, subsequent_indent=indent, break_on_hyphens=False
+    )
+    return f"    {item.name} : {item.documented_type}\n{text}"

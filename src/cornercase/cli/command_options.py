@@ -1,0 +1,93 @@
+"""Options of commands that stand in the table of options, and help in sections."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import wraps
+from inspect import Parameter, signature
+from typing import Annotated, Any, TypeVar
+
+import typer
+from typer.core import TyperCommand
+
+from cornercase._common.option import Option
+from cornercase.cli.parsing import parse_numbers, parse_pairs
+from cornercase.exploration._explore_options import OPTIONS
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+def with_options(*names: str, **defaults: str) -> Callable[[Function], Function]:
+    """Give a command options of the table: it gets them as keyword arguments, parsed as the API takes them.
+
+    `defaults` are options without a default of their own, each with what its help says instead.
+    """
+    options = {name: OPTIONS[name] for name in names}
+    options |= {name: OPTIONS[name].with_default_of(source) for name, source in defaults.items()}
+
+    def decorate(function: Function) -> Function:
+        own = signature(function, eval_str=True)
+        taken = {name: _make_parameter(option) for name, option in options.items()}
+        parameters = [
+            taken.pop(name, item) for name, item in own.parameters.items() if item.kind is not Parameter.VAR_KEYWORD
+        ]
+        parameters += taken.values()
+
+        @wraps(function)
+        def command(**arguments: Any) -> Any:
+            return function(**arguments | {name: _parse(option, arguments[name]) for name, option in options.items()})
+
+        command.__signature__ = own.replace(parameters=parameters)  # type: ignore[attr-defined]
+        command.__annotations__ = {item.name: item.annotation for item in parameters}
+        return command  # type: ignore[return-value]
+
+    return decorate
+
+
+def _make_parameter(option: Option) -> Parameter:
+    """Return an option as Typer reads it from the signature of a command."""
+    declared = typer.Option(
+        option.flag,
+        metavar=option.metavar,
+        help=option.help,
+        min=option.minimum if option.annotation == "int" else None,
+        rich_help_panel=option.panel,
+    )
+    kind = option.command_type
+    return Parameter(
+        option.name,
+        Parameter.KEYWORD_ONLY,
+        default=Parameter.empty
+        if option.default is ...
+        else option.default or None
+        if option.is_list
+        else option.default,
+        annotation=Annotated[
+            kind if option.default is ... or not option.is_empty_by_default else kind | None, declared
+        ],
+    )
+
+
+def _parse(option: Option, value: Any) -> Any:
+    """Return what the API takes for what was given on the command line or in a study file."""
+    if not value and option.is_list:
+        return option.default
+    if not option.is_mapping:
+        return value
+    return (parse_numbers if option.annotation.endswith("float]") else parse_pairs)(value, option.flag)
+
+
+class SectionedCommand(TyperCommand):
+    """Command whose help has a section for each panel of the table of options."""
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Write arguments and options, called by click."""
+        sections: dict[str, list[tuple[str, str]]] = {}
+        for parameter in self.get_params(ctx):
+            heading = "Arguments" if parameter.param_type_name == "argument" else "Options"
+            record = parameter.get_help_record(ctx)
+            if record is not None:
+                sections.setdefault(vars(parameter).get("rich_help_panel") or heading, []).append(record)
+        for heading, records in sections.items():
+            with formatter.section(heading):
+                formatter.write_dl(records)

@@ -1,0 +1,186 @@
+"""The options of an exploration: the one table that Python, the command line, study files and pages are made of.
+
+A new option is one entry here, one line in `ExploreOptions` for type checkers, and the code that uses it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from cornercase._common.option import Option, option, read_options
+from cornercase.simulators._run_options import RunOptions, SimulationKeywords, SimulationOptions
+
+if TYPE_CHECKING:
+    from cornercase.exploration.stop._stop_rules import StopRule
+    from cornercase.optimizers import Optimizer
+    from cornercase.study import StudyMeta
+
+_PROBLEM: Final = "What is tested"
+_problem = partial(option, panel=_PROBLEM)
+_search = partial(option, panel="Search")
+_study = partial(option, panel="Study", in_file=False)
+
+
+# fmt: off
+@dataclass(frozen=True, kw_only=True)
+class SpaceOptions:
+    """What varies, where the logical scenario is a file."""
+
+    space: Path | str | None = _problem(
+        None, "ParameterValueDistribution file.", metavar="FILE.xosc",
+        docs="ParameterValueDistribution file. Like `ranges`, `vary` and `continuous`, only if `scenario` is a path.")
+    ranges: tuple[str, ...] = _problem(
+        (), "Add or replace a parameter.", flag="--range", metavar="NAME=LOW:HIGH[:STEP]",
+        docs="``NAME=LOW:HIGH[:STEP]``; they add parameters to the space or replace them.")
+    vary: tuple[str, ...] = _problem(
+        (), "Vary a number of the file, by its name in the list of 'cornercase vary FILE.xosc'; without a range, in the"
+        " proposed range.", metavar="NAME[=LOW:HIGH[:STEP]]",
+        docs="``NAME=LOW:HIGH[:STEP]`` or ``NAME`` for numbers in the file, under the names that"
+        " `cornercase.scenario.list_variables` gives them. A copy of the scenario with parameters in their place is"
+        " written next to the study as ``STUDY.varied.xosc`` and explored.")
+    continuous: bool = _problem(False, "Search ranges with steps as continuous intervals.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExplorationOptions(SimulationOptions, RunOptions):
+    """What is tested, how it is searched, and how scenarios are run."""
+
+    ego: str = field(metadata={"option": Option(
+        "Entity under test.", panel=_PROBLEM, metavar="NAME", stored="ego")})
+    other: str | Sequence[str] = field(metadata={"option": Option(
+        "Other entity; repeat it for several, '*' for all others. The most critical one counts.",
+        docs='Entities that the ego is measured against; the most critical one counts. ``"*"`` means all others.',
+        panel=_PROBLEM, metavar="NAME|*", stored=lambda meta: meta.others)})
+    metrics: tuple[str, ...] = field(metadata={"option": Option(
+        "Criticality metric. Repeat it for several: all are stored, the first is searched.",
+        docs="Criticality metrics. All are stored; the first is searched unless `weights` are given.",
+        panel=_PROBLEM, flag="--metric", metavar="NAME",
+        stored=lambda meta: meta.metrics[1:] if meta.condition else meta.metrics)})
+    critical_if: str | None = _problem(
+        None, "Search a condition instead: 'collision and not reference:cc-human' is what this driver would have"
+        " prevented; bounds on scores ('ttc < 1'), and, or, not, brackets.", metavar="CONDITION",
+        docs="Condition that replaces metric and threshold, and is searched: ``\"collision and not"
+        ' reference:cc-human"``. It consists of ``collision`` (of the ego with anybody), ``reference:NAME`` (the ego'
+        " would also collide if this driver drove it), bounds on scores such as ``ttc < 1``, ``and``, ``or``, ``not``"
+        " and brackets. If the result depends on a reference, the scenario is run a second time.",
+        stored=lambda meta: meta.condition or None)
+    critical: float | None = _problem(
+        None, "Score from which a scenario is critical; default: the metric's own.", metavar="X",
+        stored=lambda meta: None if meta.condition else meta.critical)
+    optimizer: str | Optimizer = _search(
+        "bayes", "bayes, level-set, committee, evolutionary, optuna, sobol, grid or random; options after a colon, as"
+        " in bayes:filling=0.", metavar="NAME", stored="optimizer",
+        docs="Such as ``cornercase.optimizers.LevelSet(filling=0.1)``; in text, options follow a colon:"
+        ' ``"bayes:filling=0"``.')
+    budget: int = _search(200, "Number of concrete scenarios to run in all.", metavar="N", minimum=1, stored="budget")
+    seed: int = _search(0, "Same seed, same result.", metavar="N", minimum=0, stored="seed")
+    batch: int = _search(10, "Number of concrete scenarios in a round.", metavar="N", minimum=1, stored="batch")
+    weights: Mapping[str, float] = _search(
+        dict, "Search the weighted sum of these metrics.", flag="--weight", metavar="METRIC=W", stored="weights",
+        docs="By metric: search the weighted sum of the scores. Metrics that are critical when high count with a minus"
+        " sign.")
+    pareto: bool = _search(False, "Search the Pareto front of all metrics.", stored="pareto")
+    repeats: int = _search(
+        1, "Run each scenario N times; its score is the median.", metavar="N", minimum=1, stored="repeats",
+        docs="How often each scenario is run; the median score counts.")
+    max_repeats: int | None = _search(
+        None, "Run a scenario N times more, up to M times in all, while it is open whether it is critical: while the"
+        " 90 % interval of the probability that a run is critical contains 0.5.", metavar="M", minimum=1,
+        stored="most_repeats",
+        docs="Upper limit of runs per scenario. A scenario gets `repeats` further runs as long as it is undecided on"
+        " which side of the threshold it is: while the 90 % interval of the probability that a run is critical"
+        " (`cornercase.study.StudyFile.critical_run_rates`) contains 0.5. Default: each is run `repeats` times.")
+    audit: float = _search(
+        0.0, "Share of scenarios, up to 0.5, drawn at random and hidden from the search, to judge what it found.",
+        metavar="SHARE", minimum=0.0, stored="audit")
+    asynchronous: bool = _search(
+        False, "Work without rounds: propose the next scenario as soon as one has ended.", stored="asynchronous",
+        docs="Search without rounds: ask for the next scenario as soon as one has ended. With one simulator, the same"
+        " seed gives the same result. With several, the result depends on the order in which scenarios end, which is"
+        " stored.")
+    warm_start: Path | str | None = _search(
+        None, "Begin from the scores of a study of the same parameters: another driver, simulator or time step.",
+        metavar="OTHER.db", stored=lambda meta: meta.elsewhere.get("study"),
+        docs="Study with the same parameters but another driver, simulator or time step, whose scores warm-start the"
+        " search. They are copied; a search that is resumed does not need that study.")
+    stop_when: StopRule | Sequence[StopRule | str] = _search(
+        (), "Stop when enough is known about the critical set: missed<0.01, interval<0.05, overlooked(0.01)<0.05,"
+        " unvisited(0.01)<0.05, audited-missed<0.1; with several, when all hold.", metavar="WHAT<X",
+        docs="Stop when the critical set is known this well, such as ``cornercase.stop.missed(0.01)`` or"
+        ' ``"missed<0.01"``; all criteria must hold. `cornercase.stop.seconds` and `cornercase.stop.no_improvement` end'
+        " it by themselves.")
+    patience: int | None = _search(
+        None, "Stop after N rounds without anything new (asynchronous: after as many scenarios).", metavar="N",
+        docs="Stop after this many rounds without an improvement; without rounds, after as many scenarios.", minimum=1)
+    max_seconds: float | None = _search(None, "Start no new round after this time in s.", metavar="S", minimum=0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CallOptions:
+    """What one call does with the study, besides searching."""
+
+    check_proposals: bool = _study(False, "Simulate nothing; test whether the stored results give the same proposals.")
+    retry_failed: bool = _study(
+        False, "First run the failed scenarios of the study once more; later proposals stay.")
+# fmt: on
+
+
+class ExploreOptions(SimulationKeywords, total=False):
+    """The options of `cornercase.explore` as keyword arguments, besides `ego`, `other` and `metrics`."""
+
+    space: Path | str | None
+    ranges: Sequence[str]
+    vary: Sequence[str]
+    continuous: bool
+    critical_if: str | None
+    critical: float | None
+    optimizer: str | Optimizer
+    budget: int
+    seed: int
+    batch: int
+    weights: Mapping[str, float] | None
+    pareto: bool
+    repeats: int
+    max_repeats: int | None
+    audit: float
+    asynchronous: bool
+    warm_start: Path | str | None
+    stop_when: StopRule | Sequence[StopRule | str]
+    patience: int | None
+    max_seconds: float | None
+    check_proposals: bool
+    retry_failed: bool
+
+
+_PANELS: Final = (_PROBLEM, "Search", "Simulation", "Runs", "Study")
+OPTIONS: Final = {
+    name: item
+    for panel in _PANELS
+    for name, item in read_options(SpaceOptions, ExplorationOptions, CallOptions).items()
+    if item.panel == panel
+}
+"""All options by name, in the order of help, files and printed commands."""
+SPACE_OPTIONS: Final = read_options(SpaceOptions)
+CONFIG_OPTIONS: Final = read_options(ExplorationOptions)
+CALL_OPTIONS: Final = read_options(CallOptions)
+SEARCH_SETTINGS: Final = {name for name, item in OPTIONS.items() if item.stored == "settings"}
+"""Keys of the settings of a study that are none of its simulator."""
+
+
+def stored_values(meta: StudyMeta) -> dict[str, Any]:
+    """Return the options that a study was explored with, as far as it holds them; None where there is no value."""
+    fields_of_study = meta.to_json()
+    values = {}
+    for name, item in OPTIONS.items():
+        if callable(item.stored):
+            values[name] = item.stored(meta)
+        elif item.stored in ("settings", "simulator"):
+            values[name] = meta.settings.get(name)
+        elif item.stored is not None:
+            # It holds no default values.
+            values[name] = fields_of_study.get(item.stored)
+    return values
