@@ -29,7 +29,6 @@ from sklearn.metrics import adjusted_rand_score, silhouette_score
 
 from cornercase import SimulationError
 from cornercase.clustering import ASPECTS, analyze, cluster, read_distances
-from cornercase.metrics.ending._find_outcome import describe_outcome
 from cornercase.clustering._series import read_series
 from cornercase.drivers._resolve import driver_by_name
 from cornercase.dtw import distances_to
@@ -38,6 +37,7 @@ from cornercase.exploration._explore import explore_config
 from cornercase.exploration._objective import Objective
 from cornercase.exploration._paper_examples import paper_experiment_config
 from cornercase.metrics import METRICS
+from cornercase.metrics.ending._find_outcome import describe_outcome
 from cornercase.reduction import reduce
 from cornercase.reduction._critical_clusters import find_critical_clusters
 from cornercase.reduction._medoids import find_k_medoids
