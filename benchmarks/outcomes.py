@@ -8,7 +8,7 @@ somebody whose way crosses the ego's, and at least two outcomes come about in 5 
 only. FOLDER holds ``CA-FC_2026``.
 
 Figures are the adjusted mutual information (Vinh et al. 2010) of the clusters with the outcome, as
-`cornercase.clustering.describe_outcome` tells it, and with whether the ego was first. Peers get the same distances:
+`describe_outcome` tells it, and with whether the ego was first. Peers get the same distances:
 HDBSCAN of scikit-learn with its default settings, and k-medoids, which is told how many outcomes there are.
 """
 

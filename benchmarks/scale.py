@@ -9,8 +9,10 @@ and ``trajectory-distance``, searched by ``sobol`` in rounds of 500; ``explore, 
 for what is critical by the metric's own threshold, of the sizes of ``--level-set``. What is in FOLDER already is not
 explored again, and has no time then. Commands run one after the other on as many cores as there are.
 
-The exponent of a command is the slope of a straight line through the logarithms of time or memory from 1,000
-scenarios on; below that the start of Python counts for most.
+``analyze + reduce + report`` is the sum of the three, and at least 3,000 scenarios have goals for it. The exponent of a
+command is the slope of a straight line through the logarithms of time or memory from 1,000 scenarios on; below that the
+start of Python counts for most. The steepest one is that between two neighbouring sizes. kB are those of the explored
+study per scenario.
 
 ``--tasks`` measures what a cluster adds to a scenario instead: a local cluster of Dask with one worker and a simulator
 that returns at once.
@@ -19,6 +21,7 @@ that returns at once.
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import math
 import os
@@ -42,6 +45,10 @@ LEVEL_SET = (400, 1_000, 3_000)
 FITTED_FROM = 1_000
 PROGRAM = "import sys; from cornercase.cli import main; sys.exit(main())"
 COLUMNS = ("CPU s", "clock s", "GB")
+SUMMED = ("analyze", "reduce", "report")
+TOTAL = " + ".join(SUMMED)
+GOALS = {3_000: 15.0, 20_000: 100.0}
+"""Most seconds of CPU of the three commands by number of scenarios."""
 
 
 def measured(arguments: list[str]) -> dict[str, float]:
@@ -69,11 +76,12 @@ def explored(path: Path, count: int, search: str) -> dict[str, float] | None:
     if path.exists():
         return None
     rounds = ["--batch", "500"] if search == "sobol" else []
-    return measured(
+    used = measured(
         ["explore", f"{EXAMPLE}.xosc", "--space", f"{EXAMPLE}.space.xosc", "--ego", "Ego", "--other", "Pedestrian",
          "--metric", "wttc", "--metric", "trajectory-distance", "--optimizer", search, "--seed", "1",
          "--budget", str(count), *rounds, "-o", str(path)]
     )  # fmt: skip
+    return used | {"kB": path.stat().st_size / count / 1e3}
 
 
 def commands(folder: Path, count: int, memory: str) -> dict[str, Callable[[], dict[str, float] | None]]:
@@ -111,13 +119,44 @@ def fits(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     for command in dict.fromkeys(row["command"] for row in rows):
         mine = [row for row in rows if row["command"] == command]
         sizes = [row["scenarios"] for row in mine]
-        found.append({"command": command} | {one: exponent(sizes, [row[one] for row in mine]) for one in COLUMNS})
+        found.append(
+            {"command": command}
+            | {one: exponent(sizes, [row[one] for row in mine]) for one in COLUMNS}
+            | {"steepest": steepest(sizes, [row["CPU s"] for row in mine])}
+        )
     return found
+
+
+def steepest(sizes: list[int], values: list[float]) -> float | None:
+    """Largest exponent between two neighbouring sizes."""
+    pairs = list(zip(sizes, values, strict=True))
+    slopes = [exponent([a[0], b[0]], [a[1], b[1]]) for a, b in itertools.pairwise(pairs)]
+    return max((slope for slope in slopes if slope is not None), default=None)
+
+
+def total(rows: list[dict[str, Any]], count: int) -> dict[str, Any] | None:
+    """What the three commands that follow an exploration took together."""
+    mine = [row for row in rows if row["scenarios"] == count and row["command"] in SUMMED]
+    if len(mine) < len(SUMMED):
+        return None
+    sums = {one: sum(row[one] for row in mine) for one in ("CPU s", "clock s")}
+    return {
+        "scenarios": count,
+        "command": TOTAL,
+        **sums,
+        "GB": max(row["GB"] for row in mine),
+        "goal": GOALS.get(count),
+    }
 
 
 def told(row: dict[str, Any], digits: int) -> str:
     cells = "".join(f"{'–' if row[one] is None else format(row[one], f'.{digits}f'):>12}" for one in COLUMNS)
-    return f"{row.get('scenarios', 'exponent'):>9}  {row['command']:20}{cells}"
+    more = "".join(
+        f"  {name} {row[key]:.{digits}f}"
+        for name, key in (("goal", "goal"), ("steepest", "steepest"), ("kB", "kB"))
+        if row.get(key) is not None
+    )
+    return f"{row.get('scenarios', 'exponent'):>9}  {row['command']:25}{cells}{more}"
 
 
 def scaled(
@@ -136,6 +175,9 @@ def scaled(
             if found is not None:
                 rows.append({"scenarios": count, "command": command} | found)
                 print(told(rows[-1], 2), flush=True)
+        if (sums := total(rows, count)) is not None:
+            rows.append(sums)
+            print(told(sums, 2), flush=True)
     return rows
 
 
@@ -207,7 +249,7 @@ def main() -> int:
         for name, value in found.items():
             print(f"{name:34}{value:>12.2f}" if math.isfinite(value) else name)
     else:
-        print(f"{'scenarios':>9}  {'command':20}" + "".join(f"{one:>12}" for one in COLUMNS))
+        print(f"{'scenarios':>9}  {'command':25}" + "".join(f"{one:>12}" for one in COLUMNS))
         with tempfile.TemporaryDirectory() as temporary:
             folder = options.folder or Path(temporary)
             folder.mkdir(parents=True, exist_ok=True)

@@ -13,6 +13,7 @@ from cornercase.clustering import _analyze as analyze_module
 from cornercase.clustering import _landmarks as landmarks
 from cornercase.clustering._assign import assign_to_clusters
 from cornercase.clustering._embedding import EmbeddedDistances, LandmarkMDS
+from cornercase.clustering._k_means import find_k_means
 from cornercase.clustering._landmarks import PairwiseComparer, cluster_by_landmarks
 from cornercase.clustering._series import read_series
 from cornercase.dtw import distance_matrix
@@ -150,3 +151,21 @@ def test_what_does_not_fit_is_refused_ahead(path, many, monkeypatch):
     monkeypatch.setattr(analyze_module, "_BYTES_PER_SCENARIO", 10**9)
     with pytest.raises(InputError, match=r"scenarios need .* more than `memory` 1 GB"):
         analyze(path, memory="1 GB")
+
+
+@pytest.mark.parametrize(("n", "k", "axes"), [(400, 40, 48), (300, 300, 3), (333, 17, 8), (200, 1, 1)])
+def test_k_means_by_neighbours_finds_what_scikit_learn_finds(n, k, axes):
+    from sklearn.cluster import KMeans
+
+    rng = np.random.default_rng(n)
+    points = rng.normal(size=(n, axes)) * 0.7 ** np.arange(axes) + 5.0 * rng.integers(3, size=(n, 1))
+    labels, centers = find_k_means(points, k)
+    model = KMeans(k, n_init=1, max_iter=30, random_state=0).fit(points)
+    np.testing.assert_array_equal(labels, model.labels_)
+    np.testing.assert_allclose(centers, model.cluster_centers_, atol=1e-9)
+
+
+def test_k_means_of_identical_points_leaves_clusters_empty():
+    labels, centers = find_k_means(np.repeat([[1.0, 2.0], [3.0, 4.0]], 20, axis=0), 5)
+    assert len(np.unique(labels)) == 2
+    np.testing.assert_allclose(centers[labels], np.repeat([[1.0, 2.0], [3.0, 4.0]], 20, axis=0))

@@ -130,8 +130,7 @@ class EmbeddedDistances:
     @cached_property
     def _nearest_rows(self) -> IntArray:
         """Indices of the nearest rows of each column, the nearest first, shape (m, 32)."""
-        nearest: IntArray = cKDTree(self._rows).query(self._columns, k=_N_NEAREST)[1]
-        return nearest
+        return np.asarray(cKDTree(self._rows).query(self._columns, k=_N_NEAREST)[1], dtype=np.int64)
 
     def medoids(self, count: int) -> IntArray:
         """Choose `count` scenarios with a small mean distance from all to the nearest one, in rising order.

@@ -54,8 +54,7 @@ def _choose_starts(points: FloatArray, k: int) -> IntArray:
 
 
 def _nearest_center(points: FloatArray, centers: FloatArray) -> IntArray:
-    nearest: IntArray = cKDTree(centers).query(points)[1]
-    return nearest
+    return np.asarray(cKDTree(centers).query(points)[1], dtype=np.int64)
 
 
 def _mean_per_cluster(points: FloatArray, labels: IntArray, centers: FloatArray) -> FloatArray:

@@ -87,9 +87,16 @@ class ScenarioDigest:
 
 
 def make_digest(
-    recording: Recording, courses: Mapping[str, FloatArray], meta: StudyMeta, stride: int
+    recording: Recording,
+    courses: Mapping[str, FloatArray],
+    meta: StudyMeta,
+    stride: int,
+    metrics: Sequence[Metric] | None = None,
 ) -> ScenarioDigest:
-    """Make the digest of a recording and of the courses of the study's metrics, as far as there are any."""
+    """Make the digest of a recording and of the courses of the study's metrics, as far as there are any.
+
+    `metrics` are those of the study, by default created anew.
+    """
     # Kernels take long to import, and readers of digests do not need them.
     from cornercase.metrics.ending._ego_features import measure_features
     from cornercase.metrics.ending._find_outcome import find_outcomes
@@ -103,7 +110,7 @@ def make_digest(
     whole = {name: course for name, course in courses.items() if len(course) == n_instants}
     missing = np.full(n_instants, math.nan)
     lines = np.full((len(meta.metrics), COURSE_POINTS), math.nan)
-    for line, metric in zip(lines, _create_metrics(meta), strict=False):
+    for line, metric in zip(lines, create_metrics(meta) if metrics is None else metrics, strict=False):
         if metric.name in whole:
             course = metric.clip_course(whole[metric.name]).astype(np.float32)
             line[:] = resample_course(recording.time, course, metric.lower_is_critical)
@@ -122,7 +129,7 @@ def make_digest(
     )
 
 
-def _create_metrics(meta: StudyMeta) -> tuple[Metric, ...]:
+def create_metrics(meta: StudyMeta) -> tuple[Metric, ...]:
     """Create the metrics of a study; none if the package of one is missing."""
     try:
         return tuple(METRICS.create(name) for name in meta.metrics)

@@ -19,6 +19,7 @@ from cornercase._common.text.sanitize import check_no_surrogates, parse_json
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase._common.validation import check_float, check_int
 from cornercase.drivers.references.r157._preventability import ReferenceOutcome
+from cornercase.metrics import Metric
 from cornercase.metrics._critical_if import find_critical_if_condition
 from cornercase.recordings import Collision, Recording
 from cornercase.study._arrays import read_arrays
@@ -30,6 +31,7 @@ from cornercase.study._database import Database
 from cornercase.study._digest import (
     N_STRIDE_RECORDINGS,
     ScenarioDigest,
+    create_metrics,
     decode_collisions,
     decode_digest,
     decode_facts,
@@ -84,6 +86,8 @@ class StudyFile:
         self.meta = self.read_meta()
         self.space = self.meta.space
         self._row_cache: tuple[tuple[int, int], list[ScenarioRecord]] | None = None
+        # Creating metrics takes longer than a scenario may, so it is done once.
+        self._metrics: tuple[tuple[str, ...], tuple[Metric, ...]] | None = None
         # Lengths of the first recordings, and the id of the last of them, once there are enough.
         self._first_lengths: tuple[int, list[int]] | None = None
 
@@ -626,6 +630,18 @@ class StudyFile:
             raise InputError(f"{self.path}: the scenario {scenario_id} was not run.")
         with reraise_as_damage(self.path):
             return decode_digest(decode_facts(rows[0][1]), rows[0][2], self.meta)
+
+    def metrics(self) -> tuple[Metric, ...]:
+        """Metrics of the study.
+
+        Returns
+        -------
+        tuple of Metric
+            Empty if the package of one is missing.
+        """
+        if self._metrics is None or self._metrics[0] != self.meta.metrics:
+            self._metrics = self.meta.metrics, create_metrics(self.meta)
+        return self._metrics[1]
 
     def first_lengths(self, before: int) -> list[int]:
         """Numbers of instants of the first recordings of the study, which decide the stride of stored series.

@@ -172,7 +172,8 @@ class StudyWriter:
         self, connection: Connection, scenario: int, recording: Recording, courses: Mapping[str, FloatArray]
     ) -> None:
         lengths = [*self._study.first_lengths(scenario), len(recording.time)]
-        digest = make_digest(recording, courses, self._study.meta, downsampling_stride(lengths[:N_STRIDE_RECORDINGS]))
+        stride = downsampling_stride(lengths[:N_STRIDE_RECORDINGS])
+        digest = make_digest(recording, courses, self._study.meta, stride, self._study.metrics())
         insert_rows(connection, "digests", [(scenario, *encode_digest(digest))])
 
     def save_reference_outcome(self, scenario: int, driver: str, outcome: ReferenceOutcome) -> None:
