@@ -38,6 +38,7 @@ from typing import Any, ParamSpec, TypeVar
 import numpy as np
 
 from cornercase import ConcreteScenario, LogicalScenario
+from cornercase._common.typing import FloatArray
 from cornercase.drivers import Driver, Situation
 from cornercase.optimizers import Random
 from cornercase.simulators import Builtin, Esmini
@@ -60,7 +61,7 @@ REPEATED = 3375
 class OwnDriver(Driver):
     """Keeps the target speed and ignores all others, as the first driver of the documentation."""
 
-    def acceleration(self, situation: Situation) -> np.ndarray:
+    def acceleration(self, situation: Situation) -> FloatArray:
         """Approach the target speed."""
         wanted = np.where(np.isfinite(situation.target_speed), situation.target_speed, 10.0)
         return np.clip(wanted - situation.speed, -3.0, 2.0)

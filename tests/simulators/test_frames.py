@@ -11,6 +11,7 @@ import pytest
 from conftest import at_night
 from cornercase import LogicalScenario
 from cornercase._common.errors import SimulationError
+from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.drivers import NORMAL, BehaviourDriver, Driver
 from cornercase.optimizers import Random
 from cornercase.recordings import Recording
@@ -126,13 +127,13 @@ class InPython(Driver):
     """A built-in driver that Python asks, as one of a user's own."""
 
     def __init__(self) -> None:
-        self.inner, self.asked = BehaviourDriver(CALM), list[tuple[float, np.ndarray]]()
+        self.inner, self.asked = BehaviourDriver(CALM), list[tuple[float, BoolArray]]()
 
     def start(self, scenarios: int, others: int) -> None:
         self.asked.clear()
         self.inner.start(scenarios, others)
 
-    def acceleration(self, situation) -> np.ndarray:
+    def acceleration(self, situation) -> FloatArray:
         self.asked.append((situation.time, situation.active))
         return self.inner.acceleration(situation)
 

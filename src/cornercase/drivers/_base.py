@@ -145,7 +145,7 @@ class Driver(Configurable, ABC):
         """Return the acceleration along the path for the coming time step.
 
         It is called once per path in each time step, with disjoint masks ``active``. The result is ignored for
-        scenarios that are not active, and their state must not change.
+        scenarios that are not active, whose values may be of a later time; their state must not change.
 
         Parameters
         ----------

@@ -132,10 +132,10 @@ class Stepper:
         self._condition_histories: list[tuple[int, DelayBuffer]] = []
         for t, trigger in enumerate(self._storyboard.triggers):
             groups = [[(condition, condition.kernel_spec) for condition in group] for group in trigger.groups]
-            known = [[(condition, spec) for condition, spec in group if spec is not None] for group in groups]
-            conditions = [pair for group in known for pair in group]
-            if known == groups:
-                specs.append([[spec for _, spec in group] for group in known])
+            compiled = [[(condition, spec) for condition, spec in group if spec is not None] for group in groups]
+            conditions = [pair for group in compiled for pair in group]
+            if compiled == groups:
+                specs.append([[spec for _, spec in group] for group in compiled])
                 in_tables += conditions
             else:
                 self._python_triggers.append(t)
@@ -228,7 +228,7 @@ class Stepper:
             self._run_until_stopped()
 
     def _evaluate_leaves(self) -> None:
-        """Evaluate the leaves of all conditions in the running scenarios, none of which is in the compiled loop."""
+        """Evaluate the leaves of all conditions in the running scenarios, whose status is idle."""
         self._loop_state.status[self._world.running] = EVALUATE_LEAVES
         self._run_compiled_loop()
 
@@ -240,19 +240,19 @@ class Stepper:
         world, loop, frames = self._world, self._loop_state, self.scene.n_frames
         waiting = waiting & (frames == frames[waiting].min())
         number = int(loop.next_driver[waiting].min())
-        asked = np.zeros_like(waiting)
+        deciding = np.zeros_like(waiting)
         for set_speeds in self._speed_setters[number:]:
             if set_speeds is None:
                 break
-            asked |= waiting & (loop.next_driver == number)
-            loop.status[asked] = IDLE
-            world.running[:] = asked
+            deciding |= waiting & (loop.next_driver == number)
+            loop.status[deciding] = IDLE
+            world.running[:] = deciding
             set_speeds(self._options.time_step)
             # Scenarios that failed are no longer running.
-            asked &= world.running
+            deciding &= world.running
             number += 1
-        loop.next_driver[asked] = number
-        loop.status[asked] = ACTIONS_DONE
+        loop.next_driver[deciding] = number
+        loop.status[deciding] = ACTIONS_DONE
         self._run_until_stopped(has_new_tracks=False)
 
     def _publish_triggers(self) -> BoolArray:
@@ -272,7 +272,7 @@ class Stepper:
         for d, pending_since in enumerate(times):
             leaves.pending_since[:, d] = pending_since
         self._actions.is_running[:] = self._storyboard.find_running_actions().T
-        return in_python
+        return np.asarray(in_python)
 
     def _run_until_stopped(self, has_new_tracks: bool = True) -> None:
         """Run the compiled loop until all scenarios have stopped.

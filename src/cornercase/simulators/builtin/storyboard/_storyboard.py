@@ -70,7 +70,7 @@ class Storyboard:
         self._gather_states()
 
     def _gather_states(self) -> None:
-        """Gather the states of all elements in one table, of which each element keeps its row."""
+        """Move the states of all elements into one table; each element keeps a view of its row."""
         elements = list(dict.fromkeys([*self._registered, *self.actions]))
         self._states = np.array([element.state for element in elements]).reshape(-1, self._world.scenarios)
         for element, state in zip(elements, self._states, strict=True):
@@ -98,7 +98,7 @@ class Storyboard:
 
     def waits_without_trigger(self) -> BoolArray:
         """Scenarios in which an element without a start trigger waits for the next frame, shape (N,)."""
-        return self._stopped | (self._states[self._untriggered_rows] == STANDBY).any(axis=0)
+        return np.asarray(self._stopped | (self._states[self._untriggered_rows] == STANDBY).any(axis=0))
 
     def watch_element(self, kind: str, name: str, watch: StateWatcher, location: str) -> None:
         """Connect a condition to the element of a kind and name once all elements are read."""
