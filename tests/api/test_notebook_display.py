@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -55,7 +56,7 @@ def test_a_study_shows_its_most_critical_scenarios_with_names_escaped(tmp_path):
 def test_every_result_shows_itself(whole):
     study = cc.Study.open(whole)
     summary = study.summary()
-    results = [
+    results: list[Any] = [
         study,
         *summary.analyses.values(),
         summary.reduced_set,

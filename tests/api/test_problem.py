@@ -18,6 +18,7 @@ def scenario() -> cc.LogicalScenario:
     [
         ({"metrics": ["wttc"]}, "critical if wttc <= 1 s"),
         ({"metrics": "wttc", "threshold": 0.2}, "critical if wttc <= 0.2 s"),
+        ({"metrics": cc.metrics.Ttc(accelerating=True)}, "critical if ttc:accelerating=true <= 1.5 s"),
         ({"metrics": ["wttc"], "condition": "collision"}, "critical if collision"),
         ({"metrics": ["wttc", "distance"], "pareto": True}, "searched by Pareto front of wttc, distance"),
         (

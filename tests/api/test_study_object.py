@@ -162,6 +162,19 @@ def test_what_cannot_be_estimated_is_said(problem, tmp_path):
         study.critical_set()
 
 
+def test_messages_name_the_verbs_and_their_arguments(problem, tmp_path):
+    study = cc.Study.create(tmp_path / "study.db", problem)
+    study.explore(cc.optimizers.Sobol(), budget=2)
+    with pytest.raises(cc.InputError, match="run `cluster` first"):
+        study.reduce(tmp_path / "reduced")
+    with pytest.raises(cc.InputError, match="another optimizer; name another study with `path`"):
+        study.explore(cc.optimizers.Grid())
+    with pytest.raises(cc.InputError, match="`scenario` '1': give a whole number"):
+        study.replay(cast("Any", "1"), tmp_path / "run.html")
+    with pytest.raises(cc.InputError, match="no such study; make one with `Study"):
+        cc.Study.open(tmp_path / "missing.db")
+
+
 def test_functions_take_a_study(explored, tmp_path):
     assert cc.summarize(explored).n_run == 24
     page = explored.report(tmp_path / "verb.html")

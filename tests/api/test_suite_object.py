@@ -67,7 +67,7 @@ def test_a_suite_runs_each_scenario_once(reduced):
 def test_a_comparison_writes_its_page_and_lists_its_pairs(reduced, tmp_path):
     old = cc.Suite.open(reduced).run(tmp_path / "old.db")
     new = cc.Suite.open(reduced).run(tmp_path / "new.db", drivers={"Ego": "cautious"})
-    comparison = cc.compare(old.study, new.study)
+    comparison = cc.compare(old, new)
     table = comparison.table()
     assert table.index.tolist() == [pair.ids for pair in comparison.pairs]
     worse = table["new wttc"] < table["old wttc"]

@@ -8,9 +8,9 @@ from pathlib import Path
 
 from cornercase import suite
 from cornercase._common.validation import check_path
+from cornercase.api._study import Study
 from cornercase.api._written_page import Page
 from cornercase.report import write_comparison
-from cornercase.study import StudyFile
 
 
 @dataclass(frozen=True, repr=False)
@@ -49,8 +49,8 @@ class Comparison(suite.Comparison):
 
 
 def compare(
-    old: StudyFile | Path | str,
-    new: StudyFile | Path | str,
+    old: Study | suite.SuiteResult | Path | str,
+    new: Study | suite.SuiteResult | Path | str,
     *,
     metrics: str | Sequence[str] | None = None,
     critical: float | None = None,
@@ -60,9 +60,9 @@ def compare(
 
     Parameters
     ----------
-    old, new : Study or path
+    old, new : Study, SuiteResult or path
         Studies of the same scenario, parameter space and entities; drivers, simulators, versions and time steps may
-        differ.
+        differ. Of results of a suite their studies are compared.
     metrics : str or sequence of str, optional
         Metrics to compare by; by default all, which have to be the same in both.
     critical : float, optional
@@ -87,7 +87,11 @@ def compare(
     >>> cc.compare("old.db", "new.db").write("compare.html")  # doctest: +SKIP
     <Page 'compare.html'>
     """
-    result = suite.compare(old, new, metrics=metrics, critical=critical, tolerances=tolerances)
+    paths = _path_of(old), _path_of(new)
+    result = suite.compare(*paths, metrics=metrics, critical=critical, tolerances=tolerances)
     values = {item.name: getattr(result, item.name) for item in fields(result)}
-    paths = (study.path if isinstance(study, StudyFile) else check_path("study", study) for study in (old, new))
-    return Comparison(**values, studies=(next(paths), next(paths)))
+    return Comparison(**values, studies=paths)
+
+
+def _path_of(study: Study | suite.SuiteResult | Path | str) -> Path:
+    return study.study if isinstance(study, suite.SuiteResult) else check_path("study", study)

@@ -161,6 +161,8 @@ class Study(PathLike[str]):
             There is no such file, it is not a study, or it is damaged.
         """
         study = cls(path, None, simulator, scenario=scenario)
+        if not study.path.exists():
+            raise InputError(f"{study.path}: there is no such study; make one with `Study.create`.")
         with study._read():
             return study
 

@@ -12,10 +12,18 @@ from cornercase._common.errors import InputError
 from cornercase._common.text.html import render_html
 from cornercase._common.validation import check_str_sequence, repr_short
 from cornercase.exploration._config import ExplorationConfig
+from cornercase.metrics import Metric
 from cornercase.scenario import LogicalScenario
 
-# Arguments of the objects, by their name in `ExplorationConfig` and in the functions.
-_NAME_IN_OBJECTS: Final = {"critical": "threshold", "critical_if": "condition", "stop_when": "stop"}
+# Arguments and verbs of the objects, by their name in the functions.
+_NAME_IN_OBJECTS: Final = {
+    "analyze": "cluster",
+    "critical": "threshold",
+    "critical_if": "condition",
+    "id": "scenario",
+    "stop_when": "stop",
+    "study": "path",
+}
 
 
 @dataclass(frozen=True, repr=False)
@@ -30,9 +38,9 @@ class Problem:
         Name of the entity under test.
     other : str or sequence of str
         Entities that the ego is measured against; the most critical one counts. ``"*"`` means all others.
-    metrics : str or sequence of str
-        Criticality metrics, with options after a colon. All are stored; the first is searched unless `weights` are
-        given.
+    metrics : Metric or str, or sequence of these
+        Criticality metrics from `cornercase.metrics`, or as text with options after a colon. All are stored; the first
+        is searched unless `weights` are given.
     threshold : float, optional
         Score from which a scenario is critical, in the unit of the objective. Default: the metric's own.
     condition : str, optional
@@ -61,7 +69,7 @@ class Problem:
     scenario: LogicalScenario
     ego: str
     other: str | Sequence[str]
-    metrics: str | Sequence[str]
+    metrics: Metric | str | Sequence[Metric | str]
     threshold: float | None = None
     condition: str | None = None
     weights: Mapping[str, float] = field(default_factory=dict)
@@ -117,11 +125,13 @@ def problem_from_config(config: ExplorationConfig) -> Problem:
 
 def config_from_problem(problem: Problem, **settings: Any) -> ExplorationConfig:
     """Create the configuration of an exploration; `settings` are its fields that do not belong to the problem."""
+    given = [problem.metrics] if isinstance(problem.metrics, Metric | str) else problem.metrics
+    metrics = [str(metric) if isinstance(metric, Metric) else metric for metric in given]
     return ExplorationConfig(
         logical=problem.scenario,
         ego=problem.ego,
         other=problem.other,
-        metrics=check_str_sequence("metrics", problem.metrics),
+        metrics=check_str_sequence("metrics", metrics),
         critical=problem.threshold,
         critical_if=problem.condition,
         weights=problem.weights,
