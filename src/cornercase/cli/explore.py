@@ -48,7 +48,8 @@ def explore(
             "--critical-if",
             metavar="CONDITION",
             help="Search a condition instead: 'collision and not reference:cc-human' is what this driver"
-            " would have prevented; bounds on scores ('ttc < 1'), temporal operators, and, or, not: see the page Expressions.",
+            " would have prevented; bounds on scores ('ttc < 1'), temporal operators, and, or, not:"
+            " see the page Expressions.",
         ),
     ] = None,
     weight: Annotated[
