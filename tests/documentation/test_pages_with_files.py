@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import os
 import re
 import shlex
@@ -126,8 +125,6 @@ def can_run(line: str) -> bool:
         return NCAP.exists()
     if "esmini" in line:
         return CUT_IN.exists() and "CORNERCASE_ESMINI" in os.environ
-    if "stl:always" in line:
-        return importlib.util.find_spec("rtamt") is not None
     return "--simulator carmaker" not in line
 
 

@@ -24,6 +24,106 @@ def explore(
     ] = None,
     *,
     output: opt.StudyOutput,
+<<<<<<< HEAD
+=======
+    space: opt.SpaceFile = None,
+    ranges: Annotated[
+        list[str] | None, Option("--range", metavar="NAME=LOW:HIGH[:STEP]", help="Add or replace a parameter.")
+    ] = None,
+    vary: opt.Vary = None,
+    continuous: Annotated[bool, Option("--continuous", help="Search ranges with steps as continuous intervals.")] = (
+        False
+    ),
+    optimizer: Annotated[
+        str,
+        Option(
+            metavar="NAME",
+            help="bayes, level-set, committee, evolutionary, optuna, sobol, grid or random; options after a colon, as"
+            " in bayes:filling=0.",
+        ),
+    ] = "bayes",
+    critical: opt.Critical = None,
+    critical_if: Annotated[
+        str | None,
+        Option(
+            "--critical-if",
+            metavar="CONDITION",
+            help="Search a condition instead: 'collision and not reference:cc-human' is what this driver"
+            " would have prevented; bounds on scores ('ttc < 1'), temporal operators, and, or, not:"
+            " see the page Expressions.",
+        ),
+    ] = None,
+    weight: Annotated[
+        list[str] | None,
+        Option("--weight", metavar="METRIC=W", help="Search the weighted sum of these metrics."),
+    ] = None,
+    pareto: Annotated[bool, Option("--pareto", help="Search the Pareto front of all metrics.")] = False,
+    stop_when: Annotated[
+        list[str] | None,
+        Option(
+            "--stop-when",
+            metavar="WHAT<X",
+            help="Stop when enough is known about the critical set: missed<0.01, interval<0.05,"
+            " overlooked(0.01)<0.05, unvisited(0.01)<0.05, audited-missed<0.1; with several, when all hold.",
+        ),
+    ] = None,
+    budget: Annotated[int, Option(metavar="N", help="Number of concrete scenarios to run in all.", min=1)] = 200,
+    batch: Annotated[int, Option(metavar="N", help="Number of concrete scenarios in a round.", min=1)] = 10,
+    asynchronous: Annotated[
+        bool, Option("--asynchronous", help="Work without rounds: propose the next scenario as soon as one has ended.")
+    ] = False,
+    patience: Annotated[
+        int | None,
+        Option(
+            metavar="N", help="Stop after N rounds without anything new (asynchronous: after as many scenarios).", min=1
+        ),
+    ] = None,
+    max_seconds: Annotated[float | None, Option(metavar="S", help="Stop after this time in s.")] = None,
+    seed: opt.Seed = 0,
+    simulator: opt.SimulatorName = "builtin",
+    workers: opt.Workers = 1,
+    cluster: opt.Cluster = None,
+    timeout: opt.Timeout = None,
+    retries: opt.Retries = 1,
+    max_failures: opt.MaxFailures = 5,
+    repeats: Annotated[int, Option(metavar="N", help="Run each scenario N times; its score is the median.", min=1)] = 1,
+    max_repeats: Annotated[
+        int | None,
+        Option(
+            "--max-repeats",
+            metavar="M",
+            help="Run a scenario N times more, up to M times in all, while it is open whether it is critical: while"
+            " the 90 % interval of the probability that a run is critical contains 0.5.",
+            min=1,
+        ),
+    ] = None,
+    audit: Annotated[
+        float,
+        Option(
+            metavar="SHARE",
+            help="Share of scenarios drawn at random and hidden from the search, to judge what it found.",
+        ),
+    ] = 0.0,
+    time_step: opt.TimeStep = 0.05,
+    duration: opt.Duration = 60.0,
+    on_collision: opt.OnCollision = "continue",
+    driver: opt.Drivers = None,
+    check_proposals: Annotated[
+        bool,
+        Option("--check-proposals", help="Simulate nothing; test whether the stored results give the same proposals."),
+    ] = False,
+    warm_start: Annotated[
+        Path | None,
+        Option(
+            "--warm-start",
+            metavar="OTHER.db",
+            help="Begin from the scores of a study of the same parameters: another driver, simulator or time step.",
+        ),
+    ] = None,
+    retry_failed: Annotated[
+        bool, Option("--retry-failed", help="First run the failed scenarios of the study once more.")
+    ] = False,
+>>>>>>> e_expr
     config: Config = None,
     profile: Profile = None,
     maps: opt.Maps = None,

@@ -45,7 +45,7 @@ def test_suite(
             metavar="EXPRESSION",
             help="Requirement on each scenario: 'no collision', 'no collision with NAME', 'no collision at fault',"
             " 'no collision unless cc-human collides' with this driver at the wheel, 'reach X,Y[,R] within T',"
-            " 'drive D', or a formula such as 'ttc > 1.5' and 'ego.acceleration > -4'.",
+            " 'drive D', bounds such as 'ttc > 1.5', temporal operators, and, or, not: see the page Expressions.",
         ),
     ] = None,
     requirements: Annotated[

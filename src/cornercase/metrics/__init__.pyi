@@ -10,6 +10,7 @@ from ._closest_encounter import Ttce as Ttce
 from ._critical_if import CriticalIf as CriticalIf
 from ._distance import Clearance as Clearance
 from ._distance import Distance as Distance
+from ._expression import Expression as Expression
 from ._features import FEATURES as FEATURES
 from ._features import Feature as Feature
 from ._features import FeatureGroup as FeatureGroup
@@ -38,6 +39,5 @@ from ._traffic_quality import TrafficQuality as TrafficQuality
 from ._trajectory_distance import TrajectoryDistance as TrajectoryDistance
 from ._ttc import Ttc as Ttc
 from ._wttc import Wttc as Wttc
-from .expressions._expression import Expression as Expression
 from .expressions._recorded_signals import Signals as Signals
 from .expressions._recorded_signals import signals_from_recording as signals_from_recording

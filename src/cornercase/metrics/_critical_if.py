@@ -13,9 +13,9 @@ from cornercase._common.typing import FloatArray
 from cornercase.metrics._base import Metric
 from cornercase.metrics._distance import Clearance
 from cornercase.metrics._evaluation import Evaluation, evaluate_run
+from cornercase.metrics._expression import DEFAULT_CAP, Expression
 from cornercase.metrics._registry import METRICS
 from cornercase.metrics.expressions._ast import EgoCollides
-from cornercase.metrics.expressions._expression import DEFAULT_CAP, Expression
 from cornercase.metrics.expressions._recorded_signals import (
     CONDITION_METRIC,
     SCORE_PREFIX,

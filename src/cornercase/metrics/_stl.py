@@ -10,9 +10,9 @@ from cornercase._common.errors import InputError
 from cornercase._common.typing import FloatArray
 from cornercase.metrics._base import Metric
 from cornercase.metrics._evaluation import Evaluation
+from cornercase.metrics._expression import DEFAULT_CAP, Expression
 from cornercase.metrics._registry import METRICS
 from cornercase.metrics.expressions._ast import Bound, Signal
-from cornercase.metrics.expressions._expression import DEFAULT_CAP, Expression
 from cornercase.metrics.expressions._recorded_signals import signals_from_recording
 from cornercase.recordings import Recording
 
@@ -37,6 +37,11 @@ class Stl(Metric):
     formula : str, default "clearance > 0"
         Everything behind the colon: ``"stl:always[0:5](ttc > 1.5)"``. Its language is that of
         `cornercase.metrics.Expression`.
+
+    Raises
+    ------
+    InputError
+        The text is no expression, or it needs a run with a reference driver.
     """
 
     name = "stl"
