@@ -62,7 +62,8 @@ class ExplorationOptions(SimulationOptions, RunOptions):
         stored=lambda meta: meta.metrics[1:] if meta.condition else meta.metrics)})
     critical_if: str | None = _problem(
         None, "Search a condition instead: 'collision and not reference:cc-human' is what this driver would have"
-        " prevented; bounds on scores ('ttc < 1'), and, or, not, brackets.", metavar="CONDITION",
+        " prevented; bounds on scores ('ttc < 1'), temporal operators, and, or, not: see the page Expressions.",
+        metavar="CONDITION",
         docs="Condition that replaces metric and threshold, and is searched: ``\"collision and not"
         ' reference:cc-human"``. It consists of ``collision`` (of the ego with anybody), ``reference:NAME`` (the ego'
         " would also collide if this driver drove it), bounds on scores such as ``ttc < 1``, ``and``, ``or``, ``not``"
