@@ -85,6 +85,7 @@ def compile_in_parallel(program: str = _LATE_PROGRAM) -> Iterator[None]:
 
     Both share the cache, so that the kernels of the other process are ready when they are needed.
     """
+    from cornercase._common.numba.interpret import compile_at_once
     from cornercase._common.numba.kernel import call_on_first_compilation
     from cornercase._common.platform import count_available_cpus
 
@@ -97,10 +98,11 @@ def compile_in_parallel(program: str = _LATE_PROGRAM) -> Iterator[None]:
         processes.append(subprocess.Popen(command, stdin=subprocess.PIPE, stdout=nothing, stderr=nothing))
 
     if count_available_cpus() < 2:
-        yield
+        with compile_at_once():
+            yield
         return
     try:
-        with call_on_first_compilation(start_process):
+        with compile_at_once(), call_on_first_compilation(start_process):
             yield
     finally:
         # An incompletely written cache file counts as missing.
@@ -110,7 +112,7 @@ def compile_in_parallel(program: str = _LATE_PROGRAM) -> Iterator[None]:
 
 
 def compile_late_kernels() -> None:
-    """Compile what the examples need late: drivers and all after the simulations.
+    """Compile what the examples need after the simulations.
 
     To be called in a process of its own, which ends with its standard input.
     """
@@ -121,35 +123,12 @@ def compile_late_kernels() -> None:
     from cornercase.metrics.ending._find_outcome import find_outcome
 
     exit_when_stdin_closes()
-    _call_driver()
     crossing = _crossing_recording()
     metrics.measure(crossing, "Ego", "Other", ["wttc"])
     for dimensions in (2, 4, 1):
         dtw.distance_matrix([np.zeros((2, dimensions)), np.ones((2, dimensions))], dtype="float32", n_jobs=1)
     find_outcome(crossing, "Ego", "Other")
     clustering.cluster(_two_group_distances())
-
-
-def _call_driver() -> None:
-    """Call a built-in driver once."""
-    import numpy as np
-
-    from cornercase import drivers
-    from cornercase.drivers._resolve import driver_by_name
-
-    distance, ones = np.arange(0.0, 50.0, 0.5), np.ones(1)
-    path = drivers.DrivenPath(distance, distance, *np.zeros((3, len(distance))))
-    driver = driver_by_name("normal")
-    driver.start(1, 1)
-    driver.acceleration(
-        drivers.Situation(
-            0.0, 0.05, path, ones, ones, 0.0 * ones, 0.0 * ones, ones, 0.0 * ones,
-            length=4.0, width=2.0, center_x=1.5, target_speed=10.0 * ones,
-            others_x=np.full((1, 1), 30.0), others_y=np.zeros((1, 1)), others_heading=np.zeros((1, 1)),
-            others_speed=np.zeros((1, 1)), others_length=ones, others_width=ones, others_center_x=0.0 * ones,
-            others_object_type=("pedestrian",), active=np.ones(1, dtype=np.bool_),
-        )
-    )  # fmt: skip
 
 
 def _import_kernels() -> None:

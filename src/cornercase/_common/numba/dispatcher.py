@@ -13,7 +13,7 @@ from functools import partial
 from typing import Any
 
 import llvmlite.binding as llvm
-from numba.core import compiler, typing
+from numba.core import compiler, event, typing
 from numba.core.codegen import JITCodeLibrary
 from numba.core.registry import CPUDispatcher
 
@@ -31,10 +31,16 @@ class KernelDispatcher(CPUDispatcher):
         self._parts: dict[Any, Any] = {}
         self._estimate_seconds = estimate_seconds
 
+    @property
+    def is_compiled(self):
+        """Whether this process has compiled or loaded it, alone or as a part of another kernel."""
+        return bool(self.overloads or self._parts)
+
     def is_ready(self, *args):
-        """Whether there is machine code for arguments of these types, here or on disk."""
-        types = tuple(map(self.typeof_pyval, args))
-        return types in self.overloads or self._cache.has_overload(types, self.targetctx)
+        """Whether there is machine code: some in this process, or on disk for arguments of these types."""
+        if self.overloads:
+            return True
+        return self._cache.has_overload(tuple(map(self.typeof_pyval, args)), self.targetctx)
 
     def _compile_for_args(self, *args, **kws):
         # What is returned is then called.
@@ -48,7 +54,8 @@ class KernelDispatcher(CPUDispatcher):
         pysig, args = self._compiler.fold_argument_types(args, kws)
         args = tuple(args)
         if args not in self._parts:
-            self._parts[args] = self._compile_part(args)
+            with event.trigger_event("numba:compile", {"dispatcher": self, "args": args, "return_type": None}):
+                self._parts[args] = self._compile_part(args)
         signatures = [part.signature for part in self._parts.values()]
         name = self.py_func.__name__
         return typing.make_concrete_template(f"CallTemplate({name})", name, signatures), pysig, args, {}

@@ -198,7 +198,7 @@ def call_on_first_compilation(callback: Callable[[], None]) -> Iterator[None]:
 def count_ready_kernels() -> tuple[int, int]:
     """Return how many of the imported kernels are ready to run, and how many there are."""
     kernels = list(_KERNELS)
-    return sum(bool(function.signatures) for function in kernels), len(kernels)
+    return sum(function.is_compiled for function in kernels), len(kernels)
 
 
 def reason_not_cached() -> str:

@@ -30,9 +30,9 @@ def run_scenarios(
         return
     waiting = first + np.flatnonzero(loop.status[first:last] != IDLE)
     status = loop.status[waiting]
-    begin, n_done = time.perf_counter(), 0
+    begin, n_done = time.thread_time(), 0
     while n_done < len(waiting):
-        seconds = (time.perf_counter() - begin) / max(n_done, 1)
+        seconds = (time.thread_time() - begin) / max(n_done, 1)
         if not can_interpret(seconds * (len(waiting) - n_done)):
             break
         loop.status[waiting] = IDLE

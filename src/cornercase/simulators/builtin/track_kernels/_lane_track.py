@@ -57,7 +57,7 @@ def advance_on_lane(tracks, row, distance, offset, step):
     )
 
 
-@kernel(error_model="numpy")
+@kernel(interpreted_seconds=lambda *arguments: 1e-4 * len(arguments[-1]), error_model="numpy")
 def advance_on_lane_path(addresses, n_samples, n_curvatures, distance, offset, steps):
     """Distances in m, shape (R,), along a lane path after steps along the reference line.
 

@@ -24,7 +24,7 @@ _MAX_COORDINATE = 1e12
 _COARSE_STRIDE = 64
 
 
-@kernel(error_model="numpy")
+@kernel(interpreted_seconds=lambda *arguments: 1e-3 * len(arguments[-1]), error_model="numpy")
 def project_on_lane_path(addresses, n_samples, max_sample_gap, x, y, after):
     """Distances in m, shape (R,), along a lane path of its points nearest to (x, y), the first ones after `after`.
 
