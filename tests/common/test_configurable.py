@@ -21,10 +21,10 @@ from cornercase.study import StudyFile
 from helpers.command_line import SPACE, X
 
 REGISTRIES: dict[str, Any] = {
-    "driver": cc.DRIVERS,
-    "metric": cc.METRICS,
-    "optimizer": cc.OPTIMIZERS,
-    "simulator": cc.SIMULATORS,
+    "driver": cc.drivers.DRIVERS,
+    "metric": cc.metrics.METRICS,
+    "optimizer": cc.optimizers.OPTIMIZERS,
+    "simulator": cc.simulators.SIMULATORS,
 }
 OWN_OPTIONS = (
     "bayes:filling=0.1", "level-set:candidates=100,filling=0.5", "evolutionary:population=12", "optuna:sampler=nsga2",
@@ -67,7 +67,7 @@ def test_an_optimizer_of_options_stays_as_it_is_when_it_starts():
     points = first.ask(20)
     first.tell(points, points[:, 0])
     np.testing.assert_array_equal(search.start(space, 1, threshold=0.5).ask(20), points)
-    assert search == first == cc.OPTIMIZERS.create("level-set:filling=0.4")
+    assert search == first == cc.optimizers.OPTIMIZERS.create("level-set:filling=0.4")
 
 
 @pytest.mark.parametrize(

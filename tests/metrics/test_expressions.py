@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time as clock
+from typing import Any
 
 import numpy as np
 import pytest
@@ -161,7 +162,7 @@ class Outcome:
 
 
 def verdict(text, run):
-    outcomes = {name: Outcome(collides) for name, collides in run.references.items()}
+    outcomes: Any = {name: Outcome(collides) for name, collides in run.references.items()}
     return judge(Requirement.parse(text), run.recording, "Ego", "Other", references=outcomes).state
 
 
@@ -221,7 +222,7 @@ def test_of_several_others_a_requirement_holds_against_each_and_a_condition_agai
         Run([1.0] * COUNT, [9.0] * COUNT, [5.0] * COUNT, 0, {}),
     )
     one = near.recording
-    fields = {name: np.vstack([getattr(one, name), getattr(far.recording, name)[1:]])
+    fields: Any = {name: np.vstack([getattr(one, name), getattr(far.recording, name)[1:]])
               for name in ("x", "y", "heading", "speed", "acceleration")}  # fmt: skip
     both = Recording(
         time=one.time, names=("Ego", "Other", "Far"), object_types=("car",) * 3, length=np.full(3, 4.0),

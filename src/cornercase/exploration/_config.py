@@ -157,6 +157,12 @@ class ExplorationConfig(ExplorationOptions):
 
         `study` is the path of the study, from which the scenario file is named.
         """
+        fields_of_study: dict[str, Any] = {
+            str(option.stored): getattr(self, name)
+            for name, option in CONFIG_OPTIONS.items()
+            if option.is_field_of_study
+        }
+        fields_of_study["optimizer"] = str(self.optimizer)
         return StudyMeta(
             scenario=stored_path(self.logical.path, study),
             fingerprint=self.logical.fingerprint,
@@ -168,11 +174,7 @@ class ExplorationConfig(ExplorationOptions):
             settings={**self._stored_settings(), **settings},
             critical=criterion.raw,
             elsewhere=warm_start_info or {},
-            **{
-                str(option.stored): str(getattr(self, name)) if name == "optimizer" else getattr(self, name)
-                for name, option in CONFIG_OPTIONS.items()
-                if option.is_field_of_study
-            },
+            **fields_of_study,
         )
 
     def _stored_settings(self) -> dict[str, object]:

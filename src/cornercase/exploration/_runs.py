@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from cornercase._common.errors import InputError
 from cornercase._common.process.dask import check_cluster
 from cornercase._common.validation import check_float, check_int
-from cornercase.simulators.pool._simulator import DEFAULT_MAX_FAILURES, MAX_WORKERS
+from cornercase.simulators._run_options import DEFAULT_MAX_FAILURES, MAX_WORKERS
 
 if TYPE_CHECKING:
     from distributed import Client

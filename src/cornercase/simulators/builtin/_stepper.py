@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from threading import Lock
-from typing import Final, Protocol
+from typing import Any, Final, Protocol
 
 import numpy as np
 from numba import int64, typeof
@@ -43,8 +43,9 @@ from cornercase.simulators.builtin.kernels._run import run_scenarios
 from cornercase.simulators.builtin.kernels._simulation_state import SimulationState, make_state_arrays
 from cornercase.simulators.builtin.storyboard._storyboard import Storyboard
 from cornercase.simulators.builtin.storyboard._triggers import Condition, DelayBuffer
+from cornercase.simulators.builtin.track_kernels._track_layout import TrackTable
 from cornercase.simulators.builtin.tracks._track import Trajectory
-from cornercase.simulators.builtin.tracks._track_pool import TrackPool, TrackTable
+from cornercase.simulators.builtin.tracks._track_pool import TrackPool
 from cornercase.simulators.builtin.world._track_motion import extend_lane_paths, update_off_road_times
 from cornercase.simulators.builtin.world._trailers import place_trailers
 from cornercase.simulators.builtin.world._world import World
@@ -334,7 +335,7 @@ class Stepper:
                     self._planned_routes[d, k] = version
 
 
-def _bind_arguments(*arguments: object) -> tuple[Callable[[int, int], object], bool]:
+def _bind_arguments(*arguments: Any) -> tuple[Callable[[int, int], object], bool]:
     """Bind all arguments of the time loop but the range of scenarios; also return whether it is compiled.
 
     Numba looks at the types of all arrays in each call, which takes longer than one frame of a scenario.
@@ -342,7 +343,8 @@ def _bind_arguments(*arguments: object) -> tuple[Callable[[int, int], object], b
     if isinstance(run_until_storyboard, Dispatcher):
         types = (*map(typeof, arguments), int64, int64)
         if types in run_until_storyboard.overloads:
-            return partial(run_until_storyboard.overloads[types].entry_point, *arguments), True
+            compiled: Any = run_until_storyboard.overloads[types]
+            return partial(compiled.entry_point, *arguments), True
     return partial(run_scenarios, *arguments), False
 
 
