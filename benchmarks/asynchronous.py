@@ -84,10 +84,9 @@ def timed(search: str, asynchronous: bool, workers: int, budget: int, folder: Pa
         logical, "Ego", "Pedestrian", ("wttc",), optimizer=search, simulator="sleeping", budget=budget, batch=workers,
         workers=workers, asynchronous=asynchronous, seed=1,
     )  # fmt: skip
-    objective = configuration.make_objective()
-    threshold = configuration.minimized_threshold(objective)
-    optimizer = OPTIMIZERS.create(search).start(logical.space, 1, threshold=threshold, budget=budget)
-    meta = configuration.make_study_meta(objective, {})
+    criterion = configuration.make_criterion()
+    optimizer = OPTIMIZERS.create(search).start(logical.space, 1, threshold=criterion.oriented, budget=budget)
+    meta = configuration.make_study_meta(criterion, {})
     kind = AsynchronousExplorer if asynchronous else ScenarioExplorer
     names = [one.name for one in logical.space.parameters]
     with (
@@ -97,7 +96,7 @@ def timed(search: str, asynchronous: bool, workers: int, budget: int, folder: Pa
         middle = logical.concrete_scenario(logical.space.values(logical.space.center_point())[0])
         list(simulator.run([middle] * workers))
         begun, used = time.monotonic(), time.process_time()
-        kind(configuration, simulator, optimizer, study, objective).run()
+        kind(configuration, simulator, optimizer, study, criterion).run()
         took, used = time.monotonic() - begun, time.process_time() - used
         slept = sum(seconds_of([float(row.values[name]) for name in names]) for row in study.finished_rows())
         spent = {stage: round(seconds, 2) for stage, seconds in study.elapsed_by_stage().items()}

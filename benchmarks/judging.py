@@ -5,7 +5,7 @@ classifier that tells its own runs best: the one with the least log loss of each
 It never sees the truth. The classifiers are the same for all:
 
 - ``process``: the Gaussian process of the scores near the threshold, `cornercase.evidence.fit_boundary_process`;
-- ``committee``: `cornercase.evidence.Committee`, with the features of the recordings;
+- ``committee``: `cornercase.evidence._committee.CommitteeModel`, with the features of the recordings;
 - ``scores``: the same with the scores alone;
 - ``forest``: scikit-learn's random forest of the parameters.
 """
@@ -21,7 +21,7 @@ from scipy.special import ndtr
 from sklearn.ensemble import RandomForestClassifier
 from sklearn.model_selection import StratifiedKFold, cross_val_predict
 
-from cornercase.evidence._committee import PREDICTED_CRITICAL, Committee
+from cornercase.evidence._committee import PREDICTED_CRITICAL, CommitteeModel
 from cornercase.evidence.gp._process import fit_boundary_process
 from cornercase.metrics import registered_features
 
@@ -54,7 +54,7 @@ def classified(
         forest.fit(points, side)
         return held, lambda at: np.asarray(forest.predict_proba(at)[:, 1])
     with_features = kind == "committee"
-    committee = Committee(critical, registered_features() if with_features else (), seed)
+    committee = CommitteeModel(critical, registered_features() if with_features else (), seed)
     committee.fit(points, scores, features if with_features else None)
     return committee.out_of_fold_probability(), lambda at: committee.predict(at)[0]
 

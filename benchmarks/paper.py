@@ -35,7 +35,6 @@ from cornercase.drivers._resolve import driver_by_name
 from cornercase.dtw import distances_to
 from cornercase.evidence._sensitivity import estimate_sensitivity
 from cornercase.exploration._explore import explore_config
-from cornercase.exploration._objective import Objective
 from cornercase.exploration._paper_examples import paper_experiment_config
 from cornercase.metrics import METRICS
 from cornercase.reduction import reduce
@@ -44,6 +43,8 @@ from cornercase.reduction._medoids import find_k_medoids
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import Builtin
 from cornercase.study import StudyFile
+from cornercase.study._criterion import Criterion
+from cornercase.study._objective import Objective
 
 Floats = npt.NDArray[np.float64]
 DRIVERS = ("cautious", "normal", "aggressive")
@@ -99,15 +100,11 @@ class Experiment:
             if isinstance(run, SimulationError):
                 raise run
             runs.append(run)
-        objective = Objective.from_study_meta(meta)
-        metric = objective.metrics[0]
-        assert meta.critical is not None
-        limit = objective.convert_orientation(meta.critical)
-        runs = [
-            one
-            for one in runs
-            if objective.convert_orientation(metric.score(metric.course(one, meta.ego, meta.others[0]))) <= limit
-        ]
+        criterion = Criterion.from_study_meta(meta)
+        metric = criterion.objective.metrics[0]
+        scores = np.array([metric.score(metric.course(one, meta.ego, meta.others[0])) for one in runs])
+        critical = criterion.is_critical(np.asarray(metric.to_minimize(scores)))
+        runs = [run for run, is_critical in zip(runs, critical, strict=True) if is_critical]
         rows = [row.id for row in study.finished_rows()]
         kept = [rows.index(scenario) for scenario in self.reduced.ids]
         shares = {}

@@ -22,9 +22,9 @@ from scipy.stats import qmc
 
 from cornercase.evidence._critical_set_estimate import CriticalSet
 from cornercase.exploration._explore import explore_config
-from cornercase.exploration._objective import Objective
 from cornercase.exploration._paper_examples import paper_experiment_config
 from cornercase.study import StudyFile
+from cornercase.study._objective import Objective
 
 
 def explored(name: str, simulator: str, budget: int, workers: int, folder: Path) -> dict[str, Any]:

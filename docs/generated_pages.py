@@ -20,7 +20,7 @@ from cornercase.cli import app
 # In the order in which data goes through them.
 ROOMS = (
     "scenario", "roads", "recordings", "drivers", "simulators", "metrics", "study", "evidence", "optimizers",
-    "exploration", "dtw", "clustering", "reduction", "suite", "report", "api",
+    "exploration", "exploration.stop", "dtw", "clustering", "reduction", "suite", "report", "api",
 )  # fmt: skip
 
 # Of the package itself.

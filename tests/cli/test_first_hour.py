@@ -22,7 +22,6 @@ import pytest
 from cornercase._common.errors import InputError, NoticeWarning
 from cornercase._common.progress import format_duration
 from cornercase.exploration._explore import explore_config
-from cornercase.exploration._objective import Objective
 from cornercase.exploration._paper_examples import paper_experiment_config
 from cornercase.optimizers._grid import Grid
 from cornercase.scenario import ParameterSpace
@@ -473,5 +472,5 @@ def test_stumble_03_what_the_demonstration_calls_critical_divides(name, tmp_path
     configuration = replace(paper_experiment_config(name), budget=64, optimizer="sobol")
     explore_config(configuration, tmp_path / "study.db")
     with StudyFile.open(tmp_path / "study.db") as study:
-        critical = Objective.from_study_meta(study.meta).is_critical_in_study(study)
+        critical = study.critical_mask()
     assert 0.02 < critical.mean() < 0.5

@@ -9,7 +9,7 @@ from scipy.stats import qmc
 from cornercase._common.errors import InputError
 from cornercase.evidence._critical_set_estimate import CriticalSet
 from cornercase.evidence.gp._process import GaussianProcess
-from cornercase.exploration.stop._rules import StopCriterion
+from cornercase.exploration.stop._stop_rules import StopCriterion
 from cornercase.metrics import Feature
 from cornercase.optimizers import LevelSet, Sobol
 from cornercase.scenario import Constraint, Parameter, ParameterDeclaration, ParameterSpace

@@ -21,12 +21,12 @@ from cornercase.exploration import explore
 from cornercase.exploration._asynchronous import AsynchronousExplorer
 from cornercase.exploration._config import ExplorationConfig
 from cornercase.exploration._explore import explore_config
-from cornercase.exploration._objective import Objective
 from cornercase.exploration._paper_examples import paper_experiment_config
 from cornercase.exploration._verify_proposals import verify_proposals
 from cornercase.metrics import METRICS
 from cornercase.optimizers import OPTIMIZERS, Optimizer, Sobol
 from cornercase.study import StudyFile
+from cornercase.study._objective import Objective
 from helpers import synthetic_study as synthetic
 from helpers.checksums import reseal
 from helpers.synthetic_study import LOGICAL, SPACE, Synthetic
@@ -98,25 +98,25 @@ def about(optimizer="sobol", **options):
 
 
 def fresh(one):
-    return OPTIMIZERS.create(one.optimizer).start(SPACE, one.seed, threshold=1.0, budget=one.budget)
+    return OPTIMIZERS.resolve(one.optimizer, "optimizer").start(SPACE, one.seed, threshold=1.0, budget=one.budget)
 
 
 def explored(path, one, simulator=None, optimizer=None):
     """Start or resume an exploration without rounds."""
-    objective = Objective([METRICS.create("distance")])
+    criterion = one.make_criterion(Objective([METRICS.create("distance")]))
     with (
         StudyFile.open(path, readonly=False)
         if path.exists()
-        else StudyFile.create(path, one.make_study_meta(objective, {})) as study
+        else StudyFile.create(path, one.make_study_meta(criterion, {})) as study
     ):
-        study.writer.resume(one.make_study_meta(objective, {}))
+        study.writer.resume(one.make_study_meta(criterion, {}))
         searching = fresh(one) if optimizer is None else optimizer
-        return AsynchronousExplorer(one, simulator or Synthetic(), searching, study, objective).run()
+        return AsynchronousExplorer(one, simulator or Synthetic(), searching, study, criterion).run()
 
 
 def proposed_again(path, one):
-    objective = Objective([METRICS.create("distance")])
-    return verify_proposals(path, one.make_study_meta(objective, {}), objective, fresh(one))
+    criterion = one.make_criterion(Objective([METRICS.create("distance")]))
+    return verify_proposals(path, one.make_study_meta(criterion, {}), criterion.objective, fresh(one))
 
 
 def contents(path):

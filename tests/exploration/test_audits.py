@@ -13,7 +13,6 @@ from cornercase._common.errors import InputError
 from cornercase.exploration._config import ExplorationConfig
 from cornercase.exploration._explore import explore_config
 from cornercase.exploration._explorer import ScenarioExplorer
-from cornercase.exploration._objective import Objective
 from cornercase.exploration._paper_examples import paper_experiment_config
 from cornercase.exploration._study_critical_set import audit_sampler, is_score_independent
 from cornercase.metrics import METRICS
@@ -22,6 +21,7 @@ from cornercase.report import summarize, write_report
 from cornercase.report.text._show import summary_to_dict
 from cornercase.scenario import LogicalScenario, ParameterSpace
 from cornercase.study import StudyFile
+from cornercase.study._objective import Objective
 from helpers.synthetic_study import LOGICAL, SPACE, Synthetic
 
 AUDITED: dict[str, Any] = {"optimizer": "bayes", "audit": 0.2, "budget": 60, "metrics": ("distance",), "critical": 1.0}
@@ -48,14 +48,14 @@ class Listening(Optimizer):
 def explored(path, simulator=None, **options):
     """Start or resume the exploration of a synthetic scenario with audits."""
     about = ExplorationConfig(LOGICAL, "Ego", "B", seed=7, **AUDITED | options)
-    objective = Objective([METRICS.create("distance")])
+    criterion = about.make_criterion(Objective([METRICS.create("distance")]))
     optimizer = Listening(OPTIMIZERS.resolve(about.optimizer, "optimizer").start(SPACE, 7))
     with (
         StudyFile.open(path, readonly=False)
         if path.exists()
-        else StudyFile.create(path, about.make_study_meta(objective, {})) as study
+        else StudyFile.create(path, about.make_study_meta(criterion, {})) as study
     ):
-        ScenarioExplorer(about, simulator or Synthetic(), optimizer, study, objective).run()
+        ScenarioExplorer(about, simulator or Synthetic(), optimizer, study, criterion).run()
     return optimizer
 
 
@@ -114,7 +114,7 @@ def test_a_search_stops_by_its_audits_and_only_with_audits(tmp_path):
 
 @pytest.mark.parametrize("name", ["sobol", "random", "bayes", "evolutionary", "bayes:filling=0", "grid"])
 def test_what_was_chosen_blindly_is_found_again(name):
-    optimizer, told = OPTIMIZERS.create(name).start(SPACE, 3), np.zeros((0, 2))
+    optimizer, told = OPTIMIZERS.create(name).start(SPACE, 3, budget=3375), np.zeros((0, 2))
     for _ in range(7):
         points = optimizer.ask(10)
         optimizer.tell(points, synthetic_scores(points))
@@ -134,10 +134,10 @@ def synthetic_scores(points):
 def test_a_space_that_is_used_up_ends_the_search_though_audits_are_wanted(tmp_path):
     small = LogicalScenario(Path("synthetic.xosc"), ParameterSpace.from_ranges(["a=0:0.8:0.2", "b=0:1:0.5"]), "0")
     about = ExplorationConfig(small, "Ego", "B", seed=7, **AUDITED | {"optimizer": "sobol", "audit": 0.3})
-    objective = Objective([METRICS.create("distance")])
+    criterion = about.make_criterion(Objective([METRICS.create("distance")]))
     optimizer = OPTIMIZERS.create("sobol").start(small.space, 7)
-    with StudyFile.create(tmp_path / "s.db", about.make_study_meta(objective, {})) as study:
-        result = ScenarioExplorer(about, Synthetic(), optimizer, study, objective).run()
+    with StudyFile.create(tmp_path / "s.db", about.make_study_meta(criterion, {})) as study:
+        result = ScenarioExplorer(about, Synthetic(), optimizer, study, criterion).run()
         searched = [row.point for row in study.rows() if not study.meta.is_audit(row.id)]
     assert "all" in result.reason
     assert len(np.unique(searched, axis=0)) == len(searched) == 15

@@ -235,7 +235,7 @@ class Largest(Metric):
 def test_the_optimizer_is_told_that_lower_is_critical(tmp_path):
     found = {}
     for metric in ("distance", Largest()):
-        with opened(tmp_path / f"{metric}.db") as study:
+        with opened(tmp_path / f"{type(metric).__name__}.db") as study:
             explorer(study, metrics=(metric,), budget=60).run()
             found[type(metric)] = np.median(study.scores("distance")[-30:])
     assert found[Largest] > 4.0
@@ -340,7 +340,7 @@ def test_an_interrupt_before_the_explorer_listens_is_none_that_is_lost(tmp_path,
     monkeypatch.undo()
     assert explore_config(one, tmp_path / "s.db").n_finished == 2
     # Without a study there is nothing to resume.
-    monkeypatch.setattr("cornercase.exploration._explore.StudyFile.create", interrupted)
+    monkeypatch.setattr("cornercase.exploration._explore.open_or_create_study", interrupted)
     with pytest.raises(KeyboardInterrupt):
         explore_config(one, tmp_path / "other.db")
 

@@ -11,13 +11,13 @@ import pytest
 
 from cornercase._common.errors import InputError
 from cornercase.exploration import explore
-from cornercase.exploration._objective import Objective
 from cornercase.exploration._study_critical_set import estimate_critical_set
 from cornercase.exploration._warm_start import read_warm_start
 from cornercase.metrics import METRICS
 from cornercase.report import summarize
 from cornercase.scenario import LogicalScenario
 from cornercase.study import StudyFile, StudyMeta
+from cornercase.study._objective import Objective
 from helpers.checksums import changed, reseal
 from helpers.command_line import SPACE, X, cornercase
 

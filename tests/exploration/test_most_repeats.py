@@ -92,7 +92,7 @@ def about(**more):
 
 
 def explored(path, one, simulator):
-    meta = one.make_study_meta(one.make_objective(), {})
+    meta = one.make_study_meta(one.make_criterion(), {})
     optimizer = OPTIMIZERS.create("sobol").start(SPACE, 3, threshold=THRESHOLD, budget=one.budget)
     kind = AsynchronousExplorer if one.asynchronous else ScenarioExplorer
     with StudyFile.open(path, readonly=False) if path.exists() else StudyFile.create(path, meta) as study:

@@ -12,11 +12,13 @@ from hypothesis.extra.numpy import arrays
 
 from conftest import examples
 from cornercase._common.errors import InputError
-from cornercase.exploration._objective import Incumbent, Objective, is_on_pareto_front
+from cornercase.exploration._incumbent import Incumbent, is_on_pareto_front
 from cornercase.metrics import METRICS
 from cornercase.optimizers import OPTIMIZERS, Evolutionary, Optuna
 from cornercase.scenario import Constraint, Parameter, ParameterDeclaration, ParameterSpace
 from cornercase.study import StudyFile
+from cornercase.study._criterion import Criterion
+from cornercase.study._objective import Objective
 from helpers.command_line import SPACE, X, cornercase
 from helpers.search_cases import CUBE, explored
 from helpers.synthetic_study import explorer, opened
@@ -44,7 +46,7 @@ def test_lower_is_always_more_critical():
     np.testing.assert_array_equal(both.minimized(scores), [1.0, -3.0])
     assert both.label == "2 ttc + 0.5 (-drac)"
     np.testing.assert_array_equal(Objective([TTC, DRAC], pareto=True).minimized(scores), [[1.5, -4.0], [0.5, -8.0]])
-    assert Objective([DRAC]).minimized_threshold(3.0) == -3.0
+    assert Criterion.from_given(Objective([DRAC]), 3.0).oriented == -3.0
     # Unused scores may be undefined.
     np.testing.assert_array_equal(Objective([TTC, DRAC]).minimized(np.array([[1.5, np.nan]])), [1.5])
 
@@ -64,9 +66,9 @@ def test_what_cannot_be_searched_is_refused(weights, pareto, words):
 
 def test_what_is_critical_needs_one_score():
     with pytest.raises(InputError, match="has no threshold"):
-        Objective([TTC, DRAC], pareto=True).minimized_threshold(1.0)
+        Criterion.from_given(Objective([TTC, DRAC], pareto=True), 1.0)
     with pytest.raises(InputError, match="the weighted sum up to which"):
-        Objective([TTC, DRAC], {"ttc": 1.0}).minimized_threshold(None)
+        Criterion.from_given(Objective([TTC, DRAC], {"ttc": 1.0}), None)
 
 
 @given(arrays(np.float64, st.tuples(st.integers(1, 25), st.integers(1, 3)), elements=st.integers(0, 4).map(float)))

@@ -19,13 +19,14 @@ from cornercase._common.errors import SimulationError
 from cornercase.exploration._asynchronous import AsynchronousExplorer
 from cornercase.exploration._config import ExplorationConfig
 from cornercase.exploration._explorer import ScenarioExplorer
-from cornercase.exploration._objective import Objective
 from cornercase.metrics import METRICS
 from cornercase.optimizers import OPTIMIZERS
 from cornercase.recordings import Recording
 from cornercase.scenario import LogicalScenario, ParameterSpace
 from cornercase.simulators import Simulator
 from cornercase.study import StudyFile, StudyMeta
+from cornercase.study._criterion import Criterion
+from cornercase.study._objective import Objective
 
 SPACE = ParameterSpace.from_ranges(["a=0:1:0.01", "b=0:1"])
 LOGICAL = LogicalScenario(Path("synthetic.xosc"), SPACE, "0")
@@ -78,10 +79,10 @@ def about(space, *metrics, **more):
 def explorer(study, simulator=None, optimizer="bayes", metrics=("distance",), budget=47, logical=LOGICAL, **options):
     objective = Objective([METRICS.create(name) if isinstance(name, str) else name for name in metrics])
     configuration = ExplorationConfig(logical, "Ego", "B", (), budget=budget, seed=7, **options)
-    threshold = objective.minimized_threshold_or_none(1.0)
+    threshold = Criterion.from_given(objective, 1.0, is_required=False).oriented
     optimizer = OPTIMIZERS.create(optimizer).start(logical.space, 7, threshold=threshold, budget=budget)
     kind = AsynchronousExplorer if configuration.asynchronous else ScenarioExplorer
-    return kind(configuration, simulator or Synthetic(), optimizer, study, objective)
+    return kind(configuration, simulator or Synthetic(), optimizer, study, configuration.make_criterion(objective))
 
 
 def opened(path, space=SPACE, **more):

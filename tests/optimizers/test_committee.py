@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from conftest import at_night
-from cornercase.evidence._committee import Committee as CommitteeModel
+from cornercase.evidence._committee import CommitteeModel
 from cornercase.evidence.gp._process import fit_boundary_process
 from cornercase.metrics import Feature
 from cornercase.optimizers import Committee, LevelSet, Sobol

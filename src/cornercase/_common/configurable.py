@@ -42,7 +42,17 @@ class Configurable:
         return hash((type(self), frozenset(given_options(self))))
 
     def with_options(self, **changes: Any) -> Self:
-        """Return a fresh object of the same class and name, with some options changed."""
+        """Return a fresh object of the same class and name.
+
+        Parameters
+        ----------
+        **changes
+            Options that are changed.
+
+        Returns
+        -------
+        Configurable
+        """
         options = given_options(self) | changes
         positional = [options.pop(name) for name in _positional_options(type(self)) & options.keys()]
         made = type(self)(*positional, **options)
@@ -137,7 +147,8 @@ def _is_equal(value: object, default: object) -> bool:
 
 
 def _positional_options(cls: type[Any]) -> set[str]:
-    return {name for name, one in signature(cls).parameters.items() if one.kind is one.POSITIONAL_ONLY}
+    parameters = signature(cls).parameters.values()
+    return {parameter.name for parameter in parameters if parameter.kind is parameter.POSITIONAL_ONLY}
 
 
 def _format_options(configured: object, options: dict[str, Any], format_value: Callable[[object], str]) -> list[str]:

@@ -146,7 +146,7 @@ class Registry(Generic[T]):
         if isinstance(value, str) and value:
             return self.create(value)
         if isinstance(value, str) or self._base is None or not isinstance(value, self._base):
-            raise InputError(f"`{parameter}` {repr_short(value)}: give the name of a {self._kind}, or an object.")
+            raise InputError(f"`{parameter}` {repr_short(value)}: give one as an object, or its name.")
         return value
 
     def get_factory(self, name: str | type[T]) -> Callable[..., T]:

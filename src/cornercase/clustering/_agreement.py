@@ -12,7 +12,6 @@ from scipy.optimize import linear_sum_assignment
 from cornercase._common.text.sanitize import quote_name
 from cornercase._common.typing import IntArray
 from cornercase.clustering._ending import Outcome
-from cornercase.exploration._objective import Objective
 from cornercase.study import StudyFile
 
 
@@ -85,9 +84,7 @@ def collect_facts(study: StudyFile, outcomes: Sequence[Outcome]) -> dict[str, li
         firsts = [{encounter.entity: encounter.first for encounter in outcome.others}.get(name) for outcome in outcomes]
         facts[f"first of {quote_name(study.meta.ego)} and {quote_name(name)}"] = [str(first) for first in firsts]
     if study.critical is not None and not study.meta.pareto:
-        facts["critical"] = [
-            str(outcome) for outcome in Objective.from_study_meta(study.meta).is_critical_in_study(study).tolist()
-        ]
+        facts["critical"] = [str(outcome) for outcome in study.critical_mask().tolist()]
     return {name: values for name, values in facts.items() if len(set(values)) > 1}
 
 
@@ -106,7 +103,7 @@ def mutual_information_with_critical(study: StudyFile, ids: IntArray, labels: In
     is_critical = dict(
         zip(
             (row.id for row in study.finished_rows()),
-            Objective.from_study_meta(study.meta).is_critical_in_study(study),
+            study.critical_mask(),
             strict=True,
         )
     )

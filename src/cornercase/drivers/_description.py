@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Final
 from weakref import WeakKeyDictionary
 
+from cornercase._common.configurable import format_option_value
 from cornercase._common.errors import InputError
 from cornercase._common.plugin_errors import is_built_in, unwrap_factory
 from cornercase.drivers._base import Driver
@@ -87,7 +88,7 @@ def driver_command_option(description: object) -> str | None:
     name, options = description.get("driver"), description.get("options")
     if isinstance(name, str) and isinstance(options, Mapping):
         return ":".join(
-            [name, ",".join(f"{key}={_format_option_value(value)}" for key, value in options.items())]
+            [name, ",".join(f"{key}={format_option_value(value)}" for key, value in options.items())]
             if options
             else [name]
         )
@@ -126,21 +127,17 @@ def format_driver(description: object) -> str:
         return command
     parts = [str(description.get("driver", "a driver"))]
     if isinstance(options, Mapping):
-        parts += [f"{key}={_format_option_value(value)}" for key, value in options.items()]
+        parts += [f"{key}={format_option_value(value)}" for key, value in options.items()]
     else:
         # Without options, only its settings distinguish it.
         settings = description.get("settings")
         values = settings if isinstance(settings, Mapping) else description
         parts += [
-            f"{key}={_format_option_value(value)}" for key, value in values.items() if key not in ("driver", "sha256")
+            f"{key}={format_option_value(value)}" for key, value in values.items() if key not in ("driver", "sha256")
         ]
     if isinstance(checksum, str):
         parts.append(f"sha256 {checksum[:_CHECKSUM_DIGITS]}…")
     return ", ".join(parts)
-
-
-def _format_option_value(value: object) -> str:
-    return str(value).lower() if isinstance(value, bool) else str(value)
 
 
 def iter_driver_changes(stored: object, current: object) -> Iterator[tuple[str, str, str, bool]]:

@@ -69,7 +69,14 @@ class Behaviour(NamedTuple):
         return f"{preset.upper()}._replace({options})" if changes else preset.upper()
 
     def nearest_preset(self) -> tuple[str, dict[str, float]]:
-        """Return the preset with the most parameters in common, and the parameters that differ."""
+        """Return the preset with the most parameters in common, and the parameters that differ.
+
+        Returns
+        -------
+        str
+            ``"normal"``, ``"cautious"`` or ``"aggressive"``.
+        dict of str to float
+        """
         own = self._asdict()
         presets = {"normal": NORMAL, "cautious": CAUTIOUS, "aggressive": AGGRESSIVE}
         changes = {

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, ClassVar, Final
+from typing import TYPE_CHECKING, ClassVar, Final, Self
 
 import numpy as np
 from scipy.special import ndtr
@@ -38,7 +38,7 @@ _UNUSED_FEATURES: Final = frozenset(
 )
 
 
-class Committee:
+class CommitteeModel:
     """Predicts which scenarios are critical by the weighted probabilities of three members.
 
     1. Extremely randomised trees on the parameters and predicted features of the recordings. A score jumps between the
@@ -74,14 +74,14 @@ class Committee:
         self.process: GaussianProcess
         self._feature_models: PerBranchFeatureModels
 
-    def fit(self, points: FloatArray, scores: FloatArray, features: FloatArray | None = None) -> Committee:
+    def fit(self, points: FloatArray, scores: FloatArray, features: FloatArray | None = None) -> Self:
         """Learn kernels and weights from points (n, e), finite scores (n,), not all equal, and features (n, f)."""
         self.process = fit_boundary_process(points, scores, self._threshold, has_prediction=self._has_prediction)
         self._train_on_subset(points, scores, features)
         self._weights = _fit_member_weights(self._out_of_fold_by_member(_WEIGHTING_TREES), self._critical)
         return self
 
-    def condition_on(self, points: FloatArray, scores: FloatArray, features: FloatArray | None = None) -> Committee:
+    def condition_on(self, points: FloatArray, scores: FloatArray, features: FloatArray | None = None) -> Self:
         """Replace the scenarios, keeping kernels and weights; arguments as for `fit`."""
         self.process.condition_on_scores(points, scores, self._threshold)
         self._train_on_subset(points, scores, features, self._feature_models.kernels)

@@ -17,7 +17,7 @@ from cornercase._common.numba.blas import single_threaded_blas
 from cornercase._common.row_keys import row_keys
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.evidence._calibration import ProbitCalibration
-from cornercase.evidence._committee import PREDICTED_CRITICAL, Committee
+from cornercase.evidence._committee import PREDICTED_CRITICAL, CommitteeModel
 from cornercase.evidence._interval_estimate import Estimate
 from cornercase.evidence._multi_fidelity import SourceStudyModel, augment_points
 from cornercase.evidence._out_of_sample import cross_validate_scores
@@ -58,9 +58,9 @@ class CriticalSet:
     points, and with the calibration drawn from its posterior.
 
     A critical scenario counts as found if it was run, or if the mean of the process there is beyond the threshold.
-    Audits never affect what is found. With `features` a `Committee` predicts instead of the process, which is one of
-    its members; found is then what it gives a probability of at least `PREDICTED_CRITICAL`. The process still provides
-    the correlation.
+    Audits never affect what is found. With `features` a `CommitteeModel` predicts instead of the process, which is one
+    of its members; found is then what it gives a probability of at least `PREDICTED_CRITICAL`. The process still
+    provides the correlation.
 
     `points` (n, d) were run and have `scores` (n,), lower is more critical, NaN for a failed scenario. `initial_design`
     (n,) marks those chosen independently of scores, by default all. `audits` are random points and their scores, which
@@ -95,10 +95,10 @@ class CriticalSet:
         self._sample = SpaceSample.from_space(space, seed)
         self._encoded_points, self._source_model = encode_points(space, points), source_model
         coordinates, has_prediction = augment_points(source_model, self._encoded_points), source_model is not None
-        self._committee: Committee | None = None
+        self._committee: CommitteeModel | None = None
         if features is not None and 0 < self._critical.sum() < len(scores):
             columns, values = features
-            self._committee = Committee(threshold, columns, seed, has_prediction=has_prediction)
+            self._committee = CommitteeModel(threshold, columns, seed, has_prediction=has_prediction)
             self._committee.fit(coordinates, scores, values[finished])
             self._process = self._committee.process
         else:
@@ -124,7 +124,7 @@ class CriticalSet:
 
     @property
     def uses_committee(self) -> bool:
-        """Whether a `Committee` predicts instead of the process: if there are features and both classes."""
+        """Whether a `CommitteeModel` predicts instead of the process: if there are features and both classes."""
         return self._committee is not None
 
     def _margin_and_z(self, encoded_points: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -15,7 +15,6 @@ from cornercase._common.typing import FloatArray
 from cornercase.exploration._condition_references import PendingCondition
 from cornercase.exploration._config import ExplorationConfig
 from cornercase.exploration._explorer import ScenarioExplorer
-from cornercase.exploration._objective import Objective
 from cornercase.exploration._proposals import iter_rounds
 from cornercase.exploration._repeat_policy import RepeatedRun
 from cornercase.optimizers import Optimizer
@@ -23,6 +22,7 @@ from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import Simulator
 from cornercase.simulators._stream import SimulatorStream
 from cornercase.study import ScenarioRecord, StudyFile
+from cornercase.study._criterion import Criterion
 
 
 def max_pending_scenarios(n_parallel: int) -> int:
@@ -47,10 +47,10 @@ class AsynchronousExplorer(ScenarioExplorer):
         simulator: Simulator,
         optimizer: Optimizer,
         study: StudyFile,
-        objective: Objective | None = None,
+        criterion: Criterion | None = None,
         references: Mapping[str, Simulator] | None = None,
     ) -> None:
-        super().__init__(config, simulator, optimizer, study, objective, references)
+        super().__init__(config, simulator, optimizer, study, criterion, references)
         self._simulators = {"": simulator, **(references or {})}
         if config.patience is not None:
             self._patience, self._patience_unit = config.patience * config.batch, "scenarios"

@@ -23,8 +23,7 @@ from cornercase._common.validation import (
 from cornercase.drivers import Driver
 from cornercase.drivers._description import driver_command_option, format_driver, iter_driver_changes
 from cornercase.drivers._resolve import create_driver_named_in_file, is_driver
-from cornercase.exploration._objective import Objective
-from cornercase.exploration.stop._rules import StopCriterion, StopRule, resolve_stop_rules
+from cornercase.exploration.stop._stop_rules import StopCriterion, StopRule, resolve_stop_rules
 from cornercase.metrics import METRICS, CriticalIf
 from cornercase.metrics._other_entities import ALL_OTHERS, resolve_others
 from cornercase.metrics.formulas._critical_if import find_critical_if_condition
@@ -35,7 +34,9 @@ from cornercase.simulators import Simulator
 from cornercase.simulators._common_options import split_common_options
 from cornercase.simulators.pool._simulator import DEFAULT_MAX_FAILURES, MAX_WORKERS
 from cornercase.study import StudyFile, StudyMeta
+from cornercase.study._criterion import Criterion
 from cornercase.study._meta import MAX_AUDIT_FRACTION
+from cornercase.study._objective import Objective
 from cornercase.study._run_rates import MIN_DECISIVE_RUNS
 from cornercase.study._scenario_file import find_explored_scenario
 from cornercase.study._stored_paths import stored_path
@@ -101,6 +102,7 @@ class ExplorationConfig:
         simulator, options = split_common_options(self.simulator, arguments)
         arguments |= options
         checked: dict[str, object] = {"ego": check_str("ego", self.ego), "simulator": simulator}
+        checked["optimizer"] = OPTIMIZERS.resolve(self.optimizer, "optimizer")
         all_entities = (
             self.logical.scenario_file.entities if ALL_OTHERS in check_str_sequence("other", self.other) else ()
         )
@@ -118,7 +120,7 @@ class ExplorationConfig:
         checked |= {
             name: check_int(name, arguments[name], least)
             for name, least in _MINIMUM_OF_SETTING.items()
-            if arguments[name] is not None
+            if not (name == "patience" and arguments[name] is None)
         }
         checked["workers"] = check_int("workers", self.workers, 1, MAX_WORKERS)
         checked |= {name: check_bool(name, arguments[name]) for name in ("asynchronous", "pareto")}
@@ -213,22 +215,18 @@ class ExplorationConfig:
         """Parse the criteria of `stop_when`."""
         return resolve_stop_rules(self.stop_when)[0]
 
-    def minimized_threshold(self, objective: Objective) -> float | None:
-        """Return the threshold as a minimized score; None if it is unknown and nothing needs it.
+    def make_criterion(self, objective: Objective | None = None) -> Criterion:
+        """Create the objective, unless it is given, and its threshold.
 
-        Raises `InputError` if it is unknown but the optimizer, a stop criterion or `max_repeats` needs it.
+        Raises `InputError` if there is no threshold but the optimizer, a stop criterion or `max_repeats` needs it.
         """
-        if (
-            self.stop_when
-            or self.max_repeats is not None
-            or "threshold" in OPTIMIZERS.get_class(self.optimizer).requires
-        ):
-            return objective.minimized_threshold(self.critical)
-        return objective.minimized_threshold_or_none(self.critical)
+        is_required = bool(self.stop_when) or self.max_repeats is not None
+        is_required |= "threshold" in OPTIMIZERS.get_class(self.optimizer).requires
+        return Criterion.from_given(objective or self.make_objective(), self.critical, is_required=is_required)
 
     def make_study_meta(
         self,
-        objective: Objective,
+        criterion: Criterion,
         settings: Mapping[str, object],
         warm_start_info: Mapping[str, object] | None = None,
         *,
@@ -238,19 +236,18 @@ class ExplorationConfig:
 
         `study` is the path of the study, from which the scenario file is named.
         """
-        threshold = self.minimized_threshold(objective)
         return StudyMeta(
             scenario=stored_path(self.logical.path, study),
             fingerprint=self.logical.fingerprint,
             space=self.logical.space,
             ego=self.ego,
             other=self.others[0] if len(self.others) == 1 else self.others,
-            metrics=tuple(metric.name for metric in objective.metrics),
+            metrics=tuple(metric.name for metric in criterion.objective.metrics),
             optimizer=str(self.optimizer),
             # The options may contain paths of this machine.
             simulator=remove_folders(str(self.simulator)),
             settings=settings,
-            critical=None if threshold is None else objective.convert_orientation(threshold),
+            critical=criterion.raw,
             weights=dict(self.weights),
             pareto=self.pareto,
             seed=self.seed,

@@ -19,7 +19,7 @@ from cornercase._common.row_keys import row_keys
 from cornercase._common.typing import FloatArray
 from cornercase.exploration._config import ExplorationConfig
 from cornercase.exploration._constant_metrics import MIN_SCENARIOS_TO_COMPARE, describe_constant_metrics
-from cornercase.exploration._objective import Incumbent, Objective
+from cornercase.exploration._incumbent import Incumbent
 from cornercase.exploration._proposals import AskTell, ProposalSource
 from cornercase.exploration._runner import ScenarioRunner, StageTimer
 from cornercase.exploration._stop_criteria import StopCriteria
@@ -28,6 +28,7 @@ from cornercase.metrics import compute_features
 from cornercase.optimizers import Optimizer
 from cornercase.simulators import Simulator
 from cornercase.study import ScenarioRecord, StudyFile
+from cornercase.study._criterion import Criterion
 
 # Largest space whose scenarios within the constraints are counted.
 _MAX_COUNTED_SPACE: Final = 1 << 18
@@ -130,13 +131,13 @@ class ScenarioExplorer:
         simulator: Simulator,
         optimizer: Optimizer,
         study: StudyFile,
-        objective: Objective | None = None,
+        criterion: Criterion | None = None,
         references: Mapping[str, Simulator] | None = None,
     ) -> None:
         self._config, self._optimizer, self._study = config, optimizer, study
         self._space = config.logical.space
-        self._objective = config.make_objective() if objective is None else objective
-        threshold = config.minimized_threshold(self._objective)
+        criterion = config.make_criterion() if criterion is None else criterion
+        self._objective, threshold = criterion.objective, criterion.oriented
         self._stopping = StopCriteria(
             config.parse_stop_criteria(),
             self._space,
@@ -147,7 +148,7 @@ class ScenarioExplorer:
             source_model=None if threshold is None or not config.stop_when else source_study_model(study, threshold),
         )
         self._clock = StageTimer(study)
-        self._runner = ScenarioRunner(config, simulator, self._objective, study, self._clock, references)
+        self._runner = ScenarioRunner(config, simulator, criterion, study, self._clock, references)
         self._incumbent, self._n_without_improvement = Incumbent(self._objective), 0
         self._patience, self._patience_unit = config.patience, "rounds"
         self._uses_features = "features" in optimizer.requires

@@ -22,11 +22,11 @@ from cornercase.evidence._probability import (
 from cornercase.evidence._rare_events import ImportanceSampling
 from cornercase.exploration._config import ExplorationConfig
 from cornercase.exploration._estimation import Estimation, EventOutcomes, describe_doubts, probability_from_direct_draws
-from cornercase.exploration._objective import Objective
 from cornercase.exploration._runner import ScenarioRunner, StageTimer
 from cornercase.metrics import METRICS
 from cornercase.simulators import Simulator
 from cornercase.study import ScenarioRecord, StudyFile
+from cornercase.study._criterion import Criterion
 
 # Scenarios per round after learning.
 _ROUND_SIZE: Final = 500
@@ -51,10 +51,10 @@ class ProbabilityEstimator:
     ) -> None:
         self._config, self._sampling, self._study, self._encounter_gap = config, sampling, study, encounter_gap
         self._space, self._objective = config.logical.space, config.make_objective()
-        self._threshold = self._objective.minimized_threshold(config.critical)
+        self._criterion = Criterion.from_given(self._objective, config.critical)
         self._clearance = METRICS.create("clearance")
         self._clock = StageTimer(study)
-        self._runner = ScenarioRunner(config, simulator, self._objective, study, self._clock)
+        self._runner = ScenarioRunner(config, simulator, self._criterion, study, self._clock)
         self._finished_rounds: list[tuple[str, list[ScenarioRecord], EventOutcomes]] = []
         # If all scenarios of the space are run: all of them, and the remaining ones.
         self._all_points = self._remaining_points = np.zeros((0, self._space.dimension))
@@ -190,7 +190,7 @@ class ProbabilityEstimator:
                 collision[k] = any(recording.first_collision(ego, other) is not None for other in others)
                 gaps = [self._clearance.score(self._clearance.course(recording, ego, other)) for other in others]
                 encounter[k] = min(gaps) <= self._encounter_gap
-        return EventOutcomes(scores, scores <= self._threshold, collision, encounter)
+        return EventOutcomes(scores, self._criterion.is_critical(scores), collision, encounter)
 
     def _outcomes_of_stages(self, *stages: str) -> tuple[FloatArray, EventOutcomes]:
         """Points and outcomes of all rounds of some stages."""
@@ -260,6 +260,5 @@ class ProbabilityEstimator:
         )
 
     def _describe_criterion(self) -> str:
-        objective: Objective = self._objective
-        value = objective.convert_orientation(self._threshold)
+        objective, value = self._objective, self._criterion.raw
         return f"{objective.label} {'<=' if objective.lower_is_critical else '>='} {value:g} {objective.unit}".rstrip()

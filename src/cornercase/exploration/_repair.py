@@ -261,16 +261,16 @@ def _rerun_lost_scenarios(
 ) -> None:
     with StudyFile.open(repaired_file, readonly=False) as opened:
         config = replace(config_from_study(opened, file, scenario, simulator, drivers), workers=workers)
-        objective = config.make_objective()
+        criterion = config.make_criterion()
         optimizer = OPTIMIZERS.resolve(config.optimizer, "optimizer").start(
-            config.logical.space, config.seed, threshold=config.minimized_threshold(objective), budget=config.budget
+            config.logical.space, config.seed, threshold=criterion.oriented, budget=config.budget
         )
         with simulator_from_config(config) as running, reference_simulators(config) as references:
             require_same_settings(file, opened.meta, running)
             explorer_class = (
                 _RepairExplorer if recovered.is_count_known or not config.asynchronous else AsynchronousExplorer
             )
-            explorer = explorer_class(config, running, optimizer, opened, objective, references)
+            explorer = explorer_class(config, running, optimizer, opened, criterion, references)
             if isinstance(explorer, _RepairExplorer):
                 explorer.restore_rounds(recovered.rounds, recovered.is_count_known)
             else:

@@ -10,10 +10,10 @@ import numpy as np
 from cornercase._common.errors import SimulationError
 from cornercase._common.typing import FloatArray
 from cornercase.exploration._config import ExplorationConfig
-from cornercase.exploration._objective import Objective
 from cornercase.metrics._measure import MetricResult, evaluate_metrics
 from cornercase.recordings import Recording
 from cornercase.study import ScenarioRecord
+from cornercase.study._criterion import Criterion
 from cornercase.study._run_rates import is_criticality_undecided
 
 
@@ -40,9 +40,8 @@ class RepeatPolicy:
     there are no more. Raises `InputError` if `max_repeats` needs a threshold and there is none.
     """
 
-    def __init__(self, config: ExplorationConfig, objective: Objective) -> None:
-        self._config, self._objective = config, objective
-        self._threshold = config.minimized_threshold(objective)
+    def __init__(self, config: ExplorationConfig, criterion: Criterion) -> None:
+        self._config, self._objective, self._threshold = config, criterion.objective, criterion.oriented
 
     def start_scenario(self, row: ScenarioRecord) -> RepeatedRun:
         """Create the state of a scenario without runs."""

@@ -14,7 +14,6 @@ from cornercase._common.errors import InputError, PluginError, SimulationError
 from cornercase._common.typing import FloatArray
 from cornercase.exploration._condition_references import PendingCondition, ReferenceRuns
 from cornercase.exploration._config import ExplorationConfig
-from cornercase.exploration._objective import Objective
 from cornercase.exploration._repeat_policy import RepeatedRun, RepeatPolicy
 from cornercase.exploration._repeatability import check_repeatability
 from cornercase.recordings import Recording
@@ -23,6 +22,7 @@ from cornercase.simulators import Simulator
 from cornercase.simulators._results import run_scenarios
 from cornercase.simulators._run_notices import RunNotices
 from cornercase.study import ScenarioRecord, StudyFile
+from cornercase.study._criterion import Criterion
 
 
 class StageTimer:
@@ -61,14 +61,14 @@ class ScenarioRunner:
         self,
         config: ExplorationConfig,
         simulator: Simulator,
-        objective: Objective,
+        criterion: Criterion,
         study: StudyFile,
         clock: StageTimer,
         references: Mapping[str, Simulator] | None = None,
     ) -> None:
-        self._config, self._simulator, self._objective = config, simulator, objective
+        self._config, self._simulator, self._objective = config, simulator, criterion.objective
         self._study, self._clock = study, clock
-        self._repeat_policy = RepeatPolicy(config, objective)
+        self._repeat_policy = RepeatPolicy(config, criterion)
         self.notices = RunNotices(simulator)
         # Number of scenarios that failed by an exception of a driver, the simulator or a metric, and the last error.
         self._n_exceptions, self._last_error = 0, SimulationError()

@@ -10,11 +10,11 @@ import numpy as np
 
 from cornercase._common.errors import InputError
 from cornercase.exploration._explorer import ExplorationResult
-from cornercase.exploration._objective import Objective
 from cornercase.exploration._proposals import AskTell, ProposalSource, iter_rounds
 from cornercase.metrics import compute_features
 from cornercase.optimizers import Optimizer
 from cornercase.study import ScenarioRecord, StudyFile, StudyMeta
+from cornercase.study._objective import Objective
 
 
 def verify_proposals(path: Path, meta: StudyMeta, objective: Objective, optimizer: Optimizer) -> ExplorationResult:

@@ -11,12 +11,12 @@ import numpy as np
 
 from cornercase._common.errors import InputError
 from cornercase._common.typing import FloatArray
-from cornercase.exploration._objective import Objective
 from cornercase.metrics._measure import evaluate_metrics
 from cornercase.metrics.formulas._critical_if import find_critical_if_condition
 from cornercase.scenario import ParameterSpace, Value
 from cornercase.study import ScenarioRecord, StudyFile
 from cornercase.study._meta import hash_points_and_scores
+from cornercase.study._objective import Objective
 
 _MIN_SCORES: Final = 10
 

@@ -137,7 +137,7 @@ class Optimizer(Configurable, ABC):
         ----------
         space : ParameterSpace
         seed : int
-        **required
+        *further, **required
             What it `requires`, by name.
 
         Raises

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from cornercase._common.typing import FloatArray, IntArray
-from cornercase.evidence._committee import Committee as CommitteeModel
+from cornercase.evidence._committee import CommitteeModel
 from cornercase.evidence._multi_fidelity import augment_points
 from cornercase.evidence.gp._process import encode_points
 from cornercase.metrics import Feature
@@ -27,7 +27,7 @@ _NEAR_FRACTION, _MAX_DEVIATION = (
 
 
 class Committee(WarmStartOptimizer):
-    """Proposes the scenarios about which a `Committee` is most uncertain.
+    """Proposes the scenarios about which a `CommitteeModel` is most uncertain.
 
     It learns from features of the recordings, so that it follows scores that jump between branches of a scenario. It
     proposes scenarios whose probability of being critical is near one half, or whose branch is uncertain: who is first,

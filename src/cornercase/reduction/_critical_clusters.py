@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from cornercase.clustering import Analysis
-from cornercase.exploration._objective import Objective
 from cornercase.study import StudyFile
 
 
@@ -14,14 +13,13 @@ def find_critical_clusters(study: StudyFile, analysis: Analysis) -> list[int]:
 
     If that holds for all clusters, or there is no threshold, the one cluster with the most critical median.
     """
-    meta = study.meta
-    objective, labels = Objective.from_study_meta(meta), analysis.labels
-    metric = objective.metrics[0]
+    criterion, labels = study.criterion, analysis.labels
+    metric = criterion.objective.metrics[0]
     scores = dict(zip((row.id for row in study.finished_rows()), study.scores(metric.name).tolist(), strict=True))
     oriented = metric.to_minimize(np.array([scores[i] for i in analysis.ids.tolist()]))
     clusters = list(range(analysis.clustering.n_clusters))
     medians = {label: float(np.median(oriented[labels == label])) for label in clusters}
     critical = clusters
-    if study.critical is not None and not objective.weights and not objective.pareto:
-        critical = [label for label in clusters if medians[label] <= objective.convert_orientation(study.critical)]
+    if criterion.oriented is not None and not criterion.objective.weights:
+        critical = [label for label in clusters if medians[label] <= criterion.oriented]
     return [min(clusters, key=medians.__getitem__)] if critical == clusters and clusters else critical

@@ -12,7 +12,6 @@ from cornercase._common.typing import FloatArray
 from cornercase.clustering import Analysis, read_analyses, read_distances
 from cornercase.clustering._embedding import Distances
 from cornercase.evidence._critical_set_estimate import CriticalSet
-from cornercase.exploration._objective import Objective
 from cornercase.reduction._coverage import (
     Coverage,
     NearestDistances,
@@ -113,11 +112,11 @@ def evaluate_critical_coverage(
     `similar_distances` has the distance itself. Random selections are redrawn with the seed of the study.
     """
     meta, space = data.study.meta, data.study.space
-    objective = Objective.from_study_meta(meta)
-    if data.study.critical is None or objective.pareto or not selected:
+    criterion = data.study.criterion
+    threshold = criterion.oriented
+    if threshold is None or not selected:
         return {}
-    oriented = dict(zip(data.rows, objective.minimized_scores(data.study).tolist(), strict=True))
-    threshold = objective.convert_orientation(data.study.critical)
+    oriented = dict(zip(data.rows, criterion.objective.minimized_scores(data.study).tolist(), strict=True))
     coverage: dict[str, CriticalCoverage] = {}
     critical_sets: dict[tuple[int, ...], CriticalSet] = {}
     for name, analysis in data.analyses.items():

@@ -9,8 +9,8 @@ from typing import Any, Final
 import numpy as np
 
 from cornercase._common.typing import FloatArray
-from cornercase.exploration._objective import Objective
 from cornercase.report._report_data import ReportData
+from cornercase.study._objective import Objective
 
 _N_DISTANCES: Final = 120
 

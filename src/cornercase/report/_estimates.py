@@ -13,7 +13,7 @@ from cornercase.evidence import Estimate, Sensitivity
 from cornercase.evidence._critical_set_estimate import MIN_REGION_FRACTION
 from cornercase.evidence._proportions import proportion_interval
 from cornercase.evidence._sensitivity import estimate_sensitivity
-from cornercase.exploration._objective import Objective, is_on_pareto_front
+from cornercase.exploration._incumbent import is_on_pareto_front
 from cornercase.exploration._study_critical_set import estimate_critical_set, uses_features
 from cornercase.study import StudyFile
 
@@ -164,8 +164,9 @@ def estimate_missed_fractions(study: StudyFile, estimates: SpaceEstimates) -> It
         return
     rounds = np.array([row.round for row in rows])
     ends = (np.flatnonzero(np.diff(rounds)) + 1).tolist()
-    objective = Objective.from_study_meta(study.meta)
-    scores, threshold = objective.minimized_scores(study), objective.convert_orientation(critical.threshold)
+    criterion = study.criterion
+    scores, threshold = criterion.objective.minimized_scores(study), criterion.oriented
+    assert threshold is not None
     sizes: list[int] = []
     if not uses_features(study.meta.optimizer):
         targets = [len(rows) / 2.0**k for k in range(_MAX_SIZES - 1, 0, -1)]
@@ -182,10 +183,10 @@ def estimate_missed_fractions(study: StudyFile, estimates: SpaceEstimates) -> It
 
 def estimate_space(study: StudyFile) -> SpaceEstimates:
     """Estimate front, critical set and sensitivities of a study, as far as there are enough scores."""
-    rows, meta = study.finished_rows(), study.meta
+    rows = study.finished_rows()
     if not rows:
         return SpaceEstimates()
-    objective = Objective.from_study_meta(meta)
+    objective = study.criterion.objective
     if objective.pareto:
         scores = {metric.name: study.scores(metric.name) for metric in objective.metrics}
         front = np.flatnonzero(is_on_pareto_front(objective.minimized_scores(study))).tolist()
@@ -198,18 +199,18 @@ def estimate_space(study: StudyFile) -> SpaceEstimates:
 
 def estimate_study_sensitivity(study: StudyFile) -> Sensitivity:
     """Estimate the sensitivity of the searched score to the parameters; ValueError for fewer than 10 scores."""
-    scores = Objective.from_study_meta(study.meta).minimized_scores(study)
+    scores = study.criterion.objective.minimized_scores(study)
     searched = ~study.audit_mask()
     return estimate_sensitivity(study.space, study.points()[searched], scores[searched], study.meta.seed)
 
 
 def estimate_critical(study: StudyFile) -> CriticalEstimates | None:
     """Estimate the critical set of a study; None without a threshold or a scenario that ran."""
-    if study.critical is None or not study.finished_rows():
+    criterion = study.criterion
+    threshold, objective = criterion.oriented, criterion.objective
+    if criterion.raw is None or threshold is None or not study.finished_rows():
         return None
-    objective = Objective.from_study_meta(study.meta)
     oriented = objective.minimized_scores(study)
-    threshold = objective.convert_orientation(study.critical)
     audits = study.audit_mask()
     estimates, missed = None, None
     with skip_if_not_enough_data():
@@ -226,7 +227,7 @@ def estimate_critical(study: StudyFile) -> CriticalEstimates | None:
             critical_set.uses_committee,
         )
         missed = critical_set.audited_missed_fraction
-    n_critical_audits = int((oriented[audits] <= threshold).sum())
+    n_critical_audits = int(criterion.is_critical(oriented[audits]).sum())
     n_audits = int(audits.sum())
     audit = (
         AuditEstimates(n_audits, n_critical_audits, proportion_interval(n_critical_audits, n_audits), missed)
@@ -234,10 +235,10 @@ def estimate_critical(study: StudyFile) -> CriticalEstimates | None:
         else None
     )
     return CriticalEstimates(
-        threshold=float(study.critical),
+        threshold=float(criterion.raw),
         lower_is_critical=objective.lower_is_critical,
         unit=objective.unit,
-        n_critical=int((oriented <= threshold).sum()),
+        n_critical=int(criterion.is_critical(oriented).sum()),
         critical_set=estimates,
         audits=audit,
     )

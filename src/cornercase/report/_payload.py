@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 from cornercase.clustering import Analysis
-from cornercase.exploration._objective import Objective
 from cornercase.metrics import METRICS
 from cornercase.report._chart_data import coverage_charts, hull_edges, search_chart, sensitivity_chart
 from cornercase.report._courses import encode_courses
@@ -17,6 +16,7 @@ from cornercase.report.text._captions import describe_views
 from cornercase.report.text._phrases import describe_aspect, describe_informativeness, format_cluster_title
 from cornercase.scenario import Parameter
 from cornercase.study import ScenarioRecord, StudyMeta
+from cornercase.study._objective import Objective
 
 FORMAT_VERSION: Final = 1
 """Version of what `page_payload` returns."""

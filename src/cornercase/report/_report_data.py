@@ -11,7 +11,6 @@ import numpy as np
 from cornercase._common.memory import MemoryLimit, report_memory_need
 from cornercase._common.typing import BoolArray, Float32Array, FloatArray, IntArray
 from cornercase.clustering import Analysis, read_distances
-from cornercase.exploration._objective import Objective
 from cornercase.metrics import METRICS, Metric
 from cornercase.recordings import Recording
 from cornercase.reduction._coverage import NearestDistances, measure_nearest_distances
@@ -129,7 +128,7 @@ def read_report_data(
         examples=_read_examples(study, summary.analyses),
         values=values,
         influential_parameters=_order_by_influence(values, scores[metrics[0].name]),
-        is_critical=Objective.from_study_meta(study.meta).is_critical_in_study(study),
+        is_critical=study.critical_mask(),
         gaps={} if summary.reduced_set is None else _measure_gaps(study, summary.analyses, summary.reduced_set.ids),
         verdicts=judge_study(study),
         outcomes=study.outcomes(),

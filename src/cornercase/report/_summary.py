@@ -14,7 +14,6 @@ from cornercase._common.plugin_errors import group_failure_messages
 from cornercase.clustering import Agreement, Analysis, read_analyses
 from cornercase.clustering._agreement import compare_clusterings
 from cornercase.exploration._constant_metrics import describe_constant_metrics
-from cornercase.exploration._objective import Objective
 from cornercase.metrics import METRICS
 from cornercase.recordings import Collision
 from cornercase.reduction import ReducedSet, read_reduction
@@ -24,6 +23,7 @@ from cornercase.report._reference_counts import ReferenceCount, count_reference_
 from cornercase.scenario import Value
 from cornercase.study import ScenarioRecord, StudyFile, StudyMeta
 from cornercase.study._damage import require_value, reraise_as_damage
+from cornercase.study._objective import Objective
 from cornercase.study._study_file import open_study
 
 # Reasons that somebody may still read.

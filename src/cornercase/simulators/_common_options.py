@@ -61,7 +61,7 @@ def split_common_options(
     if isinstance(simulator, str):
         return check_str("simulator", simulator), common
     if not isinstance(simulator, Simulator):
-        raise InputError(f"`simulator` {repr_short(simulator)}: give the name of a simulator, or an object.")
+        raise InputError(f"`simulator` {repr_short(simulator)}: give one as an object, or its name.")
     own = {key: value for key, value in given_options(simulator).items() if key in _DEFAULT_OPTIONS}
     for key, value in own.items():
         if common[key] not in (None, _DEFAULT_OPTIONS[key], value):

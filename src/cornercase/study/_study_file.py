@@ -19,12 +19,12 @@ from cornercase._common.text.sanitize import check_no_surrogates, parse_json
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase._common.validation import check_float, check_int
 from cornercase.drivers.references.r157._preventability import ReferenceOutcome
-from cornercase.metrics import METRICS
 from cornercase.metrics.formulas._critical_if import find_critical_if_condition
 from cornercase.recordings import Collision, Recording
 from cornercase.study._arrays import read_arrays
 from cornercase.study._codec import unpack_arrays, unpack_collisions, unpack_recording
 from cornercase.study._connection import remove_sqlite_files
+from cornercase.study._criterion import Criterion
 from cornercase.study._damage import require_value, reraise_as_damage
 from cornercase.study._database import Database
 from cornercase.study._meta import StudyMeta, hash_points_and_scores
@@ -58,6 +58,8 @@ class StudyFile:
     Parameters
     ----------
     database : Database
+    critical : float, optional
+        Threshold that replaces that of the study; the file stays as it is.
 
     Attributes
     ----------
@@ -69,12 +71,11 @@ class StudyFile:
         The parameter space.
     """
 
-    def __init__(self, database: Database) -> None:
-        self._database = database
+    def __init__(self, database: Database, critical: float | None = None) -> None:
+        self._database, self._critical = database, critical
         self.path = database.path
         self.meta = self.read_meta()
         self.space = self.meta.space
-        self._critical_override: float | None = None
         self._row_cache: tuple[tuple[int, int], list[ScenarioRecord]] | None = None
 
     @classmethod
@@ -605,24 +606,54 @@ class StudyFile:
 
     @property
     def critical(self) -> float | None:
-        """Threshold: that of the study, or the one that currently replaces it."""
-        return self.meta.critical if self._critical_override is None else self._critical_override
+        """Threshold in the unit of the objective: that of the study, or the one that it was opened with."""
+        return self.meta.critical if self._critical is None else self._critical
 
-    def override_critical(self, critical: float | None) -> float | None:
-        """Replace the threshold from now on; the file stays as it is.
+    @property
+    def criterion(self) -> Criterion:
+        """When a scenario of the study is critical."""
+        return Criterion.from_study_meta(self.meta, self._critical)
+
+    def critical_mask(self) -> BoolArray:
+        """Which of the successful scenarios are critical.
+
+        Returns
+        -------
+        ndarray of bool, shape (n,)
+            All False without a threshold.
+        """
+        criterion = self.criterion
+        return criterion.is_critical(criterion.objective.minimized_scores(self))
+
+    def with_critical(self, critical: float | None) -> StudyFile:
+        """Return the same open file with another threshold; this one stays as it is.
 
         Parameters
         ----------
         critical : float or None
-            Threshold in the unit of the objective; None for that of the study.
+            Threshold in the unit of the objective; None for no change.
 
         Returns
         -------
-        float or None
-            The previous replacement.
+        StudyFile
+
+        Raises
+        ------
+        InputError
+            The study has no single score that a threshold could apply to.
         """
-        previous, self._critical_override = self._critical_override, critical
-        return previous
+        if critical is None:
+            return self
+        meta = self.meta
+        if condition := find_critical_if_condition(meta.metrics):
+            raise InputError(f"{self.path}: the condition '{condition}' replaces a threshold; leave out `critical`.")
+        if meta.pareto:
+            raise InputError(f"{self.path}: a Pareto front has no threshold; leave out `critical`.")
+        if self.read_estimate() is not None:
+            raise InputError(
+                f"{self.path}: its probabilities are for the threshold of the estimate; give `critical` to `estimate`."
+            )
+        return StudyFile(self._database, critical)
 
     def __enter__(self) -> Self:
         return self
@@ -647,14 +678,15 @@ class StudyFile:
             Fraction of critical runs and its 90 % interval: if that contains 0.5, it is undecided whether the scenario
             is critical. None if each scenario has one run, or if there is no threshold of a single metric.
         """
-        if self.critical is None or self.meta.weights or self.meta.pareto:
+        criterion = self.criterion
+        if criterion.oriented is None or criterion.objective.weights:
             return None
-        metric = METRICS.create(self.meta.metrics[0])
+        metric = criterion.objective.metrics[0]
         if (runs := self._read_run_scores(metric.name)) is None:
             return None
         with reraise_as_damage(self.path):
             scores = [[metric.to_minimize(float(score)) for score in run_scores] for run_scores in runs]
-            return critical_run_rates(scores, metric.to_minimize(self.critical))
+            return critical_run_rates(scores, criterion.oriented)
 
     def warm_start_data(self) -> tuple[FloatArray, FloatArray] | None:
         """Read the points and scores of the study that the search was warm-started from.
@@ -977,36 +1009,10 @@ def open_study(
     if isinstance(study, StudyFile):
         if study.readonly and not readonly:
             raise InputError(f"{study.path}: is open for reading only; open it with readonly=False, or give its path.")
-        with _override_critical(study, threshold):
-            yield study
+        yield study.with_critical(threshold)
         return
-    with (
-        StudyFile.open(validation.check_path("study", study), readonly) as opened,
-        _override_critical(opened, threshold),
-    ):
-        yield opened
-
-
-@contextmanager
-def _override_critical(study: StudyFile, critical: float | None) -> Iterator[None]:
-    """Replace the threshold of a study within the block."""
-    if critical is None:
-        yield
-        return
-    meta = study.meta
-    if condition := find_critical_if_condition(meta.metrics):
-        raise InputError(f"{study.path}: the condition '{condition}' replaces a threshold; leave out `critical`.")
-    if meta.pareto:
-        raise InputError(f"{study.path}: a Pareto front has no threshold; leave out `critical`.")
-    if study.read_estimate() is not None:
-        raise InputError(
-            f"{study.path}: its probabilities are for the threshold of the estimate; give `critical` to `estimate`."
-        )
-    previous = study.override_critical(critical)
-    try:
-        yield
-    finally:
-        study.override_critical(previous)
+    with StudyFile.open(validation.check_path("study", study), readonly) as opened:
+        yield opened.with_critical(threshold)
 
 
 @contextmanager

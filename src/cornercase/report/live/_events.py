@@ -8,13 +8,13 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from cornercase.exploration._objective import Objective
 from cornercase.report._payload import study_info_payload
 from cornercase.report.live._analysis_worker import AnalysisWorker, PageAnalysis
 from cornercase.report.live._follower import StudyFollower
 from cornercase.report.live._scenario_digest import course_columns, scenario_columns
 from cornercase.report.text._phrases import describe_roles
 from cornercase.study import StudyMeta
+from cornercase.study._objective import Objective
 
 # Sent with all contents or as separate events, not with the analysis.
 _SEPARATE_KEYS: Final = ("kinds", "outcomes", "kept", "notes", "roads", "rerun")

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from cornercase._common.typing import FloatArray
-from cornercase.exploration._objective import Objective
 from cornercase.report._courses import encode_courses, resample_course
 from cornercase.report._payload import parameter_columns, round_score, score_source_column
 from cornercase.report._summary import entities_hit_by_ego
 from cornercase.study import ScenarioRecord, StudyFile, StudyMeta
+from cornercase.study._criterion import Criterion
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +34,7 @@ class ScenarioDigester:
 
     def __init__(self, study: StudyFile) -> None:
         self._study = study
-        self._objective = Objective.from_study_meta(study.meta)
+        self._criterion = Criterion.from_study_meta(study.meta)
 
     def read(self, row: ScenarioRecord) -> ScenarioDigest:
         """Read the digest of a scenario that has ended."""
@@ -47,7 +47,7 @@ class ScenarioDigester:
             metric.name: resample_course(
                 time, metric.clip_course(study.course(row.id, metric.name)).astype(np.float32), metric.lower_is_critical
             )
-            for metric in self._objective.metrics
+            for metric in self._criterion.objective.metrics
         }
         return ScenarioDigest(
             row,
@@ -60,8 +60,8 @@ class ScenarioDigester:
         )
 
     def _is_critical(self, scores: dict[str, float]) -> bool:
-        scores_row = np.array([[scores[metric.name] for metric in self._objective.metrics]])
-        return bool(self._objective.is_critical(scores_row, self._study.meta.critical)[0])
+        scores_row = np.array([[scores[metric.name] for metric in self._criterion.objective.metrics]])
+        return bool(self._criterion.is_critical_raw(scores_row)[0])
 
 
 def scenario_columns(meta: StudyMeta, digests: Sequence[ScenarioDigest]) -> dict[str, Any]:

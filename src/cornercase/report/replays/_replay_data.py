@@ -10,7 +10,6 @@ import numpy as np
 
 from cornercase._common.errors import InputError
 from cornercase._common.typing import FloatArray
-from cornercase.exploration._objective import Objective
 from cornercase.metrics import METRICS, Metric
 from cornercase.recordings import Recording
 from cornercase.report._road_drawing import find_road_outline, recorded_bounds
@@ -82,9 +81,9 @@ def read_replay_data(
     """Read scenarios and their road for a replay; InputError if a scenario was not run or `scenario` does not match."""
     meta = study.meta
     metrics = tuple(METRICS.create(name) for name in meta.metrics)
-    objective = Objective.from_study_meta(meta)
+    criterion = study.criterion
     # A front has no threshold, and the threshold of a weighted sum does not apply to a single course.
-    threshold = None if objective.pareto or objective.weights else study.critical
+    threshold = None if meta.pareto or meta.weights else criterion.raw
     outcomes = study.outcomes()
     rows = {row.id: row for row in study.rows()}
     takes = []
@@ -93,7 +92,7 @@ def read_replay_data(
         scores = study.scenario_scores(scenario_id)
         courses = {metric.name: metric.clip_course(study.course(scenario_id, metric.name)) for metric in metrics}
         scores_row = np.array([[scores[metric.name] for metric in metrics]])
-        critical = bool(objective.is_critical(scores_row, study.critical)[0])
+        critical = bool(criterion.is_critical_raw(scores_row)[0])
         against = study.scenario_score_sources(scenario_id)
         takes.append(
             ReplayItem(

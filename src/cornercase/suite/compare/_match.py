@@ -10,7 +10,6 @@ import numpy as np
 from cornercase._common.errors import InputError
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.clustering._ending import find_outcome
-from cornercase.exploration._objective import Objective
 from cornercase.exploration._study_critical_set import is_score_independent
 from cornercase.recordings import Recording
 from cornercase.recordings._compare import NUMERIC_ARRAYS, are_bitwise_equal
@@ -55,11 +54,7 @@ class StudySide:
         columns = {name: study.scores(name).tolist() for name in metrics}
         scores = {scenario: {name: columns[name][k] for name in metrics} for k, scenario in enumerate(done)}
         is_known = has_threshold(study)
-        critical = (
-            dict(zip(done, Objective.from_study_meta(study.meta).is_critical_in_study(study).tolist(), strict=True))
-            if is_known
-            else {}
-        )
+        critical = dict(zip(done, study.critical_mask().tolist(), strict=True)) if is_known else {}
         searched = study.meta.optimizer.partition(":")[0] != "none"
         fills = dict.fromkeys((row.id for row in rows), False)
         if searched:

@@ -8,7 +8,6 @@ from cornercase._common.errors import InputError
 from cornercase.evidence import SetDifference
 from cornercase.evidence._critical_set_estimate import CriticalSet
 from cornercase.evidence._proportions import proportion_interval
-from cornercase.exploration._objective import Objective
 from cornercase.exploration._study_critical_set import estimate_critical_set
 from cornercase.study import StudyFile
 from cornercase.suite.compare._comparison import ScenarioPair, SpaceChange
@@ -71,6 +70,6 @@ def _compare_critical_sets(old: StudyFile, new: StudyFile) -> tuple[SetDifferenc
 
 
 def _estimate_critical_set(study: StudyFile) -> CriticalSet:
-    objective = Objective.from_study_meta(study.meta)
-    threshold = objective.convert_orientation(float(study.critical or 0.0))
-    return estimate_critical_set(study, objective.minimized_scores(study), threshold, seed=_DRAW_SEED)
+    criterion = study.criterion
+    scores = criterion.objective.minimized_scores(study)
+    return estimate_critical_set(study, scores, criterion.oriented or 0.0, seed=_DRAW_SEED)

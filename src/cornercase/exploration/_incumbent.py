@@ -1,0 +1,74 @@
+"""The most critical result so far."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cornercase._common.typing import BoolArray, FloatArray
+from cornercase.study._objective import Objective
+
+
+def is_on_pareto_front(values: FloatArray) -> BoolArray:
+    """Return which rows are on the Pareto front (not dominated, lower is better), shape (m,); never rows with NaN.
+
+    Source: H. T. Kung, F. Luccio, F. P. Preparata, "On finding the maxima of a set of vectors", Journal of the ACM 22
+    (1975); implemented in moocore.
+    """
+    is_finite = np.isfinite(values).all(axis=1)
+    if not is_finite.any():
+        return np.asarray(is_finite)
+    front = is_finite.copy()
+    if values.shape[1] == 1:
+        front[is_finite] = values[is_finite, 0] == values[is_finite].min()
+    else:
+        # Imported late: slow to import.
+        from moocore import is_nondominated
+
+        front[is_finite] = is_nondominated(values[is_finite], keep_weakly=True)
+    return np.asarray(front)
+
+
+class Incumbent:
+    """The most critical result so far: a score, or a Pareto front."""
+
+    def __init__(self, objective: Objective) -> None:
+        self._objective = objective
+        self._front = np.zeros((0, 1))
+
+    def update(self, scores: FloatArray) -> bool:
+        """Add minimized scores, shape (m,) or (m, k), NaN if failed; return whether any is an improvement.
+
+        An improvement is dominated by no earlier score. A score with every metric at its cap counts only once.
+        """
+        values = scores.reshape(len(scores), -1)
+        values = values[np.isfinite(values).all(axis=1)]
+        if not len(values):
+            return False
+        if values.shape[1] == 1:
+            return self._update_single(values)
+        before = self._front if len(self._front) else np.full((1, values.shape[1]), np.inf)
+        worse = (before[:, None] <= values).all(axis=2) & (before[:, None] < values).any(axis=2)
+        same = (before[:, None] == values).all(axis=2).any(axis=0)
+        capped = (values >= self._objective.least_critical_scores).all(axis=1)
+        is_new = ~worse.any(axis=0) & ~(same & capped)
+        candidates = np.unique(np.concatenate([self._front.reshape(-1, values.shape[1]), values]), axis=0)
+        self._front = candidates[is_on_pareto_front(candidates)]
+        return bool(is_new.any())
+
+    def _update_single(self, values: FloatArray) -> bool:
+        """Like `add` for single scores; faster, since it is called for every scenario."""
+        best = float(self._front[0, 0]) if len(self._front) else np.inf
+        is_new = (values <= best) & ~((values == best) & (values >= self._objective.least_critical_scores))
+        self._front = np.full((1, 1), min(best, float(values.min())))
+        return bool(is_new.any())
+
+    @property
+    def label(self) -> str:
+        """Short label such as ``best 0.3 s``; empty before the first score."""
+        if not len(self._front):
+            return ""
+        if self._objective.pareto:
+            return f"front of {len(self._front)}"
+        return (
+            f"best {self._objective.convert_orientation(float(self._front[0, 0])):.3g} {self._objective.unit}".rstrip()
+        )

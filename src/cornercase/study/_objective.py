@@ -1,0 +1,99 @@
+"""The score that is searched: one metric, a weighted sum of several, or the Pareto front of all."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cornercase._common.errors import InputError, suggest_name
+from cornercase._common.typing import FloatArray
+from cornercase.metrics import METRICS, Metric
+from cornercase.study._meta import StudyMeta
+
+if TYPE_CHECKING:
+    from cornercase.study._study_file import StudyFile
+
+
+class Objective:
+    """Converts the scores of the metrics into scores to minimize: the first metric, a weighted sum, or all for a front.
+
+    `weights` are per unit of a metric's score; a metric without weight does not count. Raises `InputError` without
+    metrics, for an unknown or non-positive weight, weights of a front, or a front of one metric.
+    """
+
+    def __init__(
+        self, metrics: Sequence[Metric], weights: Mapping[str, float] | None = None, pareto: bool = False
+    ) -> None:
+        if not metrics:
+            raise InputError("There is no metric to search; name one with `metrics`.")
+        self.metrics, self.weights, self.pareto = list(metrics), dict(weights or {}), pareto
+        if pareto and (self.weights or len(metrics) < 2):
+            raise InputError("`pareto`: needs two metrics or more, and no `weights`.")
+        names = [metric.name for metric in metrics]
+        for name, weight in self.weights.items():
+            if name not in names:
+                raise InputError(f"`weights` {name}: is not one of the metrics; {suggest_name(name, names)}")
+            if not 0.0 < weight < np.inf:
+                raise InputError(f"`weights` {name}={weight:g}: give a number above 0.")
+        self._score_factors = self._make_score_factors()
+
+    @classmethod
+    def from_study_meta(cls, meta: StudyMeta) -> Objective:
+        """Create the objective of a stored study."""
+        metrics = [METRICS.create(name) for name in meta.metrics]
+        return cls(metrics, meta.weights, meta.pareto)
+
+    def _make_score_factors(self) -> FloatArray:
+        signs = np.array([metric.to_minimize(1.0) for metric in self.metrics])
+        if self.pareto:
+            return np.diag(signs)
+        weights = [self.weights.get(metric.name, 0.0) for metric in self.metrics]
+        weight_vector = np.array(weights) if self.weights else np.eye(len(signs))[0]
+        return np.asarray((weight_vector * signs)[:, None])
+
+    def minimized(self, scores: FloatArray) -> FloatArray:
+        """Return scores to minimize, shape (m,) or (m, metrics) for a front, from raw scores of shape (m, metrics)."""
+        # Skip unused metrics: NaN times 0 is NaN.
+        has_weight = self._score_factors.any(axis=1)
+        # Extreme weights may overflow.
+        with np.errstate(over="ignore", invalid="ignore"):
+            values = scores[:, has_weight] @ self._score_factors[has_weight]
+        return np.asarray(values if self.pareto else values[:, 0])
+
+    def minimized_scores(self, study: StudyFile) -> FloatArray:
+        """Return scores to minimize for all successful scenarios of a study, shape (n,) or (n, metrics) for a front."""
+        return self.minimized(np.stack([study.scores(metric.name) for metric in self.metrics], axis=1))
+
+    @property
+    def label(self) -> str:
+        """Label of the objective, such as ``2 ttc + 1 (-speed)``."""
+        if self.pareto:
+            return "Pareto front of " + ", ".join(metric.name for metric in self.metrics)
+        if not self.weights:
+            return self.metrics[0].name
+        return " + ".join(
+            f"{self.weights[m.name]:g} {m.name}" if m.lower_is_critical else f"{self.weights[m.name]:g} (-{m.name})"
+            for m in self.metrics
+            if m.name in self.weights
+        )
+
+    @property
+    def lower_is_critical(self) -> bool:
+        """Whether lower raw values are more critical; always for a weighted sum."""
+        return bool(self.weights) or self.metrics[0].lower_is_critical
+
+    @property
+    def unit(self) -> str:
+        """Unit of the objective; empty for a weighted sum or a front."""
+        return "" if self.weights or self.pareto or self.metrics[0].unit == "1" else self.metrics[0].unit
+
+    def convert_orientation(self, score: float) -> float:
+        """Convert one score between raw and minimized; a weighted sum is minimized already."""
+        return score if self.weights else self.metrics[0].to_minimize(score)
+
+    @property
+    def least_critical_scores(self) -> FloatArray:
+        """Minimized scores of a scenario in which every metric is at its cap, shape (1,) or (metrics,)."""
+        return self.minimized(np.array([[metric.cap for metric in self.metrics]])).ravel()
