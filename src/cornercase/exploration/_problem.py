@@ -83,7 +83,7 @@ class Problem:
         with name_arguments_of_objects():
             config = config_from_problem(self)
             config.require_entities()
-            config.make_objective().minimized_threshold_or_none(config.critical)
+            config.make_criterion()
         for name in ("other", "metrics", "weights"):
             object.__setattr__(self, name, getattr(config, name))
         object.__setattr__(self, "threshold", config.critical)
@@ -94,15 +94,14 @@ class Problem:
 
     def _criterion(self) -> str:
         """What is searched, in a few words."""
-        config = config_from_problem(self)
-        objective = config.make_objective()
         if self.condition is not None:
             return f"critical if {self.condition}"
-        threshold = objective.minimized_threshold_or_none(self.threshold)
-        if threshold is None:
+        criterion = config_from_problem(self).make_criterion()
+        objective = criterion.objective
+        if criterion.raw is None:
             return f"searched by {objective.label}"
-        sign, unit = ("<=" if objective.lower_is_critical else ">="), objective.unit
-        return f"critical if {objective.label} {sign} {objective.convert_orientation(threshold):g} {unit}".rstrip()
+        sign = "<=" if objective.lower_is_critical else ">="
+        return f"critical if {objective.label} {sign} {criterion.raw:g} {objective.unit}".rstrip()
 
     def _repr_html_(self) -> str:
         """Description and table of the parameters, for notebooks."""
