@@ -45,7 +45,7 @@ _OPTIONS = """\
 
 What `cornercase explore` takes on the command line, `cornercase.explore` in Python, and a study file (`explore --config
 study.toml`) under the name of the command line without the dashes. A study file names no code, no programs and nowhere
-to write, so that one that somebody sent can be used. `cornercase show --config study.db` prints the file of a study.
+to write, so that one that somebody sent can be used. `cornercase show study.db --config` prints the file of a study.
 """
 
 
