@@ -93,7 +93,7 @@ class StudyFile:
         self._first_lengths: tuple[int, list[int]] | None = None
 
     @classmethod
-    def create(cls, path: Path | str, meta: StudyMeta) -> StudyFile:
+    def create(cls, path: Path | str, meta: StudyMeta) -> Self:
         """Create a study in a new file, and open it for writing.
 
         Parameters
@@ -120,7 +120,7 @@ class StudyFile:
         return cls(Database.create(Path(path), rows, *optional_table_names(meta)))
 
     @classmethod
-    def open(cls, path: Path | str, readonly: bool = True) -> StudyFile:
+    def open(cls, path: Path | str, readonly: bool = True) -> Self:
         """Open a study.
 
         Parameters
