@@ -101,7 +101,7 @@ class Stepper:
         self._read_triggers()
         self._roads = build_road_tables([]) if world.network is None else world.network.road_tables
         self._track_pool, self._planned_routes = TrackPool(), dict[tuple[int, int], int]()
-        world.compiled = CompiledWorld(world, self.scene, self._track_pool, self._roads, self._actions)
+        self._compiled_world = CompiledWorld(world, self.scene, self._track_pool, self._roads, self._actions)
         driven_entities = np.array([driver.entity for driver in self._driver_actions], dtype=np.int64)
         status = np.full(world.scenarios, IDLE, dtype=np.int8)
         # Time of the last lookup: if it did not help, the storyboard handles the scenario.
