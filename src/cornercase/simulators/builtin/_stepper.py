@@ -111,7 +111,7 @@ class Stepper:
         self._roads = build_road_tables([]) if world.network is None else world.network.road_tables
         self._track_pool, self._planned_routes = TrackPool(), dict[tuple[int, int], int]()
         self._tracks = self._track_pool.update(world.tracks)
-        world.compiled = CompiledWorld(world, self.scene, self._track_pool, self._roads, self._actions)
+        self._compiled_world = CompiledWorld(world, self.scene, self._track_pool, self._roads, self._actions)
         # Time of the last lookup: if it did not help, the storyboard handles the scenario.
         self._last_lookup = np.full(world.scenarios, -1.0)
         self._bounds = [0, world.scenarios]

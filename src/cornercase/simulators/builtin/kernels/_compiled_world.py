@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from typing import Final
+from weakref import proxy
 
 import numpy as np
 import numpy.typing as npt
@@ -25,12 +26,14 @@ _NO_POINTS: Final = np.empty((2, 0))
 
 
 class CompiledWorld:
-    """The tables of a batch that compiled code works on."""
+    """The tables of a batch that compiled code works on; the world refers to it weakly."""
 
     def __init__(
         self, world: World, scene: SimulationState, pool: TrackPool, roads: tuple[object, ...], actions: ActionTable
     ) -> None:
         self._world, self._scene, self._pool, self._roads, self._actions = world, scene, pool, roads, actions
+        # Weak, so that recordings are freed at once with whoever runs the batch.
+        world.compiled = proxy(self)
 
     def apply_action(self, number: int, dt: float, where: BoolArray) -> npt.NDArray[np.int64]:
         """Apply an action for one time step in the scenarios of a mask, and return the outcomes, shape (N,).
