@@ -15,12 +15,12 @@ MIN_CLOSING_SPEED: Final = 0.1
 
 
 def is_at_fault(recording: Recording, ego: str, collision: Collision) -> bool:
-    """Tell whether the ego drove into the other entity; also true if the motion at contact is unknown.
+    """Whether a collision is the ego's fault; True as well if the motion at contact is unknown.
 
-    Two disjoint boxes have a gap along the direction of one of their sides; the gap that closes last gives the
-    direction of contact. The ego is at fault if it moves towards the other along this direction with at least 0.1 m/s:
-    not if it is hit from behind, from the side, or while it stands. If both drive into each other, as head-on, it is at
-    fault too. Right of way is not considered, since a recording does not contain it.
+    Before contact the boxes have a gap along the direction of some of their sides. The direction in which this gap
+    closes last is that of the contact. The ego is at fault if it moves in this direction, towards the other entity,
+    with at least 0.1 m/s. So it is not at fault if it stands, or is hit from behind or from the side. In a head-on
+    collision it is at fault if it moves. Right of way is not considered, since a recording does not contain it.
     """
     (other,) = (name for name in collision.entities if name != ego)
     i, j = recording.entity_index(ego), recording.entity_index(other)
@@ -39,7 +39,7 @@ def is_at_fault(recording: Recording, ego: str, collision: Collision) -> bool:
 def _contact_direction(
     recording: Recording, ego_index: int, other_index: int, earlier_index: int, contact_index: int
 ) -> FloatArray:
-    """Unit vector from the ego to the other along which they come into contact, shape (2,)."""
+    """Unit vector, shape (2,), from the ego towards the other entity, in the direction of their contact."""
     boxes_before, boxes_now = (
         tuple(_entity_box_corners(recording, k, at) for k in (ego_index, other_index))
         for at in (earlier_index, contact_index)
@@ -59,7 +59,7 @@ def _contact_direction(
 
 
 def _gaps_along_axes(axes: FloatArray, ego: FloatArray, other: FloatArray) -> FloatArray:
-    """Gap along each axis in m, negative if the boxes overlap, shape (n,)."""
+    """Gap between two boxes along each axis in m, shape (n,); negative if the boxes overlap."""
     return np.asarray(project_on_axes(axes, other).min(-1) - project_on_axes(axes, ego).max(-1))
 
 

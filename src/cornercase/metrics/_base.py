@@ -19,9 +19,9 @@ _SEVERITY_WEIGHT = 0.1
 
 
 class Metric(Configurable, ABC):
-    """How critical a recording is for the ego and one other entity.
+    """A criticality metric: how critical a recording is for the ego and one other entity.
 
-    A subclass sets the attributes and defines `course`.
+    A subclass sets the attributes and defines `course`, the value at each instant.
 
     Attributes
     ----------
@@ -102,9 +102,10 @@ class Metric(Configurable, ABC):
         """
 
     def check_installed(self) -> None:
-        """Raise if a package that the metric requires is not installed. Called before anything is run.
+        """Raise if a package that the metric requires is not installed.
 
-        Studies of the metric can be read without that package, so the constructor does not check it.
+        This is called before any scenario is run. The constructor does not check it, so studies of the metric can be
+        read without the package.
 
         Raises
         ------
@@ -144,10 +145,10 @@ class Metric(Configurable, ABC):
         return float(values.min() if self.lower_is_critical else values.max())
 
     def score_with_contact(self, score: float, velocity_change: float) -> float:
-        """Score of a recording in which both entities touch: at least as critical as `contact_score`.
+        """Adapt the score of a recording in which both entities touch: at least as critical as `contact_score`.
 
-        With `severity`, a tenth of the change of velocity in m/s is added beyond that, so that the scores of collisions
-        differ: a touch without speed scores `contact_score`, a collision of 10 m/s is more critical by 1. Thresholds
+        With `severity`, harder collisions score beyond `contact_score`, by a tenth of the velocity change in m/s. A
+        touch without speed scores `contact_score`, and a velocity change of 10 m/s is more critical by 1. Thresholds
         keep their meaning, since only collisions score beyond `contact_score`.
 
         Parameters
@@ -169,7 +170,9 @@ class Metric(Configurable, ABC):
         return base + sign * _SEVERITY_WEIGHT * velocity_change if self.severity else base
 
     def to_minimize(self, scores: Score) -> Score:
-        """Negate scores if higher is critical, so that lower is always more critical. Its own inverse.
+        """Orient scores so that lower is more critical: negate them if the metric is critical when high.
+
+        Applied twice, it gives the original scores.
 
         Parameters
         ----------

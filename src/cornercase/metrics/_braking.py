@@ -1,4 +1,4 @@
-"""Metrics of the braking that the ego needs for the other ahead of it, and of its stopping distance."""
+"""Metrics of the braking that the ego needs because of another entity ahead, and its stopping distance."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from cornercase.recordings import Recording
 class Drac(Metric):
     """Deceleration rate to avoid a crash: the braking that just removes the speed difference before contact.
 
-    ``Δv² / (2 gap)`` in m/s², with the closing speed Δv and the gap along the ego's heading; the other keeps its speed.
-    0 if the gap does not shrink, inf at contact while it does. A standing other is an obstacle; for an oncoming one Δv
-    is the sum of both speeds. Not defined if the other is not ahead of the ego or one of the two does not exist. Cap:
-    0, most critical value: 20 m/s².
+    ``Δv² / (2 gap)`` in m/s², with the closing speed Δv and the gap along the ego's heading. The other entity keeps its
+    speed. If it stands, it is an obstacle; if it is oncoming, Δv is the sum of both speeds. The value is 0 if the gap
+    does not shrink, and inf at contact while it does. Not defined if the other entity is not ahead of the ego, or one
+    of the two does not exist. Least critical value (cap): 0; most critical value: 20 m/s².
 
     Source: D. F. Cooper, N. Ferguson, "Traffic studies at T-junctions", Traffic Engineering and Control 17 (1976); also
     A. Guido et al. (2010).
@@ -38,9 +38,10 @@ class Drac(Metric):
 class Mdrac(Metric):
     """Modified deceleration rate to avoid a crash: the braking begins after a reaction time.
 
-    ``Δv / (2 (gap / Δv - t_r))`` in m/s², with the closing speed Δv. 0 if the gap does not shrink, inf if the ego
-    reaches the other within the reaction time. Standing and oncoming others as in `Drac`. Not defined if the other is
-    not ahead of the ego or one of the two does not exist. Cap: 0, most critical value: 20 m/s².
+    ``Δv / (2 (gap / Δv - t_r))`` in m/s², with the closing speed Δv and the reaction time t_r. The value is 0 if the
+    gap does not shrink, and inf if the ego reaches the other entity within the reaction time. Standing and oncoming
+    entities are treated as in `Drac`. Not defined if the other entity is not ahead of the ego, or one of the two does
+    not exist. Least critical value (cap): 0; most critical value: 20 m/s².
 
     Source: W. K. M. Alhajyaseen, "The integration of conflict probability and severity for the safety assessment of
     intersections", Arabian Journal for Science and Engineering 40 (2015), after Cunto (2008).
@@ -71,10 +72,10 @@ class Mdrac(Metric):
 class Dst(Metric):
     """Deceleration to safety time: the braking that removes the speed difference and keeps a time gap.
 
-    ``Δv² / (2 (gap - v_other t_s))`` in m/s², with the closing speed Δv; a safety time of 0 gives `Drac`. 0 if the gap
-    does not shrink, inf if it is already smaller than the safety time requires. Standing and oncoming others as in
-    `Drac`. Not defined if the other is not ahead of the ego or one of the two does not exist. Cap: 0, most critical
-    value: 20 m/s².
+    ``Δv² / (2 (gap - v_other t_s))`` in m/s², with the closing speed Δv and the safety time t_s; a safety time of 0
+    gives `Drac`. The value is 0 if the gap does not shrink. It is inf if the gap shrinks and is already less than the
+    safety time requires. Standing and oncoming entities are treated as in `Drac`. Not defined if the other entity is
+    not ahead of the ego, or one of the two does not exist. Least critical value (cap): 0; most critical value: 20 m/s².
 
     Source: C. Hupfer, "Deceleration to safety time (DST) – a useful figure to evaluate traffic safety?", ICTCT
     Conference (1997).
@@ -104,14 +105,16 @@ class Dst(Metric):
 
 
 class LongitudinalAcceleration(Metric):
-    """Required longitudinal acceleration: the weakest constant braking with which the ego does not hit the other.
+    """Required longitudinal acceleration: the weakest constant braking with which the ego avoids a contact.
 
-    The other keeps its acceleration a₂ until it stands. If the ego reaches the other's speed before that, at ``2 gap /
-    Δv <= v₂ / |a₂|``, the value is ``a₂ - Δv² / (2 gap)``; else the ego stops behind it, with ``-v² / (2 (gap + v₂² /
-    (2 |a₂|)))``. In m/s², negative: lower is more critical. 0 if no braking is needed, -inf at contact while the gap
-    shrinks. A standing other is an obstacle. For an oncoming one the value is the acceleration that ends the closing,
-    which the ego alone cannot always reach. Not defined if the other is not ahead of the ego or one of the two does not
-    exist. Cap: 0, most critical value: -20 m/s².
+    The other entity ahead keeps its acceleration a₂ until it stands. If the ego reaches the other's speed v₂ before
+    that, at ``2 gap / Δv <= v₂ / |a₂|``, the value is ``a₂ - Δv² / (2 gap)``. Otherwise the ego stops behind the other,
+    with ``-v² / (2 (gap + v₂² / (2 |a₂|)))``. The unit is m/s²; values are negative, and lower is more critical. The
+    value is 0 if no braking is needed, and -inf at contact while the gap shrinks.
+
+    A standing entity is an obstacle. For an oncoming entity the value is the acceleration after which the gap no longer
+    shrinks; the ego alone cannot always achieve this. Not defined if the other entity is not ahead of the ego, or one
+    of the two does not exist. Least critical value (cap): 0; most critical value: -20 m/s².
 
     Source: required longitudinal acceleration, as in Westhofen et al. 2023 and Jansson 2005, with the stop of the
     leader.
@@ -132,9 +135,10 @@ class LongitudinalAcceleration(Metric):
 class Btn(Metric):
     """Brake threat number: required over available braking.
 
-    The required longitudinal acceleration (`LongitudinalAcceleration`) over the greatest deceleration, without unit: 1
-    if full braking just avoids the contact. 0 if no braking is needed. Standing others, and where it is not defined, as
-    there. Cap: 0, most critical value: 5.
+    The required longitudinal acceleration (`LongitudinalAcceleration`) divided by the greatest deceleration of the ego,
+    without unit. It is 1 if full braking just avoids the contact, and 0 if no braking is needed. Standing entities are
+    treated as in `LongitudinalAcceleration`, and it is undefined in the same cases. Least critical value (cap): 0; most
+    critical value: 5.
 
     Source: M. Brännström, J. Sjöberg, E. Coelingh, "A situation and threat assessment algorithm for a rear-end
     collision avoidance system", IEEE Intelligent Vehicles Symposium (2008).
@@ -166,8 +170,8 @@ class Btn(Metric):
 class StoppingDistance(Metric):
     """Shortest distance in which the ego can stop, ``v² / (2 a)`` in m.
 
-    It does not depend on the other; a standing ego gives 0. Not defined if the ego does not exist. Cap: 0 m, most
-    critical value: 500 m, which is the score of a recording in which both touch.
+    It does not depend on the other entity. A standing ego gives 0. Not defined if the ego does not exist. Least
+    critical value (cap): 0 m. Most critical value: 500 m, which is also the score of a recording in which both touch.
 
     Source: minimal stopping distance, as in Westhofen et al. 2023.
 
@@ -193,7 +197,7 @@ class StoppingDistance(Metric):
 
 
 def required_longitudinal_acceleration(leader: LeaderGap) -> FloatArray:
-    """Weakest acceleration that avoids contact (see `LongitudinalAcceleration`), shape (T,), in m/s², not above 0.
+    """Weakest acceleration that avoids contact (see `LongitudinalAcceleration`), shape (T,), in m/s², at most 0.
 
     NaN where `leader` has no gap.
     """

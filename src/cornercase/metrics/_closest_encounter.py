@@ -17,9 +17,9 @@ _GAP_TOLERANCE = 1e-9
 class Dce(Metric):
     """Distance of closest encounter: the smallest gap between the boxes if both go straight on.
 
-    Each box keeps its heading and its speed along it; the value is the smallest gap in m at this instant or later. 0 if
-    the boxes will touch or do so now, the present gap if they move apart or both stand. Not defined if one of the two
-    does not exist. Cap: 100 m.
+    Each box keeps its heading and its speed. The value is the smallest gap in m from this instant on. It is 0 if the
+    boxes touch now or will touch. It is the present gap if both stand or move apart. Not defined if one of the two does
+    not exist. Least critical value (cap): 100 m.
 
     Source: J. Eggert, "Predictive risk estimation for intelligent ADAS functions", IEEE ITSC (2014).
 
@@ -49,9 +49,9 @@ class Dce(Metric):
 class Ttce(Metric):
     """Time to closest encounter: when the gap between the boxes is smallest if both go straight on.
 
-    The first t >= 0 in s at which the gap of `Dce` is reached: the time to collision if the boxes will touch, 0 if the
-    two move apart or both stand. Not defined if one of the two does not exist. It says when the closest encounter is,
-    not how close; use it together with `Dce`. Cap: 10 s.
+    The first t >= 0 in s at which the gap of `Dce` is reached. If the boxes will touch, this is the time to collision.
+    It is 0 if both stand or move apart. Not defined if one of the two does not exist. It says when the closest
+    encounter is, not how close, so use it together with `Dce`. Least critical value (cap): 10 s.
 
     Source: J. Eggert, "Predictive risk estimation for intelligent ADAS functions", IEEE ITSC (2014).
 
@@ -75,9 +75,9 @@ class Ttce(Metric):
 
 
 def closest_encounter(recording: Recording, ego: str, other: str, centers: bool) -> tuple[FloatArray, FloatArray]:
-    """Smallest gap from now on in m, and when it is first reached in s, shape (T,) each.
+    """Smallest gap from each instant on in m, and the time until then in s, shape (T,) each.
 
-    NaN if an entity does not exist. `centers` measures between the centres instead of the boxes.
+    Both are NaN if an entity does not exist. With `centers`, the gap is measured between the centres of the boxes.
     """
     velocity = relative_velocity(recording, ego, other)
     if centers:
@@ -95,7 +95,10 @@ def closest_encounter(recording: Recording, ego: str, other: str, centers: bool)
 
 
 def _closest_approach_to_origin(points: FloatArray, velocity: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Smallest distance to the origin of points (T, n, 2) with velocity (T, 2), and the first time it is reached."""
+    """Smallest distance of moving points to the origin, and the first time at which it is reached.
+
+    `points` has shape (T, n, 2), `velocity` has shape (T, 2).
+    """
     squared_speed = (velocity**2).sum(-1)
     moves = squared_speed > 0.0
     times = -(points * velocity[:, None]).sum(-1) / np.where(moves, squared_speed, 1.0)[:, None]

@@ -31,17 +31,17 @@ _EPSILON: Final = 1e-9
 class CriticalIf(Metric):
     """How far a run is from fulfilling a condition on collisions, scores, and what a reference driver prevents.
 
-    The condition is an expression in which a bound on a metric is on its score, unless a temporal operator says when it
-    has to hold. The score is 0 or below if the condition holds, else its robustness with the opposite sign: for ``and``
-    the part counts that is farthest from holding, for ``or`` the nearest. The distance of a collision is the clearance
-    to the other entity, that of a bound the difference of score and bound. A reference has no distance, so if it alone
-    decides, and decides against, the score is the cap. The course is the distance from holding at each instant,
-    assuming that references decide for it. With several others, a bound with a temporal operator has to hold against
-    one of them.
+    In the condition, a bound on a metric refers to the score, unless a temporal operator says when it has to hold. The
+    score of a run is 0 or below if the condition holds; otherwise it is the robustness with the opposite sign. For
+    ``and`` the part counts that is farthest from holding, for ``or`` the nearest. The distance of a collision is the
+    clearance to the other entity. The distance of a bound is the difference of score and bound. A reference driver has
+    no distance: if it alone decides that the condition does not hold, the score is the cap. The course is the distance
+    from holding at each instant, assuming that reference drivers decide in favour of the condition. With several other
+    entities, a bound with a temporal operator has to hold against one of them.
 
-    Searched by ``cornercase explore --critical-if``, which runs the references; a recording alone cannot be measured.
-    Cap: the farthest that a part can be from holding; 100 for a collision, and if no part can be far. Most critical
-    value: the same below 0, -100 at least.
+    Searched by ``cornercase explore --critical-if``, which runs the reference drivers. A recording alone cannot be
+    measured. The cap is the farthest that a part can be from holding; it is 100 for a collision, and if no part has a
+    distance. The most critical value is minus the cap, or -100 if that is lower.
 
     Source: UN Regulation No. 157, Annex 4, Appendix 3, where preventable is what a reference driver prevents; distances
     are combined as in G. E. Fainekos, G. J. Pappas, "Robustness of temporal logic specifications for continuous-time
@@ -70,7 +70,7 @@ class CriticalIf(Metric):
 
     @classmethod
     def from_text(cls, condition: str) -> CriticalIf:
-        """Create the metric of a condition, with the normalized text as name, whatever the spelling.
+        """Create the metric of a condition; its name is the normalized text, whatever the spelling.
 
         Parameters
         ----------
@@ -139,17 +139,18 @@ class CriticalIf(Metric):
 
 @dataclass(frozen=True, eq=False)
 class ConditionState:
-    """State of a condition for one run, before references are run: its evaluation against each other entity.
+    """State of a condition for one run, before reference drivers are run.
 
-    `outcomes` of the methods map the name of a reference to whether it collides: None if it does not apply to the
-    scenario, missing if it was not run.
+    It holds the evaluation of the condition against each other entity. The methods take `outcomes`, which map the name
+    of a reference driver to whether it collides. None means that the driver does not apply to the scenario; a driver
+    that was not run is missing.
     """
 
     metric: CriticalIf
     evaluations: tuple[Evaluation, ...]
 
     def next_reference_to_run(self, outcomes: Mapping[str, bool | None]) -> str | None:
-        """Name of the reference to run next; None if the condition is decided, or no reference could decide it."""
+        """Name of the reference driver to run next; None if the condition is decided, or no driver could decide it."""
         if self.is_fulfilled(outcomes) is not None:
             return None
         pending = [name for name in self.metric.reference_drivers if name not in outcomes]
@@ -161,12 +162,12 @@ class ConditionState:
         return next(decisive, pending[0] if pending else None)
 
     def is_fulfilled(self, outcomes: Mapping[str, bool | None]) -> bool | None:
-        """Whether the condition holds; None if that depends on a reference that was not run or does not apply."""
+        """Whether the condition holds; None if that depends on a reference driver without an outcome."""
         states = [evaluation.with_references(outcomes).is_fulfilled() for evaluation in self.evaluations]
         return True if True in states else None if None in states else False
 
     def score(self, outcomes: Mapping[str, bool | None]) -> float:
-        """Score of the run: 0 or below if the condition holds, above if not, the cap if it cannot be decided."""
+        """Score of the run: 0 or below if the condition holds, above 0 if not, the cap if it is undecided."""
         holds = self.is_fulfilled(outcomes)
         if holds is None:
             return self.metric.cap
@@ -179,6 +180,6 @@ class ConditionState:
 
 
 def find_critical_if_condition(metrics: Iterable[str]) -> str:
-    """Condition among the metrics of a study that defines what is critical; empty if there is none."""
+    """Return the condition that defines what is critical in a study, from its metrics; empty if there is none."""
     parts = (metric.partition(":") for metric in metrics)
     return next((text for name, _, text in parts if name == CONDITION_METRIC), "")

@@ -15,9 +15,9 @@ class Distance(Metric):
     """Distance between the centres of two bounding boxes.
 
     ``|p_other - p_ego|`` in the plane, in m; 0 if the centres coincide. It depends on positions only, also for standing
-    entities. Boxes that touch still have a positive distance (their gap is `Clearance`), so a recording in which they
-    touch scores 0: none counts as less critical than one in which narrow boxes pass each other. Not defined if one of
-    the two does not exist. Cap: 100 m.
+    entities. A recording in which the boxes touch scores 0, although their centres are still apart. So a collision
+    never counts as less critical than a narrow pass. The gap between the boxes is `Clearance`. Not defined if one of
+    the two does not exist. Least critical value (cap): 100 m.
 
     Source: Euclidean distance, as an objective in Schütt, Otten and Sax, "Clustering-based criticality analysis for
     testing of automated driving systems" (2023), scenario 2.
@@ -46,8 +46,9 @@ class Distance(Metric):
 class Clearance(Metric):
     """Gap between the two bounding boxes.
 
-    The smallest distance between two of their points in the plane, in m; 0 if they touch or overlap. It depends on
-    positions and headings only, also for standing entities. Not defined if one of the two does not exist. Cap: 100 m.
+    The smallest distance between the boxes in the plane, in m; 0 if they touch or overlap. It depends on positions and
+    headings only, also for standing entities. Not defined if one of the two does not exist. Least critical value (cap):
+    100 m.
 
     Source: Euclidean distance of the boxes as convex polygons.
 

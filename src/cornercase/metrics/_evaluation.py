@@ -28,11 +28,11 @@ from cornercase.recordings import Recording
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """The bounds and statements of an expression in one run, from which the meaning of the whole follows.
+    """An expression evaluated in one run, from the values of its bounds and statements.
 
-    Quantitative semantics of Fainekos and Pappas 2009, Donzé and Maler 2010: minimum for conjunction and `always`,
-    maximum for disjunction and `eventually`. What is not known of a statement is assumed to be in favour of the whole,
-    or against it; a bound that is never defined violates nothing.
+    The robustness follows Fainekos and Pappas 2009 and Donzé and Maler 2010: minimum for ``and`` and ``always``,
+    maximum for ``or`` and ``eventually``. A statement that the run does not show is assumed either in favour of the
+    expression or against it. A bound that is never defined counts as not violated.
     """
 
     root: Node
@@ -41,33 +41,36 @@ class Evaluation:
 
     @classmethod
     def from_signals(cls, root: Node, signals: Signals, shared: Mapping[Leaf, LeafValues] | None = None) -> Evaluation:
-        """Evaluate the bounds and statements of an expression, except those that are `shared` with another run."""
+        """Evaluate the bounds and statements of an expression; values in `shared` are used again."""
         leaves = dict(shared or {})
         for leaf in iter_leaves(root):
             leaves[leaf] = leaves[leaf] if leaf in leaves else evaluate_leaf(leaf, signals)
         return cls(root, signals, leaves)
 
     def with_references(self, references: Mapping[str, bool | None]) -> Evaluation:
-        """The same run, with other outcomes of reference drivers."""
+        """Copy of the evaluation with other outcomes of the reference drivers."""
         others: dict[Leaf, LeafValues] = {
             leaf: values for leaf, values in self.leaves.items() if not isinstance(leaf, ReferenceCollides)
         }
         return Evaluation.from_signals(self.root, replace(self.signals, references=references), others)
 
     def robustness(self, assumed: float = np.inf) -> FloatArray:
-        """Robustness from each instant on, (T,), never NaN; `assumed` is that of statements that were not observed."""
+        """Robustness from each instant on, (T,), never NaN. `assumed` is the robustness of unobserved statements."""
         return _Evaluator(self, "margin", assumed).of_run(self.root)
 
     def robustness_at_instants(self) -> FloatArray:
-        """Robustness at each instant, (T,), if no part had to hold for the rest of the run."""
+        """Robustness at each instant by itself, (T,): no part has to hold for the rest of the run."""
         return _Evaluator(self, "margin", np.inf).at_instants(self.root, in_time=True)
 
     def holds(self, assumed: float = np.inf) -> BoolArray:
-        """Whether it holds from each instant on, (T,). Unlike robustness, this distinguishes ``<`` from ``<=``."""
+        """Whether the expression holds from each instant on, (T,).
+
+        Unlike robustness, this distinguishes ``<`` from ``<=``.
+        """
         return _Evaluator(self, "truth", assumed).of_run(self.root) > 0.0
 
     def is_fulfilled(self) -> bool | None:
-        """Whether it holds from the first instant on; None if it was not observed."""
+        """Whether the expression holds from the first instant on; None if the run does not show this."""
         if not self.holds()[0]:
             return False
         if any(isinstance(leaf, Bound) and not values.is_known for leaf, values in self.leaves.items()):
@@ -75,10 +78,10 @@ class Evaluation:
         return True if self.holds(-np.inf)[0] else None
 
     def find_decisive_leaf(self) -> tuple[Leaf, int] | None:
-        """Bound or statement, and instant, whose margin is the robustness at the first instant; None if it is infinite.
+        """Bound or statement, and instant, that decides the robustness at the first instant; None if that is infinite.
 
-        Other instants may have the same margin by chance, even some that do not affect the expression. The result is
-        the first one with which the robustness changes.
+        Its margin equals the robustness. Other instants may have the same margin by chance; the result is the first
+        instant at which a change of the margin would change the robustness.
         """
         robustness = self.robustness()[0]
         if not np.isfinite(robustness):
@@ -94,7 +97,10 @@ class Evaluation:
         return None
 
     def _first_decisive_instant(self, candidates: IntArray, direction: float, leaf: Leaf) -> int | None:
-        """Last of the shortest prefix of `candidates` that changes the robustness if their margins change slightly."""
+        """First decisive one of the `candidates`; None if there is none.
+
+        An instant is decisive if a change of the margins up to this instant in `direction` changes the robustness.
+        """
         before, values = self.robustness()[0], self.leaves[leaf]
 
         def robustness_changes(count: int) -> bool:
@@ -122,9 +128,10 @@ def evaluate_run(
     courses: Mapping[str, FloatArray] | None = None,
     references: Mapping[str, bool | None] = MappingProxyType({}),
 ) -> dict[str, Evaluation]:
-    """Evaluate an expression against each other entity that exists, by name; once if it does not depend on them.
+    """Evaluate an expression against each other entity in the recording; return the evaluations by entity name.
 
-    `courses` of metrics that are known already are used if there is a single other entity.
+    An expression that does not depend on the other entity is evaluated once. `courses` of known metrics are used if
+    there is a single other entity.
     """
     named = (other,) if isinstance(other, str) else tuple(other)
     others = present_others(recording, named)
@@ -142,12 +149,12 @@ def evaluate_run(
 
 
 def _is_of_run(leaf: Leaf) -> bool:
-    """Whether a leaf is the same against each other entity."""
+    """Whether a bound or statement has the same value against each other entity."""
     return not isinstance(leaf, Bound) or all(signal.is_score for signal in leaf.signals)
 
 
 class _Evaluator:
-    """Evaluates with negations moved inwards, so that the role of each bound and statement is known."""
+    """Evaluator of an expression, part by part; negations are passed down to the bounds and statements."""
 
     def __init__(self, evaluation: Evaluation, values: Literal["margin", "truth"], assumed: float) -> None:
         self.leaves, self.time = evaluation.leaves, evaluation.signals.time
@@ -157,7 +164,7 @@ class _Evaluator:
         self.assumed = assumed
 
     def of_run(self, node: Node) -> FloatArray:
-        """Value from each instant on: bounds have to hold all the time, unless a temporal operator is among them."""
+        """Value of an expression from each instant on; without temporal operators, it has to hold until the end."""
         if has_temporal_operator(node):
             if isinstance(node, Operation) and node.operator == "and":
                 return np.asarray(np.minimum.reduce(list(map(self.of_run, node.operands))))
@@ -167,9 +174,10 @@ class _Evaluator:
     def at_instants(
         self, node: Node, negated: bool = False, undefined_value: float = np.inf, in_time: bool = False
     ) -> FloatArray:
-        """Value of a part or its negation at each instant; `undefined_value` is that of instants without a value.
+        """Value of a part of the expression, or of its negation, at each instant.
 
-        `in_time`: whether it is below a temporal operator, where a statement is about each instant, not about the run.
+        `undefined_value` replaces the value of a bound where it is not defined. `in_time` says whether the part is
+        below a temporal operator: there, a statement is about each instant instead of the whole run.
         """
         if not isinstance(node, Operation):
             return self._leaf_values(node, negated, undefined_value, in_time)
@@ -207,12 +215,12 @@ class _Evaluator:
 
 
 def _operand_signs(node: Operation, negated: bool) -> list[bool]:
-    """Whether each operand of a logical operator counts negated."""
+    """For each operand of a logical operator, whether it is negated."""
     if node.operator in ("->", "unless"):
         return [not negated, negated]
     return [negated != (node.operator in ("not", "no"))] * len(node.operands)
 
 
 def _combination(node: Operation, negated: bool) -> np.ufunc:
-    """Minimum if all operands of an operation, or of its negation, have to hold, else maximum."""
+    """Function that combines the operands: minimum if all of them have to hold, else maximum."""
     return np.minimum if (node.operator == "and") != negated else np.maximum

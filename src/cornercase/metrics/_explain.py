@@ -32,7 +32,7 @@ from cornercase.recordings import Collision, Recording
 
 
 class Reason(NamedTuple):
-    """Why an expression is fulfilled or not, in a sentence without a period; the decisive time in s, and value."""
+    """Reason why an expression is fulfilled or not: sentence without a period, decisive time in s, and value."""
 
     text: str
     time: float | None = None
@@ -40,7 +40,7 @@ class Reason(NamedTuple):
 
 
 def explain(evaluation: Evaluation, reference_texts: Mapping[str, str]) -> Reason:
-    """Explain whether an expression is fulfilled; `reference_texts` say by name what a reference driver does."""
+    """Explain why an expression is fulfilled or not; `reference_texts` describe reference drivers, by name."""
     root, fulfilled = evaluation.root, evaluation.is_fulfilled()
     bounds = {leaf: values for leaf, values in evaluation.leaves.items() if isinstance(leaf, Bound)}
     unobserved = [format_node(bound) for bound, values in bounds.items() if not values.is_known]

@@ -27,7 +27,7 @@ DEFAULT_CAP = 100.0
 
 @dataclass(frozen=True)
 class Expression:
-    """What has to hold in a run, in the language of formulas, requirements and conditions.
+    """A logical expression that has to hold in a run: a formula, a requirement or a condition.
 
     The language is described in docs/reference/expressions.md.
 
@@ -88,39 +88,42 @@ class Expression:
 
     @property
     def leaves(self) -> tuple[Leaf, ...]:
-        """Its bounds and statements, from left to right."""
+        """Bounds and statements of the expression, from left to right."""
         return tuple(dict.fromkeys(iter_leaves(self.root)))
 
     @property
     def bounds(self) -> tuple[Bound, ...]:
-        """Its comparisons of signals, from left to right."""
+        """Comparisons of signals in the expression, from left to right."""
         return tuple(leaf for leaf in self.leaves if isinstance(leaf, Bound))
 
     @property
     def metrics(self) -> tuple[str, ...]:
-        """Names of the metrics in it, with their options."""
+        """Names of the metrics in the expression, with their options."""
         names = [signal.metric for bound in self.bounds for signal in bound.signals]
         return tuple(dict.fromkeys(filter(None, names)))
 
     @property
     def reference_drivers(self) -> tuple[str, ...]:
-        """Names of the reference drivers in it."""
+        """Names of the reference drivers in the expression."""
         return tuple(leaf.driver for leaf in self.leaves if isinstance(leaf, ReferenceCollides))
 
     @property
     def entities(self) -> tuple[str, ...]:
-        """Names of the entities that the ego may not, or has to, collide with."""
+        """Names of the entities whose collision with the ego the expression mentions."""
         return tuple(leaf.entity for leaf in self.leaves if isinstance(leaf, EgoCollides) and leaf.entity)
 
     @property
     def unit(self) -> str:
-        """Unit of all its parts; ``"1"`` if they have several. That of a collision, position or distance is m."""
+        """Unit of the robustness: that of all parts, or ``"1"`` if they have several.
+
+        Collisions, positions and distances are in m.
+        """
         units = [unit for _, unit in self.compared_units]
         return units[0] if len(set(map(normalize_unit, units))) == 1 else "1"
 
     @property
     def compared_units(self) -> tuple[tuple[str, str], ...]:
-        """Metric, empty if there is none, and unit of each part that has a margin."""
+        """Metric and unit of each part that has a margin; the metric is empty if a part compares none."""
         return tuple(
             (leaf.left.metric, leaf.left.unit) if isinstance(leaf, Bound) else ("", "m")
             for leaf in self.leaves
@@ -129,17 +132,23 @@ class Expression:
 
     @property
     def cap(self) -> float:
-        """Robustness beyond which nothing is distinguished: of a bound on a metric, how far it is from its cap."""
+        """Upper limit of the robustness: the largest of all parts.
+
+        The limit of a bound on a metric is the distance of the bound from the metric's cap.
+        """
         return max(map(_cap_of_leaf, self.leaves))
 
     def check_installed(self) -> None:
-        """Raise if a package that a metric in it requires is not installed."""
+        """Raise if a package is not installed that a metric in the expression requires."""
         for name in self.metrics:
             METRICS.create(name).check_installed()
 
     @property
     def has_margin(self) -> bool:
-        """Whether its robustness says how narrowly it is fulfilled; a collision happens or not."""
+        """Whether the robustness says how narrowly the expression is fulfilled.
+
+        It does not for a collision, which happens or not.
+        """
         return not any(isinstance(leaf, EgoCollides | ReferenceCollides) for leaf in self.leaves)
 
     def robustness(self, signals: Signals) -> FloatArray:
@@ -164,7 +173,7 @@ class Expression:
         return Evaluation.from_signals(self.root, signals).robustness()
 
     def is_fulfilled(self, signals: Signals) -> bool | None:
-        """Whether it holds from the first instant on, as requirements and conditions judge it.
+        """Whether the expression holds from the first instant on, as requirements and conditions judge it.
 
         Parameters
         ----------

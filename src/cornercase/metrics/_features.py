@@ -92,10 +92,10 @@ class FeatureGroup(ABC):
 
 # docs/metrics.md describes each feature, and its value if something never happens.
 class NearestApproach(FeatureGroup):
-    """State at the first instant at which the boxes are nearest to each other, or 100 m away if they never coexist.
+    """State at the first instant at which the boxes are nearest to each other.
 
-    ``nearest-ahead``, ``nearest-left``, ``nearest-cos`` and ``nearest-sin`` are in the ego's frame; ``nearest-way`` is
-    the distance that the ego has driven until then.
+    ``nearest-ahead``, ``nearest-left``, ``nearest-cos`` and ``nearest-sin`` are in the ego's frame. ``nearest-way`` is
+    the distance that the ego has driven until then. If both entities never exist at the same time, the gap is 100 m.
     """
 
     name = "nearest-approach"
@@ -139,9 +139,10 @@ class NearestApproach(FeatureGroup):
 
 
 class Approach(FeatureGroup):
-    """State at the first instant at which the centres are within 40 m, else the one at which they are nearest.
+    """State at the first instant at which the centres are within 40 m; if they never are, when they are nearest.
 
-    The state before either reacts depends smoothly on the parameters, while its consequences jump.
+    This is the state before an entity reacts, so it depends smoothly on the parameters. The consequences of the
+    reaction jump.
     """
 
     name = "approach"
@@ -159,7 +160,7 @@ class Approach(FeatureGroup):
 
 
 class EgoBraking(FeatureGroup):
-    """State when the ego first brakes with nine tenths of its strongest deceleration; else the end."""
+    """State when the ego first brakes with nine tenths of its strongest deceleration; without braking, at the end."""
 
     name = "braking"
     features = (Feature("braking-way", "m"), Feature("braking-speed", "m/s"))
@@ -172,7 +173,7 @@ class EgoBraking(FeatureGroup):
 
 
 class OtherMotion(FeatureGroup):
-    """Highest speed of the other, and the distance that it has driven until it brakes hardest; 0 if it never exists."""
+    """Highest speed of the other entity, and the distance driven until it brakes hardest; 0 if it never exists."""
 
     name = "other"
     features = (
@@ -193,9 +194,10 @@ class OtherMotion(FeatureGroup):
 
 
 class PathCrossing(FeatureGroup):
-    """Where the paths of both come nearest to each other, and how much later than the other the ego is there.
+    """Distance of both paths where they come nearest, and how much later than the other entity the ego is there.
 
-    Of equally near points the one counts that both pass with the least time between them: 1 s counts as much as 0.1 m.
+    If several points are equally near, the one counts that both entities pass with the least time between them. In this
+    comparison 1 s counts as much as 0.1 m.
     """
 
     name = "crossing"
@@ -206,7 +208,7 @@ class PathCrossing(FeatureGroup):
 
 
 class SlowestInstant(FeatureGroup):
-    """State at the first instant at which the ego is slowest, with the other in the ego's frame."""
+    """State at the first instant at which the ego is slowest, with the other entity in the ego's frame."""
 
     name = "slowest"
     features = (
@@ -236,7 +238,7 @@ class SlowestInstant(FeatureGroup):
 
 
 class EgoTurn(FeatureGroup):
-    """State when the ego turns fastest, and when its heading first differs by 0.05 rad from the initial one."""
+    """State when the ego turns fastest, and when its heading first differs by 0.05 rad from the initial heading."""
 
     name = "turn"
     features = (
@@ -262,7 +264,7 @@ class EgoTurn(FeatureGroup):
 
 
 class WholeRecording(FeatureGroup):
-    """Duration, distance that the ego drives, and whether both touch."""
+    """Duration of the recording, distance that the ego drives, and whether both entities touch."""
 
     name = "whole"
     features = (Feature("duration", "s"), Feature("way", "m"), Feature("contact", "1", branch=True))
@@ -274,14 +276,14 @@ class WholeRecording(FeatureGroup):
 
 
 def _instant_of_strongest_braking(accelerations: FloatArray, instants: IntArray) -> int:
-    """First of the instants at which an entity brakes (nearly) hardest; the last one if it does not brake."""
+    """First instant, among `instants`, at which an entity brakes (nearly) hardest; the last one if it never brakes."""
     braking = np.nan_to_num(-accelerations[instants])
     strongest = float(braking.max())
     return int(instants[np.argmax(braking >= _STRONG * strongest) if strongest > _MIN_BRAKING else -1])
 
 
 def _angles_between(headings: FloatArray, others: FloatArray | float) -> FloatArray:
-    """Angles between headings, the shortest way round."""
+    """Smallest angles between pairs of headings."""
     angle = np.abs(headings - others)
     return np.asarray(np.minimum(angle, np.abs(2.0 * np.pi - angle)))
 

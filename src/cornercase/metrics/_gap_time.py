@@ -14,9 +14,10 @@ from cornercase.recordings import Recording
 class GapTime(Metric):
     """Difference of the times at which both reach the crossing of their tracks at their present speeds.
 
-    ``|d / v - d_other / v_other|`` in s, with the distances of the centres to the crossing that `TrajectoryDistance`
-    takes. 0 if both arrive together, inf if at least one stands. Not defined if no crossing lies ahead of both (one has
-    passed it), for tracks that do not cross, and if one of the two does not exist. Cap: 10 s.
+    ``|d / v - d_other / v_other|`` in s. d and d_other are the distances of the centres to the crossing, as in
+    `TrajectoryDistance`. The value is 0 if both arrive together, and inf if at least one of them stands. Not defined if
+    no crossing lies ahead of both, if the tracks do not cross, or if one of the two does not exist. Least critical
+    value (cap): 10 s.
 
     Source: gap time, B. L. Allen, B. T. Shin, P. J. Cooper, "Analysis of traffic conflicts and collisions",
     Transportation Research Record 667 (1978), predicted with constant speeds.
@@ -45,8 +46,9 @@ class GapTime(Metric):
 class SquaredGapTime(GapTime):
     """Difference of the squared times at which both reach the crossing of their tracks.
 
-    ``|t² - t_other²|`` in s², the gap time times the sum of both arrival times, so that the same gap counts more the
-    sooner it occurs. Arrivals, 0, inf and where it is not defined as in `GapTime`. Cap: 100 s².
+    ``|t² - t_other²|`` in s²: the gap time multiplied by the sum of both arrival times. So the same gap time is more
+    critical if both arrive sooner. Arrival times, special values and undefined cases are those of `GapTime`. Least
+    critical value (cap): 100 s².
 
     Source: squared predicted relative encroachment time, as in Westhofen et al. 2023.
 

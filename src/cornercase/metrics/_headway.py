@@ -11,11 +11,11 @@ from cornercase.recordings import Recording
 
 
 class Headway(Metric):
-    """Distance that the ego could go straight on until its box touches that of the other.
+    """Distance that the ego could go straight on until its box touches that of the other entity.
 
     For one car behind another on one lane this is the gap from front to rear bumper, in m. It depends on positions and
-    headings only; 0 if the boxes touch. Not defined if the other is not ahead of the ego (beside or behind it) or one
-    of the two does not exist. Cap: 100 m.
+    headings only, and is 0 if the boxes touch. Not defined if the other entity is beside or behind the ego, or one of
+    the two does not exist. Least critical value (cap): 100 m.
 
     Source: L. Westhofen et al., "Criticality metrics for automated driving: a review and suitability analysis of the
     state of the art", Archives of Computational Methods in Engineering 30 (2023), headway.
@@ -32,11 +32,11 @@ class Headway(Metric):
 
 
 class Thw(Metric):
-    """Time headway: time until the ego reaches the present position of the other's rear.
+    """Time headway: time until the ego reaches the present position of the other entity's rear.
 
-    ``gap / v`` in s, with the gap of `Headway` and the ego's speed v; 0 if the boxes touch, inf for a standing ego. It
-    does not depend on the other's speed. Not defined if the other is not ahead of the ego or one of the two does not
-    exist. Cap: 10 s.
+    ``gap / v`` in s, with the gap of `Headway` and the ego's speed v. It is 0 if the boxes touch, and inf for a
+    standing ego. The speed of the other entity does not matter. Not defined if the other entity is not ahead of the
+    ego, or one of the two does not exist. Least critical value (cap): 10 s.
 
     Source: J. R. Jansson, "Collision avoidance theory with application to automotive collision mitigation", Linköping
     University (2005), with the gap between boxes.
@@ -64,12 +64,12 @@ class Thw(Metric):
 
 
 class Pttc(Metric):
-    """Potential time to collision: the leader keeps its acceleration until it stands, the ego its speed.
+    """Potential time to collision: the entity ahead keeps its acceleration until it stands, the ego its speed.
 
-    The smallest t >= 0 in s with ``gap = (v - v_other) t - a_other t² / 2``; a braking leader stays where it stops. 0
-    if the boxes touch, inf if the ego never reaches the other. With a leader of constant speed it is the time to
-    collision; a standing leader is an obstacle. Not defined if the other is not ahead of the ego or one of the two does
-    not exist. Cap: 10 s.
+    The smallest t >= 0 in s with ``gap = (v - v_other) t - a_other t² / 2``. An entity that brakes stays where it
+    stops. The value is 0 if the boxes touch, and inf if the ego never reaches the other entity. If that drives at
+    constant speed, the value is the time to collision. If it stands, it is an obstacle. Not defined if the other entity
+    is not ahead of the ego, or one of the two does not exist. Least critical value (cap): 10 s.
 
     Source: H. Wakabayashi et al., "Traffic conflict analysis using vehicle tracking system/digital VCR and proposal of
     a new conflict indicator", Infrastructure Planning Review 20 (2003); the leader does not reverse by braking.

@@ -59,7 +59,9 @@ class Measurement:
         return ("metric", "score", "unit", "critical is", *(["against"] if self.against else []))
 
     def rows(self) -> list[tuple[str, ...]]:
-        """One row per metric: name, score, unit, whether low or high is critical and, with several others, the entity.
+        """One row per metric: name, score, unit, and whether low or high is critical.
+
+        With several other entities, a last column names the entity that the score comes from.
 
         Returns
         -------
@@ -157,10 +159,10 @@ def measure(
 
 
 class MetricResult(NamedTuple):
-    """Course and score of a metric; with several others, the most critical value at each instant, and score.
+    """Course and score of a metric; with several other entities, the most critical of them.
 
-    `against`: name of the entity the score comes from (the first one if tied). None if there is only one other entity,
-    if the score is the cap, or if all entities give the same result.
+    `against` is the name of the entity that the score comes from, the first one if tied. It is None if there is only
+    one other entity, if the score is the cap, or if all entities give the same result.
     """
 
     course: FloatArray
@@ -171,10 +173,10 @@ class MetricResult(NamedTuple):
 def evaluate_metrics(
     metrics: Iterable[Metric], recording: Recording, ego: str, other: str | Sequence[str]
 ) -> dict[str, MetricResult]:
-    """Evaluate metrics on a recording. Return the results by name of the metric.
+    """Evaluate metrics on a recording; return the results by name of the metric.
 
-    Of several others, those that never exist in the recording are skipped. Contacts count as in
-    `Metric.score_with_contact`. PartError if a metric raises an exception, or returns no numbers.
+    Other entities that never exist in the recording are skipped. Contacts count as in `Metric.score_with_contact`.
+    Raises PartError if a metric raises an exception or returns no numbers.
     """
     named = (other,) if isinstance(other, str) else tuple(other)
     others = present_others(recording, named)
@@ -199,7 +201,7 @@ def _evaluate_against(
 
 
 def compute_course_and_score(metric: Metric, recording: Recording, ego: str, other: str) -> tuple[FloatArray, float]:
-    """Course and score of a metric, which may be third-party code; check both."""
+    """Course and score of a metric; both are checked, since the metric may be third-party code."""
     part, interrupts = f"the metric {metric.name}", count_requests()
     try:
         course = metric.course(recording, ego, other)
@@ -223,7 +225,10 @@ def _is_numeric(value: object) -> bool:
 
 
 def _combine_most_critical(metric: Metric, others: Sequence[str], results: Sequence[MetricResult]) -> MetricResult:
-    """Combine the results against several others, at least one of which exists."""
+    """Combine the results against several other entities into the most critical one.
+
+    At least one of the entities exists in the recording.
+    """
     courses = metric.to_minimize(np.stack([np.asarray(result.course, dtype=np.float64) for result in results]))
     scores = [metric.to_minimize(result.score) for result in results]
     k = scores.index(min(scores))

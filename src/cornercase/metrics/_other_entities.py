@@ -17,7 +17,7 @@ ALL_OTHERS: Final = "*"
 
 
 def resolve_others(other: object, ego: str, entity_names: Sequence[str]) -> tuple[str, ...]:
-    """Resolve `other` to the names of one or several entities, each once; InputError if that is impossible.
+    """Resolve `other` to the names of one or several entities, without repetition; InputError if that is impossible.
 
     ``"*"`` stands for all of `entity_names` but the ego. Other names need not be in `entity_names`.
 
@@ -42,9 +42,10 @@ def resolve_others(other: object, ego: str, entity_names: Sequence[str]) -> tupl
 
 
 def present_others(recording: Recording, others: Sequence[str]) -> tuple[str, ...]:
-    """Return those of `others` that exist at any instant of the recording, in the same order.
+    """Return the entities among `others` that exist at any instant of the recording, in the same order.
 
-    If none exists, return one that the recording at least names; if it names none, the first of `others`.
+    The result is never empty. If none of the entities exists, it is the first one that has a row in the recording, or
+    else the first of `others`.
     """
     recorded = [name for name in others if name in recording.names]
     present = [name for name in recorded if np.isfinite(recording.x[recording.entity_index(name)]).any()]
@@ -52,7 +53,7 @@ def present_others(recording: Recording, others: Sequence[str]) -> tuple[str, ..
 
 
 def nearest_other(recording: Recording, ego: str, other: str | Sequence[str]) -> str:
-    """Return the one of several others that the ego collides with first, else the one with the smallest gap."""
+    """Return the entity that the ego collides with first; without a collision, the one with the smallest gap."""
     others = present_others(recording, (other,) if isinstance(other, str) else other)
     if len(others) == 1:
         return others[0]

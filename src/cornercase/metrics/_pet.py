@@ -15,15 +15,17 @@ class Pet(Metric):
 
     ``t_in(second) - t_out(first)`` in s. The conflict area is the overlap of the areas that both bounding boxes sweep
     in the whole recording, on tracks of any shape. Each connected stretch of the tracks on which the boxes would meet,
-    regardless of time, has an area of its own; the smallest value counts. An entity is in the area while its box
-    touches it. Between two instants the corners go straight and the speed changes evenly.
+    regardless of time, has its own area; the smallest value counts. An entity is in the area while its box touches the
+    area. Between two instants the corners go straight and the speed changes linearly.
 
-    The value is known only afterwards and belongs to the recording as a whole: the course has it at all instants.
+    The value is known only afterwards and belongs to the recording as a whole: the course has this value at all
+    instants.
 
-    Not defined (NaN throughout) without a conflict area, if the second enters before the first has left (so in each
-    collision), and if the first never leaves. A recording in which both touch scores 0. An entity that stands outside
-    of the other's swept area gives no conflict, one that stands inside does not leave. A recording that ends before the
-    second enters has no conflict area. Never negative unless `signed`. Cap: 10 s.
+    The value is not defined (NaN at all instants) if there is no conflict area, if the first entity never leaves the
+    area, or if the second enters before the first has left. So it is not defined in a collision; a recording in which
+    both touch scores 0. An entity that stands outside of the other's swept area gives no conflict area. An entity that
+    stands inside does not leave. A recording that ends before the second entity enters has no conflict area. The value
+    is never negative unless `signed`. Least critical value (cap): 10 s.
 
     Source: B. L. Allen, B. T. Shin, P. J. Cooper, "Analysis of traffic conflicts and collisions", Transportation
     Research Record 667 (1978).
@@ -70,11 +72,11 @@ class Pet(Metric):
 class EncroachmentTime(Metric):
     """How long the ego is in the conflict area, as recorded.
 
-    ``t_out - t_in`` in s for the conflict area of `Pet`; of several areas or visits the longest counts. It depends on
-    the area that the other sweeps, not on when. It is known only afterwards, so the course has the value at all
-    instants. inf if the ego comes to a stop in the area. Not defined (NaN throughout) without a conflict area, and if
-    the recording ends while the ego drives through it. Cap: 0, most critical value: 60 s, which is the score of a
-    recording in which both touch.
+    ``t_out - t_in`` in s for the conflict area of `Pet`. If there are several areas or visits, the longest visit
+    counts. The area depends on where the other entity goes, not on when. The value is known only afterwards, so the
+    course has it at all instants. It is inf if the ego comes to a stop in the area. It is not defined (NaN at all
+    instants) if there is no conflict area, or if the recording ends while the ego drives through it. Least critical
+    value (cap): 0. Most critical value: 60 s, which is also the score of a recording in which both touch.
 
     Source: B. L. Allen, B. T. Shin, P. J. Cooper, "Analysis of traffic conflicts and collisions", Transportation
     Research Record 667 (1978).

@@ -20,19 +20,20 @@ Term = Literal["both", "longitudinal", "lateral"]
 class Rss(Metric):
     """Distance by which the ego keeps, or violates, the minimum of responsibility-sensitive safety.
 
-    Along and across the ego's heading the gap between the boxes is compared with the minimum that lets both react and
-    brake. If the lateral minimum is violated, the value in m is the longitudinal surplus, else the larger of the two;
-    so it is below 0 exactly in a dangerous situation, in which both minima are violated. Lower is more critical.
+    The gap between the boxes, along and across the ego's heading, is compared with the minimum that lets both entities
+    react and brake. The surplus is the gap less this minimum. If the lateral minimum is violated, the value in m is the
+    longitudinal surplus, otherwise the larger surplus. So the value is below 0 exactly in a dangerous situation, in
+    which both minima are violated. Lower is more critical.
 
     If both go the same way, the rear one, with speed v_r, needs
 
         [v_r ρ + a ρ²/2 + (v_r + ρ a)² / (2 b_min) - v_f² / (2 b_max)]₊.
 
-    If they come towards each other, both need their distance during ρ and until they stand, the ego with
-    ``correct_braking`` and the other with ``min_braking`` (`min_longitudinal_gap`, `min_oncoming_gap`); across the
-    heading see `min_lateral_gap`. Two standing entities need the distance of accelerating for ρ. Not defined if one of
-    the two does not exist. Cap: 100 m, most critical value: -500 m, which is the score of a recording in which both
-    touch.
+    If they come towards each other, each needs the distance that it travels in the response time ρ and until it stands.
+    Here the ego brakes with ``correct_braking`` and the other entity with ``min_braking``. Two standing entities need
+    the distance of accelerating for ρ. Across the heading, both drift towards each other for ρ and then brake. Not
+    defined if one of the two does not exist. Least critical value (cap): 100 m. Most critical value: -500 m, which is
+    also the score of a recording in which both touch.
 
     Source: S. Shalev-Shwartz, S. Shammah, A. Shashua, "On a formal model of safe and scalable self-driving cars",
     arXiv:1708.06374, definitions 1, 2, 6 and 8, in the frame of the ego instead of the lane.
@@ -149,7 +150,10 @@ class Rss(Metric):
 def _projected_gap(
     recording: Recording, ego: str, other: str, axis: FloatArray
 ) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
-    """Gap between the boxes' projections on `axis` (negative if they overlap), and whether the other lies towards +."""
+    """Gap between the boxes along `axis`, and whether the other entity lies in the positive direction of it.
+
+    The gap is negative if the projections of the boxes on the axis overlap.
+    """
     a, b = ((box_corners_over_time(recording, name) * axis[:, None]).sum(-1) for name in (ego, other))
     positive = b.max(-1) + b.min(-1) >= a.max(-1) + a.min(-1)
     return np.where(positive, b.min(-1) - a.max(-1), a.min(-1) - b.max(-1)), positive
@@ -163,7 +167,10 @@ def min_longitudinal_gap(
     min_braking: float,
     max_braking: float,
 ) -> FloatArray:
-    """Least safe gap in m if both go the same way (definition 1). Speeds in m/s; a negative front speed counts as 0."""
+    """Least safe gap in m if both go the same way (definition 1).
+
+    Speeds are in m/s; a negative speed of the front entity counts as 0.
+    """
     response_speed = rear_speed + response_time * acceleration
     distance: FloatArray = (
         rear_speed * response_time + 0.5 * acceleration * response_time**2 + response_speed**2 / (2.0 * min_braking)
@@ -181,8 +188,8 @@ def min_oncoming_gap(
 ) -> FloatArray:
     """Least safe gap in m if both come towards each other (definition 2).
 
-    `correct_side_speed` and `wrong_side_speed` are the speeds towards each other in m/s, of the vehicle on its own side
-    and of the other.
+    `correct_side_speed` is the speed of the vehicle on its own side, `wrong_side_speed` that of the other vehicle. Both
+    are the speeds towards each other in m/s.
     """
     distance = np.zeros_like(correct_side_speed)
     for speed, braking in ((correct_side_speed, correct_braking), (wrong_side_speed, min_braking)):
@@ -201,7 +208,7 @@ def min_lateral_gap(
 ) -> FloatArray:
     """Least safe lateral gap in m (definition 6): both drift towards each other during the response, then brake.
 
-    `ego_speed` and `other_speed` are the lateral speeds of both towards each other, in m/s. At least `margin`.
+    `ego_speed` and `other_speed` are the lateral speeds towards each other in m/s. The gap is at least `margin`.
     """
     distance = np.zeros_like(ego_speed)
     for speed in (ego_speed, other_speed):

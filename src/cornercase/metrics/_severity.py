@@ -42,8 +42,8 @@ class DeltaV(Metric):
     """Change of the ego's velocity in a collision in which both stick together (plastic impact).
 
     ``m_other / (m + m_other) |v_other - v|`` in m/s, with the velocities as vectors at the first instant at which the
-    boxes touch; the course keeps the value while they touch. Not defined while they do not, so a recording without a
-    collision scores the cap. A contact without motion gives 0. Cap: 0 m/s.
+    boxes touch. The course keeps this value while they touch, and is not defined otherwise. So a recording without a
+    collision scores the cap. A contact without motion gives 0. Least critical value (cap): 0 m/s.
 
     Source: S. G. Shelby, "Delta-V as a measure of traffic conflict severity", 3rd International Conference on Road
     Safety and Simulation (2011), with the velocities as vectors.
@@ -78,9 +78,9 @@ class DeltaV(Metric):
 class ConflictSeverity(Metric):
     """Change of the ego's velocity in a predicted collision, after evasive braking.
 
-    ``[m_other / (m + m_other) (|v_other - v| - a TTC)]₊`` in m/s: the predicted `DeltaV`, less what braking by a until
-    the contact removes; the time to collision is that of `Ttc`. 0 if no collision is predicted, or both stand. Not
-    defined if one of the two does not exist. Cap: 0 m/s.
+    ``[m_other / (m + m_other) (|v_other - v| - a TTC)]₊`` in m/s: the predicted `DeltaV` after braking with a until the
+    contact. The time to collision TTC is that of `Ttc`. The value is 0 if no collision is predicted, or both stand. Not
+    defined if one of the two does not exist. Least critical value (cap): 0 m/s.
 
     Source: O. Bagdadi, "Estimation of the severity of safety critical events", Accident Analysis and Prevention 50
     (2013).
@@ -118,9 +118,10 @@ class ConflictSeverity(Metric):
 
 
 def find_first_contact(recording: Recording, ego: str, other: str) -> tuple[int, float] | None:
-    """First instant of a contact, and the velocity change of the lighter entity in m/s if both stick together.
+    """First instant of a contact, and the velocity change of the lighter entity in m/s; None without a contact.
 
-    None without a contact; a change of 0 if the velocities then are unknown.
+    The velocity change is that of a plastic impact, in which both stick together. It is 0 if the velocities at the
+    contact are unknown.
     """
     touch = boxes_touch_over_time(recording, ego, other)
     recorded = recording.first_collision(ego, other)

@@ -1,4 +1,4 @@
-"""Metrics of the steering that the ego needs to pass the other ahead of it."""
+"""Metrics of the steering that the ego needs to pass another entity ahead."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from cornercase.recordings import Recording
 
 
 class LateralAcceleration(Metric):
-    """Required lateral acceleration: the weaker of those with which the ego passes the other left or right.
+    """Required lateral acceleration: the weakest with which the ego passes the other entity, left or right.
 
-    ``min over ± of 2 |±(w + w_other) / 2 + Δy| / TTC²`` in m/s². Δy is how far left of the ego's centre the other's
-    lies, across the ego's heading, when the gap is closed (with both lateral speeds kept); the widths are those of the
-    boxes across the ego's heading; TTC is gap / Δv along it. 0 if the gap does not shrink, inf at contact while it
-    does. A standing other is an obstacle. Not defined if the other is not ahead of the ego or one of the two does not
-    exist. Cap: 0, most critical value: 20 m/s².
+    ``min over ± of 2 |±(w + w_other) / 2 + Δy| / TTC²`` in m/s². The widths w and w_other are those of the boxes across
+    the ego's heading. TTC is gap / Δv along the heading. Δy is the predicted lateral offset, to the left, of the
+    other's centre from the ego's when the gap is closed; both keep their lateral speeds. The value is 0 if the gap does
+    not shrink, and inf at contact while it does. A standing entity is an obstacle. Not defined if the other entity is
+    not ahead of the ego, or one of the two does not exist. Least critical value (cap): 0; most critical value: 20 m/s².
 
     Source: required lateral acceleration, as in Westhofen et al. 2023 and Jansson 2005.
     """
@@ -38,9 +38,10 @@ class LateralAcceleration(Metric):
 class Stn(Metric):
     """Steer threat number: required over available lateral acceleration.
 
-    The required lateral acceleration (`LateralAcceleration`) over the greatest one, without unit: 1 if full steering
-    just avoids the contact. 0 if the gap does not shrink. Standing others, and where it is not defined, as there. Cap:
-    0, most critical value: 5.
+    The required lateral acceleration (`LateralAcceleration`) divided by the greatest lateral acceleration of the ego,
+    without unit. It is 1 if full steering just avoids the contact, and 0 if the gap does not shrink. Standing entities
+    are treated as in `LateralAcceleration`, and it is undefined in the same cases. Least critical value (cap): 0; most
+    critical value: 5.
 
     Source: M. Brännström, J. Sjöberg, E. Coelingh, "A situation and threat assessment algorithm for a rear-end
     collision avoidance system", IEEE Intelligent Vehicles Symposium (2008).
@@ -69,9 +70,9 @@ class Stn(Metric):
 
 
 def required_lateral_acceleration(recording: Recording, ego: str, other: str) -> FloatArray:
-    """Weakest lateral acceleration that avoids contact (see `LateralAcceleration`), shape (T,), in m/s², not negative.
+    """Weakest lateral acceleration that avoids contact, shape (T,), in m/s², not negative.
 
-    NaN if the other is not ahead of the ego.
+    NaN if the other entity is not ahead of the ego. See `LateralAcceleration`.
     """
     pair = LeaderGap.from_recording(recording, ego, other)
     heading = recording.heading[recording.entity_index(ego)]

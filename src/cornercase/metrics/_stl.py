@@ -20,13 +20,14 @@ from cornercase.recordings import Recording
 class Stl(Metric):
     """Robustness of a formula of signal temporal logic: positive if it holds, negative if it is violated.
 
-    The course is the robustness from each instant on, the score that at the first instant. The unit is that of the
-    formula's bounds, and 1 if they have several. Not defined (NaN throughout) if no bound was ever defined.
+    The course is the robustness from each instant on; the score is the robustness at the first instant. The unit is
+    that of the formula's bounds, or 1 if they have several units. Not defined (NaN at all instants) if no bound was
+    ever defined.
 
-    Cap: for a comparison of a metric with a number, how far the number is from the metric's own cap, so that
-    ``stl:always(clearance > 0.5)`` scores the ``clearance`` less 0.5; for any other comparison 100; of several the
-    largest. Most critical value: -100, or how far a number is beyond the most critical value of the metric that it is
-    compared with, if that is more.
+    The cap follows from the parts of the formula; the largest counts. If a part compares a metric with a number, it is
+    the distance of the number from the cap of the metric, so ``stl:always(clearance > 0.5)`` scores the ``clearance``
+    less 0.5. For any other comparison it is 100. The most critical value is -100, or lower if a number is more than 100
+    away from the most critical value of the metric.
 
     Source: G. E. Fainekos, G. J. Pappas, "Robustness of temporal logic specifications for continuous-time signals",
     Theoretical Computer Science 410 (2009); A. Donzé, O. Maler, "Robust satisfaction of temporal logic over real-valued

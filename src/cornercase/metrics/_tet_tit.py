@@ -18,7 +18,7 @@ Rule = Literal["linear", "samples"]
 
 
 class _TimeBelowThresholdMetric(Metric):
-    """Integral over time of how far the time to collision is below a threshold."""
+    """Base class of metrics that integrate over the time in which the time to collision is below a threshold."""
 
     lower_is_critical = False
     cap = 0.0
@@ -42,20 +42,26 @@ class _TimeBelowThresholdMetric(Metric):
 
     @abstractmethod
     def _integrand(self, margin: FloatArray) -> FloatArray:
-        """Integrand at each instant, by how far it is below the threshold, (T,); -inf if the metric is not defined."""
+        """Integrand at each instant, (T,).
+
+        `margin` is how far the time to collision is below the threshold; -inf if it is not defined.
+        """
 
     @abstractmethod
     def _mean_integrand(self, low: FloatArray, high: FloatArray, crosses: BoolArray) -> FloatArray:
-        """Mean of the integrand on the straight line between two instants, (T - 1,)."""
+        """Mean of the integrand between successive instants, (T - 1,); the margin changes linearly between them.
+
+        `low` and `high` are the smaller and larger margin of both instants; `crosses` says if 0 lies between them.
+        """
 
 
 class Tet(_TimeBelowThresholdMetric):
     """Time exposed time to collision: for how long the time to collision has been at most τ.
 
-    ``∫ 1[TTC <= τ] dt`` in s, from the start up to each instant, so the course never falls and its last value is that
-    of the recording; the time to collision is that of `Ttc`. Defined at all instants: nothing is added while one of the
-    two does not exist or the two move apart. Cap: 0 s, most critical value: 60 s, which is the score of a recording in
-    which both touch, whenever it ends.
+    ``∫ 1[TTC <= τ] dt`` in s, with the time to collision TTC of `Ttc`. The integral runs from the start to each
+    instant, so the course never falls, and its last value is the score. It is defined at all instants: nothing is added
+    while one of the two does not exist, or while they move apart. The least critical value (cap) is 0 s. The most
+    critical one is 60 s, which is also the score of every recording in which both touch.
 
     Source: M. M. Minderhoud, P. H. L. Bovy, "Extended time-to-collision measures for road traffic safety assessment",
     Accident Analysis and Prevention 33 (2001).
@@ -84,10 +90,10 @@ class Tet(_TimeBelowThresholdMetric):
 class Tit(_TimeBelowThresholdMetric):
     """Time integrated time to collision: for how long, and by how much, it has been below τ.
 
-    ``∫ (τ - TTC)₊ dt`` in s², from the start up to each instant, so the course never falls and its last value is that
-    of the recording; the time to collision is that of `Ttc`. Defined at all instants: nothing is added while the
-    ego or the other entity does not exist, or while they move apart. The least critical value (cap) is 0 s², the most
-    critical one 60 s²: the score of every recording in which both touch.
+    ``∫ (τ - TTC)₊ dt`` in s², with the time to collision TTC of `Ttc`. The integral runs from the start to each
+    instant, so the course never falls, and its last value is the score. It is defined at all instants: nothing is added
+    while one of the two does not exist, or while they move apart. The least critical value (cap) is 0 s². The most
+    critical one is 60 s², which is also the score of every recording in which both touch.
 
     Source: M. M. Minderhoud, P. H. L. Bovy, "Extended time-to-collision measures for road traffic safety assessment",
     Accident Analysis and Prevention 33 (2001).
@@ -113,5 +119,5 @@ class Tit(_TimeBelowThresholdMetric):
 
 
 def _difference_if_crossing(low: FloatArray, high: FloatArray, crosses: BoolArray) -> FloatArray:
-    """`high - low` where the line between them crosses the threshold, else 1 (a divisor that is never 0)."""
+    """`high - low` where the threshold lies between them, else 1, so that the divisor is never 0."""
     return np.where(crosses, np.where(crosses, high, 1.0) - np.where(crosses, low, 0.0), 1.0)

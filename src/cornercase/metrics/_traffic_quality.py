@@ -34,9 +34,10 @@ class TrafficQuality(Metric):
     - *penalty*, the distance: exp(-d / 5 m), with the smallest gap d between the boxes of any two entities: 1
       if two overlap, 0 for a scene of one.
 
-    Speeds count without their sign. If the mean speed is below 1e-5 m/s, macro or nano is 0; so a standing scene has
-    only the micro term. Not defined if the ego does not exist. Cap: 0, the smallest possible value, most critical
-    value: 10. The second entity of a course is not used; a recording in which it touches the ego scores 10.
+    Speeds count without their sign. Macro and nano are 0 if the mean speed is below 1e-5 m/s, so a standing scene has
+    only the micro term. Not defined if the ego does not exist. The `other` entity of `course` is not used, but a
+    recording in which it touches the ego scores 10. Least critical value (cap): 0, the smallest possible value. Most
+    critical value: 10.
 
     Source: B. Schütt, M. Zipfl, J. M. Zöllner, E. Sax, "Inverse universal traffic quality: a criticality metric for
     crowded urban traffic scenes", IEEE Intelligent Vehicles Symposium (2023). The window of the individual term ends at
@@ -67,7 +68,7 @@ class TrafficQuality(Metric):
         self.name = "traffic-quality" if term == "all" else f"traffic-quality-{term}"
 
     def course(self, recording: Recording, ego: str, other: str = "") -> FloatArray:
-        """Traffic quality, or the chosen term of it, at each instant; `other` is not used."""
+        """Traffic quality at each instant, or the chosen term; `other` is not used."""
         scene = _TrafficScene(recording, ego)
         if self.term != "all":
             return np.where(scene.exists[scene.ego], _TERMS[self.term](scene), np.nan)
@@ -76,7 +77,7 @@ class TrafficQuality(Metric):
 
 
 class _TrafficScene:
-    """All entities of a recording, relative to the ego; each term has shape (T,)."""
+    """All entities of a recording, relative to the ego; the methods return the terms, shape (T,) each."""
 
     def __init__(self, recording: Recording, ego: str) -> None:
         self.recording = recording
@@ -134,7 +135,10 @@ _TERMS: Final = {
 
 
 def _coefficient_of_variation(speed: FloatArray, is_counted: BoolArray) -> FloatArray:
-    """Coefficient of variation (standard deviation over mean) of the counted speeds; 0 if all stand or none count."""
+    """Coefficient of variation (standard deviation over mean) of the speeds that count.
+
+    It is 0 if none counts, or all of them are 0.
+    """
     count = np.maximum(is_counted.sum(0), 1)
     mean = np.where(is_counted, speed, 0.0).sum(0) / count
     spread = np.sqrt((np.where(is_counted, speed - mean, 0.0) ** 2).sum(0) / count)
@@ -143,7 +147,7 @@ def _coefficient_of_variation(speed: FloatArray, is_counted: BoolArray) -> Float
 
 
 def _mean_from_index(first: IntArray, values: FloatArray) -> FloatArray:
-    """Mean of the finite values from `first` up to each instant, 0 if there are none."""
+    """Mean of the finite values from index `first` up to each instant; 0 if there are none."""
     is_finite = np.isfinite(values)
     total = np.append(0.0, np.cumsum(np.where(is_finite, values, 0.0)))
     count = np.append(0, np.cumsum(is_finite))

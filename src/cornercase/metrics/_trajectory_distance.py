@@ -12,16 +12,16 @@ from cornercase.recordings import Recording
 
 
 class TrajectoryDistance(Metric):
-    """Sum of the distances that both entities still have along their tracks to where these cross.
+    """Sum of the distances that both entities still have along their tracks to the crossing of the tracks.
 
-    ``d_ego + d_other`` in m. A track joins the recorded centres of the bounding box and goes straight on from the last
-    of them, along the last heading, for `ahead`; so an entity that stands, or stops before the crossing, has a path
-    too. At each instant the crossing that lies ahead of both counts, of several the one with the smallest sum. It
+    ``d_ego + d_other`` in m. A track joins the recorded centres of the bounding box. After the last centre it goes
+    straight on for `ahead`, along the last heading. So an entity that stands, or stops before the crossing, has a path
+    too. Only a crossing ahead of both entities counts; if there are several, the one with the smallest sum. The value
     depends on the shape of the tracks, not on the speeds.
 
-    Not defined if one of the two does not exist, if no crossing lies ahead of both (one has passed it), and for tracks
-    that do not cross: parallel ones, one behind the other, and those that merge without touching. A track that joins
-    the other and then follows it exactly meets it where it joins. Cap: 200 m.
+    Not defined if one of the two does not exist, or if no crossing lies ahead of both. Some tracks do not cross:
+    parallel tracks, one entity behind the other, and tracks that merge without touching. A track that joins the other
+    and then follows it exactly meets it where it joins. Least critical value (cap): 200 m.
 
     Source: trajectory distance, first objective of scenario 1 in Schütt, Otten and Sax, "Clustering-based criticality
     analysis for testing of automated driving systems" (2023).

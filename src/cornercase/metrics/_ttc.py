@@ -16,12 +16,13 @@ from cornercase.recordings import Recording
 class Ttc(Metric):
     """Time until the two bounding boxes first touch if both go straight on.
 
-    Each box keeps its heading and its speed along it; the value is the smallest t >= 0 in s at which the boxes share a
-    point, computed exactly with separating axes in the plane. For an entity that follows another on one lane this is
-    gap / Δv; crossing and oncoming paths need no special case.
+    Each box keeps its heading and its speed. The value is the smallest t >= 0 in s at which the boxes share a point,
+    computed exactly with separating axes in the plane. For an entity that follows another on one lane this is gap / Δv.
+    Crossing and oncoming paths need no special case.
 
-    0 if the boxes touch now, inf if they never do (equal speeds, moving apart, passing by). Two standing entities give
-    inf unless they touch; one standing entity is an obstacle. Not defined if one of the two does not exist. Cap: 10 s.
+    The value is 0 if the boxes touch now, and inf if they never do (equal speeds, moving apart, passing by). Two
+    standing entities give inf unless they touch. A single standing entity is an obstacle. Not defined if one of the two
+    does not exist. Least critical value (cap): 10 s.
 
     Source: J. C. Hayward, "Near-miss determination through use of a scale of danger", Highway Research Record 384
     (1972), with the contact of the boxes in two dimensions instead of the gap on one lane.
@@ -72,7 +73,7 @@ class Ttc(Metric):
 
 
 class _StraightMotion:
-    """Straight motion from each instant on, with constant acceleration until the stop."""
+    """Straight motion of one entity, predicted from each instant; a constant acceleration ends when it stands."""
 
     def __init__(self, recording: Recording, name: str) -> None:
         i = recording.entity_index(name)

@@ -31,7 +31,7 @@ class Wttc(Metric):
     the half diagonals, so that the circles enclose the boxes. It never exceeds the time to collision.
 
     0 if the circles touch now. Two standing entities give sqrt(2 (d - R) / (a_ego + a_other)). Not defined if one of
-    the two does not exist. Never inf as long as one can accelerate. Cap: 10 s.
+    the two does not exist. Never inf as long as one can accelerate. Least critical value (cap): 10 s.
 
     Source: W. Wachenfeld, P. Junietz, R. Wenzel, H. Winner, "The worst-time-to-collision metric for situation
     identification", IEEE Intelligent Vehicles Symposium (2016).
@@ -91,16 +91,16 @@ class Wttc(Metric):
 def earliest_circle_contact(
     position: FloatArray, velocity: FloatArray, radius: npt.ArrayLike, acceleration: npt.ArrayLike
 ) -> FloatArray:
-    """Smallest t >= 0 in s with |position + velocity t| = radius + acceleration t²/2, for all elements at once.
+    """Smallest t >= 0 in s with ``|position + velocity t| = radius + acceleration t² / 2``, elementwise.
+
+    `position` and `velocity`, shape (..., 2), are those of one circle relative to the other. `radius` is the sum of
+    both radii in m, `acceleration` the sum of both greatest accelerations in m/s²; with 0 the result is the time to
+    collision of the circles. It is 0 if the circles touch now, inf if they never do, and NaN if an input is NaN.
 
     Squared, the equation is a quartic h(t) = 0 without a cubic term. For t >= 0 it is concave up to one inflection and
-    convex from there on. A root in the concave part lies before the only maximum, which Newton's method finds from the
-    left; from there it runs into the root without overshooting, even if two roots coincide. If the maximum stays below
-    0, the only root lies in the convex part, and Newton's method reaches it from a bound on the right.
-
-    `position` and `velocity`, shape (..., 2), are those of one circle relative to the other; `radius` is the sum of
-    both radii in m, `acceleration` the sum of both greatest accelerations in m/s² (0 gives the time to collision of the
-    circles). 0 if the circles touch now, inf for never, NaN if an input is.
+    convex from there on. Newton's method finds the only maximum from the left. A root in the concave part lies before
+    this maximum; from there Newton's method reaches the root without overshooting, even if two roots coincide. If the
+    maximum is below 0, the only root lies in the convex part, and Newton's method reaches it from a bound on the right.
     """
     radius, growth = np.asarray(radius, dtype=np.float64), np.asarray(acceleration, dtype=np.float64)
     position, velocity = np.asarray(position, dtype=np.float64), np.asarray(velocity, dtype=np.float64)

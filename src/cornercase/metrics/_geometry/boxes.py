@@ -42,7 +42,7 @@ def _box_corners_at(recording: Recording, row: int, center: FloatArray, instants
 
 
 def velocity_vectors(recording: Recording, name: str) -> FloatArray:
-    """Speed along the heading as a vector in m/s, shape (T, 2), NaN where the entity does not exist."""
+    """Velocity vectors in m/s, shape (T, 2), from the speed along the heading; NaN where the entity does not exist."""
     i = recording.entity_index(name)
     heading = recording.heading[i]
     forward: FloatArray = recording.speed[i][:, None] * np.stack([np.cos(heading), np.sin(heading)], -1)
@@ -55,6 +55,6 @@ def relative_velocity(recording: Recording, ego: str, other: str) -> FloatArray:
 
 
 def zero_rounding_errors(relative_velocities: FloatArray) -> FloatArray:
-    """Relative velocities (T, 2) with rounding errors set to 0."""
+    """Set relative velocities that are only rounding errors to 0; shape (T, 2)."""
     speed = np.hypot(relative_velocities[:, 0], relative_velocities[:, 1])
     return np.where((speed <= _MIN_SPEED)[:, None], 0.0, relative_velocities)

@@ -1,7 +1,7 @@
-"""Conflict area of two recorded tracks, and when each entity was in it.
+"""Conflict area of two recorded tracks, and the times at which each entity was in it.
 
-Exact, also between two instants, since scores computed from it are compared with thresholds and between simulators.
-Clustering uses a faster approximation with boxes (`cornercase.clustering`); a test checks that both agree.
+The times are exact, also between two instants, since scores are compared with thresholds and between simulators.
+Clustering uses a faster approximation (`cornercase.clustering`); a test checks that both agree.
 """
 
 from __future__ import annotations
@@ -40,10 +40,10 @@ TIME_TOLERANCE = 1e-9
 
 @dataclass(frozen=True)
 class AreaVisit:
-    """One visit to a conflict area.
+    """One visit to a conflict area, with entry and exit time in s.
 
-    `entry_time` and `exit_time` are in s; if the entity is still inside when its recording ends, `exit_time` is that
-    time. `has_left`: whether it left; `is_standing`: whether it stood in the area at the end instead.
+    If the entity is still inside at the end of the recording, `exit_time` is the end and `has_left` is False.
+    `is_standing` then says whether the entity stands.
     """
 
     entry_time: float
@@ -53,9 +53,9 @@ class AreaVisit:
 
 
 def area_visits(recording: Recording, ego: str, other: str, area: Area | None) -> list[tuple[AreaVisit, AreaVisit]]:
-    """Visits of the ego and of the other to each conflict area that they share.
+    """Visits of the ego and of the other entity to each conflict area that they share, in pairs.
 
-    `area` is a rectangle to use as conflict area; None for the overlap of the areas that both boxes sweep.
+    `area` is a rectangle to use as conflict area. By default it is the overlap of the areas that both boxes sweep.
     """
     a, b = _SweptArea.from_recording(recording, ego), _SweptArea.from_recording(recording, other)
     if area is None:
@@ -69,17 +69,18 @@ def area_visits(recording: Recording, ego: str, other: str, area: Area | None) -
 
 
 def validate_area(metric: str, area: Area | None) -> Area | None:
-    """Return the rectangle, or raise InputError if it is invalid."""
+    """Return the rectangle `area` unchanged; InputError if it is invalid."""
     if area is not None and (len(area) != 5 or not np.isfinite(area).all() or min(area[3:]) <= 0.0):
         raise InputError(f"{metric} cannot take {area} for its area; give x, y, heading, length > 0, width > 0.")
     return area
 
 
 class _SweptArea:
-    """Area that a box sweeps, as n convex hulls of the box before and after a step; a span of standing is one step.
+    """Area that a moving box sweeps, as the convex hulls of the box before and after each of n steps.
 
-    `center` (n, 2, 2), `heading`, `time` and `speed` (n, 2) hold the values before and after each step, `corners` (n,
-    8, 2) and `axes` (n, 8, 2) those of the hulls.
+    A period of standing is one step. `center` (n, 2, 2), `heading`, `time` and `speed` (n, 2) hold the values before
+    and after each step. `corners` (n, 8, 2) are the corners of both boxes of a step, and `axes` (n, 8, 2) the
+    separating axes of the hull.
     """
 
     def __init__(
@@ -109,7 +110,7 @@ class _SweptArea:
         return cls(center, zeros + heading, zeros, zeros, (length, width))
 
     def subdivide_turning_steps(self, steps: IntArray) -> _SweptArea:
-        """Select steps, splitting those that turn, so that the hulls follow the curve."""
+        """Return some of the steps; those in which the box turns are split, so that the hulls follow the curve."""
         turn = self.heading[steps, 1] - self.heading[steps, 0]
         parts = np.maximum(np.ceil(0.5 * np.hypot(*self.size) * np.abs(turn) / _ARC), 1.0).astype(np.int64)
         which = np.repeat(np.arange(len(steps)), parts)
@@ -127,14 +128,14 @@ class _SweptArea:
         )
 
     def reverse_time(self) -> _SweptArea:
-        """The same sweep in reverse order."""
+        """The same swept area with the steps in reverse order."""
         return _SweptArea(
             self.center[::-1, ::-1], self.heading[::-1, ::-1], self.time[::-1, ::-1], self.speed[::-1, ::-1], self.size
         )
 
 
 def _find_overlapping_steps(a: _SweptArea, b: _SweptArea) -> OverlapRuns:
-    """Find which steps of `a` overlap which of `b`."""
+    """Find which steps of `a` overlap which steps of `b`."""
     bounds = np.empty((len(b.corners), 4))
     compute_hull_bounds(b.corners, bounds)
     overlap_runs = find_overlapping_hulls(
@@ -151,7 +152,7 @@ def _bounding_circles(sweep: _SweptArea) -> tuple[FloatArray, FloatArray]:
 
 
 def _visits_of_shared_stretches(a: _SweptArea, b: _SweptArea) -> list[tuple[AreaVisit, AreaVisit]]:
-    """Visits of `a` to what `b` sweeps and of `b` to what `a` sweeps, for each connected stretch of both."""
+    """Visits of each entity to the area that the other one sweeps, in pairs: one for each connected stretch."""
     pairs = [
         (
             _visit_of_area(a, b, overlap.overlapping_steps(), overlap.overlaps_of_step),
@@ -165,7 +166,7 @@ def _visits_of_shared_stretches(a: _SweptArea, b: _SweptArea) -> list[tuple[Area
 def _visit_of_area(
     sweep: _SweptArea, area: _SweptArea, steps: IntArray, overlapped_by: Callable[[int], BoolArray]
 ) -> AreaVisit | None:
-    """Visit of the box of `sweep` to the steps of `area` that its own `steps` overlap."""
+    """Visit of the box of `sweep` to the part of `area` that its `steps` overlap; None if they do not touch."""
     entry = _time_of_first_touch(sweep, steps, area, overlapped_by, reverse=False)
     exit_ = _time_of_first_touch(sweep, steps[::-1], area, overlapped_by, reverse=True)
     if entry is None or exit_ is None:
@@ -177,7 +178,10 @@ def _visit_of_area(
 def _time_of_first_touch(
     sweep: _SweptArea, steps: IntArray, area: _SweptArea, overlapped_by: Callable[[int], BoolArray], reverse: bool
 ) -> float | None:
-    """Time of the first touch in the given order of steps; None if only the hulls of curved steps overlapped."""
+    """Time at which the box first touches the area, in the given order of steps; None if it never does.
+
+    The hulls of steps with a turn can overlap although the boxes do not touch.
+    """
     for step in steps.tolist():
         fine, obstacles = (
             sweep.subdivide_turning_steps(np.array([step])),
@@ -195,7 +199,7 @@ def _time_of_first_touch(
 
 
 def _fraction_until_touch(corners: FloatArray, obstacles: FloatArray, axes: FloatArray) -> float:
-    """Fraction of a step after which the box first touches one of some convex shapes."""
+    """Fraction of a step after which the box first touches any of the obstacles, which are convex."""
     start, motion = corners[:4], corners[4:] - corners[:4]
 
     def gap(fraction: float) -> float:
@@ -209,7 +213,10 @@ def _fraction_until_touch(corners: FloatArray, obstacles: FloatArray, axes: Floa
 def _time_and_speed_at_fraction(
     time: FloatArray, speed: FloatArray, fraction: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Time and speed (...) after a fraction of a step's length (..., 2); the speed changes linearly in time."""
+    """Time and speed after a fraction of a step's length; the speed changes linearly in time.
+
+    `time` and `speed` have shape (..., 2): before and after the step.
+    """
     before, after = speed[..., 0], speed[..., 1]
     distance = 0.5 * (before + after) * fraction
     reached = np.sqrt(np.maximum(before**2 + 2.0 * (after - before) * distance, 0.0))
@@ -219,7 +226,7 @@ def _time_and_speed_at_fraction(
 
 
 def _split_into_moves(corners: FloatArray) -> tuple[IntArray, IntArray]:
-    """First and last instant of each move and of each span of standing, (n,) each."""
+    """First and last instant of each movement and of each period of standing, (n,) each."""
     exists = np.isfinite(corners).all((1, 2))
     before, after = np.append(False, exists[:-1]), np.append(exists[1:], False)
     start = np.flatnonzero(exists & (after | ~before))

@@ -21,10 +21,10 @@ _INITIAL_CAPACITY = 256
 
 
 def distances_to_crossing(recording: Recording, ego: str, other: str, ahead: float) -> tuple[FloatArray, FloatArray]:
-    """Distances of ego and other to the crossing of their tracks that lies ahead of both, in m, shape (T,) each.
+    """Distances of ego and other entity to the crossing of their tracks ahead of both, in m, shape (T,) each.
 
-    Of several crossings the one with the smallest sum; NaN if there is none. Each track goes straight on for `ahead` m
-    after the recording.
+    If there are several crossings, the one with the smallest sum of distances counts. NaN if there is none. Each track
+    goes straight on for `ahead` m after the recording.
     """
     tracks = _CenterTrack(recording, ego, ahead), _CenterTrack(recording, other, ahead)
     crossings = _crossing_distances(*tracks)
@@ -43,7 +43,7 @@ def distances_to_crossing(recording: Recording, ego: str, other: str, ahead: flo
 
 
 class _CenterTrack:
-    """Polyline of an entity's centre, and the distance along it at each instant."""
+    """Polyline through the recorded centres of an entity's box, and the distance along this line at each instant."""
 
     def __init__(self, recording: Recording, name: str, ahead: float) -> None:
         center, heading = recording.box_center(name), recording.heading[recording.entity_index(name)]
@@ -60,7 +60,7 @@ class _CenterTrack:
         self.start, self.step, self.piece_distance = points[moves], points[moves + 1] - points[moves], along[moves]
 
     def pieces_as_array(self) -> FloatArray:
-        """Start, direction, length and distance along the track of each piece, (n, 6)."""
+        """Pieces of the polyline, (n, 6): start x, y, unit direction x, y, length, and distance along the track."""
         length = np.hypot(*self.step.T)
         return np.column_stack([self.start, self.step / length[:, None], length, self.piece_distance])
 
@@ -71,7 +71,7 @@ def _segment_lengths(points: FloatArray) -> FloatArray:
 
 
 def _crossing_distances(a: _CenterTrack, b: _CenterTrack) -> tuple[FloatArray, FloatArray]:
-    """Distances along each track to their crossings, shape (K,)."""
+    """Distances along the tracks `a` and `b` to each of their K crossings, shape (K,) each."""
     pieces = a.pieces_as_array(), b.pieces_as_array()
     capacity = _INITIAL_CAPACITY
     while True:

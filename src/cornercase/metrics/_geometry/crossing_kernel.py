@@ -12,10 +12,12 @@ _ROUNDING = 1.0 + 1e-9  # relative tolerance, more than the rounding error of a 
 
 @kernel(error_model="numpy")
 def find_track_crossings(pieces_a, pieces_b, min_sine, tolerance, out):
-    """Write the distances along two tracks to their crossings to `out` (2, capacity); return how many there are.
+    """Find the crossings of two tracks; return their number.
 
-    Each piece, (n, 6), has its start, direction, length and distance along the track. Pieces with a sine of at most
-    `min_sine` between their directions do not cross; one that ends up to `tolerance` short of the other meets it.
+    The distances along both tracks to the crossings are written to `out` (2, capacity). Each track consists of straight
+    pieces, (n, 6): start, direction, length and distance along the track. Two pieces do not cross if the sine of the
+    angle between them is at most `min_sine`. A piece that ends at most `tolerance` before the other track still meets
+    it.
     """
     count = 0
     for i in range(len(pieces_a)):

@@ -22,7 +22,9 @@ _METRES_PER_SECOND: Final = 0.1
 
 
 class Encounter:
-    """A recording, its ego and one other entity, with cached quantities that several features need.
+    """A recording, its ego and one other entity, with quantities that several features share.
+
+    Each quantity is computed once, when it is first needed.
 
     Parameters
     ----------
@@ -97,7 +99,7 @@ class Encounter:
 
     @cached_property
     def _driven_distances(self) -> FloatArray:
-        """Distance that the ego has driven until each instant at which it exists, in m."""
+        """Distance in m that the ego has driven, at each instant at which it exists."""
         steps = np.diff(self.ego_center[self.ego_instants], axis=0)
         return np.append(0.0, np.cumsum(np.hypot(steps[:, 0], steps[:, 1])))
 
@@ -120,7 +122,10 @@ class Encounter:
 
     @cached_property
     def closest_instant_and_gap(self) -> tuple[int | None, float]:
-        """First instant at which the boxes are nearest, and their gap in m; None and 100 m if they never coexist."""
+        """First instant at which the boxes are nearest, and their gap in m.
+
+        If both never exist at the same time, the instant is None and the gap 100 m.
+        """
         both = self.common_instants
         if not len(both):
             return None, NEVER_MET_DISTANCE
@@ -135,7 +140,10 @@ class Encounter:
         return int(candidates[k]), float(gaps[k])
 
     def _box_gaps_at(self, instants: IntArray) -> FloatArray:
-        """Gaps between the boxes at `instants`; like `box_distance`, but ten times as fast for two boxes."""
+        """Gaps between the boxes at `instants`, in m.
+
+        For two boxes this is ten times as fast as the general distance function.
+        """
         recording, offset = self.recording, self.other_center[instants] - self.ego_center[instants]
         rows = (self.ego_row, self.other_row)
         headings = [recording.heading[row, instants] for row in rows]
@@ -179,7 +187,7 @@ class Encounter:
 
     @cached_property
     def path_distance_and_time_gap(self) -> tuple[float, float]:
-        """Distance of both paths where they come nearest in m, and how much later the ego is there in s."""
+        """Distance in m of both paths where they come nearest, and how much later the ego is there, in s."""
         mine, others = self.ego_instants, self.other_instants
         if not len(mine) or not len(others):
             return NEVER_MET_DISTANCE, 0.0
@@ -192,7 +200,7 @@ class Encounter:
         return distance, float(time[mine[i]] - time[others[j]])
 
     def _closest_path_points(self, ego_instants: IntArray, other_instants: IntArray) -> tuple[int, int, float]:
-        """Indices into the instants of both at which their paths come nearest, and the distance there."""
+        """Where both paths come nearest: index into the instants of each entity, and the distance in m."""
         a, b, time = self.ego_center[ego_instants], self.other_center[other_instants], self.recording.time
         distance = np.hypot(a[:, :1] - b[:, 0], a[:, 1:] - b[:, 1])
         delay = np.abs(time[ego_instants][:, None] - time[other_instants])

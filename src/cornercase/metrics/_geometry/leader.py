@@ -1,4 +1,4 @@
-"""Gap between an ego and the other ahead of it, and how both move along the ego's heading."""
+"""Gap between the ego and a leader (another entity ahead), and how both move along the ego's heading."""
 
 from __future__ import annotations
 
@@ -14,10 +14,11 @@ from cornercase.recordings import Recording
 
 @dataclass(frozen=True)
 class LeaderGap:
-    """An ego and the other ahead of it, along the ego's direction of travel; each of shape (T,), in m, m/s and m/s².
+    """Gap, speeds and accelerations of the ego and a leader along the ego's direction of travel, shape (T,) each.
 
-    `gap`: how far the ego could go straight on until the boxes touch; 0 if they touch now. NaN if the other is not
-    ahead of the ego (beside or behind it) or one does not exist. `leader_speed` is negative for an oncoming leader.
+    Units are m, m/s and m/s². `gap` is how far the ego could go straight on until the boxes touch; 0 if they touch now.
+    It is NaN if the other entity is beside or behind the ego, or one of the two does not exist. `leader_speed` is
+    negative for an oncoming leader.
     """
 
     gap: FloatArray
@@ -33,7 +34,7 @@ class LeaderGap:
 
     @classmethod
     def from_recording(cls, recording: Recording, ego: str, other: str) -> LeaderGap:
-        """Compute it along the ego's heading, or backwards if the ego reverses."""
+        """Compute the gap along the ego's heading, or backwards if the ego reverses."""
         i, j = recording.entity_index(ego), recording.entity_index(other)
         sign = np.where(recording.speed[i] < 0.0, -1.0, 1.0)
         heading = recording.heading[i]
@@ -55,9 +56,10 @@ class LeaderGap:
 def time_to_travel_distance(
     distance: FloatArray, speed: FloatArray, acceleration: FloatArray, stops_at_zero_speed: bool = True
 ) -> FloatArray:
-    """Smallest t >= 0 in s with speed t + acceleration t²/2 = way; inf for never, NaN if an input is.
+    """Time in s until a distance is travelled with constant acceleration; inf if never, NaN if an input is NaN.
 
-    If `stops_at_zero_speed`, braking ends in standing; otherwise the motion reverses.
+    This is the smallest t >= 0 with ``speed t + acceleration t² / 2 = distance``. With `stops_at_zero_speed`, braking
+    ends in standing. Otherwise the motion reverses.
     """
     discriminant = speed**2 + 2.0 * acceleration * distance
     with np.errstate(divide="ignore", invalid="ignore"):

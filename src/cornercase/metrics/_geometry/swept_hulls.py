@@ -17,9 +17,10 @@ _MARGIN = 1e-3  # m by which bounds are wider than a hull
 
 @kernel(error_model="numpy")
 def compute_separating_axes(corners, out):
-    """Write the possible separating axes, (n, 8, 2), of hulls of a box before and after a step, (n, 8, 2).
+    """Write the candidate separating axes of hulls to `out`, shape (n, 8, 2).
 
-    These are unit vectors along and across both boxes, and those perpendicular to the motion of each corner.
+    `corners` (n, 8, 2) are those of a box before and after a step; the hull encloses both. The axes are unit vectors
+    along and across both boxes, and perpendicular to the motion of each corner.
     """
     for i in range(len(corners)):
         _write_separating_axes(corners[i], out[i])
@@ -58,10 +59,9 @@ def _unit_vector(x, y):
 
 @kernel(error_model="numpy")
 def find_overlapping_hulls(corners_a, axes_a, center_a, radius_a, corners_b, axes_b, center_b, radius_b, tree):
-    """Find which hulls of `a` intersect which of `b`, as overlap runs (start, first, last).
+    """Find the pairs of hulls of `a` and `b` that intersect; return runs (index in a, first and last index in b).
 
-    Each hull lies in the circle given by `middle` and `reach`; `tree` is the `build_aabb_tree` of the bounds of
-    those of `b`.
+    Each hull lies in a circle with its `center` and `radius`. `tree` is a bounding-box tree of the hulls of `b`.
     """
     leaves, count = len(tree) // 2, 0
     runs = np.empty((64, 3), dtype=np.int64)
@@ -86,7 +86,7 @@ def find_overlapping_hulls(corners_a, axes_a, center_a, radius_a, corners_b, axe
 
 @kernel(error_model="numpy")
 def compute_hull_bounds(corners, out):
-    """Write least x and y, and greatest x and y, (n, 4), of hulls, (n, 8, 2)."""
+    """Write the bounds of hulls (n, 8, 2) to `out` (n, 4): least x and y, greatest x and y."""
     for i in range(len(corners)):
         out[i, 0], out[i, 1], out[i, 2], out[i, 3] = _bounds_with_margin(corners[i])
 
@@ -101,9 +101,10 @@ def _bounds_with_margin(corners):
 
 @kernel(error_model="numpy")
 def gap_to_nearest_hull(start, motion, fraction, corners, axes):
-    """Gap between a box after a fraction of its motion, (4, 2) both, and the nearest of some hulls.
+    """Gap between the part of a step that a box has swept after a `fraction`, and the nearest of some hulls.
 
-    Above 0 if it touches none of them; then it is a lower bound of the distance.
+    `start` and `motion` (4, 2) are the corners and their displacement in the step. If the gap is above 0, nothing
+    touches, and it is a lower bound of the distance.
     """
     hull, own = np.empty((8, 2)), np.empty((8, 2))
     for corner in range(4):
@@ -119,7 +120,10 @@ def gap_to_nearest_hull(start, motion, fraction, corners, axes):
 
 @kernel(error_model="numpy")
 def _widest_gap_on_axes(a, axes_a, b, axes_b, stop_if_separated):
-    """Widest gap along any axis (separating axes); with `stop_if_separated` the first that is above 0, or NaN."""
+    """Widest gap between two convex shapes along any of their separating axes; negative if they overlap.
+
+    With `stop_if_separated` it returns the first gap that is above 0 or NaN.
+    """
     widest = -np.inf
     for side in range(2):
         axes = axes_a if side == 0 else axes_b

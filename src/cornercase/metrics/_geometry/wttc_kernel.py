@@ -18,9 +18,10 @@ _ITERATIONS = 100
 
 @kernel(error_model="numpy")
 def wttc_of_recording(x, y, heading, speed, center_offset, ego_row, other_row, radius, growth, out):
-    """Write the worst time to collision of the entities in rows `ego_row` and `other_row` to `out` (T,).
+    """Write the worst time to collision of two entities, given by their rows, to `out` (T,).
 
-    Box centres are `center_offset` ahead of the reference points; `radius` and `growth` are those of the circle.
+    The centre of each box is `center_offset` ahead of its reference point. `radius` is the sum of the radii of the
+    circles around the boxes, and `growth` the sum of the greatest accelerations.
     """
     position, velocity = np.empty((2, _BLOCK)), np.empty((2, _BLOCK))
     radii, growths = np.full(_BLOCK, radius), np.full(_BLOCK, growth)
@@ -43,7 +44,10 @@ def wttc_of_recording(x, y, heading, speed, center_offset, ego_row, other_row, r
 
 @kernel(error_model="numpy")
 def wttc_of_circles(position, velocity, radius, growth, out):
-    """Write the worst time to collision to `out` for relative positions and velocities (n, 2), radii, growths (n,)."""
+    """Write the worst time to collision of pairs of growing circles to `out` (n,).
+
+    `position` and `velocity` (n, 2) are relative; `radius` and `growth` (n,) are sums over both circles.
+    """
     positions, velocities = np.empty((2, _BLOCK)), np.empty((2, _BLOCK))
     radii, growths = np.empty(_BLOCK), np.empty(_BLOCK)
     for first in range(0, len(out), _BLOCK):
@@ -114,10 +118,10 @@ def _solve_block(position, velocity, radius, growth, count, out):
 
 @kernel(error_model="numpy")
 def _first_maximum_of_quartic(bend, gain, closing, out):
-    """Write to `out` where gain t⁴/2 - bend t² + 2 closing t is largest up to its inflection.
+    """Write to `out` the first maximum of ``gain t⁴/2 - bend t² + 2 closing t``, before the inflection.
 
-    Half the slope, gain t³ - bend t + closing, is convex and falls up to the inflection; Newton's method runs into its
-    first root from the left.
+    Half the slope, ``gain t³ - bend t + closing``, is convex and falls up to the inflection. So Newton's method reaches
+    the first root from the left.
     """
     for k in range(len(out)):
         out[k] = closing[k] / bend[k]

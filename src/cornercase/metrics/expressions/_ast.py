@@ -24,7 +24,7 @@ ENTITY_NAME: Final = rf'(?!"){_PART_OF_NAME}(?:\s+{_PART_OF_NAME})*'
 
 @dataclass(frozen=True)
 class Signal:
-    """A signal in a bound, named as in `Signals`; `absolute` takes its absolute value."""
+    """A signal in a bound, named as in `Signals`; with `absolute`, its absolute value counts."""
 
     name: str
     unit: str
@@ -37,16 +37,16 @@ class Signal:
 
     @property
     def metric(self) -> str:
-        """Name of its metric, with options; empty for the motion of an entity and time."""
+        """Name of the metric of the signal, with options; empty for time and the motion of an entity."""
         return metric_of_signal(self.name)
 
     @property
     def is_score(self) -> bool:
-        """Whether it is the score of its metric, one number for the whole run."""
+        """Whether the signal is the score of a metric, which is one number for the whole run."""
         return self.metric not in ("", self.name)
 
     def values(self, signals: Signals) -> FloatArray:
-        """Values at each instant, (T,); NaN where it is not defined."""
+        """Values at each instant, (T,); NaN where the signal is not defined."""
         values = signals.values[self.name]
         return np.abs(values) if self.absolute else values
 
@@ -57,7 +57,10 @@ class Signal:
 
 @dataclass(frozen=True)
 class Bound:
-    """A signal compared with another signal, or with a number in its unit, which is spelled `number_text`."""
+    """A comparison of a signal with another signal, or with a number in the unit of the signal.
+
+    `number_text` is the normalized spelling of the number.
+    """
 
     left: Signal
     relation: Relation
@@ -66,12 +69,12 @@ class Bound:
 
     @property
     def signals(self) -> tuple[Signal, ...]:
-        """Signals that are compared."""
+        """Signals that the bound compares."""
         return (self.left, self.right) if isinstance(self.right, Signal) else (self.left,)
 
     @property
     def is_lower(self) -> bool:
-        """Whether it bounds the left signal from below."""
+        """Whether the left signal is bounded from below."""
         return self.relation in (">", ">=")
 
     def describe_right_side(self, signals: Signals, instant: int) -> str:
@@ -84,7 +87,10 @@ class Bound:
 
 @dataclass(frozen=True)
 class EgoCollides:
-    """The ego collides: with an entity, or with any if `entity` is empty; `at_fault` counts only its own faults."""
+    """Statement that the ego collides with `entity`, or with any entity if that is empty.
+
+    With `at_fault`, only collisions that are the ego's fault count.
+    """
 
     entity: str = ""
     at_fault: bool = False
@@ -92,14 +98,17 @@ class EgoCollides:
 
 @dataclass(frozen=True)
 class ReferenceCollides:
-    """The ego would collide if the reference driver `driver` drove it."""
+    """Statement that the ego would collide if the reference driver `driver` drove it."""
 
     driver: str
 
 
 @dataclass(frozen=True)
 class EgoReaches:
-    """The centre of the ego's box is within `radius` m of a position, at most `time_limit` s after the beginning."""
+    """Statement that the centre of the ego's box gets within `radius` m of a position.
+
+    It has to do so at most `time_limit` s after the start.
+    """
 
     x: float
     y: float
@@ -109,14 +118,17 @@ class EgoReaches:
 
 @dataclass(frozen=True)
 class EgoDrives:
-    """The ego has driven `distance` m since the beginning."""
+    """Statement that the ego has driven `distance` m since the start."""
 
     distance: float
 
 
 @dataclass(frozen=True)
 class Operation:
-    """An operator and its operands; `interval` of a temporal operator is in s, to inf for the end of the recording."""
+    """An operator and its operands.
+
+    `interval` of a temporal operator is its start and end in s; inf stands for the end of the recording.
+    """
 
     operator: Operator
     operands: tuple[Node, ...]
@@ -124,7 +136,7 @@ class Operation:
 
     @property
     def depth(self) -> int:
-        """How many operations are nested in each other, this one included."""
+        """Number of nested operations, including this one."""
         return 1 + max(operand.depth if isinstance(operand, Operation) else 0 for operand in self.operands)
 
 
@@ -134,9 +146,10 @@ Node: TypeAlias = Leaf | Operation
 
 
 def format_node(node: Node, as_condition: bool = False) -> str:
-    """Write an expression in its normalized spelling, with brackets around each operation in another.
+    """Write an expression in its normalized spelling; nested operations get brackets.
 
-    `as_condition` writes ``not collision`` for ``not(collision)``, and ``ttc`` for its score.
+    `as_condition` uses the short forms of conditions: ``not collision`` for ``not(collision)``, and ``ttc`` for the
+    score of ``ttc``.
     """
     if not isinstance(node, Operation):
         return _format_leaf(node, as_condition)

@@ -60,15 +60,15 @@ _SHOWN_BEFORE, _SHOWN_AFTER = 50, 30
 
 
 def parse_expression(text: str, language: Language = "formula") -> Node:
-    """Parse an expression. ExpressionError marks the position of the fault and says what to write there.
+    """Parse an expression. ExpressionError marks the position of an error and says what to write there.
 
-    In a condition, a bound on a metric outside of temporal operators is on its score.
+    In a condition, a bound on a metric refers to the score, unless it is inside a temporal operator.
     """
     return _Parser(text, language).parse_whole()
 
 
 class _Number(NamedTuple):
-    """A number and its unit as they are spelled; it is not yet clear which signal it is compared with."""
+    """A number and its unit as they are written, before it is known which signal it is compared with."""
 
     value: float
     text: str
@@ -77,7 +77,7 @@ class _Number(NamedTuple):
 
 
 class _Parser:
-    """Parses from the operator that binds least, `->`, down to bounds and statements."""
+    """Recursive-descent parser, from the operator with the lowest precedence, `->`, down to bounds and statements."""
 
     def __init__(self, text: str, language: Language) -> None:
         self.text, self.language, self.depth = text, language, 0
@@ -200,7 +200,7 @@ class _Parser:
             self.fail("write the name in quotation marks as in JSON.", begin)
 
     def parse_position(self, begin: int) -> EgoReaches:
-        """Parse what follows the word ``reach``, which is at `begin`."""
+        """Parse what follows the word ``reach``; the word itself is at `begin`."""
         form = "a position and time, as in 'reach X,Y[,R] within T', in m and s"
         values = [self._parse_quantity("m", form)]
         while len(values) < 3 and self.take(","):
@@ -265,12 +265,12 @@ class _Parser:
         return signal
 
     def peek(self, pattern: str) -> str | None:
-        """What matches a pattern at the position; None if nothing does."""
+        """Text that matches a pattern at the current position; None if there is no match."""
         match = re.compile(pattern).match(self.text, self.position)
         return None if match is None else match[0]
 
     def take(self, pattern: str) -> str | None:
-        """Go past what matches a pattern and the spaces behind it, and return it."""
+        """Return the text that matches a pattern at the current position, and move past it and the following spaces."""
         match = re.compile(pattern).match(self.text, self.position)
         if match is None:
             return None
@@ -279,20 +279,20 @@ class _Parser:
         return match[0]
 
     def word(self, word: str) -> bool:
-        """Go past a word if it is next; return whether it was."""
+        """Move past `word` if it is next; return whether it was."""
         name = self.peek(_NAME) or ""
         is_next = name == word or (word in _ANY_CASE and name.lower() == word)
         return is_next and self.take(_NAME) is not None
 
     def expect(self, pattern: str, expected: str) -> str:
-        """Go past what matches a pattern, or raise."""
+        """Move past the text that matches a pattern, or raise an error that names what was `expected`."""
         match = self.take(pattern)
         if match is None:
             self.fail(f"give {expected}.")
         return match
 
     def fail(self, message: str, position: int | None = None) -> NoReturn:
-        """Raise at a position, by default the present one; `message` says what is wrong and what to do."""
+        """Raise an error at a position, by default the current one; `message` says what is wrong and what to do."""
         if position is None:
             position, rest = self.position, self.text[self.position :]
             foreign = next((operator for operator in _FOREIGN_OPERATORS if rest.startswith(operator)), None)
@@ -327,7 +327,7 @@ class _Parser:
         return value
 
     def _convert_number(self, signal: Signal, number: _Number) -> tuple[float, str]:
-        """Value in the unit of a signal, and normalized spelling."""
+        """Value of a number in the unit of a signal, and its normalized spelling."""
         try:
             value = convert_to_unit(number.value, number.unit, signal.unit)
         except InputError as error:
@@ -343,7 +343,7 @@ class _Parser:
         return operation
 
     def _compare_scores(self, node: Node) -> Node:
-        """Replace metrics by their scores outside of temporal operators."""
+        """Replace metrics by their scores, except inside temporal operators."""
         if isinstance(node, Operation):
             if node.operator in TEMPORAL:
                 return node
@@ -372,13 +372,13 @@ class _Parser:
 
 
 def _suggest_operator(name: str) -> str:
-    """Suggest the operator that a misspelt word could mean, in a sentence; empty if none is similar."""
+    """Suggest an operator for a misspelt word, in a sentence; empty if none is similar."""
     sentence = suggest_name(name.lower(), _OPERATORS)
     return sentence if sentence.startswith("did") else ""
 
 
 def _mark_position(text: str, position: int) -> str:
-    """The text around a position, in one line, and below it a caret."""
+    """Text around a position in one line, with a caret below the position."""
     from rich.cells import cell_len
 
     begin, end = max(0, position - _SHOWN_BEFORE), position + _SHOWN_AFTER

@@ -35,7 +35,7 @@ SCORE_PREFIX: Final = "score("
 
 @dataclass(frozen=True, eq=False)
 class Signals:
-    """Signals of a recording, and what statements such as ``no collision`` need to know of it.
+    """Signals of a recording, and what statements such as ``no collision`` need to know about the recording.
 
     Attributes
     ----------
@@ -72,8 +72,8 @@ def signals_from_recording(
 ) -> Signals:
     """Create the signals of a recording; metrics are computed on first access.
 
-    The signal of a metric is its course. At the first instant of a contact it is at least as critical as the metric's
-    score for contacts, so that a collision violates a bound on a metric that does not see collisions.
+    The signal of a metric is its course. At the first instant of a contact the course is at least as critical as the
+    metric's score for contacts. So a collision violates a bound even on a metric whose course does not see collisions.
 
     Parameters
     ----------
@@ -102,12 +102,12 @@ def signals_from_recording(
 
 
 def metric_of_signal(name: str) -> str:
-    """Name of the metric of a signal, with its options; empty if the signal is no metric."""
+    """Name of the metric that a signal belongs to, with options; empty for other signals."""
     return "" if name in _NON_METRIC_UNITS else name.removeprefix(SCORE_PREFIX).removesuffix(")")
 
 
 def signal_unit(name: str) -> str:
-    """Unit of a signal. InputError if its metric does not have such options, or cannot be used."""
+    """Unit of a signal. InputError if its metric cannot be used or does not have such options."""
     if name in _NON_METRIC_UNITS:
         return _NON_METRIC_UNITS[name]
     base = name.partition(":")[0]
@@ -119,12 +119,12 @@ def signal_unit(name: str) -> str:
 
 
 def has_signal(name: str) -> bool:
-    """Whether there is a signal, or at least the metric of one."""
+    """Whether there is a signal of this name, or a metric that it belongs to."""
     return name in _NON_METRIC_UNITS or name.partition(":")[0] in METRICS
 
 
 def signal_names() -> list[str]:
-    """Names of all signals, without scores."""
+    """Names of all signals except scores."""
     return [*_NON_METRIC_UNITS, *(name for name in METRICS.names() if name not in (FORMULA_METRIC, CONDITION_METRIC))]
 
 
@@ -148,7 +148,10 @@ class _LazySignals(dict[str, FloatArray]):
         return self[name]
 
     def add_course(self, name: str, course: FloatArray) -> None:
-        """Add the course of a metric, which at the first contact is as critical as a contact."""
+        """Add the course of a metric.
+
+        At the first contact the course is made at least as critical as the score for contacts.
+        """
         metric = METRICS.create(name)
         self[name] = course
         if metric.contact_score is not None and self._contact is not None:

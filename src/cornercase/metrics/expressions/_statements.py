@@ -19,9 +19,9 @@ TIME_TOLERANCE: Final = 1e-6
 
 
 class LeafValues(NamedTuple):
-    """Margin and truth (1 or -1) of a bound or a statement at each instant, (T,); NaN where it is not defined.
+    """Margin and truth (1 or -1) of a bound or statement at each instant, (T,); NaN where it is not defined.
 
-    `is_known`: whether a bound is defined at any instant, and whether the run shows if a statement is true.
+    `is_known` of a bound: whether it is defined at any instant. Of a statement: whether the run shows if it is true.
     """
 
     margin: FloatArray
@@ -30,7 +30,7 @@ class LeafValues(NamedTuple):
 
 
 def evaluate_leaf(leaf: Leaf, signals: Signals) -> LeafValues:
-    """Margin and truth of a bound or a statement. InputError if a statement needs a recording and there is none."""
+    """Evaluate margin and truth of a bound or statement; InputError if a statement lacks the recording it needs."""
     if isinstance(leaf, Bound):
         return _evaluate_bound(leaf, signals)
     if isinstance(leaf, ReferenceCollides):
@@ -60,20 +60,20 @@ def _evaluate_bound(bound: Bound, signals: Signals) -> LeafValues:
 
 
 def recording_of(signals: Signals) -> Recording:
-    """The recording of signals."""
+    """Recording of the signals; InputError if they have none."""
     if signals.recording is None:
         raise InputError("These signals have no recording, which a collision, a position or a driven distance needs.")
     return signals.recording
 
 
 def is_present(recording: Recording, ego: str, entity: str = "") -> BoolArray:
-    """Whether the ego is there at each instant, together with an entity if one is given, (T,)."""
+    """Whether the ego, and `entity` if it is not empty, exists at each instant, (T,)."""
     rows = [recording.entity_index(name) for name in (ego, entity) if name]
     return np.asarray(np.isfinite(recording.x[rows]).all(axis=0))
 
 
 def find_collisions(statement: EgoCollides, recording: Recording, ego: str) -> list[Collision]:
-    """Collisions that a statement is about, in their order in the recording."""
+    """Collisions in the recording to which a statement applies, in order of time."""
     return [
         collision
         for collision in recording.collisions
@@ -84,14 +84,17 @@ def find_collisions(statement: EgoCollides, recording: Recording, ego: str) -> l
 
 
 def driven_distance(recording: Recording, ego: str) -> FloatArray:
-    """Distance in m that an entity has driven by each time, shape (T,)."""
+    """Distance in m that the ego has driven by each instant, shape (T,)."""
     i = recording.entity_index(ego)
     steps = np.hypot(np.diff(recording.x[i], prepend=np.nan), np.diff(recording.y[i], prepend=np.nan))
     return np.asarray(np.cumsum(np.where(np.isfinite(steps), steps, 0.0)))
 
 
 def distance_in_time(statement: EgoReaches, recording: Recording, ego: str) -> FloatArray:
-    """Distance of the ego's box from the position in m, (T,); NaN after the time limit, or if the ego is not there."""
+    """Distance in m, (T,), of the ego's box centre from the position that it has to reach.
+
+    NaN after the time limit of the statement, and where the ego does not exist.
+    """
     distances = np.hypot(*(recording.box_center(ego) - (statement.x, statement.y)).T)
     elapsed = recording.time - recording.time[0]
     return np.where((elapsed <= statement.time_limit + TIME_TOLERANCE) & np.isfinite(distances), distances, np.nan)

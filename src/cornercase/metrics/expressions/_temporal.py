@@ -16,9 +16,10 @@ _STEP_TOLERANCE: Final = 1e-6  # fraction of a step
 
 
 def always(values: FloatArray, interval: tuple[float, float] | None, time: FloatArray) -> FloatArray:
-    """Least of the values (T,) in an interval ahead of each instant; inf if no instant is in the interval.
+    """Smallest value in an interval that starts at each instant, (T,); inf if the interval contains no instant.
 
-    `interval` is start and end in s; an end of inf, or no interval, means the end of the recording.
+    `interval` is start and end in s after the instant. If it is None, or the end is inf, it extends to the end of the
+    recording.
     """
     if interval is None:
         return np.asarray(np.minimum.accumulate(values[::-1])[::-1])
@@ -27,11 +28,12 @@ def always(values: FloatArray, interval: tuple[float, float] | None, time: Float
 
 
 def until(left: FloatArray, right: FloatArray, interval: tuple[float, float] | None, time: FloatArray) -> FloatArray:
-    """Robustness of `left` until `right` at an instant in an interval, as `always`; -inf if no instant is in it.
+    """Robustness of ``left until right`` from each instant on, (T,): `right` has to hold at an instant in the interval.
 
-    `left` has to hold at all instants before the one of `right`, not at that one. With an interval it is rewritten as
-    in Donzé, Ferrère and Maler 2013 ("Efficient robust monitoring for STL"): `right` holds somewhere in the interval,
-    from the start of the interval on `left` holds until `right` does, and before that `left` holds.
+    `left` has to hold at all instants before that one. `interval` is as in `always`; the result is -inf if it contains
+    no instant. With an interval the formula is rewritten as in Donzé, Ferrère and Maler 2013 ("Efficient robust
+    monitoring for STL"), as a conjunction of three parts: `right` holds at some time in the interval; `left` holds
+    before the interval; from the start of the interval on, `left` holds until `right` does.
     """
     if interval is None:
         return _until_the_end(left, right)
@@ -51,7 +53,7 @@ def _until_the_end(left: FloatArray, right: FloatArray) -> FloatArray:
 
 
 def _least_ahead(values: FloatArray, begin: int, end: int) -> FloatArray:
-    """Least of the values `begin` to `end` steps ahead of each; inf beyond the last."""
+    """Smallest of the values that are `begin` to `end` steps ahead of each value; inf beyond the last."""
     count = len(values)
     padded = np.full(count + end + 1, np.inf)
     padded[:count] = values
@@ -62,7 +64,10 @@ def _least_ahead(values: FloatArray, begin: int, end: int) -> FloatArray:
 
 
 def _even_grid(interval: tuple[float, float], time: FloatArray) -> tuple[IntArray, IntArray, int, int]:
-    """Instant of each grid point, grid point of each instant, and the interval in steps of the grid."""
+    """Map the instants to an even grid of times, and convert the interval to steps of this grid.
+
+    Returns the instant of each grid point, the grid point of each instant, and first and last step of the interval.
+    """
     count = len(time)
     span = float(time[-1] - time[0])
     # With a single instant, everything later is beyond the end.

@@ -34,15 +34,15 @@ _UNITS: Final = MappingProxyType(
 
 
 def normalize_unit(unit: str) -> str:
-    """Normalize the spelling of a unit: ``²`` for ``^2`` and for a 2 at the end."""
+    """Normalize the spelling of a unit: ``²`` replaces ``^2`` and a 2 at the end."""
     plain = unit.replace("^2", "²")
     return plain[:-1] + "²" if plain in ("m/s2", "s2") else plain
 
 
 def convert_to_unit(number: float, from_unit: str, to_unit: str) -> float:
-    """Convert a number from the unit `from_unit` (``""``: already converted) to the unit `to_unit` of a signal.
+    """Convert a number to the unit `to_unit` of a signal. An empty `from_unit` means that it has this unit already.
 
-    InputError, with the units that fit, if there is no such unit or it is one of another quantity.
+    Raises InputError, which names the units that fit, if `from_unit` is unknown or measures another quantity.
     """
     unit, target = normalize_unit(from_unit), normalize_unit(to_unit)
     if unit in ("", target):
@@ -58,5 +58,5 @@ def convert_to_unit(number: float, from_unit: str, to_unit: str) -> float:
 
 
 def is_known_unit(text: str) -> bool:
-    """Whether there is such a unit."""
+    """Whether `text` is the name of a known unit."""
     return normalize_unit(text) in _UNITS
