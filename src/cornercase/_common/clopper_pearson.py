@@ -4,10 +4,11 @@ from __future__ import annotations
 
 
 def clopper_pearson_interval(n_hits: int, n_draws: int, tail: float) -> tuple[float, float]:
-    """Confidence interval of a proportion from `n_hits` among `n_draws` independent draws; (0, 1) without draws.
+    """Return the Clopper-Pearson confidence interval of a proportion after `n_hits` hits in `n_draws` random draws.
 
-    `tail` bounds the probability of an error on either side. Source: C. J. Clopper, E. S. Pearson, "The use of
-    confidence or fiducial limits illustrated in the case of the binomial", Biometrika 26 (1934).
+    The probability that the proportion lies above the interval is at most `tail`, and so is the probability that it
+    lies below. Without draws, the interval is (0, 1). Source: C. J. Clopper, E. S. Pearson, "The use of confidence or
+    fiducial limits illustrated in the case of the binomial", Biometrika 26 (1934).
     """
     # Imported late, as opening a study does not need it.
     from scipy.special import betaincinv

@@ -15,10 +15,12 @@ _GIVEN_OPTIONS: Final = "_given_options"
 
 
 class Configurable:
-    """Base class of objects with options: `repr` evaluates, `str` is the text of the command line, `==` compares.
+    """Base class of objects that are described by the options of their constructor.
 
-    The constructors of subclasses are wrapped, so that no class has to keep its options for that. `name` is the name in
-    the registry, and becomes the whole text if there are options. `options_outside_name` are not part of the text.
+    `repr` is Python code that makes the object; `str` is its text on the command line. Two objects are equal if their
+    classes and options are equal. Constructors of subclasses are wrapped so that they store the options. `name` is the
+    name in the registry; it becomes the full text, such as ``"level-set:filling=0.1"``, if the object was made with
+    options. `options_outside_name` lists options that the text leaves out.
     """
 
     name: str = ""
@@ -42,7 +44,7 @@ class Configurable:
         return hash((type(self), frozenset(given_options(self))))
 
     def with_options(self, **changes: Any) -> Self:
-        """Return a fresh object of the same class and name.
+        """Return a new object of the same class and name, with some options changed.
 
         Parameters
         ----------
@@ -62,7 +64,7 @@ class Configurable:
 
 
 def given_options(configured: object) -> dict[str, Any]:
-    """Options that an object was constructed with, without those that have their default value."""
+    """Return the options that an object was constructed with, except those that have their default value."""
     if is_dataclass(configured):
         # Its constructor is made when the class exists already.
         values = {field.name: getattr(configured, field.name) for field in fields(configured) if field.init}
@@ -71,9 +73,10 @@ def given_options(configured: object) -> dict[str, Any]:
 
 
 def describe_as_text(configured: Configurable) -> str:
-    """Text that stands for an object on the command line: ``"level-set:filling=0.1"``.
+    """Return the text that stands for an object on the command line, such as ``"level-set:filling=0.1"``.
 
-    Options that text cannot express are left out. A class without a name is named as ``package.module:Class``.
+    Only options of type bool, int, float or str are included. A class without a name is written as
+    ``package.module:Class``.
     """
     cls = type(configured)
     options = {
@@ -86,15 +89,15 @@ def describe_as_text(configured: Configurable) -> str:
 
 
 def format_option_value(value: object) -> str:
-    """Text of an option's value on the command line."""
+    """Return the value of an option as it is written on the command line."""
     return str(value).lower() if isinstance(value, bool) else str(value)
 
 
 def declared_options(factory: Callable[..., Any]) -> dict[str, Parameter]:
-    """Options that a factory declares, by name.
+    """Return the parameters that a class or function accepts by name.
 
-    A class with ``**options`` passes them to its base class, so it has that class's options too. Options that no
-    constructor names do not count, as nobody would notice that they are misspelled.
+    If the constructor of a class takes ``**options``, the parameters of its base classes are included. Other keywords
+    are not, even if ``**options`` would accept them: a misspelled name would go unnoticed.
     """
     parameters = dict(signature(factory).parameters)
     callable_ = unwrap_factory(factory)
@@ -112,7 +115,7 @@ def declared_options(factory: Callable[..., Any]) -> dict[str, Parameter]:
 
 
 def _remember_options(constructor: Callable[..., None]) -> Callable[..., None]:
-    """Constructor that first keeps what it was given."""
+    """Wrap a constructor so that it first stores its arguments in the object."""
 
     @wraps(constructor)
     def construct(self: Configurable, *positional: Any, **options: Any) -> None:
@@ -129,7 +132,7 @@ def _remember_options(constructor: Callable[..., None]) -> Callable[..., None]:
 
 
 def _leave_out_defaults(cls: type[Any], options: dict[str, Any]) -> dict[str, Any]:
-    """Options without those that have their default value; without options there is no need for a signature."""
+    """Return the options whose values differ from the defaults of the class."""
     declared = declared_options(cls) | dict(signature(cls).parameters) if options else {}
     return {
         name: value
@@ -139,7 +142,7 @@ def _leave_out_defaults(cls: type[Any], options: dict[str, Any]) -> dict[str, An
 
 
 def _is_equal(value: object, default: object) -> bool:
-    """Whether two options are equal; arrays never are."""
+    """Whether an option has its default value; False for arrays."""
     try:
         return bool(value == default)
     except ValueError:

@@ -1,4 +1,4 @@
-"""The current folder is not trusted: no module of it is run unasked, and no library reads its settings from there."""
+"""Distrust the current folder: its modules are only run on request, and libraries read no settings from it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _IMPORT_MACHINERY: Final = ("importlib", "_frozen_importlib", "_frozen_importlib
 
 
 class _SharedContext:
-    """A context manager that the first user enters and the last one leaves, in any thread."""
+    """A context manager that threads share: the first user enters it, and the last user exits it."""
 
     def __init__(self, factory: Callable[[], AbstractContextManager[None]]) -> None:
         self._factory, self._lock, self._users = factory, threading.Lock(), 0
@@ -57,7 +57,7 @@ _hide_settings: Final = _SharedContext(_hide_settings_files)
 
 
 class _SettingsFinder:
-    """Import hook: modules that read settings from the current folder are loaded with those files hidden."""
+    """Import hook that hides settings files in the current folder from the libraries that look for them there."""
 
     def find_spec(
         self, name: str, path: Sequence[str] | None, target: ModuleType | None = None, /
@@ -82,14 +82,14 @@ def _load_without_settings(load: Callable[[ModuleType], None]) -> Callable[[Modu
 
 
 def _redirect_settings(module: ModuleType) -> None:
-    """Point numba, which reads its settings at each compilation, to its own folder instead."""
+    """Make numba read its settings from its own folder; it looks for them at each compilation."""
     name = str(vars(module).get("_config_fname"))
     if name in _SETTINGS_FILES.values() and module.__file__ is not None:
         vars(module)["_config_fname"] = str(Path(module.__file__).with_name(name))
 
 
 def ignore_settings_of_current_folder() -> None:
-    """Keep libraries that are imported from now on from reading settings in the current folder."""
+    """Keep libraries that are imported after this call from reading settings in the current folder."""
     if not any(isinstance(finder, _SettingsFinder) for finder in sys.meta_path):
         sys.meta_path.insert(0, _SettingsFinder())
         for name in _SETTINGS_FILES.keys() & sys.modules.keys():
@@ -97,9 +97,9 @@ def ignore_settings_of_current_folder() -> None:
 
 
 class _CurrentFolderFinder:
-    """Import hook for modules of the current folder, after all other hooks.
+    """Import hook that finds modules in the current folder; Python asks it after all other hooks.
 
-    It serves the module that a person named, and what that module imports.
+    It finds only the module that the user named, and the modules that this module imports.
     """
 
     def __init__(self) -> None:
@@ -120,7 +120,10 @@ class _CurrentFolderFinder:
         return spec
 
     def _is_requested(self) -> bool:
-        """Whether this module imports it, or a module that was found here. Others also try optional imports."""
+        """Whether the import was requested by the user, or by a module from the current folder.
+
+        Other packages may try optional imports meanwhile; these must not find modules of the current folder.
+        """
         frame: FrameType | None = sys._getframe(2)
         while frame is not None and (name := _top_package(frame)) in _IMPORT_MACHINERY:
             frame = frame.f_back
@@ -148,13 +151,16 @@ def _import_from_current_folder() -> Iterator[None]:
 
 
 def import_from_current_folder(name: str) -> ModuleType:
-    """Import a module that a person named, which may be in the current folder. It hides no other module."""
+    """Import a module that the user named; it may be in the current folder.
+
+    A module of the same name in another folder of the search path takes precedence.
+    """
     with _import_from_current_folder():
         return importlib.import_module(name)
 
 
 def unpickle_with_current_folder(content: bytes) -> Any:
-    """Unpickle what a user made in a process of this program; its modules may be in the current folder."""
+    """Unpickle bytes from another process of this program; the modules they need may be in the current folder."""
     import pickle
 
     with _import_from_current_folder():
@@ -180,12 +186,18 @@ _safe_child_start: Final = _SharedContext(_patch_spawn)
 
 
 def hide_current_folder_from_children() -> AbstractContextManager[None]:
-    """Within the block, children of `multiprocessing` start without the current folder on `sys.path`. May overlap."""
+    """Within the block, start `multiprocessing` children without the current folder on `sys.path`.
+
+    Blocks may overlap.
+    """
     return _safe_child_start()
 
 
 def _main_folder() -> str | None:
-    """Folder from which the program was started: of a script, or of the top package of a module."""
+    """Return the folder that the program was started from, or None in an interactive session.
+
+    It is the folder of a script, or the folder that contains the top package of a module started with ``python -m``.
+    """
     main = sys.modules.get("__main__")
     file, spec = getattr(main, "__file__", None), getattr(main, "__spec__", None)
     if file is None:

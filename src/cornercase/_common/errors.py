@@ -24,7 +24,10 @@ class InputError(ValueError):
 
 
 class ExpressionError(InputError):
-    """An expression that cannot be read; two lines below the sentence show the text, and a caret at the place."""
+    """An expression that cannot be parsed.
+
+    The message has two more lines: the text of the expression, and a caret below the error.
+    """
 
     def __init__(self, sentence: str, excerpt: str = "") -> None:
         super().__init__(f"{sentence}\n{excerpt}" if excerpt else sentence)
@@ -55,11 +58,11 @@ class RunLostError(SimulatorError):
 
 
 class NoticeWarning(UserWarning):
-    """Something in the input has no effect, or is not read as it is written."""
+    """A part of the input has no effect, or is read differently from how it is written."""
 
 
 def is_machine_error(error: BaseException | None) -> bool:
-    """Whether an error, or its cause, is due to a full or broken disk, or lack of memory or file handles."""
+    """Whether an error, or its cause, is a fault of the machine: full or broken disk, no memory or no file handles."""
     while error is not None:
         if isinstance(error, MemoryError) or (isinstance(error, OSError) and error.errno in _MACHINE_ERRNOS):
             return True
@@ -69,7 +72,7 @@ def is_machine_error(error: BaseException | None) -> bool:
 
 @contextmanager
 def skip_if_not_enough_data() -> Iterator[None]:
-    """Suppress a `ValueError` of the block (too few numbers for a statement), but not an `InputError`."""
+    """Suppress a `ValueError` in the block, which says that there are too few data; let an `InputError` pass."""
     try:
         yield
     except InputError:
@@ -79,7 +82,7 @@ def skip_if_not_enough_data() -> Iterator[None]:
 
 
 def suggest_name(unknown: str, known: Iterable[str]) -> str:
-    """``"did you mean 'wttc'?"`` if a known name is similar, else ``"known are: …"``."""
+    """Return a hint for an unknown name: ``"did you mean 'wttc'?"``, or ``"known are: …"`` if no name is similar."""
     names = sorted(known)
     # Names are case-sensitive; a different case is probably the same name.
     by_casefold = {name.casefold(): name for name in reversed(names)}

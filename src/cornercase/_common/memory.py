@@ -40,22 +40,25 @@ class MemoryLimit:
 
     @classmethod
     def from_value(cls, value: object) -> MemoryLimit:
-        """Parse the argument ``memory``: bytes, ``"4 GB"``, ``"500MB"``, ``"2 GiB"``, or a limit; at least 500 MB."""
+        """Parse the argument ``memory``: a number of bytes, ``"4 GB"``, ``"500MB"``, ``"2 GiB"``, or a `MemoryLimit`.
+
+        The limit must be at least 500 MB.
+        """
         if isinstance(value, MemoryLimit):
             return value
         return cls(_parse_size(value))
 
     @property
     def free_bytes(self) -> int:
-        """Bytes for data: the limit without what Python and its libraries take."""
+        """Return the bytes left for data: the limit minus the memory that Python and its libraries take."""
         return self.size - _BASE_MEMORY
 
     def max_rows(self, bytes_per_row: float, *, share: float = 1.0) -> int:
-        """Number of rows of `bytes_per_row` bytes that fit into a share of the free memory; at least 1."""
+        """Return how many rows of `bytes_per_row` bytes fit into a share of the memory left for data; at least 1."""
         return max(1, int(self.free_bytes * share / max(bytes_per_row, 1.0)))
 
     def split_rows(self, count: int, bytes_per_row: float, *, share: float = 1.0) -> Iterator[slice]:
-        """Yield slices of about equal length that split `count` rows into blocks that fit."""
+        """Yield slices that split `count` rows into blocks of about equal length; each block fits into the memory."""
         if count > 0:
             length = ceil(count / ceil(count / self.max_rows(bytes_per_row, share=share)))
             for start in range(0, count, length):
@@ -66,7 +69,10 @@ class MemoryLimit:
         return n_bytes <= self.free_bytes
 
     def check_fits(self, n_bytes: float, subject: str, advice: str) -> None:
-        """Raise `InputError` if `n_bytes` bytes do not fit. `subject` is a plural noun; `advice` says what to do."""
+        """Raise `InputError` if `n_bytes` bytes do not fit.
+
+        The message says that `subject`, a plural noun, needs too much memory, and ends with `advice`.
+        """
         if not self.fits(n_bytes):
             raise InputError(
                 f"{subject} need up to {format_size(n_bytes + _BASE_MEMORY)}, which is more than `memory`"
@@ -89,7 +95,7 @@ def format_size(size: float) -> str:
 
 
 def report_memory_need(subject: str, n_bytes: float) -> None:
-    """Print on standard error how much memory something needs, if it is at least 500 MB. `subject` is a plural noun."""
+    """Print to standard error how much memory `subject`, a plural noun, needs; print nothing below 500 MB."""
     if n_bytes >= _MIN_REPORTED:
         print(f"{subject} need about {format_size(n_bytes + _BASE_MEMORY)} of memory.", file=sys.stderr, flush=True)
 

@@ -1,4 +1,4 @@
-"""Options that are said once, as fields of a dataclass: Python, the command line, files and pages are made of them."""
+"""Define each option once, as a field of a dataclass, for Python, the command line, files and documentation."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _CLAUSE: Final = re.compile(r"[;.:]( |$)")
 
 
 class _Kind(NamedTuple):
-    """What one type of field means: the type on the command line, and the type in documentation."""
+    """Type of an option on the command line and in documentation."""
 
     command_type: Any
     documentation: str
@@ -54,7 +54,7 @@ _KINDS: Final = {
 
 @dataclass(frozen=True)
 class Option:
-    """An option: what a field of a dataclass cannot say of itself, and (by `read_options`) what it says."""
+    """Description of an option; `read_options` adds what the field of the dataclass says: name, type and default."""
 
     help: str
     """For the command line, with metavars."""
@@ -83,27 +83,27 @@ class Option:
 
     @property
     def key(self) -> str:
-        """Name in a study file."""
+        """Name of the option in a study file."""
         return self.flag.removeprefix("--")
 
     @property
     def command_type(self) -> Any:
-        """Type on the command line: a list for everything that can be given repeatedly."""
+        """Type on the command line; a list if the option can be repeated."""
         return _KINDS[self.annotation].command_type
 
     @property
     def is_field_of_study(self) -> bool:
-        """Whether a field of `StudyMeta` holds it as it is."""
+        """Whether `StudyMeta` has a field that stores the option unchanged."""
         return isinstance(self.stored, str) and self.stored not in ("settings", "simulator")
 
     @property
     def is_list(self) -> bool:
-        """Whether it can be given repeatedly on the command line."""
+        """Whether the option can be repeated on the command line."""
         return bool(self.command_type == list[str])
 
     @property
     def is_mapping(self) -> bool:
-        """Whether it has values by name, NAME=VALUE on the command line."""
+        """Whether the option maps names to values; the command line takes NAME=VALUE."""
         return self.annotation.startswith("Mapping")
 
     @property
@@ -117,11 +117,14 @@ class Option:
 
     @property
     def is_empty_by_default(self) -> bool:
-        """Whether it has no value unless one is given."""
+        """Whether the default is None, an empty tuple or an empty dict."""
         return self.default in (None, (), {})
 
     def with_default_of(self, source: str) -> Option:
-        """Return the option without a default of its own; `source` is what has one instead, for its documentation."""
+        """Return the option without a default, for a function that takes the default from elsewhere.
+
+        The documentation says ``default: {source}`` instead.
+        """
         clause = _CLAUSE.split(self.help)[0]
         return replace(
             self,
@@ -131,7 +134,10 @@ class Option:
         )
 
     def check(self, value: Any) -> Any:
-        """Return a valid value; `InputError` names the option. None stands for a default that is empty."""
+        """Check a value and return it in its final type; `InputError` names the option.
+
+        None is valid if the default is empty.
+        """
         if value is None and self.default in (None, {}):
             return self.default
         match self.annotation:
@@ -164,13 +170,13 @@ def _quote(value: object) -> str:
 
 
 def option(default: Any, text: str, **description: Any) -> Any:
-    """Return a dataclass field that is an `Option` with `text` as help; `default` may be a function that makes it."""
+    """Return a dataclass field that describes an option; `text` is its help, and `default` may be a function."""
     values = {"default_factory": default} if callable(default) else {"default": default}
     return field(**values, metadata={"option": Option(text, **description)})
 
 
 def read_options(*groups: type[Any]) -> dict[str, Option]:
-    """Return the options that dataclasses have as fields with the metadata ``option``, by name."""
+    """Return the options that are fields of dataclasses, by name; these fields were made with `option`."""
     return {
         item.name: replace(
             described := item.metadata["option"],
@@ -193,13 +199,13 @@ def _read_default(item: Field[Any]) -> Any:
 
 
 def check_options(function: str, options: Mapping[str, Option], given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the keyword arguments of a function, checked, with defaults; `TypeError` for an unknown name."""
+    """Check the keyword arguments of a function, and fill in defaults; `TypeError` for unknown names."""
     refuse_unknown(function, options, given)
     return {name: item.check(given.get(name, item.default)) for name, item in options.items()}
 
 
 def refuse_unknown(function: str, options: Mapping[str, Option], given: Collection[str]) -> None:
-    """Raise `TypeError`, as Python does, if a keyword argument of a function is not among its options."""
+    """Raise `TypeError`, as Python does, if one of the keyword arguments is not an option of the function."""
     for name in given:
         if name not in options:
             hint = suggest_name(name, options)
@@ -207,7 +213,10 @@ def refuse_unknown(function: str, options: Mapping[str, Option], given: Collecti
 
 
 def document_options(options: Mapping[str, Option]) -> Callable[[Function], Function]:
-    """Put options into a docstring of numpydoc: those that are required and the others, each in place of a line."""
+    """Decorator that fills options into a numpydoc docstring.
+
+    The line ``REQUIRED`` is replaced by the options without a default, the line ``OPTIONS`` by the others.
+    """
 
     def decorate(function: Function) -> Function:
         for mark, is_required in (("    REQUIRED", True), ("    OPTIONS", False)):

@@ -54,10 +54,10 @@ def new_file_mode() -> int:
 
 
 def replace_file(source: Path, target: Path) -> None:
-    """Rename `source` to `target`, replacing it.
+    """Rename `source` to `target`, replacing the file there.
 
-    Windows refuses while a program has one of them open; virus scanners do so for a moment, so it is retried for a
-    second.
+    Windows refuses while a program has one of both files open, as virus scanners do for a moment. So renaming is
+    retried for a second.
     """
     for _ in range(_MAX_ATTEMPTS if _WINDOWS else 0):
         with suppress(PermissionError):
@@ -68,18 +68,18 @@ def replace_file(source: Path, target: Path) -> None:
 
 
 def can_rename_open_files() -> bool:
-    """Whether a file that is open can be renamed and replaced (not on Windows)."""
+    """Whether the platform can rename and replace a file that is open; Windows cannot."""
     return not _WINDOWS
 
 
 def fsync_file(path: Path) -> None:
-    """Sync a file's content to disk; nothing if the file system cannot. OSError if the disk is full or broken."""
+    """Sync the content of a file to disk, if the file system supports that; OSError if the disk is full or broken."""
     # The user's umask may forbid writing to new files.
     _fsync(path, os.O_RDWR | getattr(os, "O_BINARY", 0) if _WINDOWS else os.O_RDONLY)
 
 
 def fsync_folder(path: Path) -> None:
-    """Sync the names in a folder to disk; Windows leaves that to the file system."""
+    """Sync the list of names in a folder to disk; does nothing on Windows."""
     if not _WINDOWS:
         # A folder may be writable but not readable.
         with suppress(PermissionError):
@@ -106,7 +106,7 @@ def _fsync(path: Path, flags: int) -> None:
 
 @contextmanager
 def lock_folder(folder: Path) -> Iterator[None]:
-    """Lock a folder for the block without making a file, where the platform can."""
+    """Lock a folder during the block without making a file; does nothing if the platform cannot."""
     with ExitStack() as stack:
         # Windows and some file systems cannot lock folders.
         with suppress(OSError, ImportError):
@@ -119,12 +119,18 @@ def lock_folder(folder: Path) -> Iterator[None]:
 
 
 def encode_path(path: Path) -> bytes:
-    """Encode a path for the C library; on Windows in the system's code page, which may lack a character."""
+    """Encode a path for the C library.
+
+    On Windows, the system's code page is used, which may lack a character of the path.
+    """
     return str(path).encode("mbcs", "strict") if _WINDOWS else os.fsencode(path)
 
 
 def detach_from_terminal() -> None:
-    """Ignore Ctrl-C, and make this process and its children a process group where the platform has groups."""
+    """Ignore Ctrl-C in this process, and give it a process group of its own if the platform has groups.
+
+    Children of the process belong to the same group.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if hasattr(signal, "pthread_sigmask"):
         # Blocked by `block_interrupts`.
@@ -135,10 +141,10 @@ def detach_from_terminal() -> None:
 
 @contextmanager
 def block_interrupts(*other_signals: signal.Signals) -> Iterator[None]:
-    """Block Ctrl-C, and `other_signals`, in this thread and in processes and threads that it starts.
+    """Block Ctrl-C and `other_signals` in this thread, and in processes and threads that it starts within the block.
 
-    A child keeps it blocked until `detach_from_terminal`, so that it is not interrupted while it imports. Without
-    effect where the platform has no signal masks.
+    A child stays blocked until it calls `detach_from_terminal`, so nothing interrupts its imports. Without signal
+    masks, as on Windows, this does nothing.
     """
     if not hasattr(signal, "pthread_sigmask"):
         yield
@@ -156,9 +162,9 @@ def block_interrupts(*other_signals: signal.Signals) -> Iterator[None]:
 
 
 def find_program(name: str, folders: Sequence[str] | None = None) -> str | None:
-    """Path of a program in `folders` (default: PATH), or None.
+    """Return the path of a program in `folders` (default: PATH), or None.
 
-    Never in the current folder, where Windows would look first: a program there is not trusted.
+    The current folder, where Windows would look first, is skipped because programs there are not trusted.
     """
     folders_to_search = [path for path in (os.get_exec_path() if folders is None else folders) if path]
     if not _WINDOWS:
@@ -169,7 +175,7 @@ def find_program(name: str, folders: Sequence[str] | None = None) -> str | None:
 
 
 def detached_process_options() -> dict[str, Any]:
-    """Options of `subprocess.Popen` for a process that survives this one and its group, without terminal or window."""
+    """Return options of `subprocess.Popen` for a process that outlives this one and has no terminal or window."""
     # Written so that type checkers understand it.
     if sys.platform == "win32":
         return {"creationflags": subprocess.CREATE_NO_WINDOW | subprocess.CREATE_NEW_PROCESS_GROUP}
@@ -177,7 +183,10 @@ def detached_process_options() -> dict[str, Any]:
 
 
 def list_process_tree(process_id: int, *, include_group: bool = True) -> list[Process]:
-    """The running process and its descendants; with `include_group`, also orphaned members of its group."""
+    """Return a process and its descendants that are running.
+
+    With `include_group`, orphaned members of its process group are included, too.
+    """
     # Imported late: only needed to start processes.
     import psutil
 
@@ -220,7 +229,7 @@ def termination_signals() -> tuple[signal.Signals, ...]:
 
 
 def signal_main_thread(signal_number: int) -> None:
-    """Send a signal to the main thread, which stops waiting where the platform supports it."""
+    """Send a signal to the main thread; if the platform supports it, the thread stops waiting."""
     if hasattr(signal, "pthread_kill"):
         signal.pthread_kill(threading.main_thread().ident or 0, signal_number)
     else:
@@ -228,7 +237,10 @@ def signal_main_thread(signal_number: int) -> None:
 
 
 def is_killed_externally(exit_code: int | None) -> bool:
-    """Whether an exit code of `multiprocessing` says that a user or the system killed the process; False on Windows."""
+    """Whether the exit code of a `multiprocessing` process shows that a user or the system killed the process.
+
+    Always False on Windows.
+    """
     return (
         exit_code is not None
         and exit_code < 0
@@ -237,7 +249,10 @@ def is_killed_externally(exit_code: int | None) -> bool:
 
 
 def describe_exit_code(exit_code: int | None) -> str:
-    """Describe an exit code of `multiprocessing`: ``"ended with exit code 3"``, ``"was ended by SIGSEGV"``."""
+    """Describe the exit code of a `multiprocessing` process.
+
+    Examples: ``"ended with exit code 3"``, ``"was ended by SIGSEGV"``.
+    """
     if not exit_code:
         return "ended"
     if exit_code < 0:
@@ -251,7 +266,7 @@ def describe_exit_code(exit_code: int | None) -> str:
 
 
 def make_parent_check() -> Callable[[], bool]:
-    """Return a function that says whether this process's parent is still running."""
+    """Return a function that tells whether the parent of this process is still running."""
     import psutil
 
     number = os.getppid()
@@ -265,9 +280,9 @@ def make_parent_check() -> Callable[[], bool]:
 
 
 def replace_unencodable_output() -> None:
-    """Replace characters that the encoding of stdout or stderr lacks, instead of failing.
+    """Make stdout and stderr replace characters that their encoding lacks, instead of failing.
 
-    On Windows, a redirected output has a code page of 256 characters unless the user says otherwise.
+    On Windows, redirected output is limited to 256 characters by default.
     """
     for stream in (sys.stdout, sys.stderr):
         reconfigure = getattr(stream, "reconfigure", None)
@@ -276,7 +291,7 @@ def replace_unencodable_output() -> None:
 
 
 def count_unallocated_bytes(path: Path) -> int:
-    """Number of bytes of a sparse file that take no disk space yet; 0 if the platform has no sparse files."""
+    """Return how many bytes of a sparse file take no disk space yet; 0 if the platform has no sparse files."""
     if sys.platform == "win32":
         return 0
     status = path.stat()
@@ -284,7 +299,7 @@ def count_unallocated_bytes(path: Path) -> int:
 
 
 def allocate_file(path: Path) -> None:
-    """Allocate the disk space of a sparse file, where the platform can; OSError if there is not enough."""
+    """Allocate the disk space of a sparse file, if the platform can; OSError if there is not enough space."""
     if sys.platform == "linux":
         with path.open("r+b") as file:
             os.posix_fallocate(file.fileno(), 0, path.stat().st_size)

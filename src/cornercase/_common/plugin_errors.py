@@ -25,10 +25,11 @@ _TIME_PATTERN: Final = re.compile(r" at t = (\d[\d.e+-]*) s\b")
 
 @contextmanager
 def convert_plugin_errors(name: str, plugin: object, activity: str = "") -> Iterator[None]:
-    """Turn exceptions of a plug-in in the block into `InputError`; keep `InputError` and termination requests.
+    """Turn exceptions of a plug-in in the block into `InputError`.
 
-    `name` starts the sentence: ``"The simulator 'braking'"``; `activity` says when: ``"in ask"``. Exceptions of
-    built-in parts are bugs of cornercase, and stay as they are.
+    The message begins with `name`, such as ``"The simulator 'braking'"``; `activity` says when it happened: ``"in
+    ask"``. An `InputError` and a request to end the program pass unchanged. So do exceptions of built-in plug-ins,
+    because they are bugs of cornercase.
     """
     with collect_interrupts():
         n_requests = count_requests()
@@ -45,7 +46,7 @@ def convert_plugin_errors(name: str, plugin: object, activity: str = "") -> Iter
 
 
 def unwrap_factory(factory: Callable[..., object]) -> Callable[..., object]:
-    """Class or function behind a factory, which may be a `partial`."""
+    """Return the class or function behind a factory, which may be a `functools.partial`."""
     return factory.func if isinstance(factory, partial) else factory
 
 
@@ -57,11 +58,11 @@ def is_built_in(plugin: object) -> bool:
 def make_scenario_failure(
     plugin_name: str, error: BaseException, n_requests_before: int, time: float | None = None
 ) -> SimulationError:
-    """Make the failure of a scenario from an exception of a plug-in.
+    """Return the failure of a scenario that an exception of a plug-in caused.
 
-    It is a `RunLostError` (the scenario may be run again) if the machine is at fault, such as a full disk.
-    KeyboardInterrupt is raised if somebody asked the program to end. `n_requests_before` is `count_requests` before the
-    code ran.
+    It is a `RunLostError` (the scenario may be run again) if the machine is at fault, for example because the disk is
+    full. If the user asked the program to end, `KeyboardInterrupt` is raised instead. `n_requests_before` is the value
+    of `count_requests` before the plug-in ran.
     """
     reraise_termination_request(error, n_requests_before)
     message = f"{plugin_name} failed{format_time_of_failure(time)}: {describe_error(error)}"
@@ -69,7 +70,10 @@ def make_scenario_failure(
 
 
 def reraise_termination_request(error: BaseException, n_requests_before: int) -> None:
-    """Raise `KeyboardInterrupt` if an exception came from a termination request."""
+    """Raise `KeyboardInterrupt` if an exception was caused by a request to end the program.
+
+    `n_requests_before` is the value of `count_requests` before the code ran that raised the exception.
+    """
     if is_termination_request(error, n_requests_before):
         if isinstance(error, KeyboardInterrupt):
             raise error
@@ -77,15 +81,15 @@ def reraise_termination_request(error: BaseException, n_requests_before: int) ->
 
 
 def format_time_of_failure(time: float | None) -> str:
-    """Format the time of a failure in a scenario: ``" at t = 1.25 s"``; empty for None."""
+    """Return the time of a failure in a scenario as ``" at t = 1.25 s"``; an empty text for None."""
     return "" if time is None else f" at t = {time:.6g} s"
 
 
 def describe_error(error: BaseException) -> str:
-    """Describe an exception in one line, with the last lines of its traceback and without a full stop.
+    """Describe an exception in one line without a full stop, with the last lines of its traceback.
 
-    ``"RuntimeError: no gap (aeb.py line 12 in acceleration: raise RuntimeError('no gap'))"``. Folders are left out, as
-    they are private.
+    Example: ``"RuntimeError: no gap (aeb.py line 12 in acceleration: raise RuntimeError('no gap'))"``. Folders are left
+    out, as they are private.
     """
     try:
         message = str(error)
@@ -98,7 +102,10 @@ def describe_error(error: BaseException) -> str:
 
 
 def group_failure_messages(errors: Iterable[str]) -> dict[str, list[int]]:
-    """Group failure messages that differ only in time: message (first and last time) → indices, most frequent first."""
+    """Group failure messages that differ only in the time of the failure, the most frequent group first.
+
+    The result maps a message with the first and last time to the indices of the grouped messages.
+    """
     texts = list(errors)
     groups: dict[str, list[int]] = {}
     for k, text in enumerate(texts):
@@ -108,7 +115,7 @@ def group_failure_messages(errors: Iterable[str]) -> dict[str, list[int]]:
 
 
 def _merge_times(texts: list[str]) -> str:
-    """First of several messages that differ only in time, with the earliest and latest time."""
+    """Return the first of several messages that differ only in time, with the earliest and latest time."""
     instants = [float(match[1]) for text in texts if (match := _TIME_PATTERN.search(text)) is not None]
     if not instants or min(instants) == max(instants):
         return texts[0]
@@ -116,7 +123,7 @@ def _merge_times(texts: list[str]) -> str:
 
 
 def _traceback_lines(error: BaseException) -> list[str]:
-    """Last lines of a traceback, starting where it leaves this package."""
+    """Return the last lines of a traceback, beginning with the first call out of cornercase."""
     frames = list(traceback.walk_tb(error.__traceback__))
     foreign = [k for k, (frame, _) in enumerate(frames) if not frame.f_code.co_filename.startswith(_PACKAGE_FOLDER)]
     frames = frames[foreign[0] :] if foreign else []

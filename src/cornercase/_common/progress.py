@@ -1,4 +1,4 @@
-"""Progress bars on terminals and in notebooks; otherwise progress lines."""
+"""Progress bars in terminals and notebooks; elsewhere, lines of text."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ def format_duration(seconds: float) -> str:
 
 
 class ProgressBar:
-    """Shows progress, rate, time left and a status word: a bar on a terminal and in a notebook, otherwise lines.
+    """Shows progress, rate, remaining time and a status word: as a bar in a terminal or notebook, otherwise as lines.
 
-    `activity` is the activity (``"exploring"``), `unit` what is counted (``"scenarios"``), `start_time` the start by
-    `time.monotonic`; without it, the rate is counted from the first `update` on.
+    `activity` is what is done (``"exploring"``), `unit` what is counted (``"scenarios"``). `start_time` is the start by
+    `time.monotonic`; without it, the rate is measured from the first `update` on.
     """
 
     def __init__(self, total: int, activity: str, unit: str, start_time: float | None = None) -> None:
@@ -66,7 +66,7 @@ class ProgressBar:
             self._task = self._progress.add_task("", total=total, rate="", word="")
 
     def update(self, n_done: int, status: str, total: int | None = None) -> None:
-        """Show the number done and a status word; `total` if it has changed."""
+        """Show the number done and a status word; pass `total` if it has changed."""
         self._total = self._total if total is None else total
         now = time.monotonic()
         if self._first_n_done is None:
@@ -92,7 +92,7 @@ class ProgressBar:
             print(", ".join(filter(None, parts)), file=sys.stderr, flush=True)
 
     def _format_rate(self, n_done: int, rate: float) -> str:
-        """Format rate and time left; empty while they are unknown."""
+        """Return rate and remaining time as text; empty as long as they are unknown."""
         if rate <= 0.0:
             return ""
         text = f"{rate:.1f}/s" if rate >= 0.1 else f"{60.0 * rate:.1f}/min"
@@ -113,7 +113,7 @@ class _NotebookBar:
         self._last_time = 0.0
 
     def show(self, n_done: int, total: int, text: str, *, is_last: bool) -> None:
-        """Show a state; unless it is the last one, only some time after the one before."""
+        """Show the progress; calls that follow too soon are skipped, except the last one."""
         now = time.monotonic()
         if not is_last and now - self._last_time < _SECONDS_BETWEEN_NOTEBOOK_UPDATES:
             return
@@ -128,7 +128,7 @@ class _NotebookBar:
 
 
 def _is_in_notebook() -> bool:
-    """Whether a notebook's kernel runs this, and not a terminal."""
+    """Whether the code runs in the kernel of a notebook."""
     ipython = sys.modules.get("IPython")
     return ipython is not None and "ipykernel" in sys.modules and ipython.get_ipython() is not None
 
@@ -141,7 +141,7 @@ _bars_enabled: ContextVar[bool] = ContextVar("wanted", default=False)
 
 @contextmanager
 def show_bars(enabled: bool) -> Iterator[None]:
-    """Enable or disable the bars of `progress_step` within the block."""
+    """Within the block, enable or disable the bars that `progress_step` shows."""
     before = _bars_enabled.set(enabled)
     try:
         yield
@@ -151,7 +151,10 @@ def show_bars(enabled: bool) -> Iterator[None]:
 
 @contextmanager
 def progress_step(total: int, activity: str, unit: str) -> Iterator[Callable[[int], None]]:
-    """Show a bar for a step that takes long, within `show_bars`; yields a function to call with the number done."""
+    """Show a bar for one step of a long computation, if `show_bars` has enabled bars.
+
+    Yields a function to call with the number done so far.
+    """
     start, bar = time.monotonic(), None
     is_enabled = _bars_enabled.get()
     delay = 0.0 if verbosity.get() == "verbose" else _SECONDS_BEFORE_BAR

@@ -1,4 +1,4 @@
-"""Simulators, optimizers and metrics by name, including those of other packages."""
+"""Registries of simulators, optimizers and metrics by name, including those in other packages."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _PLAIN_TYPES: Final[dict[str, type[Any]]] = {kind.__name__: kind for kind in (bo
 
 
 class Registry(Generic[T]):
-    """Factories by name, from this package and from an entry-point group.
+    """Maps names to factories, both from this package and from an entry-point group of other packages.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ class Registry(Generic[T]):
         self._factories[name] = (factory, options)
 
     def names(self) -> list[str]:
-        """Return all names, including those of other packages.
+        """Return all registered names, including those from other packages.
 
         Returns
         -------
@@ -126,7 +126,7 @@ class Registry(Generic[T]):
         return cast(T, configured)
 
     def resolve(self, value: str | T, parameter: str) -> T:
-        """Return the object that a text stands for, or an object as it is.
+        """Create the object that a text describes; return an object as it is.
 
         Parameters
         ----------
@@ -226,9 +226,9 @@ class Registry(Generic[T]):
 def parse_options(
     kind: str, name: str, factory: Callable[..., Any], text: str, reserved: Container[str] = ()
 ) -> dict[str, Any]:
-    """Parse the options after the colon of a name: ``"reaction=0.3,seed=1"``.
+    """Parse the options after the colon of a name, such as ``"reaction=0.3,seed=1"``.
 
-    `kind` and `name` are for messages; `reserved` are names of options that are set otherwise. `InputError` for unknown
+    `kind` and `name` are used in messages. `reserved` are options that the text may not set. `InputError` for unknown
     options and wrong values.
     """
     declared = {key: parameter for key, parameter in declared_options(factory).items() if key not in reserved}
@@ -252,7 +252,7 @@ def parse_options(
 
 
 def check_options(kind: str, name: str, factory: Callable[..., Any], options: Mapping[str, Any]) -> None:
-    """Raise `InputError` for a missing option, or one that the constructor does not take."""
+    """Raise `InputError` if an option is missing, or if the constructor does not take it."""
     try:
         declared = signature(factory)
     except ValueError:
@@ -272,7 +272,7 @@ def check_options(kind: str, name: str, factory: Callable[..., Any], options: Ma
 
 
 def _plain_type(parameter: Parameter) -> type[Any] | None:
-    """Plain type of a parameter, from its annotation or default; None if there is none, or another type."""
+    """Return the type of a parameter (bool, int, float or str) from its annotation or default; None for other types."""
     if parameter.annotation is not parameter.empty:
         # Annotations are strings if they are not evaluated.
         return _PLAIN_TYPES.get(getattr(parameter.annotation, "__name__", str(parameter.annotation)))
@@ -281,7 +281,7 @@ def _plain_type(parameter: Parameter) -> type[Any] | None:
 
 
 def _parse_option_value(text: str, plain_type: type[Any] | None) -> bool | float | str:
-    """Parse the value of an option; ValueError says what its type takes instead."""
+    """Parse the text of an option's value; the message of a ValueError says what its type accepts."""
     if plain_type is str:
         return text
     if text.lower() in ("true", "false") and plain_type in (bool, None):

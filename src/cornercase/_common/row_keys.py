@@ -1,4 +1,4 @@
-"""Rows of arrays as dictionary keys."""
+"""Use the rows of arrays as dictionary keys."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ _HASH_FACTOR: Final = np.uint64(0x9E3779B97F4A7C15)
 
 
 def row_keys(points: FloatArray) -> list[bytes]:
-    """Bytes of each row of `points`, shape (n, d); equal rows have equal bytes."""
+    """Return the bytes of each row of `points`, shape (n, d); equal rows have equal bytes."""
     rows = np.ascontiguousarray(points, dtype=np.float64)
     keys: list[bytes] = rows.view(np.dtype((np.void, rows.itemsize * rows.shape[1]))).ravel().tolist()
     return keys
 
 
 def no_duplicates(points: FloatArray, keys: Collection[bytes]) -> bool:
-    """Quick test that no row occurs twice and none has a key in `keys`.
+    """Test quickly that all rows differ, and that no row has a key in `keys`.
 
-    False may be a coincidence of hashes: one in 10 billion calls with 32,768 rows.
+    True is certain. False may be a hash collision, about once in 10 billion calls with 32,768 rows.
     """
     known_words = np.frombuffer(b"".join(keys), dtype=np.uint64).reshape(-1, points.shape[1])
     words = np.concatenate([np.ascontiguousarray(points, dtype=np.float64).view(np.uint64), known_words])

@@ -15,7 +15,7 @@ _MAX_REPR_LENGTH: Final = 60
 
 
 def check_int(name: str, value: object, minimum: int = 0, maximum: int | None = None) -> int:
-    """Return an int, also from a NumPy integer; `InputError` if it is none or out of bounds.
+    """Return an argument as int; `InputError` if it is not a whole number, or out of bounds. NumPy integers are valid.
 
     >>> check_int("budget", 200, minimum=1)
     200
@@ -30,7 +30,10 @@ def check_int(name: str, value: object, minimum: int = 0, maximum: int | None = 
 
 
 def check_float(name: str, value: object, *, above: float | None = None, minimum: float | None = None) -> float:
-    """Return a finite float, also from an int or a NumPy number. `above` is exclusive, `minimum` inclusive."""
+    """Return an argument as a finite float; ints and NumPy numbers are valid.
+
+    `above` is exclusive, `minimum` inclusive.
+    """
     if isinstance(value, Real) and not isinstance(value, bool):
         try:
             result = float(value)
@@ -43,14 +46,14 @@ def check_float(name: str, value: object, *, above: float | None = None, minimum
 
 
 def check_bool(name: str, value: object) -> bool:
-    """Return True or False; `InputError` for anything else."""
+    """Return an argument that is True or False; `InputError` for anything else."""
     if isinstance(value, bool):
         return value
     raise InputError(f"`{name}` {repr_short(value)}: give True or False.")
 
 
 def check_str(name: str, value: object, choices: Collection[str] = ()) -> str:
-    """Return a non-empty string, which has to be one of `choices` if these are given."""
+    """Return an argument that is a non-empty string; if `choices` are given, it must be one of them."""
     if not isinstance(value, str) or not value:
         raise InputError(f"`{name}` {repr_short(value)}: give a text.")
     if choices and value not in choices:
@@ -59,7 +62,7 @@ def check_str(name: str, value: object, choices: Collection[str] = ()) -> str:
 
 
 def check_str_sequence(name: str, value: object) -> tuple[str, ...]:
-    """Return a tuple of strings; a single string becomes a tuple of one."""
+    """Return an argument as tuple of strings; a single string becomes a tuple of one."""
     if isinstance(value, str):
         return (check_str(name, value),)
     if not isinstance(value, Iterable) or isinstance(value, Mapping | bytes):
@@ -68,7 +71,7 @@ def check_str_sequence(name: str, value: object) -> tuple[str, ...]:
 
 
 def check_mapping(name: str, value: object) -> dict[str, Any]:
-    """Return a dict with string keys."""
+    """Return an argument as dict with string keys."""
     if not isinstance(value, Mapping):
         raise InputError(f"`{name}` {repr_short(value)}: give a dictionary.")
     return {check_str(name, key): item for key, item in value.items()}
@@ -84,7 +87,7 @@ def check_parameter_values(name: str, value: object) -> dict[str, float | str]:
 
 
 def check_path(name: str, value: object) -> Path:
-    """Return the `Path` of a file or folder."""
+    """Return an argument as `Path` of a file or folder."""
     if isinstance(value, str | PathLike) and value != "":
         return Path(value)
     raise InputError(f"`{name}` {repr_short(value)}: give the path of a file or folder.")

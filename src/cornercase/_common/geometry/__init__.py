@@ -1,1 +1,1 @@
-"""Boxes in the plane, and which of many overlap."""
+"""Oriented boxes in the plane, and fast search for overlaps among many boxes."""

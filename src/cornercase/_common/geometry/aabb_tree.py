@@ -1,7 +1,7 @@
 """Binary tree of axis-aligned boxes along a path, to find overlaps without testing each pair.
 
-Boxes that follow each other in time are close to each other. A tree over their order is therefore packed as well as
-one sorted by position (STR packing), and it returns boxes in order of time.
+Boxes of consecutive times are close to each other. So a tree in order of time is about as tight as a tree sorted by
+position (STR packing), and a search returns the boxes in order of time.
 """
 
 # Compiled functions have no static types.
@@ -16,10 +16,10 @@ from cornercase._common.typing import FloatArray
 
 
 def build_aabb_tree(bounds: FloatArray) -> FloatArray:
-    """Build the tree, shape (2 k, 4), of boxes with bounds (min x, min y, max x, max y), shape (m, 4).
+    """Build a binary tree, shape (2 k, 4), over m boxes with bounds (min x, min y, max x, max y), shape (m, 4).
 
-    Node 1 holds all boxes, nodes 2 i and 2 i + 1 the two halves of node i. The nodes from k on are the boxes
-    themselves; k is the smallest power of two that is at least m.
+    Node 1 bounds all boxes; nodes 2 i and 2 i + 1 bound the two halves of node i. Row k + j holds box j. k is the
+    smallest power of two that is at least m.
     """
     leaves = 1 << max(len(bounds) - 1, 0).bit_length()
     tree = np.empty((2 * leaves, 4))
@@ -40,7 +40,10 @@ def fill_inner_nodes(tree):
 
 @kernel(error_model="numpy", _nrt=False)
 def next_overlapping_leaf(tree, node, low_x, low_y, high_x, high_y):
-    """Return the first leaf at or after `node` that overlaps the bounds, or 0. Start at node 1."""
+    """Return the next leaf whose box overlaps the bounds, or 0 if there is none.
+
+    The search begins at `node` and goes on in order of time; pass `node` 1 for the first leaf.
+    """
     leaves = len(tree) // 2
     while node > 0:
         box = tree[node]
@@ -55,7 +58,7 @@ def next_overlapping_leaf(tree, node, low_x, low_y, high_x, high_y):
 
 @kernel(error_model="numpy", _nrt=False)
 def node_after_subtree(node):
-    """Return the node that follows a node's whole subtree, or 0 after the last one."""
+    """Return the node that a depth-first search visits after the whole subtree of `node`, or 0 at the end."""
     while node & 1:
         node >>= 1
     return node + 1 if node > 0 else 0
@@ -63,7 +66,10 @@ def node_after_subtree(node):
 
 @kernel(error_model="numpy")
 def append_run(runs, count, step, other_step):
-    """Append a run to the first `count` rows of `runs` (see `OverlapRuns.runs`); double the array if it is full."""
+    """Begin a run at row `count` of `runs`, and return the array; an array that is full is doubled.
+
+    Columns are those of `OverlapRuns.runs`; the caller fills the last one.
+    """
     if count == len(runs):
         grown = np.empty((2 * count, 3), dtype=np.int64)
         grown[:count] = runs

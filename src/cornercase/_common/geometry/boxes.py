@@ -35,9 +35,10 @@ def is_facing_forward(angle: npt.ArrayLike) -> BoolArray:
 def box_corners(
     x: npt.ArrayLike, y: npt.ArrayLike, heading: npt.ArrayLike, length: npt.ArrayLike, width: npt.ArrayLike
 ) -> FloatArray:
-    """Corners of boxes, shape (..., 4, 2), counter-clockwise from the front right.
+    """Return the corners of boxes in m, shape (..., 4, 2), counter-clockwise from the front right.
 
-    Centres and full sizes in m, `heading` of the length axis in rad counter-clockwise from +x.
+    `x`, `y` are the centre in m; `length`, `width` are full sizes in m. `heading` is the direction of the length axis
+    in rad, counter-clockwise from +x.
     """
     x, y, heading, length, width = np.broadcast_arrays(*map(np.asarray, (x, y, heading, length, width)))
     along = 0.5 * length[..., None] * _SIGNS_ALONG
@@ -48,7 +49,10 @@ def box_corners(
 
 
 def boxes_overlap(a: FloatArray, b: FloatArray) -> BoolArray:
-    """Whether boxes share a point (separating axes); corners as in `box_corners`. A NaN corner overlaps nothing."""
+    """Whether boxes share a point, from their corners in the order of `box_corners`; a NaN corner overlaps nothing.
+
+    Source: separating axis theorem.
+    """
     overlap = np.ones(np.broadcast_shapes(a.shape[:-2], b.shape[:-2]), dtype=np.bool_)
     for box in (a, b):
         for first, second in ((0, 1), (1, 2)):
@@ -60,10 +64,10 @@ def boxes_overlap(a: FloatArray, b: FloatArray) -> BoolArray:
 
 
 def box_distance(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Distance in m between boxes with corners (..., 4, 2); 0 if they overlap, NaN if a corner is NaN.
+    """Return the distance in m between boxes, from their corners, shape (..., 4, 2).
 
-    Two separate convex shapes are nearest at a corner of one of them: the smallest distance from a corner to the other
-    box.
+    The distance is 0 if the boxes overlap, and NaN if a corner is NaN. Two separate convex shapes are nearest at a
+    corner of one of them; so it is the smallest distance from a corner to the other box.
     """
     of_a, of_b = box_axes(a), box_axes(b)
     nearest = np.minimum(_nearest_corner_distance(a, b, of_b), _nearest_corner_distance(b, a, of_a))
@@ -84,9 +88,9 @@ def _midrange(values: FloatArray) -> FloatArray:
 
 
 def box_axes(box: FloatArray) -> FloatArray:
-    """Unit vectors along and across boxes, shape (..., 2, 2).
+    """Return the unit vectors along the length and the width of boxes, shape (..., 2, 2).
 
-    Boxes without width or length keep both directions; points get +x and +y.
+    A box with length or width 0 still has both vectors; a box with neither gets +x and +y.
     """
     across, along = box[..., 1, :] - box[..., 0, :], box[..., 1, :] - box[..., 2, :]
     turned = np.stack([across[..., 1], -across[..., 0]], -1)
@@ -107,9 +111,10 @@ def project_on_axes(axes: FloatArray, points: FloatArray) -> FloatArray:
 
 
 def separating_gap(a: FloatArray, axes_of_a: FloatArray, b: FloatArray, axes_of_b: FloatArray) -> FloatArray:
-    """Widest gap in m between two convex shapes along any of their axes (separating axes).
+    """Return the widest gap in m between two convex shapes along any of their axes (separating axis theorem).
 
-    Positive if they are apart, and then a lower bound of their distance; NaN if a corner is NaN.
+    If it is positive, the shapes are apart, and the gap is a lower bound of their distance. It is NaN if a corner is
+    NaN.
     """
     return np.maximum(_widest_gap(axes_of_a, a, b), _widest_gap(axes_of_b, a, b))
 
@@ -121,7 +126,7 @@ def _widest_gap(axes: FloatArray, a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def _overlapping_shifts(axes: FloatArray, a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Range of shifts of `b` along each axis for which the projections share a point."""
+    """Return, for each axis, the smallest and largest shift of `b` for which the projections of both boxes overlap."""
     low_a, high_a = _projected_range(axes, a)
     low_b, high_b = _projected_range(axes, b)
     return low_a - high_b, high_a - low_b
@@ -145,11 +150,12 @@ def time_to_contact(
     acceleration: FloatArray | None = None,
     horizon: npt.ArrayLike = np.inf,
 ) -> FloatArray:
-    """Time in s at which a box that moves without turning first touches a resting box; exact.
+    """Return the time in s at which a box that moves without turning first touches a resting box.
 
-    `velocity` and `acceleration` are those of `b` relative to `a`. 0 if they touch now, inf if not within `horizon`,
-    NaN for NaN inputs. Along each separating axis the projections overlap while low <= v t + a t²/2 <= high, which
-    holds in at most two time intervals; the boxes touch when one interval of every axis is open.
+    `velocity` and `acceleration` are those of `b` relative to `a`. The time is exact: 0 if the boxes touch now, inf if
+    they do not touch within `horizon` s, NaN for NaN inputs. Along each separating axis, the projections overlap while
+    low <= v t + a t²/2 <= high. This holds in at most two time intervals per axis. The boxes touch when every axis is
+    in one of its intervals.
     """
     axes = np.concatenate(np.broadcast_arrays(box_axes(a), box_axes(b)), -2)
     low, high = _overlapping_shifts(axes, a, b)
@@ -186,7 +192,7 @@ def time_to_contact(
 
 
 def _overlap_interval_linear(low: FloatArray, high: FloatArray, speed: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Time interval in which low <= speed t <= high; if there is none, its start is after its end."""
+    """Return start and end of the times with low <= speed t <= high; if there are none, the start is after the end."""
     moves = speed != 0.0
     divisor = np.where(moves, speed, 1.0)
     with np.errstate(over="ignore"):
@@ -199,7 +205,10 @@ def _overlap_interval_linear(low: FloatArray, high: FloatArray, speed: FloatArra
 def _overlap_intervals_quadratic(
     low: FloatArray, high: FloatArray, speed: FloatArray, acceleration: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Both time intervals, on a new last axis, in which low <= speed t + acceleration t²/2 <= high."""
+    """Return starts and ends of the two time intervals in which low <= speed t + acceleration t²/2 <= high.
+
+    The last axis of both arrays has length 2.
+    """
     down = acceleration < 0.0
     low, high = np.where(down, -high, low), np.where(down, -low, high)
     speed, acceleration = np.where(down, -speed, speed), np.abs(acceleration)
@@ -219,7 +228,7 @@ def _overlap_intervals_quadratic(
 def _quadratic_roots(
     acceleration: FloatArray, speed: FloatArray, offset: FloatArray
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Sorted roots of acceleration t²/2 + speed t + offset for acceleration > 0, and whether there are any."""
+    """Return the sorted roots of acceleration t²/2 + speed t + offset, and whether they are real; acceleration > 0."""
     discriminant = speed * speed - 2.0 * acceleration * offset
     # This sum has no cancellation, so the smaller root keeps its digits when the acceleration is small.
     q = -(speed + np.copysign(np.sqrt(np.maximum(discriminant, 0.0)), speed))

@@ -1,4 +1,4 @@
-"""Steps of one path that overlap steps of another, stored as runs; a table of all pairs would grow quadratically."""
+"""Which steps of one path overlap which steps of another, stored as runs: a full table would grow quadratically."""
 
 from __future__ import annotations
 
@@ -13,42 +13,42 @@ from cornercase._common.typing import BoolArray, IntArray
 
 @dataclass(frozen=True, eq=False)
 class OverlapRuns:
-    """Which of n steps overlap which of m other steps.
+    """Which of the n steps of one path overlap which of the m steps of another.
 
-    `runs`, shape (k, 3): a step, and the first and last of consecutive other steps that it overlaps, sorted. `shape`:
-    (n, m).
+    Each row of `runs`, shape (k, 3), holds a step of the first path, and the first and last of consecutive steps of the
+    second path that it overlaps; the rows are sorted. `shape` is (n, m).
     """
 
     runs: IntArray
     shape: tuple[int, int]
 
     def overlapping_steps(self) -> IntArray:
-        """Sorted indices of the steps that overlap any other step."""
+        """Sorted indices of the steps of the first path that overlap any step of the second."""
         steps: IntArray = np.unique(self.runs[:, 0])
         return steps
 
     def overlapped_steps(self) -> IntArray:
-        """Sorted indices of the other steps that are overlapped."""
+        """Sorted indices of the steps of the second path that overlap any step of the first."""
         ends = np.zeros(self.shape[1] + 1, dtype=np.int64)
         np.add.at(ends, self.runs[:, 1], 1)
         np.add.at(ends, self.runs[:, 2] + 1, -1)
         return np.flatnonzero(np.cumsum(ends[:-1]) > 0)
 
     def overlaps_of_step(self, step: int) -> BoolArray:
-        """Mask, shape (m,), of the other steps that a step overlaps."""
+        """Mask, shape (m,), of the steps of the second path that overlap step `step` of the first."""
         mask = np.zeros(self.shape[1], dtype=np.bool_)
         for first, last in self.runs[self.runs[:, 0] == step, 1:].tolist():
             mask[first : last + 1] = True
         return mask
 
     def steps_overlapping(self, other_step: int) -> BoolArray:
-        """Mask, shape (n,), of the steps that overlap one of the other steps."""
+        """Mask, shape (n,), of the steps of the first path that overlap step `other_step` of the second."""
         mask = np.zeros(self.shape[0], dtype=np.bool_)
         mask[self.runs[(self.runs[:, 1] <= other_step) & (other_step <= self.runs[:, 2]), 0]] = True
         return mask
 
     def connected_components(self) -> list[OverlapRuns]:
-        """Split into connected components (each pair is connected with its eight neighbours), sorted by first step."""
+        """Split the overlaps into connected components, sorted by first step; a pair of steps has eight neighbours."""
         if not len(self.runs):
             return []
         step, first, last = self.runs.T

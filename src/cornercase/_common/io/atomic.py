@@ -35,7 +35,7 @@ _TEMPORARY_NAME: Final = re.compile(rf"\.[0-9a-f]{{8}}-(\d{{1,9}})-[a-z0-9_]{{8}
 
 
 class AtomicWriteGroup:
-    """Files that are written under temporary names and not renamed yet."""
+    """Files that are written under temporary names, and renamed together once all are complete."""
 
     def __init__(self) -> None:
         self._temporary_paths: dict[Path, Path] = {}
@@ -69,7 +69,7 @@ class AtomicWriteGroup:
         return self._temporary_paths[path]
 
     def commit(self) -> None:
-        """Sync all files to disk, then rename them. An `InputError` before that leaves all unrenamed."""
+        """Sync all files to disk, then rename them; if syncing fails, raise `InputError` and rename none."""
         mode = new_file_mode()
         for path, temporary in self._temporary_paths.items():
             with _convert_write_errors(path):
@@ -100,7 +100,7 @@ class AtomicWriteGroup:
         self._new_folders.clear()
 
     def _remove_leftovers(self, folder: Path) -> None:
-        """Remove temporary files of writers that were killed."""
+        """Remove temporary files of processes that were killed while they were writing."""
         if folder in self._swept_folders:
             return
         self._swept_folders.add(folder)
@@ -118,7 +118,10 @@ class AtomicWriteGroup:
 
 
 def _process_mark(process_id: int) -> str:
-    """Mark of a writing process and its machine or container, which may share the folder with others."""
+    """Return a text that identifies a writing process and its machine or container.
+
+    Other machines may write into the same folder.
+    """
     return f"{crc32(f'{platform.node()} {_process_namespace()}'.encode()):08x}-{process_id}"
 
 
@@ -136,7 +139,7 @@ _current_group: ContextVar[AtomicWriteGroup | None] = ContextVar("together", def
 
 @contextmanager
 def current_or_new_group() -> Iterator[AtomicWriteGroup]:
-    """Yield the group of the enclosing `atomic_write_group`, or a new one that is renamed after the block."""
+    """Yield the group of the enclosing `atomic_write_group`, or else a new group whose files are renamed at the end."""
     group = _current_group.get()
     if group is not None:
         yield group
@@ -151,9 +154,9 @@ def current_or_new_group() -> Iterator[AtomicWriteGroup]:
 
 @contextmanager
 def atomic_write_group() -> Iterator[None]:
-    """Rename all files that are written within the block at its end, or none if it fails.
+    """Rename all files that are written within the block at its end, or none of them if the block fails.
 
-    Many files are synced to disk this way in little more time than one.
+    Syncing many files to disk together takes little more time than syncing one.
     """
     with current_or_new_group() as files:
         before = _current_group.set(files)
@@ -164,7 +167,10 @@ def atomic_write_group() -> Iterator[None]:
 
 
 def make_folders(folder: Path) -> list[Path]:
-    """Make a folder with its parents, and return those that were missing, outermost first; all or none."""
+    """Make a folder with its parents, and return the folders that were missing, outermost first.
+
+    If one of them cannot be made, none is.
+    """
     missing = [parent for parent in (folder, *folder.parents) if not parent.exists()][::-1]
     made = []
     try:
@@ -182,7 +188,7 @@ def make_folders(folder: Path) -> list[Path]:
 
 
 def fsync_all(files: Iterable[Path], names: Iterable[Path]) -> None:
-    """Sync files to disk in parallel. `names` are their names in messages."""
+    """Sync files to disk in parallel; error messages call them by the paths in `names`."""
     pairs = list(zip(files, names, strict=True))
 
     def fsync_one(pair: tuple[Path, Path]) -> None:
@@ -199,7 +205,7 @@ def fsync_all(files: Iterable[Path], names: Iterable[Path]) -> None:
 
 
 def write_error(path: Path, error: OSError) -> InputError:
-    """The error that a file cannot be written."""
+    """Return the `InputError` that says that a file cannot be written, and why."""
     return InputError(
         f"{path}: cannot be written ({error.strerror or error}); choose another location or free some space."
     )

@@ -26,7 +26,9 @@ MAX_FILE_SIZE: Final = 200_000_000
 
 
 def portable_name(text: str) -> str:
-    """Turn a text into a file name that is valid on every platform, cut to 150 bytes, neither hidden nor a folder.
+    """Turn a text into a file name that is valid on every platform.
+
+    It has at most 150 bytes, names no folder and does not begin with a dot.
 
     >>> portable_name("criticality-ttc:accelerating=true")
     'criticality-ttc-accelerating=true'
@@ -36,7 +38,7 @@ def portable_name(text: str) -> str:
 
 
 def read_file(path: Path | str, max_size: int = MAX_FILE_SIZE) -> bytes:
-    """Content of a regular file; `InputError` if it cannot be read or has more than `max_size` bytes."""
+    """Return the content of a regular file; `InputError` if it cannot be read or has more than `max_size` bytes."""
     path = Path(path)
     # No file system allows it.
     if "\0" in str(path):
@@ -60,10 +62,11 @@ def read_file(path: Path | str, max_size: int = MAX_FILE_SIZE) -> bytes:
 
 @contextmanager
 def atomic_write(path: Path | str) -> Iterator[Path]:
-    """Yield a temporary path next to `path`, and rename it to `path` when the block succeeds.
+    """Yield a temporary path next to `path`, and rename that file to `path` when the block succeeds.
 
     The content is synced to disk first, so that a power cut leaves either the old or the new file. Within
-    `atomic_write_group`, files are renamed at the end of that block. `InputError` if it fails; nothing is left behind.
+    `atomic_write_group`, the file is renamed at the end of the group. If writing fails, `InputError` is raised and no
+    temporary file is left.
     """
     path = Path(path)
     with current_or_new_group() as files:
@@ -79,7 +82,7 @@ _SIDE_FILE_SUFFIXES: Final = (*SQLITE_SUFFIXES, ".lock")
 
 
 def check_output_differs_from_source(output: Path | str, source: Path | str, name: str = "output") -> None:
-    """Raise `InputError` if `output` is the source file (also by another name) or one of SQLite's side files."""
+    """Raise `InputError` if `output` is the source file, even by another name, or one of SQLite's files beside it."""
     output, source = Path(output), Path(source)
     if output.exists() and source.exists() and output.samefile(source):
         raise InputError(f"`{name}` {output}: is the file that is read; choose another name.")
@@ -88,7 +91,7 @@ def check_output_differs_from_source(output: Path | str, source: Path | str, nam
 
 
 def check_output_is_not_study(output: Path, study: Path, name: str) -> None:
-    """Raise `InputError` if `output` is the study that is being written, or one of its side files."""
+    """Raise `InputError` if `output` is the study that is being written, or one of SQLite's files beside it."""
     if os.path.realpath(output) == os.path.realpath(study) or _is_side_file(output, study):
         raise InputError(f"`{name}` {output}: is the study, or belongs to it; choose another name.")
 
@@ -100,7 +103,7 @@ def _is_side_file(output: Path, database: Path) -> bool:
 
 
 def check_writable_file(name: str, path: Path) -> None:
-    """Raise `InputError`, before the work begins, if a file could not be written to `path`."""
+    """Raise `InputError` if no file can be written to `path`; call it before long work begins."""
     if path.exists() and not path.is_file():
         raise InputError(f"`{name}` {path}: is not a file; choose another name.")
     folder = next(parent for parent in (path.parent, *path.parent.parents) if parent.exists())

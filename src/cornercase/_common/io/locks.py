@@ -16,7 +16,7 @@ _TIMED_OUT: Final[set[Path]] = set()
 
 
 def try_lock(path: Path) -> BaseFileLock | None:
-    """Acquire a lock, or return None if somebody else holds it. OSError if the file cannot be written."""
+    """Acquire a lock, or return None if somebody else holds it; OSError if the lock file cannot be written."""
     # Any thread may release it.
     lock = FileLock(path, thread_local=False)
     try:
@@ -33,10 +33,10 @@ def try_lock(path: Path) -> BaseFileLock | None:
 
 @contextmanager
 def lock(path: Path) -> Iterator[None]:
-    """Hold a lock during the block; reentrant within a thread.
+    """Hold a lock on the file `path` during the block; a thread that holds the lock may enter again.
 
-    If its file cannot be written there is nothing to protect, and no lock is held. A holder that has not released it
-    after a minute has been stopped; it is not waited for any longer, nor again.
+    If the lock file cannot be written, the block runs without a lock. It also does after waiting for a minute: a
+    process that holds a lock that long has been suspended. Later calls then do not wait for this lock at all.
     """
     with ExitStack() as stack:
         timeout = 0.0 if path in _TIMED_OUT else _TIMEOUT

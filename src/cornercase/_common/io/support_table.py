@@ -36,7 +36,7 @@ _XML_NAMESPACE_PREFIX: Final = "{http://www.w3.org/"
 
 
 class SupportStatus(StrEnum):
-    """Support of a part of a file."""
+    """How an element or attribute of a file format is supported."""
 
     USED = "used"
     WITHOUT_EFFECT = "without effect"
@@ -45,7 +45,7 @@ class SupportStatus(StrEnum):
 
 @dataclass(frozen=True)
 class SupportEntry:
-    """Support of an element, or of an attribute (`attribute` is empty for the element itself)."""
+    """How one element, or one attribute, is supported; `attribute` is empty for the element itself."""
 
     element: str  # may name parents: "Init/Actions"
     attribute: str
@@ -58,7 +58,7 @@ class SupportEntry:
     affects_result: bool = True  # whether a simulator that used it, or did not read it, could give another result
 
     def is_ignored(self, value: str) -> bool:
-        """Whether this value of the attribute changes nothing."""
+        """Whether an attribute with this value has no effect, so that no notice is needed."""
         return any(ignored in ("*", value) or _is_same_number(value, ignored) for ignored in self.ignored_values)
 
 
@@ -71,7 +71,7 @@ class NoticeLabel(StrEnum):
 
 @dataclass(frozen=True)
 class Notice:
-    """Parts of a file that have no effect, or are not read as they are written, all for one reason.
+    """Parts of a file that have no effect or are read differently from how they are written, all for the same reason.
 
     Attributes
     ----------
@@ -116,7 +116,7 @@ class Notice:
 
 
 def merge_notices(notices: Iterable[Notice]) -> tuple[Notice, ...]:
-    """Merge notices of the same file and reason."""
+    """Merge notices that differ only in their parts and lines."""
     groups: dict[tuple[Path, str, NoticeLabel, str, bool], tuple[dict[str, None], set[int]]] = {}
     for notice in notices:
         key = (notice.file, notice.reason, notice.label, notice.rule, notice.affects_result)
@@ -130,7 +130,7 @@ def merge_notices(notices: Iterable[Notice]) -> tuple[Notice, ...]:
 
 
 def deduplicate_notices(notices: Iterable[Notice]) -> tuple[Notice, ...]:
-    """Drop notices that repeat the parts and the reason of an earlier file."""
+    """Keep only the first of several notices with the same parts and reason, whichever file they are about."""
     notices_by_key: dict[tuple[tuple[str, ...], str], Notice] = {}
     for notice in notices:
         notices_by_key.setdefault((notice.parts, notice.reason), notice)
@@ -138,14 +138,17 @@ def deduplicate_notices(notices: Iterable[Notice]) -> tuple[Notice, ...]:
 
 
 def sort_notices(notices: Iterable[Notice]) -> tuple[Notice, ...]:
-    """Sort notices: adapted parts first, then what can change the result, then the rest."""
+    """Sort notices: first adapted parts, then parts that can change the result, then the rest."""
     return tuple(
         sorted(notices, key=lambda notice: (notice.label is not NoticeLabel.ADAPTED, not notice.affects_result))
     )
 
 
 def adapted_notices(element: etree._Element, file: Path | str) -> tuple[Notice, ...]:
-    """Notices about parts that violate the standard but were read: in an element, its descendants and its ancestors."""
+    """Return notices about parts that violate the standard but could be read.
+
+    They are about the element, its descendants and its ancestors.
+    """
     return merge_notices(
         Notice((what,), why, Path(file), (line_number(part),), NoticeLabel.ADAPTED, rule)
         for part in (*element.iterancestors(), *iter_descendants_untracked(element))
@@ -154,9 +157,9 @@ def adapted_notices(element: etree._Element, file: Path | str) -> tuple[Notice, 
 
 
 def warn_notices(notices: Iterable[Notice]) -> None:
-    """Issue a `NoticeWarning` for each notice that matters, and one with the number of the others.
+    """Issue a `NoticeWarning` for each notice that can change the result, and one that counts the others.
 
-    With ``--verbose`` each is issued.
+    With ``--verbose``, each notice gets its own warning.
     """
     # Imported late, as it loads rich, which is slow.
     from cornercase._common.progress import verbosity
@@ -174,7 +177,7 @@ def warn_notices(notices: Iterable[Notice]) -> None:
 
 
 def issue_notice_warning(sentence: str) -> None:
-    """Issue a sentence as `NoticeWarning` at the code that called cornercase.
+    """Issue a `NoticeWarning` that Python attributes to the line outside cornercase that called it.
 
     Parameters
     ----------
@@ -188,9 +191,9 @@ def issue_notice_warning(sentence: str) -> None:
 
 
 class SupportTable:
-    """Support of each element and attribute of a file format.
+    """How each element and attribute of a file format is supported.
 
-    An element without effect, or refused, stands for its attributes and descendants, which need no entries.
+    An entry of an element that has no effect or is refused also covers its attributes and descendants.
     """
 
     def __init__(self, entries: Iterable[SupportEntry]) -> None:
@@ -208,10 +211,10 @@ class SupportTable:
 
     @classmethod
     def from_csv(cls, package: str, file: str) -> SupportTable:
-        """Read the table from a CSV file of a package.
+        """Read the table from a CSV file in a package.
 
-        Its columns are element, attribute, status, unless, values, note and matters. Several values are separated by
-        bars: ``0|false``. `matters` is yes or no; for what is used, the default is yes.
+        The columns are element, attribute, status, unless, values, note and matters. Bars separate several values in a
+        cell: ``0|false``. `matters` is yes or no; an empty cell means yes.
         """
         text = (resources.files(package) / file).read_text(encoding="utf-8")
         return cls(
@@ -228,14 +231,14 @@ class SupportTable:
         )
 
     def find_entry(self, path: tuple[str, ...], attribute: str = "") -> SupportEntry | None:
-        """Find the entry of an element or attribute; the one with the most matching parents wins."""
+        """Return the entry of an element or attribute; if several fit, the one that names the most parents."""
         for parents, entry in self._by_name.get((path[-1], attribute), ()):
             if path[len(path) - 1 - len(parents) : -1] == parents:
                 return entry
         return None
 
     def check_supported(self, element: etree._Element, file: Path | str) -> None:
-        """Raise `InputError` for the first element or attribute, in or below an element, that is refused."""
+        """Raise `InputError` at the first element or attribute that is refused, in an element and its descendants."""
         if not self._refusable:
             return
         # A file has few distinct paths.
@@ -257,7 +260,7 @@ class SupportTable:
                     )
 
     def _refusal_reason(self, path: tuple[str, ...], name: str, value: str) -> str | None:
-        """Why a value of an attribute is refused, or None. References to parameters are not checked here."""
+        """Return why a value of an attribute is refused, or None if it is accepted or refers to a parameter."""
         entry = self.find_entry(path, name)
         if entry is None or value.startswith("$"):
             return None
@@ -274,9 +277,10 @@ class SupportTable:
     def unsupported_notices(
         self, element: etree._Element, file: Path | str, is_complete: bool = True
     ) -> tuple[Notice, ...]:
-        """Notices about unused, unknown and unread parts of an element and its descendants, once the file was read.
+        """Return notices about parts of an element and its descendants that are unused, unknown or were not read.
 
-        With `is_complete` False, the file was not read to its end, and what was not read is not reported.
+        Call it after the file was read. If the file was not read to its end, pass `is_complete` False: then parts that
+        were not read are not reported.
         """
         silent = self._iter_unsupported(element, _path_from_root(element), is_complete)
         return merge_notices(
@@ -319,7 +323,7 @@ class SupportTable:
 
 
 def _describe_element(element: etree._Element, path: tuple[str, ...]) -> str:
-    """Tag of an element, with its name or its parent."""
+    """Return the tag of an element with its name attribute, or with its parent if it has no name."""
     name = element.attrib.get("name")
     if name:
         return f"<{path[-1]} {name}>"

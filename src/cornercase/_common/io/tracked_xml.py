@@ -1,4 +1,4 @@
-"""XML elements that track which of them were read."""
+"""XML elements that record which elements and attributes were read."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ _children = etree.ElementBase.iterchildren
 
 
 class TrackedElement(etree.ElementBase):
-    """An element that tracks whether it was found, and which of its attributes were requested.
+    """An XML element that records whether it was found, and which of its attributes were requested.
 
     `find`, `findall`, `iterfind`, `iterchildren`, `iter` with a tag, and iteration over the children mark elements as
-    found. `iter` without a tag, `attrib`, `items` and `getparent` do not, so that a file can be searched without
-    counting as read. lxml drops element objects that nobody references: whoever asks what was read must hold all of
-    them, as `XmlFileCache` does. `cache` holds what was derived from the element, `list_adaptations` violations of the
-    standard.
+    found. `iter` without a tag, `attrib`, `items` and `getparent` do not, so a file can be searched without marking it
+    as read. lxml drops element objects that nobody references, and their marks with them: hold all elements of a file
+    as long as the marks are needed, as `XmlFileCache` does. `cache` holds values derived from the element;
+    `list_adaptations` returns its violations of the standard.
     """
 
     # Class attributes as defaults, so that creating an element costs nothing.
@@ -71,18 +71,18 @@ def _mark_found(element: Any) -> Any:
 
 
 def iter_children_untracked(element: etree._Element) -> Iterator[etree._Element]:
-    """Child elements, without marking them as read."""
+    """Iterate over the child elements without marking them as read."""
     return _children(element, "*") if isinstance(element, TrackedElement) else element.iterchildren("*")
 
 
 def iter_descendants_untracked(element: etree._Element, *tags: Any) -> Iterator[etree._Element]:
-    """An element and its descendants, optionally only with these tags, without marking them as read."""
+    """Iterate over an element and its descendants without marking them as read; optionally only over these tags."""
     iterate = etree.ElementBase.iter if isinstance(element, etree.ElementBase) else etree._Element.iter
     return iter(iterate(element, *tags))
 
 
 def find_untracked(element: etree._Element, *tags: str) -> list[etree._Element]:
-    """Descendants along a path of tags, without marking them as read."""
+    """Return the descendants along a path of tags, without marking them as read."""
     elements = [element]
     for tag in tags:
         elements = [child for parent in elements for child in iter_children_untracked(parent) if child.tag == tag]
@@ -90,7 +90,7 @@ def find_untracked(element: etree._Element, *tags: str) -> list[etree._Element]:
 
 
 def find_by_name(elements: Iterable[etree._Element], name: str) -> etree._Element | None:
-    """First element with this name attribute, which alone counts as found; or None."""
+    """Return the first element with this name attribute, or None; only this element is marked as found."""
     for element in elements:
         if element.attrib.get("name") == name:
             element.get("name")
@@ -99,17 +99,17 @@ def find_by_name(elements: Iterable[etree._Element], name: str) -> etree._Elemen
 
 
 def is_read(element: etree._Element) -> bool:
-    """Whether an element was found, or an attribute requested; True if the element tracks nothing."""
+    """Whether an element was found or one of its attributes requested; True if the element is not tracked."""
     return not isinstance(element, TrackedElement) or element.is_found or element.requested_attributes is not None
 
 
 def requested_attributes(element: etree._Element) -> frozenset[str] | None:
-    """Names of the requested attributes; None if the element tracks nothing."""
+    """Return the names of the attributes that were requested; None if the element is not tracked."""
     return frozenset(element.requested_attributes or ()) if isinstance(element, TrackedElement) else None
 
 
 def cached_on_element(element: etree._Element, key: str, make: Callable[[], T]) -> T:
-    """Return `make()`, cached on the element under the name `key` (if the element tracks anything)."""
+    """Return `make()`, which is called once per element and key if the element is tracked."""
     if not isinstance(element, TrackedElement):
         return make()
     if element.cache is None:
@@ -121,19 +121,22 @@ def cached_on_element(element: etree._Element, key: str, make: Callable[[], T]) 
 
 
 def note_adaptation(element: etree._Element, part: str, reason: str, rule: str) -> None:
-    """Note that a part violates the standard, and how it was read (`reason`); `rule` is what the standard says."""
+    """Record that a part of an element violates the standard.
+
+    `reason` says how the part was read instead; `rule` quotes the standard.
+    """
     if isinstance(element, TrackedElement):
         element.adaptations = {**(element.adaptations or {}), (part, reason): rule}
 
 
 def list_adaptations(element: etree._Element) -> list[tuple[str, str, str]]:
-    """The notes of `note_adaptation`: part, reason and rule of each."""
+    """Return part, reason and rule of each violation recorded with `note_adaptation`."""
     notes = element.adaptations if isinstance(element, TrackedElement) else None
     return [(what, why, rule) for (what, why), rule in (notes or {}).items()]
 
 
 def make_tracking_parser(**options: Any) -> etree.XMLParser:
-    """Make a parser whose elements track what is read; `options` are those of ``lxml.etree.XMLParser``."""
+    """Make an XML parser whose elements are tracked; `options` are those of ``lxml.etree.XMLParser``."""
     parser = etree.XMLParser(**options)
     parser.set_element_class_lookup(etree.ElementDefaultClassLookup(element=TrackedElement))
     return parser

@@ -1,1 +1,1 @@
-"""Kernels: compiled once, kept on disk, called with pointers."""
+"""Compile kernels (numba functions), cache their machine code on disk, and pass them arrays by address."""

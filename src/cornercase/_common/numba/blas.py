@@ -16,10 +16,9 @@ _PACKAGES_WITH_BLAS: Final = ("numpy", "scipy.linalg", "scipy.optimize", "scipy.
 
 @contextmanager
 def single_threaded_blas() -> Iterator[None]:
-    """Limit NumPy and SciPy to one thread in the block, so that results do not depend on the number of threads.
+    """Limit NumPy's and SciPy's linear algebra to one thread, so that results do not depend on the number of threads.
 
-    The libraries are looked up once, and again if a package with a library of its own was imported since. Import the
-    packages that you call before you use it.
+    The limit holds within the block. Import packages with a linear algebra library of their own before the block.
     """
     with _threadpool_controller(*(name in sys.modules for name in _PACKAGES_WITH_BLAS)).limit(limits=1):
         yield

@@ -1,4 +1,4 @@
-"""Cache key of a kernel: a digest of its code, of all that it calls, and of the constants it uses."""
+"""Cache key of a kernel: a digest of its code, of the functions that it calls, and of the constants that it uses."""
 
 from __future__ import annotations
 
@@ -15,9 +15,10 @@ from numba.core.dispatcher import Dispatcher
 
 
 def kernel_digest(function: Callable[..., Any], options: dict[str, Any]) -> str:
-    """Digest of everything the machine code of a function depends on, in whatever module.
+    """Return a digest of everything that the machine code of a function depends on, including code in other modules.
 
-    Closure variables are left out; numba distinguishes versions by them. Raises TypeError for a global of unknown kind.
+    Closure variables are left out, because numba keeps code for each value of them. TypeError for a global variable of
+    an unsupported type.
     """
     digest = hashlib.sha256(repr(sorted(options.items())).encode())
     for part in _DigestWalk().walk(function, frozenset()):
@@ -31,13 +32,13 @@ _EXTERNAL_PACKAGES = sys.stdlib_module_names | {"numba", "numpy"}
 
 
 class _DigestWalk:
-    """Walks through a function and what it uses. Each function is visited once, as functions may call one another."""
+    """Visits a function and everything that it uses, each function once, since functions may call one another."""
 
     def __init__(self) -> None:
         self.seen: set[Any] = set()
 
     def walk(self, value: Any, names: frozenset[str]) -> Iterator[bytes]:
-        """Yield the bytes that identify a value; of a module, only its attributes in `names`."""
+        """Yield bytes that identify a value; of a module, only the attributes in `names` count."""
         if isinstance(value, Dispatcher):
             yield repr(sorted(value.targetoptions.items())).encode()
             value = value.py_func
@@ -90,7 +91,7 @@ def _is_external(module: str) -> bool:
 
 
 def _walk_bytecode(code: CodeType, names: set[str]) -> Iterator[bytes]:
-    """Yield instructions and constants (no line numbers), and add the names that occur to `names`."""
+    """Yield the instructions and constants of a code object without line numbers; add the names it uses to `names`."""
     names.update(code.co_names)
     yield f"{code.co_varnames} {code.co_freevars} {code.co_names} {code.co_argcount}".encode()
     yield code.co_code + code.co_exceptiontable

@@ -1,7 +1,7 @@
-"""Compilation of kernels that call kernels: all code that one call from Python needs is optimized together, once.
+"""Compile a kernel together with all kernels that it calls: the whole code is optimized once.
 
-By itself, numba optimizes a function, translates it to machine code and makes a wrapper for calls from Python for each
-function, and again for all that it calls, at each level of calls.
+numba alone would optimize each function, translate it to machine code and wrap it for calls from Python, and repeat
+this for the functions that it calls, at each level of calls.
 """
 
 # numba's internals have no type hints.
@@ -21,10 +21,13 @@ from cornercase._common.numba.interpret import can_interpret, interpret
 
 
 class KernelDispatcher(CPUDispatcher):
-    """A kernel; if another kernel calls it, it becomes a part of that one's code."""
+    """A compiled function; if another kernel calls it, its code is compiled into that kernel."""
 
     def __init__(self, function, options, estimate_seconds=None):
-        """`estimate_seconds` gives the time that Python would take for given arguments, if it may take the place."""
+        """Make a kernel; if `estimate_seconds` is given, Python may interpret it as long as it is not compiled.
+
+        `estimate_seconds` returns how many seconds Python would need for the arguments that it gets.
+        """
         options = {"nopython": True, "nogil": True, "no_cfunc_wrapper": True, **options}
         super().__init__(function, targetoptions=options, pipeline_class=_Compiler)
         # By argument types: compiled to LLVM's intermediate representation, but not further.
@@ -33,11 +36,11 @@ class KernelDispatcher(CPUDispatcher):
 
     @property
     def is_compiled(self):
-        """Whether this process has compiled or loaded it, alone or as a part of another kernel."""
+        """Whether this process has compiled or loaded the kernel, alone or as a part of another kernel."""
         return bool(self.overloads or self._parts)
 
     def is_ready(self, *args):
-        """Whether there is machine code: some in this process, or on disk for arguments of these types."""
+        """Whether there is machine code in this process, or on disk for arguments of these types."""
         if self.overloads:
             return True
         return self._cache.has_overload(tuple(map(self.typeof_pyval, args)), self.targetctx)
@@ -81,7 +84,7 @@ def _interpret_call(kernel, *args):
 
 
 class _PartLibrary(JITCodeLibrary):
-    """Code of a part, which the kernels that contain it optimize and translate to machine code."""
+    """Intermediate code of a kernel that other kernels call; they optimize it and translate it to machine code."""
 
     def finalize(self):
         self._raise_if_finalized()
@@ -93,10 +96,13 @@ class _PartLibrary(JITCodeLibrary):
 
 
 class _KernelLibrary(JITCodeLibrary):
-    """Code of a kernel and its parts."""
+    """Code of a kernel and of the kernels that it calls."""
 
     def serialize_using_object_code(self):
-        """Return name, kind and machine code, as numba does, but nothing for kernels that call it: they have parts."""
+        """Return name, kind and machine code in numba's format, without the intermediate code.
+
+        The functions in the intermediate code are empty, since other kernels do not link this library.
+        """
         names = [function.name for function in self._final_module.functions if not function.is_declaration]
         definitions = "".join(f'define void @"{name}"() {{ ret void }}\n' for name in names)
         return self.name, "object", (self._get_compiled_object(), llvm.parse_assembly(definitions).as_bitcode())

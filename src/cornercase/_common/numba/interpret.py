@@ -1,7 +1,7 @@
-"""Kernels run by Python's interpreter: the same source, with the arithmetic of compiled code.
+"""Run kernels with Python's interpreter: the source is the same, and so are the results to the last digit.
 
-For a few scenarios that takes less time than compiling. Results are the same to the last digit, since all functions of
-`math` end in the same library, and the rest is exact.
+For a few scenarios this takes less time than compiling. `math` calls the same C library as compiled code; all other
+operations are exact or replaced here.
 """
 
 from __future__ import annotations
@@ -29,20 +29,20 @@ MAX_SECONDS: Final = 4.0
 
 
 class _Clock:
-    """Time for which this process has interpreted kernels."""
+    """Counts the seconds for which this process has interpreted kernels."""
 
     spent = 0.0  # s
     is_stopped = False  # whether all kernels are compiled at once
 
 
 def can_interpret(seconds: float) -> bool:
-    """Whether this process may interpret kernels for so many more seconds."""
+    """Whether this process may still interpret kernels for `seconds` s."""
     return not _Clock.is_stopped and _Clock.spent + seconds <= MAX_SECONDS
 
 
 @contextmanager
 def compile_at_once() -> Iterator[None]:
-    """Context in which no kernel is interpreted, since it will be needed often."""
+    """Within the block, compile kernels at their first call instead of interpreting them, because many calls follow."""
     before, _Clock.is_stopped = _Clock.is_stopped, True
     try:
         yield
@@ -51,7 +51,7 @@ def compile_at_once() -> Iterator[None]:
 
 
 def interpret(kernel: Any, args: tuple[Any, ...]) -> Any:
-    """Do in Python what a kernel does, and add the time to what this process has spent so."""
+    """Call a kernel as a Python function, and count the time that it takes."""
     start = time.thread_time()
     with np.errstate(all="ignore"):
         result = _interpreted_function(kernel.py_func)(*args)
@@ -68,7 +68,7 @@ def _interpreted_function(function: FunctionType) -> FunctionType:
 
 @cache
 def _codes_of_file(path: str) -> dict[tuple[str, int], CodeType]:
-    """Code of all functions of a file, by name and first line, with divisions as compiled code does them."""
+    """Return the code of all functions of a file by name and first line, with operators replaced by `_Division`."""
     tree = ast.fix_missing_locations(_Division().visit(ast.parse(Path(path).read_text("utf-8"))))
     return {(code.co_name, code.co_firstlineno): code for code in _nested_codes(compile(tree, path, "exec"))}
 
@@ -81,12 +81,12 @@ def _nested_codes(code: CodeType) -> Iterator[CodeType]:
 
 
 class _Division(ast.NodeTransformer):
-    """Replaces operators that Python refuses for a divisor of 0, and powers, which compiled code multiplies."""
+    """Replaces operators whose results differ in compiled code: divisions and remainders by 0, and squares."""
 
     functions: Final = {ast.Div: "_divide", ast.Mod: "_remainder", ast.Pow: "_power"}
 
     def visit_BinOp(self, node: ast.BinOp) -> ast.AST:
-        """Replace the operator by a call of a function."""
+        """Replace a binary operator by a function call."""
         self.generic_visit(node)
         name = self.functions.get(type(node.op))
         if name is None:
@@ -95,7 +95,7 @@ class _Division(ast.NodeTransformer):
 
 
 def _without_exceptions(compute: Callable[..., Any]) -> Callable[..., Any]:
-    """As a function of floats, but infinite or not a number where Python raises an exception."""
+    """Wrap a function of floats so that it returns NaN where Python raises an exception, as compiled code does."""
 
     def run(*args: Any) -> Any:
         try:
@@ -149,7 +149,7 @@ _REPLACED: Final[dict[Any, Any]] = {
 
 
 def _replaced(value: Any) -> Any:
-    """What takes a value's place in interpreted code."""
+    """Return what interpreted code uses in place of a global value."""
     if isinstance(value, Dispatcher):
         return _interpreted_function(value.py_func)
     if isinstance(value, ModuleType) and value.__name__.startswith("cornercase."):
@@ -161,7 +161,7 @@ def _replaced(value: Any) -> Any:
 
 
 class _Module:
-    """A module whose kernels are interpreted."""
+    """Stands for a module in interpreted code; its kernels are interpreted too."""
 
     def __init__(self, module: ModuleType) -> None:
         self._module = module
@@ -173,13 +173,13 @@ class _Module:
 
 
 class _Globals(dict[str, Any]):
-    """Global variables of a module whose kernels are interpreted."""
+    """Global variables of a module for interpreted code."""
 
     modules: Final[dict[int, _Globals]] = {}
 
     @classmethod
     def of_module(cls, namespace: dict[str, Any]) -> _Globals:
-        """Global variables for the functions of a module, made once."""
+        """Return the global variables for the functions of a module; they are made once per module."""
         made = cls.modules.get(id(namespace))
         if made is None:
             made = cls.modules[id(namespace)] = cls(_divide=_divide, _remainder=_remainder, _power=_power)

@@ -30,11 +30,12 @@ _KERNELS: WeakSet[Any] = WeakSet()
 class _SharedCache(FunctionCache):
     """numba's disk cache, used by one process at a time.
 
-    numba reads the index of a function, adds to it and writes it back. If two processes do so at once, one can end up
-    with the other's machine code under its own key. Truncated files (full disk, crash) count as missing.
+    numba reads the index of a function, adds an entry and writes the index back. If two processes do so at once, one
+    can end up with the other's machine code under its own key. A truncated file (after a full disk or a crash) counts
+    as missing.
 
-    numba keeps machine code while the function's file is unchanged. Here the key covers all that the code contains: the
-    function, what it calls and its constants, in whatever module.
+    numba alone keeps machine code as long as the file of the function is unchanged. Here the key also covers the
+    functions and constants in other modules that the code contains.
     """
 
     def __init__(self, function, options):
@@ -93,7 +94,7 @@ class _SharedCache(FunctionCache):
 
 
 class _ShippedCache(NullCache):
-    """Only the machine code that comes with the package."""
+    """Read-only cache: the machine code that comes with the package."""
 
     def __init__(self, function, options):
         self._function, self._options, self._shipped = function, options, ShippedCode(function)
@@ -108,10 +109,10 @@ class _ShippedCache(NullCache):
 def kernel(
     *, interpreted_seconds: Callable[..., float] | None = None, **options: Any
 ) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Decorator: compile as ``numba.njit(nogil=True, **options)`` does, and cache the machine code on disk.
+    """Decorator: compile a function like ``numba.njit(nogil=True, **options)`` and cache its machine code on disk.
 
-    `interpreted_seconds` estimates from the arguments how long Python would take. While a kernel that has it is not
-    compiled, calls that take little time are interpreted.
+    `interpreted_seconds` estimates from the arguments how many seconds Python would take. If it is given, short calls
+    are interpreted as long as the kernel is not compiled.
     """
 
     def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -128,9 +129,9 @@ def kernel(
 
 
 class _CompilationListener(event.Listener):
-    """Listens to numba's compilation. If nobody else listens, it logs one warning that kernels are being compiled.
+    """Logs a single warning when numba begins to compile kernels, unless other listeners are registered.
 
-    Worker processes leave that to their parent.
+    Worker processes log nothing, because their parent does.
     """
 
     def __init__(self) -> None:
@@ -158,7 +159,7 @@ class _CompilationListener(event.Listener):
         pass
 
     def report_not_cached(self, reason: str) -> None:
-        """Log once why machine code is not cached, unless somebody else listens."""
+        """Log once why machine code cannot be cached, unless other listeners are registered."""
         if not (self.not_cached_reason or self.listeners or multiprocessing.parent_process() is not None):
             _LOG.warning("Compiled kernels cannot be cached: %s.", reason)
         self.not_cached_reason = reason
@@ -175,7 +176,7 @@ event.register("numba:compile", _COMPILATION_LISTENER)
 
 @contextmanager
 def listen_to_compilation(listener: Callable[[str], None]) -> Iterator[None]:
-    """Within the block, call `listener` with module and name of each kernel that numba compiles; log nothing."""
+    """Within the block, call `listener` with ``"module.name"`` of each kernel that numba compiles; log no warning."""
     _COMPILATION_LISTENER.listeners.append(listener)
     try:
         with compile_at_once():
@@ -196,11 +197,11 @@ def call_on_first_compilation(callback: Callable[[], None]) -> Iterator[None]:
 
 
 def count_ready_kernels() -> tuple[int, int]:
-    """Return how many of the imported kernels are ready to run, and how many there are."""
+    """Return how many of the imported kernels are compiled or loaded, and how many are imported."""
     kernels = list(_KERNELS)
     return sum(function.is_compiled for function in kernels), len(kernels)
 
 
 def reason_not_cached() -> str:
-    """Reason why compiled machine code could not be cached; empty if it was, or if nothing was compiled."""
+    """Return why machine code could not be cached; empty if it was cached, or if nothing was compiled."""
     return _COMPILATION_LISTENER.not_cached_reason

@@ -1,6 +1,7 @@
-"""References to tuples of arrays, as which kernels pass them on.
+"""References to named tuples of arrays, which kernels pass to one another.
 
-Passed by value, each array would be seven or more arguments of each call, all of which have to be compiled.
+If a tuple were passed by value, each of its arrays would become seven or more arguments of each call, and compiling
+would take much longer.
 """
 
 # numba's extension API has no type hints.
@@ -33,9 +34,10 @@ class _ReferenceModel(models.PrimitiveModel):
 
 @intrinsic
 def reference_to(context, table):
-    """Refer to a named tuple in the calling kernel, whose fields then never change; nested ones are references, too.
+    """Return a reference to a named tuple for use within a kernel; the fields of the tuple must not change afterwards.
 
-    The tuple lives until the calling kernel returns, and is not reference-counted.
+    Named tuples in its fields are read as references, too. The tuple lives until the calling kernel returns, and is not
+    reference-counted.
     """
     if not isinstance(table, types.BaseNamedTuple):
         return None
@@ -72,7 +74,7 @@ def _emit_field(context, builder, reference, value, name):
 
 
 def _load_constant(builder, pointer):
-    """Load a value that never changes; the members of a struct one by one, as not all may be needed."""
+    """Load a value that never changes; struct members are loaded one by one, so that unused ones can be left out."""
     kind = pointer.type.pointee
     if isinstance(kind, ir.LiteralStructType):
         value = ir.Constant(kind, ir.Undefined)

@@ -1,7 +1,7 @@
-"""Machine code that comes with the package: what a wheel of this Python and platform holds, compiled when it was built.
+"""Machine code that a wheel contains, compiled when the wheel was built.
 
-It is taken if it was made of the same source by the same versions of Python, numba and LLVM, for a level of the
-processor family that this machine has. Levels do not affect results, since no operation is reordered or fused.
+It is used if source code and versions of Python, numba and LLVM are the same, and if the processor has the features of
+its level, such as x86-64-v3. Levels do not affect results, since no operation is reordered or fused.
 """
 
 # numba's internals have no type hints.
@@ -43,7 +43,7 @@ SHIP_VARIABLE: Final = "CORNERCASE_SHIP"
 
 
 def runnable_levels() -> list[str]:
-    """Levels of this machine's processor, the highest first."""
+    """Return the processor levels that this machine can run, the highest first."""
     machine = platform.machine().lower()
     levels = LEVELS.get({"amd64": "x86_64", "aarch64": "arm64"}.get(machine, machine), {})
     present = llvm.get_host_cpu_features()
@@ -53,20 +53,20 @@ def runnable_levels() -> list[str]:
 
 @cache
 def _folder() -> Path | None:
-    """Folder with machine code of the highest level that this machine has."""
+    """Return the folder with the machine code of the highest level that this machine can run; None if there is none."""
     if SHIP_VARIABLE in os.environ or not FOLDER.is_dir():
         return None
     return next((FOLDER / level for level in runnable_levels() if (FOLDER / level).is_dir()), None)
 
 
 class ShippedCode:
-    """Machine code of one function that comes with the package, by argument types."""
+    """Machine code of one function in a wheel, by argument types."""
 
     def __init__(self, function: Any) -> None:
         self._function = function
 
     def load(self, source_digest: str, signature: Any, target_context: Any) -> Any:
-        """Compile result for argument types; None if there is none, or its file is damaged."""
+        """Return numba's compile result for argument types; None if there is none, or if its file is damaged."""
         path = self._path(source_digest, signature)
         if path is None or not path.is_file():
             return None
@@ -78,12 +78,12 @@ class ShippedCode:
             return None
 
     def has(self, source_digest: str, signature: Any) -> bool:
-        """Whether there seems to be machine code for argument types."""
+        """Whether a file with machine code for argument types exists."""
         path = self._path(source_digest, signature)
         return path is not None and path.is_file()
 
     def save(self, source_digest: str, signature: Any, result: Any) -> None:
-        """Write a compile result to where `SHIP_VARIABLE` says, if a wheel is being built."""
+        """While a wheel is being built, write a compile result to the folder in the variable `SHIP_VARIABLE`."""
         folder = os.environ.get(SHIP_VARIABLE)
         if folder:
             Path(folder, self._file_name(source_digest, signature)).write_bytes(dumps(result._reduce()))
@@ -102,7 +102,7 @@ class ShippedCode:
 
 
 def tuple_fields(numba_type: Any) -> tuple[Any, ...]:
-    """Names of the fields of a tuple and of those in it; machine code accesses them by position."""
+    """Return the field names of a tuple type and of the tuples in it; machine code accesses fields by position."""
     inner: Any = numba_type
     if not isinstance(numba_type, types.BaseTuple):
         return ()

@@ -1,1 +1,1 @@
-"""Processes: signals, children, clusters, and what differs between platforms."""
+"""Signals, child processes and clusters."""

@@ -50,7 +50,7 @@ def check_cluster(cluster: object) -> str | Client:
 
 
 def check_client(client: object) -> None:
-    """Raise `InputError` unless the argument is a `distributed.Client`."""
+    """Raise `InputError` unless the argument `client` is a `distributed.Client`."""
     if isinstance(check_cluster(client), str):
         raise InputError(f"`client` {client}: give a distributed.Client, of pip install 'cornercase[cluster]'.")
 
@@ -107,7 +107,10 @@ def _check_certificates(cluster: str, address: str) -> None:
 
 
 def _check_scheduler_answers(address: str) -> None:
-    """Wait for the scheduler's handshake; a client would wait forever if another program listens there."""
+    """Raise `InputError` unless a Dask scheduler answers at the address.
+
+    If another program listens there, a client would wait forever.
+    """
     from distributed.comm.core import connect as greet
     from distributed.security import Security
     from distributed.utils import LoopRunner, sync
@@ -195,7 +198,7 @@ def _register_plugin(client: Client, plugin: WorkerPlugin) -> None:
 
 
 def _child_process_plugin() -> WorkerPlugin:
-    """Plugin: workers ignore Ctrl-C, and put temporary files into a folder that the parent removes."""
+    """Return a Dask plugin that makes workers ignore Ctrl-C and use a temporary folder that the parent removes."""
     from distributed import WorkerPlugin
 
     class ChildProcessPlugin(WorkerPlugin):
@@ -209,7 +212,7 @@ def _child_process_plugin() -> WorkerPlugin:
 
 
 def disconnect(client: Client) -> None:
-    """Close a connection, with a local cluster if it has one."""
+    """Close a client; if it belongs to a local cluster, close the cluster, too."""
     local_cluster: Any = client.cluster
     with ExitStack() as stack:
         if local_cluster is not None:
@@ -228,9 +231,10 @@ def disconnect(client: Client) -> None:
 def open_connection(
     cluster: str | Client | None, workers: int = 1, *, workers_need_cluster: bool = False
 ) -> Iterator[Client | None]:
-    """Connect to a Dask cluster for the block, or yield None without `cluster`. A client that is given stays open.
+    """Connect to a Dask cluster during the block and yield the client; yield None if `cluster` is None.
 
-    With `workers_need_cluster`, more than one worker without a cluster is an `InputError`.
+    If `cluster` is a client, it stays open. With `workers_need_cluster`, more than one worker without a cluster is an
+    `InputError`.
     """
     if cluster is None:
         if workers_need_cluster and workers > 1:
@@ -254,7 +258,10 @@ def describe_cluster(client: Client) -> str:
 
 
 def wait_for_workers(client: Client, resource: str | None = None) -> list[dict[str, Any]]:
-    """Wait up to two minutes for workers that offer `resource`; return their entries in `Client.scheduler_info`."""
+    """Wait up to two minutes for workers, and return their entries in `Client.scheduler_info`.
+
+    If `resource` is given, only workers that offer it count.
+    """
     start = time.monotonic()
     while time.monotonic() - start <= _WORKER_TIMEOUT:
         try:
@@ -275,7 +282,11 @@ def _workers_with_resource(client: Client, resource: str | None) -> list[dict[st
 
 
 def wait_any(client: Client, futures: Collection[Future[Any]], resource: str | None = None) -> list[Future[Any]]:
-    """Wait until at least one task has ended, and return those that have; `InputError` without workers or scheduler."""
+    """Wait until at least one task has ended, and return all tasks that have.
+
+    `InputError` if there are no workers, or if the scheduler is lost. If `resource` is given, only workers that offer
+    it count.
+    """
     from distributed import wait
 
     last_seen = time.monotonic()
@@ -296,9 +307,9 @@ def wait_any(client: Client, futures: Collection[Future[Any]], resource: str | N
 
 
 def pop_result(client: Client, future: Future[Any]) -> tuple[Any, Exception | None]:
-    """Return result and exception of a finished task (one is None), and release it.
+    """Return the result and the exception of a finished task, one of which is None, and release the task.
 
-    Dask would otherwise rerun a task whose result was on a worker that died.
+    A task that is not released would be run again if the worker that holds its result died.
     """
     try:
         return future.result(), None
@@ -321,7 +332,7 @@ def _no_workers_error(client: Client, resource: str | None) -> InputError:
 
 
 def scheduler_gone_error(client: Client) -> InputError:
-    """The error that the connection to the scheduler is lost."""
+    """Return the `InputError` that says that the connection to the scheduler is lost."""
     return InputError(
         f"`cluster` {describe_cluster(client)}: the connection to its scheduler is lost; run the"
         f" same command again to go"

@@ -32,14 +32,14 @@ class LocalWorker(_NoWebPages, Worker):
 
 
 def start_local_cluster(n_workers: int, reaper: Reaper) -> SpecCluster:
-    """Start a scheduler in this process and workers in others, which `reaper` ends with this process.
+    """Start a local cluster: the scheduler in this process, and each worker in a process that ends with it.
 
-    They and this process's client accept only each other, by a temporary certificate. RuntimeError if a worker died
-    while it started.
+    Scheduler, workers and client accept only connections with a temporary certificate of this cluster. `reaper` ends
+    the workers. RuntimeError if a worker dies while it starts.
     """
 
     class ReapedNanny(Nanny):
-        """Starts a worker, and restarts it if it dies; ended with this process."""
+        """Starts a worker, and starts it again if it dies; `reaper` ends it together with this process."""
 
         async def instantiate(self) -> Any:
             with reaper.watch_new_processes(), hide_current_folder_from_children():

@@ -21,10 +21,11 @@ _GRACE_PERIOD: Final = 2.0
 
 
 def exit_with_parent() -> None:
-    """Exit this process of `multiprocessing` soon after its parent has died. Call in the main thread.
+    """Watch the parent of this `multiprocessing` process, and exit soon after the parent has died.
 
-    It gets `SystemExit` where Python can raise it. If that does not end it within two seconds, it is killed with all
-    its children. Compiled code that lets no other thread run is left to the parent's `Reaper`.
+    Call it in the main thread. `SystemExit` is raised there as soon as Python code runs. If the process has not ended
+    two seconds later, it is killed with its children. Compiled code that blocks all other threads also blocks this;
+    then the parent's `Reaper` ends the process.
     """
     parent = parent_process()
     assert parent is not None
@@ -50,7 +51,7 @@ def exit_with_parent() -> None:
 
 
 def exit_when_stdin_closes() -> None:
-    """Exit this process as soon as its standard input closes, as it does when the process at the other end dies."""
+    """Exit this process as soon as its standard input closes, which happens when the process at the other end dies."""
 
     def wait_for_end_of_input() -> None:
         with suppress(OSError):

@@ -1,7 +1,7 @@
-"""A small child process that ends this process's children and removes its temporary folders after it died.
+"""A small child process that cleans up after this process has died: it ends other children and removes folders.
 
 A process that is killed cannot clean up, and its children may be in compiled code that never checks their parent. The
-reaper process exits when its stdin closes, however the parent died, and then cleans up.
+reaper process exits when its standard input closes, however its parent died; before that, it cleans up.
 """
 
 from __future__ import annotations
@@ -41,9 +41,9 @@ _REAPER_CODE: Final = (
 
 
 class Reaper:
-    """Ends processes and removes folders once this process has ended, however it ended.
+    """Ends processes and removes folders once this process has ended, however that happened.
 
-    The reaper process is started with the first thing to guard.
+    The reaper process is started when there is something to clean up.
 
     >>> with Reaper() as reaper:
     ...     folder = reaper.make_temporary_folder()
@@ -61,16 +61,19 @@ class Reaper:
         self._lock = threading.Lock()
 
     def watch_process(self, process_id: int) -> None:
-        """End this process, and its children, when the parent dies."""
+        """End a process and its children when this process dies."""
         self._send("process", str(process_id), is_guarded=True)
 
     def release_process(self, process_id: int) -> None:
-        """Forget a process that has ended."""
+        """Stop watching a process that has ended."""
         self._send("process", str(process_id), is_guarded=False)
 
     @contextmanager
     def watch_new_processes(self) -> Iterator[None]:
-        """End all processes, with their children, that any thread starts within the block. Blocks may overlap."""
+        """Watch all processes that any thread starts within the block, and their children.
+
+        They are ended when this process dies. Blocks may overlap.
+        """
         self._send("mark", self._mark, is_guarded=True)
         # Processes inherit the mark, even if their parent dies.
         self._update_environment_mark(1)
@@ -103,14 +106,14 @@ class Reaper:
         return path
 
     def remove_folder(self, folder: Path) -> None:
-        """Remove a folder of `make_temporary_folder`."""
+        """Remove a folder that `make_temporary_folder` made."""
         shutil.rmtree(folder, ignore_errors=True)
         # If it cannot be removed now, the reaper may succeed when all processes have ended.
         if not folder.exists():
             self._send("folder", str(folder), is_guarded=False)
 
     def close(self) -> None:
-        """Remove all remaining folders, and end the reaper process."""
+        """Remove all remaining temporary folders, and end the reaper process."""
         for kind, name in sorted(self._resources):
             if kind == "folder":
                 self.remove_folder(Path(name))
@@ -169,7 +172,7 @@ def _send_message(process: subprocess.Popen[bytes], category: str, name: str, *,
 
 
 def run_reaper() -> None:
-    """Main function of the reaper process: read what to guard until stdin closes, then clean up."""
+    """Run the reaper process: read what to clean up until standard input closes, then clean up."""
     for number in (signal.SIGINT, *termination_signals()):
         signal.signal(number, signal.SIG_IGN)
     guarded = _read_messages(sys.stdin.buffer)
@@ -187,7 +190,7 @@ def run_reaper() -> None:
 
 
 def _read_messages(source: IO[bytes]) -> set[tuple[str, str]]:
-    """Read messages until the input ends, and return what is still guarded."""
+    """Read messages until the input ends, and return the processes and folders that are still watched."""
     guarded: set[tuple[str, str]] = set()
     for line in source:
         # The last line may be truncated.
@@ -198,7 +201,7 @@ def _read_messages(source: IO[bytes]) -> set[tuple[str, str]]:
 
 
 def _find_marked_processes(marks: set[str]) -> list[int]:
-    """Process ids with one of these marks in their environment."""
+    """Return ids of processes whose environment contains one of these marks."""
     import psutil
 
     process_ids = []
@@ -211,7 +214,7 @@ def _find_marked_processes(marks: set[str]) -> list[int]:
 
 
 def _end_processes(process_ids: list[int]) -> None:
-    """End processes and their children; kill those that do not end in time."""
+    """End processes and their children; kill processes that do not end in time."""
     import psutil
 
     processes = {process for number in process_ids for process in list_process_tree(number)}

@@ -1,7 +1,4 @@
-"""Deliver Ctrl-C and termination requests reliably.
-
-Also from compiled code, and from callbacks that swallow exceptions.
-"""
+"""Deliver Ctrl-C and termination requests reliably, even from compiled code and callbacks that swallow exceptions."""
 
 from __future__ import annotations
 
@@ -27,10 +24,11 @@ _REDELIVERY_DELAY: Final = 0.005
 
 
 def install_signal_handlers() -> None:
-    """Turn termination signals into `KeyboardInterrupt`, like Ctrl-C. Call in the main thread of a program.
+    """Make termination signals raise `KeyboardInterrupt`, like Ctrl-C. Call it in the main thread of a program.
 
-    An interrupt comes again if Python ignored it (as in a destructor) or compiled code replaced it by another error (as
-    NumPy does while it is imported). Signals that are ignored, as by ``nohup``, stay ignored.
+    `KeyboardInterrupt` is raised again if it was lost: Python ignores it in a destructor, and compiled code can replace
+    it by another error, as NumPy does while it is imported. Signals that were ignored before, as by ``nohup``, stay
+    ignored.
     """
     for name in ("unraisablehook", "excepthook"):
         if not isinstance(usual := getattr(sys, name), _LostInterruptHook):
@@ -41,20 +39,21 @@ def install_signal_handlers() -> None:
 
 
 def last_signal() -> signal.Signals:
-    """The signal of the last `KeyboardInterrupt`; SIGINT by default."""
+    """Return the signal that caused the last `KeyboardInterrupt`; SIGINT by default."""
     return signal.Signals(_last_signal)
 
 
 def count_requests() -> int:
-    """Number of termination requests received so far, as far as they are counted: see `is_termination_request`."""
+    """Return the number of termination requests received so far; see `is_termination_request`."""
     return _n_requests
 
 
 def is_termination_request(error: BaseException, n_requests_before: int) -> bool:
-    """Whether an exception of foreign code came from a termination request, and not from the code itself.
+    """Whether an exception of a plug-in was caused by a termination request, and not by the plug-in itself.
 
-    `n_requests_before` is `count_requests` before that code ran; the code may have replaced a `KeyboardInterrupt` by
-    another error. If nobody counts requests (outside `collect_interrupts`), every `KeyboardInterrupt` is a request.
+    `n_requests_before` is the value of `count_requests` before the plug-in ran. This also works if the plug-in replaced
+    the `KeyboardInterrupt` by another error. Outside `collect_interrupts` requests are not counted; then every
+    `KeyboardInterrupt` counts as a request.
     """
     if threading.current_thread() is not threading.main_thread():
         return False
@@ -71,7 +70,7 @@ def _handle_signal(number: int, frame: FrameType | None) -> None:
 
 
 class _LostInterruptHook:
-    """Exception hook that re-raises an interrupt that Python ignored or only printed."""
+    """Exception hook that raises an interrupt again if Python ignored it or only printed it."""
 
     def __init__(self, original_hook: Callable[..., object]) -> None:
         self._original_hook = original_hook
@@ -99,7 +98,7 @@ def _redeliver_interrupt() -> None:
 
 
 def pop_lost_interrupt() -> bool:
-    """Whether an interrupt was lost and would come again; the caller handles it instead."""
+    """Return whether an interrupt was lost, and cancel raising it again: the caller handles it."""
     global _is_lost_pending
     lost, _is_lost_pending = _is_lost_pending, False
     return lost
@@ -107,10 +106,10 @@ def pop_lost_interrupt() -> bool:
 
 @contextmanager
 def collect_interrupts() -> Iterator[Callable[[], None]]:
-    """Remember an interrupt whose exception falls into a callback of compiled code, where it would be lost.
+    """Within the block, remember interrupts whose exception is lost because compiled code calls back into Python.
 
-    Yields a function to call now and then: it raises `KeyboardInterrupt` if there was one since the last call. It never
-    does so outside the main thread, or if the program handles the signal itself.
+    Yields a function to call from time to time: it raises `KeyboardInterrupt` if an interrupt came since the last call.
+    It does nothing outside the main thread, or if the program handles the signal itself.
     """
     global _is_counting
     usual_handlers = {signal.SIGINT: signal.default_int_handler, **dict.fromkeys(termination_signals(), _handle_signal)}
@@ -154,8 +153,8 @@ def collect_interrupts() -> Iterator[Callable[[], None]]:
 def defer_interrupts() -> Iterator[None]:
     """Defer interrupts to the end of the block.
 
-    A signal mask alone is not enough: the system hands the signal to any thread that accepts it, and Python raises it
-    in the main thread.
+    A signal mask alone is not enough: the system delivers the signal to any thread that accepts it, and Python raises
+    the exception in the main thread.
     """
     deferred: list[int] = []
     in_main_thread = threading.current_thread() is threading.main_thread()

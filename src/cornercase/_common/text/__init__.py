@@ -1,1 +1,1 @@
-"""Texts: sources of messages, numbers, and names of foreign origin."""
+"""Read, format and escape texts."""

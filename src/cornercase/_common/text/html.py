@@ -1,4 +1,4 @@
-"""HTML of objects in notebooks."""
+"""HTML that notebooks show for objects."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ _N_SHOWN_ROWS: Final = 10
 
 
 def render_html(text: str, body: str = "") -> str:
-    """Render a line of text, escaped, above some HTML."""
+    """Return a line of text, escaped, followed by the HTML `body`."""
     return f"<p>{escape(text)}</p>{body}"
 
 
 def render_html_table(text: str, table: pd.DataFrame, n_rows: int = _N_SHOWN_ROWS) -> str:
-    """Render a line of text above the first rows of a table; all cells are escaped."""
+    """Return a line of text and the first rows of a table as HTML; all cells are escaped."""
     if table.empty:
         return render_html(text)
     more = f"<p>… and {len(table) - n_rows} more</p>" if len(table) > n_rows else ""

@@ -1,4 +1,4 @@
-"""Turn worded keys into identifiers for JSON that programs read."""
+"""Turn keys in plain words into identifiers, for JSON that programs read."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _LEADING_NUMBER: Final = re.compile(r"(\d+)_(.+)")
 
 
 def key_to_identifier(key: str) -> str:
-    """Identifier in lower case made of a worded key.
+    """Turn a key in plain words into an identifier in lower case.
 
     >>> from cornercase._common.text.json_keys import key_to_identifier
     >>> key_to_identifier("first order, 90 % interval"), key_to_identifier("95 % interval")
@@ -22,10 +22,9 @@ def key_to_identifier(key: str) -> str:
 
 
 def keys_to_identifiers(plain: Any, kept_levels: Mapping[str, int]) -> Any:
-    """Replace the keys of nested dictionaries by identifiers.
+    """Replace the keys of nested dictionaries by identifiers, except names of things such as metrics.
 
-    `kept_levels` says below which keys, and for how many levels, keys are names of things (such as metrics), which
-    stay.
+    `kept_levels` maps a key to the number of levels below it whose keys are such names.
     """
     if isinstance(plain, Mapping):
         return {

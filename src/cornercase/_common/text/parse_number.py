@@ -1,4 +1,4 @@
-"""Parse numbers of text files."""
+"""Parse numbers in text files."""
 
 from __future__ import annotations
 
@@ -6,14 +6,17 @@ import math
 
 
 def parse_number(value: str | float) -> float:
-    """Parse a number as XML writes it, possibly not finite: without the underscores and non-ASCII digits of Python."""
+    """Parse a number as XML writes it, such as ``1e3`` or ``INF``.
+
+    Unlike Python's `float`, it refuses underscores and non-ASCII digits.
+    """
     if isinstance(value, str) and ("_" in value or not value.isascii()):
         raise ValueError(f"'{value}' is not a number")
     return float(value)
 
 
 def parse_finite_number(text: str) -> float | None:
-    """Parse a finite number; None if the text is none."""
+    """Parse a finite number; None if the text is not one."""
     try:
         number = parse_number(text)
     except ValueError:

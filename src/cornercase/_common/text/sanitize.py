@@ -1,4 +1,4 @@
-"""Escape, shorten and wrap texts of unknown origin."""
+"""Escape, shorten and wrap texts that come from files or users."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _NUMBER: Final = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,4})?", re.ASC
 
 
 def escape_control_characters(text: str) -> str:
-    r"""Escape control characters, which a terminal would obey; tabs and newlines stay.
+    r"""Escape control characters, which a terminal would execute; tabs and newlines stay.
 
     >>> print(escape_control_characters("\x1b[2J"))
     \x1b[2J
@@ -37,7 +37,7 @@ def escape_control_characters(text: str) -> str:
 
 
 def docstring_summary(documented: object) -> str:
-    """First line of an object's docstring; empty without one."""
+    """Return the first line of an object's docstring; an empty text if there is none."""
     return (inspect.getdoc(documented) or "").partition("\n")[0]
 
 
@@ -51,7 +51,9 @@ def shorten(text: str, max_length: int) -> str:
 
 
 def wrap_text(text: str, width: int, max_lines: int) -> str:
-    """Wrap a text to `max_lines` lines of `width` characters, truncated with an ellipsis; fitting lines stay.
+    """Wrap a text to at most `max_lines` lines of `width` characters; a longer text ends with an ellipsis.
+
+    A text whose lines fit already stays as it is.
 
     >>> print(wrap_text("Ego yields to Pedestrian", 14, 3))
     Ego yields to
@@ -64,7 +66,7 @@ def wrap_text(text: str, width: int, max_lines: int) -> str:
 
 
 def quote_name(name: str) -> str:
-    """Quote a name for a sentence, unless it is a single word.
+    """Put a name in quotes for use in a sentence, unless it is a single word.
 
     >>> print(quote_name("Ego"), "yields to", quote_name("C, closely"))
     Ego yields to "C, closely"
@@ -78,7 +80,7 @@ _SEPARATOR: Final = re.compile(r"[/\\]")
 
 
 def remove_folders(text: str) -> str:
-    """Remove the folders from absolute paths in a text, as they are private; file names stay."""
+    """Remove the folders from absolute paths in a text because they are private; file names stay."""
     parts, position = [], 0
     while root := _PATH_ROOT.search(text, position):
         begin, end = root.start(), root.start()
@@ -101,7 +103,7 @@ def _is_folder(path: str) -> bool:
 
 
 def format_exception(error: BaseException) -> str:
-    """Class and message of an exception in one line, without a full stop.
+    """Return the class and the message of an exception in one line, without a full stop.
 
     >>> format_exception(KeyError("ego"))
     "KeyError: 'ego'"
@@ -110,7 +112,7 @@ def format_exception(error: BaseException) -> str:
 
 
 def escape_csv_cell(text: str) -> str:
-    """Escape a text as a CSV cell with an apostrophe if a spreadsheet would take it for a formula.
+    """Put an apostrophe before a CSV cell if a spreadsheet would take the text for a formula.
 
     >>> escape_csv_cell("=1+1"), escape_csv_cell("-1"), escape_csv_cell("Ego")
     ("'=1+1", '-1', 'Ego')
@@ -128,7 +130,7 @@ def unescape_csv_cell(cell: str) -> str:
 
 
 def format_json(value: object) -> str:
-    """Indented JSON of plain values without control characters; numbers that are not finite become null.
+    """Return plain values as indented JSON without control characters; NaN and infinity become null.
 
     >>> print(format_json({"é": float("nan")}))
     {
@@ -149,9 +151,9 @@ def parse_json(text: str) -> Any:
 
 
 def check_no_surrogates(text: str) -> None:
-    r"""Raise ValueError if a text contains a lone surrogate, which no file can hold.
+    r"""Raise ValueError if a text contains a lone surrogate, which cannot be encoded in UTF-8.
 
-    They come from JSON (``"\ud800"``), and from file names that are not in UTF-8.
+    Lone surrogates come from JSON (``"\ud800"``) and from file names that are not in UTF-8.
     """
     if (match := _SURROGATE.search(text)) is not None:
         raise ValueError(
@@ -168,7 +170,10 @@ def _replace_non_finite(value: Any) -> Any:
 
 
 def check_comma_separated(path: Path, header: Sequence[str]) -> None:
-    """Raise `InputError` if a CSV header (read with commas) is separated by semicolons or tabs."""
+    """Raise `InputError` if the header of a CSV file is separated by semicolons or tabs instead of commas.
+
+    `header` is the first row, already split at commas.
+    """
     if len(header) == 1:
         for separator, name in ((";", "semicolons"), ("\t", "tabs")):
             if separator in header[0]:

@@ -1,4 +1,4 @@
-"""File and line of an element, for messages."""
+"""File and line of an XML element, for messages."""
 
 from __future__ import annotations
 
@@ -22,23 +22,23 @@ HasLine = Any
 
 
 def file_name_of_element(element: etree._Element, default: str) -> str:
-    """Name of the file that an element was read from, or `default`."""
+    """Return the name of the file that an element was read from; `default` if it is unknown."""
     return element.getroottree().docinfo.URL or default
 
 
 def line_number(element: etree._Element) -> int:
-    """Line of an element in its file; 0 if unknown."""
+    """Return the line of an element in its file; 0 if it is unknown."""
     return element.sourceline if isinstance(element.sourceline, int) else 0
 
 
 def format_location(element: HasLine, source: str) -> str:
-    """File and line of an element: ``"a.xosc, line 3"``."""
+    """Return file and line of an element as text: ``"a.xosc, line 3"``."""
     return f"{source}, line {element.sourceline}" if element.sourceline else source
 
 
 @contextmanager
 def locate_input_errors(element: HasLine | None, source: str) -> Iterator[None]:
-    """Prefix an `InputError` of the block with file, line and element, unless it names a line already."""
+    """Put file, line and element before the message of an `InputError` in the block, unless it names a line already."""
     try:
         yield
     except InputError as error:
@@ -51,17 +51,17 @@ def locate_input_errors(element: HasLine | None, source: str) -> Iterator[None]:
 
 
 def replace_line(location: str, element: HasLine) -> str:
-    """Replace the line in `location` (file, line and road) by that of an element."""
+    """Return `location` (file, line and road as text) with the line of another element."""
     return _LINE_PATTERN.sub(f", line {element.sourceline}", location, count=1)
 
 
 def prefix_file(path: Path | str, message: str) -> str:
-    """Prefix a failure message with the file, unless it begins with it."""
+    """Put the name of the file before a message, unless the message begins with it."""
     if message.startswith(str(path)):
         return message
     return f"{path}{', ' if message.startswith('line ') else ': '}{message}"
 
 
 def remove_file_prefix(source: str, message: str) -> str:
-    """Remove the file from the beginning of a message."""
+    """Remove the name of the file from the beginning of a message."""
     return message.removeprefix(source).lstrip(",: ") if message.startswith((f"{source}:", f"{source},")) else message
