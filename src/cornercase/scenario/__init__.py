@@ -1,4 +1,4 @@
-"""What is tested: OpenSCENARIO files, logical and concrete scenarios, and the space of their parameters."""
+"""Scenarios: OpenSCENARIO files, logical and concrete scenarios, and their parameter spaces."""
 
 import lazy_loader as lazy
 

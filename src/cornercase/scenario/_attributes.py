@@ -1,4 +1,4 @@
-"""Read attributes of a file for a batch of concrete scenarios at once."""
+"""Read the XML attributes of a scenario file for a batch of concrete scenarios at once."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ _parse_number_cached = lru_cache(4096)(parse_finite_number)
 
 
 class AttributeReader:
-    """Reads attributes, given the parameter values of N concrete scenarios.
+    """Reads XML attributes as numbers or texts, for the parameter values of N concrete scenarios.
 
-    `parameter_values` maps a parameter to a scalar or an array of shape (N,), `origin_parameters` to the parameters
-    of the logical scenario that its value depends on. `split_parameters` collects those on which an attribute
-    depended that was read as one value for all N.
+    `parameter_values` has the value of each parameter, a scalar or an array of shape (N,). `origin_parameters` has, for
+    each parameter, the parameters of the logical scenario that determine its value. `split_parameters` collects the
+    parameters that must be equal in all N scenarios, since an attribute that depends on them was read as one value.
     """
 
     def __init__(
@@ -53,14 +53,14 @@ class AttributeReader:
         self._invalid_values: list[tuple[str, BoolArray]] = []
 
     def origin_parameters(self, text: str) -> set[str]:
-        """Return the parameters of the logical scenario that an attribute's text depends on."""
+        """Return the parameters of the logical scenario that the text of an attribute depends on."""
         return {origin for name in parameter_names_in(text) for origin in self._origin_parameters.get(name, set())}
 
     def read_numbers(self, element: etree._Element, attribute: str, default: float | None = None) -> FloatArray:
         """Read an attribute as a number for each scenario, shape (N,).
 
-        Values are not finite where an expression has no value; `invalid_values` then lists them. Without a default the
-        attribute is mandatory.
+        If an expression has no value in a scenario, its number is not finite, and `invalid_values` lists the attribute.
+        An attribute without a default must be present.
         """
         text = element.get(attribute)
         if text is None:
@@ -94,14 +94,14 @@ class AttributeReader:
         return result
 
     def mark_invalid(self, element: _SourceElement, attribute: str, reason: str, invalid: BoolArray) -> None:
-        """Record that an attribute is invalid in some scenarios; `reason` is as in "is not above 0"."""
+        """Record that an attribute is invalid in the scenarios of a mask; `reason` is like "is not above 0"."""
         if invalid.any():
             self._invalid_values.append(
                 (f"line {element.sourceline}: {attribute} of <{element.tag}> {reason}", invalid.copy())
             )
 
     def invalid_values(self) -> list[tuple[str, BoolArray]]:
-        """Return invalid attributes in the order read: a sentence without full stop, and a mask of shape (N,)."""
+        """Return the invalid attributes in reading order: a description without full stop, and a mask of shape (N,)."""
         return list(self._invalid_values)
 
     def read_number(self, element: etree._Element, attribute: str, default: float | None = None) -> float:
@@ -174,7 +174,7 @@ class AttributeReader:
         return text
 
     def _record_text_used_as_number(self, text: str, result: Any, element: _SourceElement, attribute: str) -> None:
-        """Record that an expression uses texts as numbers."""
+        """Record the text parameters that an expression calculates with as if they were numbers."""
         texts = [name for name in sorted(parameter_names_in(text)) if isinstance(self.parameter_values.get(name), str)]
         if texts and isinstance(element, etree._Element) and isinstance(result, float | np.floating | np.ndarray):
             note_adaptation(

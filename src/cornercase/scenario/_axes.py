@@ -1,4 +1,4 @@
-"""Axes of a scenario file: the right-handed ones of the standard, or the left-handed ones of CARLA."""
+"""Axes of a scenario file: right-handed as in the standard, or left-handed as in CARLA."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def find_left_handed_header(root: etree._Element) -> etree._Element | None:
 
 
 def mirror_axes(root: etree._Element) -> None:
-    """Mirror all positions of a tree in place; its attributes have to be numbers."""
+    """Mirror all positions of a tree in place; attributes must be plain numbers, without parameters."""
     for element in root.iter(*MIRRORED_ATTRIBUTES):
         for name in MIRRORED_ATTRIBUTES[str(element.tag)]:
             try:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 
 class BatchSplitError(Exception):
-    """An attribute that shapes the storyboard differs between scenarios of a batch.
+    """Scenarios of a batch differ in an attribute that must be the same for all of them.
 
-    It depends on the varied parameters `parameter_names`; the batch has to be split by their values.
+    The attribute depends on the varied parameters `parameter_names`: split the batch by their values.
     """
 
     def __init__(self, parameter_names: set[str]) -> None:

@@ -1,4 +1,4 @@
-"""A scenario with all of its files, to be used on another machine."""
+"""A scenario with all of its files, packed for use on another machine."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from cornercase.scenario._file import ScenarioFile
 
 @dataclass(frozen=True)
 class ScenarioBundle:
-    """Content of a scenario file and its companion files, as they were when they were read.
+    """Contents of a scenario file and of all files that it needs, as they were first read.
 
-    `files` maps paths in their `common_folder` (with ``/``) to content, `scenario_path` is that of the scenario file.
-    `varied_roads` are road files that a varied parameter names, as the scenario would name them.
+    `files` maps paths relative to `common_folder` (with ``/``) to contents. `scenario_path` is the relative path of the
+    scenario file. `varied_roads` is as in `ScenarioFile`.
     """
 
     common_folder: str
@@ -55,7 +55,7 @@ class ScenarioBundle:
         )
 
     def unpack(self, folder: Path) -> ScenarioFile:
-        """Write the files to an empty folder; the scenario that is returned has the fingerprint of the packed one."""
+        """Write the files to an empty folder, and return the scenario there; its fingerprint stays the same."""
         for name, content in self.files.items():
             target = folder / name
             try:

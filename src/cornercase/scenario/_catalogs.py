@@ -23,7 +23,7 @@ def looks_like_catalog(content: bytes) -> bool:
 
 
 class Catalogs:
-    """The catalogs among the files in a scenario's catalog locations."""
+    """All catalogs in the catalog locations of a scenario."""
 
     def __init__(self, scenario_path: Path, documents: Iterable[tuple[Path, etree._Element]]) -> None:
         self._scenario_path = scenario_path
@@ -36,11 +36,11 @@ class Catalogs:
                     self._by_name.setdefault(name, []).append((file, catalog))
 
     def find_catalogs(self, name: str) -> list[etree._Element]:
-        """Return all catalogs of a name."""
+        """Return all catalogs with a name."""
         return [element for _, element in self._by_name.get(name, ())]
 
     def find_entry_in_any_catalog(self, entry_name: str) -> etree._Element | None:
-        """Return the first entry of a name in any catalog, or None."""
+        """Return the first entry with a name in any catalog, or None."""
         for documents in self._by_name.values():
             for _, catalog in documents:
                 for element in iter_children_untracked(catalog):
@@ -52,7 +52,7 @@ class Catalogs:
     def find_entry(self, catalog_name: str, entry_name: str) -> etree._Element:
         """Return an entry of a catalog.
 
-        Among several catalogs with that name, one whose file has the name too is preferred.
+        If several catalogs have this name, a catalog whose file has the same name is preferred.
         """
         if catalog_name not in self._by_name:
             raise InputError(

@@ -25,10 +25,10 @@ _CONTROLLER_ACTIONS: Final = ("ControllerAction", "AssignControllerAction", "Act
 
 @dataclass(frozen=True)
 class ConcreteFile:
-    """Content of a concrete scenario file (XML in UTF-8), and the files that have to be next to it.
+    """Content of a concrete scenario file (XML in UTF-8), and the companion files that it needs.
 
-    `start_callbacks` has for each: its path, its path relative to the concrete file's folder, the tag of its root
-    element.
+    `companions` has three items for each companion file: its present path, its new path relative to the folder of the
+    concrete file, and the tag of its root element.
     """
 
     content: bytes
@@ -42,9 +42,9 @@ def write_concrete_file(
     drivers: Mapping[str, str] | None = None,
     description: str | None = None,
 ) -> tuple[Path, ...]:
-    """Write a concrete scenario, with copies of its road file and catalogs next to it; return the paths of all files.
+    """Write a concrete scenario, and copies of its road file and catalogs beside it; return the paths of all files.
 
-    `drivers` maps entities to driver presets. `description` replaces the one in the file header.
+    `drivers` maps entities to driver presets. `description` replaces the description in the file header.
     """
     concrete = build_concrete_file(scenario, values, target, drivers, description)
     for source, relative, root in concrete.companions:
@@ -61,7 +61,7 @@ def build_concrete_file(
     drivers: Mapping[str, str] | None = None,
     description: str | None = None,
 ) -> ConcreteFile:
-    """Return what `write_concrete_file` writes, without writing it; `target` is for messages."""
+    """Build the content that `write_concrete_file` writes, but write nothing; `target` is for messages."""
     scenario.require_declared(list(values))
     tree = etree.ElementTree(etree.fromstring(etree.tostring(scenario.root)))
     root = tree.getroot()
@@ -88,7 +88,7 @@ def build_concrete_file(
 
 
 def _relocate_road_file(scenario: ScenarioFile, root: etree._Element) -> Iterator[tuple[Path, str, str]]:
-    """Make the scenario refer to a road file next to it, and yield that file."""
+    """Make the scenario refer to a road file in its own folder, and yield it as in `ConcreteFile.companions`."""
     logic_file = root.find("RoadNetwork/LogicFile")
     if logic_file is not None and logic_file.get("filepath"):
         holder, attribute = _find_path_attribute(root, logic_file, "filepath")
@@ -98,7 +98,7 @@ def _relocate_road_file(scenario: ScenarioFile, root: etree._Element) -> Iterato
 
 
 def _relocate_catalogs(scenario: ScenarioFile, root: etree._Element) -> Iterator[tuple[Path, str, str]]:
-    """Make the scenario refer to catalogs in a folder next to it, and yield their files."""
+    """Make the scenario refer to catalog folders beside it, and yield each catalog as in `ConcreteFile.companions`."""
     folders: dict[str, Path] = {}
     for directory in root.iterfind("CatalogLocations//Directory"):
         holder, attribute = _find_path_attribute(root, directory, "path")
@@ -120,7 +120,10 @@ def _relocate_catalogs(scenario: ScenarioFile, root: etree._Element) -> Iterator
 
 
 def _find_path_attribute(root: etree._Element, element: etree._Element, attribute: str) -> tuple[etree._Element, str]:
-    """Return the element and attribute that hold a path: its own, or the declaration of a parameter."""
+    """Return the element and attribute that hold a path.
+
+    These are the given ones, or the ``value`` of the declaration if the path is a parameter.
+    """
     text = element.get(attribute, "")
     for declaration in root.iterfind("ParameterDeclarations/ParameterDeclaration"):
         if text == f"${declaration.get('name')}":
@@ -160,7 +163,7 @@ def _set_driver_property(scenario_object: etree._Element, driver: str, target: P
 
 
 def _remove_initial_controllers(root: etree._Element, entity: str) -> None:
-    """Remove initial controller actions of an entity, so that they do not replace the driver that was chosen for it."""
+    """Remove the controller actions of an entity from ``Init``, since they would replace its chosen driver."""
     for private in root.findall("Storyboard/Init/Actions/Private"):
         if private.get("entityRef") == entity:
             for action in private.findall("PrivateAction"):
@@ -172,7 +175,7 @@ def _remove_initial_controllers(root: etree._Element, entity: str) -> None:
 
 
 def copy_companion_file(source: Path, target: Path, root_tag: str) -> None:
-    """Copy an XML file that a scenario needs, unless an identical copy exists; `root_tag` is its root tag."""
+    """Copy an XML file that a scenario needs, unless an identical copy exists; its root element must be `root_tag`."""
     content = read_companion_file(source, root_tag)
     if target.exists() and target.read_bytes() == content:
         return

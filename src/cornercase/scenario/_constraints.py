@@ -64,11 +64,11 @@ class ParameterDeclaration:
     name : str
         Name of the parameter.
     type_name : str
-        Type of its values, such as ``"double"`` or ``"string"``.
+        Type of the values, such as ``"double"`` or ``"string"``.
     value : str
         Default value; may be an expression of the parameters declared before it.
     constraint_groups : tuple of tuple of Constraint
-        The value has to fulfil all constraints of at least one group. Without groups any value is allowed.
+        A value must fulfil all constraints of at least one group. Without groups, any value is allowed.
     sourceline : int or None
         Line in the file.
     """
@@ -153,9 +153,10 @@ def find_constraint_violations(
     get_value: Callable[[str], Any],
     evaluate_bound: Callable[[str], Any],
 ) -> dict[str, BoolArray]:
-    """Return masks of shape (N,) of the scenarios that violate constraints, by parameter; only if there are any.
+    """Return which scenarios violate constraints of the declarations: a mask (N,) for each violated parameter.
 
-    `get_value` maps a parameter to its value, `evaluate_bound` the text of a constraint; both scalars or shape (N,).
+    `get_value` returns the value of a parameter. `evaluate_bound` returns the value of the text of a constraint. Both
+    values are scalars or have shape (N,).
     """
     masks = {}
     for declaration in declarations:
@@ -224,7 +225,7 @@ def _require_known_rule(rule: str) -> str:
 
 
 def _apply_rule(rule: str, value: Any, bound: Any, type_name: str) -> Any:
-    """Compare values as their declared type; raises `ValueError` if one does not have that type."""
+    """Compare values as values of the declared type; raises `ValueError` if one cannot be converted to it."""
     if type_name not in NUMERIC_TYPES and not (
         type_name == "string" and rule not in _TEXT_RULES and _are_numbers(value, bound)
     ):

@@ -44,7 +44,7 @@ def read_scenario_path(path: Path | str, cache: XmlFileCache | None = None) -> P
 
 
 def remove_from_value_sets(parameter: Parameter, names: set[str]) -> Parameter | None:
-    """Remove the members of a parameter that are varied separately; None if none is left."""
+    """Remove parameters that are varied separately from a parameter with value sets; None if no parameter is left."""
     if not parameter.value_sets:
         return parameter
     sets = tuple(
@@ -63,7 +63,7 @@ def _find_distribution_element(path: Path | str, cache: XmlFileCache | None) -> 
 
 
 def _read_value_sets(element: Any, path: str) -> Parameter:
-    """Read parameters that vary together, as one parameter with a choice for each set."""
+    """Read parameters that vary together, as one parameter with one choice per set."""
     sets = []
     for value_set in element.iterfind("ValueSetDistribution/ParameterValueSet"):
         members = [(e.get("parameterRef", "").lstrip("$"), e.get("value", "")) for e in value_set.iterchildren("*")]

@@ -23,10 +23,11 @@ _MAX_POISSON_VALUES: Final = 100_000
 
 @dataclass(frozen=True)
 class Distribution:
-    """A probability distribution, truncated to an interval; ``"poisson"`` and ``"set"`` are discrete.
+    """A probability distribution, truncated to the interval from `low` to `high`.
 
-    `shape_parameters` are mean and standard deviation (normal; of the logarithm for lognormal), mean (poisson), all
-    edges followed by all weights (histogram), or weights (set).
+    `shape_parameters` depend on `kind`: mean and standard deviation for ``"normal"``; mean and standard deviation of
+    the logarithm for ``"lognormal"``; the mean for ``"poisson"``; all edges followed by all weights for
+    ``"histogram"``; the weights for ``"set"``. ``"poisson"`` and ``"set"`` are discrete.
     """
 
     kind: str
@@ -36,11 +37,11 @@ class Distribution:
 
     @property
     def is_discrete(self) -> bool:
-        """Whether it is discrete."""
+        """Whether the distribution is discrete."""
         return self.kind in ("poisson", "set")
 
     def quantiles(self, probabilities: FloatArray) -> FloatArray:
-        """Return the quantiles of probabilities, shape (n,); for continuous kinds."""
+        """Return the quantiles at probabilities, shape (n,); continuous distributions only."""
         if self.kind == "uniform":
             return self.low + probabilities * (self.high - self.low)
         if self.kind == "histogram":
@@ -50,7 +51,7 @@ class Distribution:
         return np.clip(np.exp(x) if self.kind == "lognormal" else x, self.low, self.high)
 
     def cdf(self, value: float) -> float:
-        """Return the cumulative probability of a value; for continuous kinds."""
+        """Return the cumulative probability of a value; continuous distributions only."""
         if self.kind == "uniform":
             return float(np.clip((value - self.low) / (self.high - self.low), 0.0, 1.0))
         if self.kind == "histogram":
@@ -61,7 +62,7 @@ class Distribution:
         return float(_truncated_normal(*self._truncated_normal_arguments()).cdf(value))
 
     def cumulative_probabilities(self) -> FloatArray:
-        """Return the cumulative probabilities of the values, starting with 0, shape (n + 1,); for discrete kinds."""
+        """Return 0 and the cumulative probability of each value, shape (n + 1,); discrete distributions only."""
         if self.kind == "set":
             return _cumulative_fractions(np.array(self.shape_parameters))
         return _cumulative_fractions(_poisson_probabilities(self.low, self.high, self.shape_parameters[0]))
@@ -113,10 +114,10 @@ def distribution_from_json(data: Mapping[str, Any]) -> Distribution:
 
 
 def read_distribution(element: etree._Element, path: str) -> tuple[Distribution, tuple[str, ...]]:
-    """Read a ``StochasticDistribution``, and the values of a probability set.
+    """Read a ``StochasticDistribution``; also return the values of a probability set (else empty).
 
-    Expected value and variance of a log-normal distribution are those of the logarithm, as in the C++ standard library.
-    Without bounds, 0.01 % are cut off on each side.
+    The expected value and variance of a log-normal distribution are read as those of the logarithm, as in the C++
+    standard library. If the file has no bounds, 0.01 % of the probability is cut off at each end.
     """
     where = f"{path}, parameter {element.get('parameterName', '')}"
     law, choices = _read_untruncated_distribution(element, where)
@@ -214,7 +215,7 @@ def _read_poisson(element: etree._Element, location: str) -> Distribution:
 
 
 def _default_poisson_bounds(mean: float) -> tuple[float, float]:
-    """Return the 0.01 % and 99.99 % quantiles."""
+    """Return the 0.01 % and 99.99 % quantiles of a Poisson distribution."""
     from scipy import stats
 
     return float(stats.poisson.ppf(1e-4, mean)), float(stats.poisson.ppf(1 - 1e-4, mean))

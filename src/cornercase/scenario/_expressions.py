@@ -67,9 +67,9 @@ _CONSTANTS: Final[dict[str, bool | float]] = {"true": True, "false": False, "pi"
 
 
 def evaluate_expression(expression: str, values: Mapping[str, Operand]) -> Operand:
-    """Evaluate an expression, given without ``${`` and ``}``; arrays in `values` broadcast.
+    """Evaluate an expression (without ``${`` and ``}``) with parameter values; arrays in `values` broadcast.
 
-    The result is not finite if the expression has no value, as for a division by zero.
+    If the expression has no value, as after a division by zero, the result is not finite.
     """
     if len(expression) > _MAX_CHARACTERS:
         raise InputError(f"An expression has {len(expression)} characters; at most {_MAX_CHARACTERS} are read.")
@@ -88,7 +88,7 @@ def _is_text(value: Operand) -> bool:
 
 
 def _number_from_text(value: Operand) -> Operand:
-    """Convert a text to a number if possible; return anything else as it is."""
+    """Convert a text to a number if possible; return any other operand unchanged."""
     try:
         return parse_number(value) if _is_text(value) else value
     except ValueError:
@@ -96,7 +96,7 @@ def _number_from_text(value: Operand) -> Operand:
 
 
 def parameter_names_in(text: str) -> set[str]:
-    """Return the parameters that an attribute's text refers to, as ``$name`` or within ``${…}``."""
+    """Return the parameters that the text of an attribute refers to, as ``$name`` or within ``${…}``."""
     text = text.strip()
     if text.startswith("${") and text.endswith("}"):
         try:
@@ -121,7 +121,7 @@ def _tokenize(expression: str) -> Iterator[tuple[str, str]]:
 
 @lru_cache(_CACHE_SIZE)
 def _tokenize_cached(expression: str) -> tuple[tuple[str, str], ...]:
-    """Tokens of an expression, cached: the same ones are evaluated for each batch."""
+    """Return the tokens of an expression; cached, since each batch evaluates the same expressions."""
     return tuple(_tokenize(expression))
 
 

@@ -51,13 +51,13 @@ _UNIQUE_BLOCKS = (
 
 
 class ScenarioFile:
-    """A scenario file, and the catalogs and road files that belong to it.
+    """A scenario file, with its catalogs and road files.
 
-    Each file is read once, when it is first needed. A pickled copy holds only path and fingerprint: it reads the files
-    again in its process, and raises `InputError` if they have changed.
+    Each file is read once, when it is first needed. A pickled copy holds only the path and the fingerprint. The copy
+    reads the files again, and raises `InputError` if they have changed.
 
-    `varied_roads` are road files that a varied parameter names, besides that of the file itself. `cache` is for
-    objects that others derive from the file, by their type.
+    `varied_roads` are the additional road files that a varied parameter can select, written as in ``<LogicFile>``.
+    `cache` stores objects that other modules derive from the file, by their type.
     """
 
     def __init__(self, path: Path | str, fingerprint: str | None = None, varied_roads: Sequence[str] = ()) -> None:
@@ -83,7 +83,7 @@ class ScenarioFile:
         return ScenarioFile, (self.path, self.fingerprint(), self._varied_roads)
 
     def with_varied_roads(self, varied_roads: Sequence[str]) -> ScenarioFile:
-        """Return the scenario with additional road files, which a varied parameter names."""
+        """Return the scenario with additional road files, which a varied parameter can select."""
         copy = ScenarioFile(self.path, None, varied_roads)
         copy._files = self._files
         copy._found_roads = self._found_roads
@@ -112,11 +112,11 @@ class ScenarioFile:
         return self._files.get_root(path)
 
     def add_files(self, files: XmlFileCache) -> None:
-        """Add files to those of the scenario, such as that of a parameter space."""
+        """Add files to the files of the scenario, for example the file of a parameter space."""
         self._files.update(files)
 
     def used_elements(self) -> list[tuple[Path, etree._Element]]:
-        """Return the paths and elements that were used: roots of files; of catalogs, the entries that were used."""
+        """Return path and element of everything that was used: roots of files, single entries of catalogs."""
         parts = []
         for path, root in self._files.parsed_roots().items():
             catalog = etree.ElementBase.find(root, "Catalog") if root.tag == "OpenSCENARIO" else None
@@ -157,7 +157,7 @@ class ScenarioFile:
         _ = self.entities
 
     def _refuse_repeated_blocks(self, root: etree._Element) -> None:
-        """Refuse a repeated block that may occur once only; tools differ in which of them they use."""
+        """Refuse a block that is repeated although it may occur only once: tools disagree which copy counts."""
         for *parents, tag in _UNIQUE_BLOCKS:
             blocks = [
                 block
@@ -173,7 +173,7 @@ class ScenarioFile:
 
     @property
     def is_left_handed(self) -> bool:
-        """Whether positions are in CARLA's left-handed axes, instead of those of the road file."""
+        """Whether positions are in CARLA's left-handed axes, unlike those of the road file."""
         return find_left_handed_header(self.root) is not None
 
     def left_handed_notices(self) -> tuple[Notice, ...]:
@@ -212,21 +212,21 @@ class ScenarioFile:
 
     @cached_property
     def path_parameters(self) -> frozenset[str]:
-        """Names of the declared parameters that hold the path of the road file or of a catalog folder."""
+        """Names of the declared parameters that contain the path of the road file or of a catalog folder."""
         folders = (e.get("path", "") for e in self.root.iterfind("CatalogLocations//Directory"))
         texts = {self.road_file_as_written(), *folders}
         return frozenset(name for name in self.parameters if f"${name}" in texts)
 
     @cached_property
     def drivers(self) -> dict[str, str]:
-        """Driver that a controller property requests, by entity."""
+        """The driver that each entity's controller requests by a property; only entities with such a property."""
         drivers = {e.get("name", ""): self._requested_driver(e) for e in self.root.iterfind("Entities/ScenarioObject")}
         return {name: driver for name, driver in drivers.items() if driver is not None}
 
     def may_have_driver(self, entity: str) -> bool:
-        """Whether the file names a driver of cornercase for an entity, or may assign one while the storyboard runs.
+        """Whether the file gives an entity a driver of cornercase, at the start or perhaps while the storyboard runs.
 
-        The latter is assumed of any action that assigns a controller of a catalog.
+        An action that assigns a controller from a catalog is assumed to do so, for any entity.
         """
         # Iterating over all elements does not mark them as used.
         actions = (element for element in self.root.iter() if element.tag == "AssignControllerAction")
@@ -257,22 +257,22 @@ class ScenarioFile:
         return None
 
     def require_entity(self, name: str, role: str) -> None:
-        """Raise `InputError` if no entity has this name; `role` is what it was meant to be, for the message."""
+        """Raise `InputError` if no entity has this name; `role` is its intended role, for the message."""
         if name not in self.entities:
             raise InputError(
                 f"{self.path}: has no entity '{name}' to be the {role}; {suggest_name(name, self.entities)}"
             )
 
     def require_declared(self, names: tuple[str, ...] | list[str]) -> None:
-        """Raise `InputError` if a parameter is not declared."""
+        """Raise `InputError` if one of the parameters is not declared."""
         for name in names:
             if name not in self.parameters:
                 raise InputError(f"{self.path}: declares no parameter '{name}'; {suggest_name(name, self.parameters)}")
 
     def resolve_path(self, reference: str, description: str) -> Path:
-        """Resolve a path of the file, relative to its folder; `description` is what the path is for, for messages.
+        """Return a path that the file contains, resolved from the folder of the file.
 
-        Raises `InputError` for network addresses and invalid file names.
+        `description` names it in messages. Raises `InputError` for network addresses and invalid file names.
         """
         if (
             any(len(part.encode()) > _MAX_FILE_NAME_BYTES for part in Path(reference).parts)
@@ -284,7 +284,10 @@ class ScenarioFile:
         return self.path.parent / reference.replace("\\", "/")
 
     def find_catalog_entry(self, catalog_name: str, entry_name: str) -> etree._Element:
-        """Return an entry of a catalog, or the vehicle that replaces an agent profile of openPASS."""
+        """Return an entry of a catalog.
+
+        For an agent profile of openPASS, return the vehicle that replaces the profile.
+        """
         file = profiles_file_name(catalog_name)
         return (
             self._vehicle_of_agent_profile(self.path.parent / file, entry_name)
@@ -293,7 +296,7 @@ class ScenarioFile:
         )
 
     def _vehicle_of_agent_profile(self, profiles_path: Path, profile: str) -> etree._Element:
-        """Return the vehicle model of an agent profile of openPASS."""
+        """Return the catalog vehicle that is the most probable vehicle model of an agent profile of openPASS."""
         description = (
             f"'{profile}' of {profiles_path.name} is an agent profile of openPASS, a vehicle with a driver and sensors"
         )
@@ -322,7 +325,7 @@ class ScenarioFile:
         return Catalogs(self.path, ((file, self._files.get_root(file)) for file in self._catalog_files))
 
     def catalog_files(self) -> list[Path]:
-        """Return all files in the catalog locations, in their order and then by name."""
+        """Return all files in the catalog locations, location by location, sorted by name within each."""
         return list(self._catalog_files)
 
     @cached_property
@@ -336,22 +339,22 @@ class ScenarioFile:
         return files
 
     def _list_catalogs(self, folder: Path) -> list[Path]:
-        """Return the files of a folder that hold a catalog; there may be scenarios among them."""
+        """Return the files of a folder that hold a catalog; scenario files in the same folder are left out."""
         scenario_files = [file for file in sorted(folder.glob("*.xosc")) if file.is_file()]
         return [file for file in scenario_files if looks_like_catalog(self._files.read_bytes(file))]
 
     @cached_property
     def profiles_files(self) -> tuple[Path, ...]:
-        """Path of openPASS's profiles file if the scenario refers to it; the file may be missing."""
+        """Path of the profiles file of openPASS if the scenario refers to it, else empty; the file may be missing."""
         return (self.path.with_name(PROFILES_FILE),) if uses_agent_profiles(self._unchecked_root) else ()
 
     def road_file_as_written(self) -> str:
-        """Return the road file as written in the scenario, possibly a parameter (``"$Road"``), or an empty text."""
+        """Return the road file as written in the scenario: a path, a parameter (``"$Road"``) or an empty text."""
         file = self._unchecked_root.find("RoadNetwork/LogicFile")
         return "" if file is None else file.get("filepath", "")
 
     def road_path_for(self, values: Mapping[str, Value] | None = None) -> Path | None:
-        """Return the path of the road file for parameter values, by default the declared ones."""
+        """Return the path of the road file for parameter values (default: the declared ones); None without a file."""
         reference = self.road_reference_for(values)
         return self.road_path(reference) if reference else None
 
@@ -360,9 +363,9 @@ class ScenarioFile:
         return self._replace_parameter(self.road_file_as_written(), values or {})
 
     def road_path(self, reference: str) -> Path:
-        """Return the path of a road file that the scenario names.
+        """Return the path of a road file that is written as `reference` in the scenario.
 
-        If there is no such file, a map of that name is searched for next to the scenario and in the map folders.
+        If the file does not exist, a map with that name is used, from the scenario's folder or the map folders.
         """
         if reference in self._found_roads:
             return self._found_roads[reference]
@@ -379,7 +382,7 @@ class ScenarioFile:
         return map_file
 
     def existing_road_path(self, reference: str) -> Path:
-        """Return the path of a road file like `road_path`; raises `InputError` if there is no such file."""
+        """Return the same path as `road_path`; raises `InputError` if the file does not exist."""
         path = self.road_path(reference)
         if reference not in self._found_roads and not path.exists():
             line = next((e.sourceline for e in self._unchecked_root.iterfind("RoadNetwork/LogicFile")), 0)
@@ -387,12 +390,12 @@ class ScenarioFile:
         return path
 
     def describe_missing_road(self) -> str:
-        """Describe which road file is missing, as a part of a sentence; empty if none is."""
+        """Describe which road file is missing, as a part of a sentence; empty if no road file is missing."""
         reference = self.missing_road_reference()
         return self._describe_road_as_missing(reference) if reference else ""
 
     def missing_road_reference(self) -> str:
-        """Return the first missing road file as the scenario names it; empty if none is missing."""
+        """Return the first missing road file as written in the scenario; empty if no road file is missing."""
         references = (self.road_reference_for(), *self._varied_roads)
         return next((reference for reference in references if reference and not self.road_path(reference).exists()), "")
 
@@ -401,20 +404,23 @@ class ScenarioFile:
         return f"there is no road file {description}; {describe_how_to_get_map(reference)}"
 
     def road_path_next_to_scenario(self, path: Path) -> Path:
-        """Return the path where a road file would be found next to the scenario, for a path from `road_path`."""
+        """Return where the road file `path` would be found next to the scenario, for example on another machine.
+
+        A file from a map folder moves to the folder of the scenario. Any other path is returned unchanged.
+        """
         references = (self.road_reference_for(), *self._varied_roads)
         reference = next((name for name in references if name and self.road_path(name) == path), "")
         default = self.path.parent / f"{map_name(reference)}.xodr"
         return path if not reference or self.resolve_path(reference, "road file") == path else default
 
     def road_paths(self) -> tuple[Path, ...]:
-        """Return the paths of all road files: that of the file, and those that a varied parameter names."""
+        """Return the paths of all road files: the file's own, and those that a varied parameter can select."""
         road = self.road_path_for()
         varied = [self.road_path(reference) for reference in self._varied_roads]
         return tuple(dict.fromkeys([*([] if road is None else [road]), *varied]))
 
     def fingerprint(self) -> str:
-        """Return the SHA-256 of all files of the scenario, with the content that they had when they were read."""
+        """Return the SHA-256 of all files of the scenario, as they were first read."""
         if self._fingerprint is None:
             self._fingerprint = self._compute_fingerprint()
         return self._fingerprint
@@ -425,7 +431,7 @@ class ScenarioFile:
 
     @property
     def varied_roads(self) -> tuple[str, ...]:
-        """Road files that a varied parameter names, as the scenario would name them."""
+        """Additional road files that a varied parameter can select, written as in ``<LogicFile>``."""
         return self._varied_roads
 
     def read_all_files(self) -> dict[Path, bytes]:
@@ -460,7 +466,7 @@ class ScenarioFile:
 
 
 def requested_driver(scenario_object: etree._Element) -> str | None:
-    """Return the driver that a controller inside a ``ScenarioObject`` requests, or None."""
+    """Return the driver that a controller inside a ``ScenarioObject`` requests; None if there is no such controller."""
     drivers = (
         driver_of_controller(controller)
         for controller in find_untracked(scenario_object, "ObjectController", "Controller")
@@ -469,6 +475,6 @@ def requested_driver(scenario_object: etree._Element) -> str | None:
 
 
 def driver_of_controller(controller: etree._Element) -> str | None:
-    """Return the driver that a ``Controller`` requests, or None; then the element is not marked as used."""
+    """Return the driver that a ``Controller`` requests; None if it requests none, and is then not marked as used."""
     item = find_by_name(find_untracked(controller, "Properties", "Property"), DRIVER_PROPERTY)
     return None if item is None else item.get("value")

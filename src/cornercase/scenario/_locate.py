@@ -1,4 +1,4 @@
-"""Locate a scenario file of which only name and fingerprint are known."""
+"""Find the scenario file of a study, from its file name and fingerprint."""
 
 from __future__ import annotations
 
@@ -20,10 +20,11 @@ _MAX_ENTRIES: Final = 1000
 def find_scenario_file(
     file_name: str, fingerprint: str, folders: Iterable[Path], space: ParameterSpace
 ) -> ScenarioFile | Path | None:
-    """Search folders, and two levels below them, for a scenario file with a fingerprint.
+    """Search folders, down to two levels below them, for the scenario file with a fingerprint.
 
-    Returns the first match; otherwise the path of a file of that name, which has been changed since; otherwise None.
-    In the folders themselves any file name matches. `file_name` is only compared and never opened as a path.
+    Return the scenario if a file matches. Otherwise return the path of a file with the same name but other content, or
+    None if there is none. Directly in `folders`, a file of any name can match. `file_name` is only compared with names
+    in these folders, and never opened as a path.
     """
     for folder in folders:
         changed = None
@@ -38,7 +39,7 @@ def find_scenario_file(
 
 
 def read_if_fingerprint_matches(path: Path, fingerprint: str, space: ParameterSpace) -> ScenarioFile | None:
-    """Return the scenario of a file if it has the fingerprint; None if not, or if it cannot be read."""
+    """Return the scenario in a file if its fingerprint matches; None if not, or if the file cannot be read."""
     try:
         scenario = add_varied_roads(ScenarioFile(path), space)
         return scenario if scenario.fingerprint() == fingerprint else None

@@ -50,7 +50,8 @@ class ConcreteScenario:
         Parameters
         ----------
         reusable : ScenarioFile, optional
-            Returned instead if it is the same file with the same content, so that nothing is read again.
+            A file that was parsed before. It is returned if it has the same path and content, so that nothing is parsed
+            again.
 
         Returns
         -------
@@ -200,7 +201,7 @@ class LogicalScenario:
         Raises
         ------
         InputError
-            The scenario does not declare the parameter, or the range is not one.
+            The scenario does not declare the parameter, or the range is invalid.
 
         See Also
         --------
@@ -235,7 +236,7 @@ class LogicalScenario:
 
 
 def _evaluate_all_parameters(scenario: ScenarioFile, assigned: Mapping[str, Value]) -> dict[str, Value]:
-    """Return the values of all parameters: the given ones, else the evaluated defaults, with their declared types.
+    """Return the values of all parameters with their declared types: assigned values, else evaluated defaults.
 
     Values of parameters that the file does not declare stay as they are.
     """

@@ -1,4 +1,4 @@
-"""Find road files that scenarios name without a path, as those for CARLA do."""
+"""Find road files that scenarios refer to by the name of a map, such as CARLA's ``Town01``."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def is_network_address(text: str) -> bool:
 
 @contextmanager
 def search_maps_in(folders: Sequence[Path]) -> Iterator[None]:
-    """Search these folders for maps before those of the environment variable, also in child processes."""
+    """Search these folders for maps first, as long as the block runs; also in child processes."""
     for folder in folders:
         _require_folder("`maps`", str(folder))
         if os.pathsep in str(folder):
@@ -48,7 +48,7 @@ def search_maps_in(folders: Sequence[Path]) -> Iterator[None]:
 
 
 def map_folders() -> tuple[Path, ...]:
-    """Return the folders of the environment variable, in search order; raises `InputError` if one does not exist."""
+    """Return the map folders in the environment variable, in search order; raises `InputError` if one is missing."""
     folders = [folder for folder in os.environ.get(MAPS_VARIABLE, "").split(os.pathsep) if folder.strip()]
     for folder in folders:
         _require_folder(MAPS_VARIABLE, folder)
@@ -56,9 +56,9 @@ def map_folders() -> tuple[Path, ...]:
 
 
 def find_map(reference: str, scenario_folder: Path) -> Path | None:
-    """Search for the road file of a map in `scenario_folder` and then in the map folders; None if there is none.
+    """Search for the road file of a map in `scenario_folder` and then in the map folders; None if it is not found.
 
-    `reference` is as in the scenario: ``"Town01"``, ``"/Game/Carla/Maps/Town01"``, ``"maps/Town01.xodr"``.
+    `reference` is written as in the scenario: ``"Town01"``, ``"/Game/Carla/Maps/Town01"``, ``"maps/Town01.xodr"``.
     """
     name = map_name(reference)
     names = [stem for stem in dict.fromkeys((name, name.removesuffix(_LAYERED_MAP_SUFFIX))) if stem.strip(". ")]
@@ -78,7 +78,7 @@ def map_name(reference: str) -> str:
 
 
 def describe_how_to_get_map(reference: str) -> str:
-    """Describe how to provide a missing road file, as a part of a sentence."""
+    """Describe how the user can provide a missing road file, as a part of a sentence."""
     name = map_name(reference).removesuffix(_LAYERED_MAP_SUFFIX)
     options = f"name its folder by --maps FOLDER or in the environment variable {MAPS_VARIABLE}"
     if _CARLA_MAP_NAME.fullmatch(name):

@@ -1,4 +1,4 @@
-"""Normalize OpenSCENARIO files that break the standard but can only mean one thing."""
+"""Correct OpenSCENARIO files that violate the standard but have only one possible meaning."""
 
 from __future__ import annotations
 
@@ -111,9 +111,9 @@ _UNLIMITED_COUNT: Final = "999999999"
 
 
 def normalize_openscenario(root: etree._Element) -> None:
-    """Correct unambiguous violations of the standard in place, and record each on its element.
+    """Correct unambiguous violations of the standard in place, and note each correction on its element.
 
-    Applies to scenarios, catalogs and parameter distributions; any other root is left as it is.
+    Scenarios, catalogs and parameter distributions are corrected. Other files stay as they are.
     """
     name = etree.QName(root).localname
     if name.lower() != "openscenario":
@@ -161,7 +161,7 @@ def _strip_attribute_values(element: etree._Element) -> None:
 
 
 def _normalize_declaration(element: etree._Element) -> None:
-    """Correct the declaration of a parameter or variable, or the name that a distribution refers to."""
+    """Correct the declaration of a parameter or variable, or the parameter name of a distribution."""
     kind = _TYPE_ATTRIBUTES.get(str(element.tag))
     name_attribute = (
         "name" if kind is not None else "parameterName" if str(element.tag).endswith("Distribution") else None
@@ -220,7 +220,7 @@ def _lowercase_boolean(element: etree._Element, key: str, value: str) -> None:
 
 
 def _add_missing_attributes(element: etree._Element) -> None:
-    """Add missing attributes that can only have one value."""
+    """Add missing attributes that have only one possible value."""
     tag = str(element.tag)
     needed = _DEFAULTS.get(tag)
     if needed is None:
@@ -240,7 +240,7 @@ def _add_missing_attributes(element: etree._Element) -> None:
 
 
 def _match_allowed_value(value: str, allowed: tuple[str, ...]) -> str | None:
-    """Return the allowed value that a misspelled one stands for, or None if that is not clear."""
+    """Return the allowed value that a misspelled value stands for; None if that is not clear."""
     letters = re.sub("[^a-z]", "", value.lower())
     if letters in _SYNONYMS and _SYNONYMS[letters] in allowed:
         return _SYNONYMS[letters]
@@ -265,6 +265,6 @@ def _record_change(element: etree._Element, subject: str, change: str, rule: str
 
 
 def _elements_to_annotate(element: etree._Element) -> Iterator[etree._Element]:
-    """Yield the elements to record a change on: for a catalog its entries, since only these are looked at."""
+    """Yield the elements to note a correction on: the element itself, or all entries if it is a catalog file's root."""
     catalog = None if element.getparent() is not None else etree.ElementBase.find(element, "Catalog")
     yield from (element,) if catalog is None else etree.ElementBase.iterchildren(catalog, etree.Element)

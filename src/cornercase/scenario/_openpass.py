@@ -1,4 +1,4 @@
-"""Agent profiles of openPASS, which its scenarios use instead of vehicles."""
+"""Agent profiles of openPASS, which openPASS scenarios use instead of vehicles."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _CATALOG_REFERENCE_RULE: Final = "a CatalogReference names a catalog of OpenSCEN
 
 
 def profiles_file_name(catalog_name: str) -> str:
-    """Return the name of openPASS's profiles file if a catalog name refers to it, else an empty text."""
+    """Return the name of the profiles file of openPASS if a catalog name refers to it; otherwise an empty text."""
     return PROFILES_FILE if catalog_name in (PROFILES_FILE, Path(PROFILES_FILE).stem) else ""
 
 
@@ -57,7 +57,7 @@ def agent_profile_names(profiles: etree._Element) -> list[str]:
 
 
 def record_profile_replacement(root: etree._Element, profile_name: str, models: list[str]) -> None:
-    """Record on the references to an agent profile which vehicle model, the first one, replaces it."""
+    """Note on the references to an agent profile that its first vehicle model replaces it."""
     choice = f", the most probable of {len(models)}" if len(models) > 1 else ""
     reason = (
         f"names the agent profile '{profile_name}' of openPASS, a vehicle with a driver and sensors; only its vehicle"
@@ -71,7 +71,7 @@ def record_profile_replacement(root: etree._Element, profile_name: str, models: 
 
 
 def profiles_file_notice(profiles: etree._Element, file: Path) -> Notice:
-    """Return a notice on what is read of openPASS's profiles file."""
+    """Return a notice that says what is read from the profiles file of openPASS."""
     reason = (
         "only the vehicle models of openPASS's agent profiles are read; drivers, sensors and the traffic that openPASS"
         " adds are ignored"
@@ -80,7 +80,7 @@ def profiles_file_notice(profiles: etree._Element, file: Path) -> Notice:
 
 
 def profile_controller_notices(root: etree._Element, file: Path) -> tuple[Notice, ...]:
-    """Return a notice on the controllers of a scenario that are agent profiles of openPASS."""
+    """Return a notice on the controllers in a scenario that are agent profiles of openPASS; empty if there are none."""
     properties = [
         item for item in iter_descendants_untracked(root, "Property") if item.attrib.get("name") == "AgentProfile"
     ]

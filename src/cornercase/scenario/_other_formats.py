@@ -1,4 +1,4 @@
-"""Recognize formats similar to OpenSCENARIO XML 1.0 to 1.3, for helpful error messages."""
+"""Recognize formats that are similar to the supported OpenSCENARIO XML versions, for helpful error messages."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _OPENPASS_ROOTS: Final = {
 
 
 def describe_non_xml_format(data: bytes) -> str:
-    """Describe what a file that is not XML contains, as a part of a sentence; empty if not recognized."""
+    """Describe the format of a file that is not XML, as a part of a sentence; empty if it is not recognized."""
     head = data[:_MAX_BYTES_SEARCHED].removeprefix(b"\xef\xbb\xbf").lstrip()
     if head.startswith(b"<") or not _DSL_STATEMENT.search(head):
         return ""
@@ -38,7 +38,7 @@ def describe_non_xml_format(data: bytes) -> str:
 
 
 def describe_other_xml_format(root: etree._Element) -> str:
-    """Describe an XML format that is no OpenSCENARIO 1.x, as a part of a sentence; empty if not recognized."""
+    """Describe an XML format other than OpenSCENARIO 1.x, as a part of a sentence; empty if it is not recognized."""
     tag = str(root.tag).rpartition("}")[2]
     if tag in _OPENPASS_ROOTS:
         return f"<{tag}> {_OPENPASS_ROOTS[tag]}; give the scenario, Scenario.xosc beside it"
@@ -51,7 +51,7 @@ def describe_other_xml_format(root: etree._Element) -> str:
 
 
 def record_later_version(root: etree._Element) -> None:
-    """Record on the file header that the version is later than the supported ones."""
+    """Note on the file header if the version of the file is later than the supported versions."""
     minor = later_minor_version(root)
     for header in find_untracked(root, "FileHeader") if minor is not None else ():
         reason = (
@@ -62,7 +62,7 @@ def record_later_version(root: etree._Element) -> None:
 
 
 def later_minor_version(root: etree._Element) -> int | None:
-    """Return the minor version of a file if it is later than the supported ones, else None."""
+    """Return the minor version of a file if it is later than the supported versions, else None."""
     for header in find_untracked(root, "FileHeader"):
         major, minor = (str(header.attrib.get(name, "")).strip() for name in ("revMajor", "revMinor"))
         if (

@@ -1,4 +1,4 @@
-"""One varied parameter: its values, and their positions in the unit interval."""
+"""A varied parameter: its values, and their positions in the unit interval."""
 
 from __future__ import annotations
 
@@ -23,27 +23,27 @@ _MAX_STEPS: Final = 2.0**53
 
 @dataclass(frozen=True)
 class Parameter:
-    """One varied parameter.
+    """A varied parameter.
 
-    Its values have positions in the unit interval, from 0 to 1. Steps and choices have a part of it each.
+    Each value has a position in the unit interval, from 0 to 1. Each step or choice covers a part of the interval.
 
     Attributes
     ----------
     name : str
     low, high : float
-        Bounds; for choices 0 and their number minus one.
+        Bounds of the range. For choices, 0 and the number of choices minus 1.
     step : float or None
-        Values are low, low + step, … up to `high`; None for a continuous range.
+        The values are low, low + step, … up to `high`. None for a continuous range.
     choices : tuple of str
-        Values of a set; empty for a range.
+        The values, if they are a set; empty for a range.
     unit : str
-        For tables and axes; empty if unknown.
+        Unit for tables and axes; empty if unknown.
     distribution : Distribution or None
-        Maps the unit interval to values by its inverse distribution function, so that likely values get a large part
-        of it; None means uniform.
+        Likely values cover a larger part of the unit interval, since its inverse distribution function maps the
+        interval to values. None means uniform.
     value_sets : tuple of tuple of (str, str)
-        For each choice, the scenario's parameters that it sets together, and their values; empty if it sets only the
-        parameter of its own name.
+        For each choice, the names and values of the scenario parameters that it sets together. Empty if a choice sets
+        only the scenario parameter called `name`.
     is_integer : bool
         Whether the scenario declares the values of a range as integers.
 
@@ -51,7 +51,7 @@ class Parameter:
     ------
     InputError
         A bound or step is not finite, the step is not above 0, the bounds are not in order, or there are too many steps
-        to count. Only a range with a step may have a single value.
+        to count. The bounds may be equal only if there is a step.
     """
 
     name: str
@@ -87,7 +87,7 @@ class Parameter:
 
     @property
     def values_text(self) -> str:
-        """The values in short, as ``"2 to 17 by 0.1"``."""
+        """Short description of the values, such as ``"2 to 17 by 0.1"``."""
         if self.choices:
             return ", ".join(self.choices)
         implicit_step = self.step is None or (self.is_integer and self.step == 1.0)
@@ -102,11 +102,11 @@ class Parameter:
 
     @property
     def assigned_names(self) -> tuple[str, ...]:
-        """Names of the scenario's parameters that it sets."""
+        """Names of the scenario parameters that this parameter sets."""
         return tuple(dict(self.value_sets[0])) if self.value_sets else (self.name,)
 
     def assignment_at(self, unit_position: float) -> dict[str, Value]:
-        """Return the values of the scenario's parameters at a position of the unit interval.
+        """Return the values of the scenario parameters at a position of the unit interval.
 
         Parameters
         ----------
@@ -119,7 +119,7 @@ class Parameter:
         return {name: value for name, (value,) in self.assignments_at(np.array([unit_position])).items()}
 
     def assignments_at(self, unit_positions: FloatArray) -> dict[str, list[Value]]:
-        """Return the values of the scenario's parameters at many positions of the unit interval.
+        """Return the values of the scenario parameters at many positions of the unit interval.
 
         Parameters
         ----------
@@ -145,7 +145,7 @@ class Parameter:
         Returns
         -------
         float or str
-            For values that are set together, the choice that sets them.
+            If a choice sets several values together, the choice.
 
         Raises
         ------
@@ -221,12 +221,12 @@ class Parameter:
         Returns
         -------
         float
-            The middle of its step or choice; values out of bounds are clipped.
+            For a step or choice, the middle of its part of the interval. Values out of bounds are clipped.
 
         Raises
         ------
         InputError
-            It is none of the choices.
+            The value is none of the choices.
         """
         size = self.size
         if self.choices:
@@ -275,13 +275,16 @@ class Parameter:
 
     @property
     def level_probabilities(self) -> FloatArray:
-        """Probability of each step or choice, which is its part of the unit interval, shape (size,)."""
+        """Probability of each step or choice, shape (size,): the length of its part of the unit interval."""
         size = self.size or 1
         return np.full(size, 1.0 / size) if self._level_edges is None else np.diff(self._level_edges)
 
     @cached_property
     def _level_edges(self) -> FloatArray | None:
-        """Bounds of the parts of the unit interval, shape (size + 1,); None if all parts are equal."""
+        """Edges of the parts of the unit interval that steps or choices cover, shape (size + 1,).
+
+        None if all are equal.
+        """
         if self.size is None or self.distribution is None:
             return None
         if self.distribution.is_discrete:
@@ -292,5 +295,5 @@ class Parameter:
 
 
 def _remove_rounding_error(x: float) -> float:
-    """Remove rounding errors of added steps, so that 3 × 0.1 is 0.3."""
+    """Remove the rounding error of a sum of steps, so that 3 × 0.1 gives 0.3."""
     return float(f"{x:.12g}")

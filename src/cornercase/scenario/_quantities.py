@@ -1,4 +1,4 @@
-"""Numbers of OpenSCENARIO files that can be varied: names, units, bounds, proposed ranges."""
+"""Kinds of numbers in OpenSCENARIO files that can be varied: names, units, bounds and proposed ranges."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from typing import Final
 
 @dataclass(frozen=True)
 class Quantity:
-    """What numbers of one physical quantity have in common.
+    """A physical quantity: its unit, its smallest allowed value, and the width of proposed ranges.
 
-    The proposed range is the value ± `half_width` if that is not 0, else ± `relative_width` times the value; for a
-    value of 0 it is ± `half_width_at_zero`. `minimum` is what the standard allows.
+    The proposed range is the value ± `half_width`. If `half_width` is 0, it is the value ± `relative_width` times the
+    value; for a value of 0 it is ± `half_width_at_zero`. `minimum` is the smallest value that the standard allows.
     """
 
     unit: str = ""
@@ -23,7 +23,7 @@ class Quantity:
     is_integer: bool = False
 
     def propose_range(self, value: float, minimum: float | None, maximum: float | None) -> tuple[float, float] | None:
-        """Propose a range around a value, within bounds; None if hardly anything would be left."""
+        """Propose a range around a value within bounds; None if there is no range that contains the value."""
         reach = self.half_width or abs(value) * self.relative_width or self.half_width_at_zero
         if self.is_integer:
             low, high = value - round(reach), value + round(reach)
@@ -38,7 +38,7 @@ class Quantity:
 
 
 def _round_to_width(value: float, half_width: float) -> float:
-    """Round to about two digits of the width, so that the range is easy to read."""
+    """Round a bound to about two digits of the half width, so that the range is easy to read."""
     digits = 1
     while digits < 6 and half_width * 10**digits < 50.0:
         digits += 1

@@ -18,7 +18,7 @@ _RANGE_PATTERN = re.compile(r"(?P<name>[^=]+)=(?P<low>[^:]+):(?P<high>[^:]+)(?::
 
 
 def parse_ranges(texts: Sequence[str], option: str = "ranges") -> list[Parameter]:
-    """Read ``NAME=LOW:HIGH[:STEP]`` texts; `option` is the option that they were given for."""
+    """Read ``NAME=LOW:HIGH[:STEP]`` texts; `option` names the user's option in messages."""
     parameters = [_parse_range(text, f"`{option}` {text}") for text in texts]
     require_unique_names([parameter.name for parameter in parameters], f"`{option}`")
     return parameters
@@ -39,7 +39,7 @@ def _parse_range(text: str, location: str) -> Parameter:
 
 
 def create_range(name: str, low: float, high: float, step: float | None, location: str) -> Parameter:
-    """Create a parameter with a range; raises `InputError` if the range is not valid."""
+    """Create a parameter with a range; raises `InputError` if the range is invalid."""
     if not (np.isfinite(low) and np.isfinite(high)):
         raise InputError(f"{location}: the bounds of {name} must be finite.")
     if max(abs(low), abs(high)) > _MAX_BOUND:
@@ -61,7 +61,7 @@ def create_range(name: str, low: float, high: float, step: float | None, locatio
 
 
 def require_unique_names(names: Sequence[str], location: str) -> None:
-    """Raise `InputError` if a name is empty or occurs twice."""
+    """Raise `InputError` if a name is empty or occurs more than once."""
     for name in names:
         if not name:
             raise InputError(f"{location}: a varied parameter has no name.")

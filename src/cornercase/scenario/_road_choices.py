@@ -1,4 +1,4 @@
-"""Road files that are chosen by a varied parameter."""
+"""Road files that a varied parameter can select."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _MAX_COMBINATIONS: Final = 1000
 
 
 def add_varied_roads(scenario: ScenarioFile, space: ParameterSpace) -> ScenarioFile:
-    """Return the scenario with the road files that the space can choose; the same object if there are none."""
+    """Return the scenario with the road files that the space can select; the same object if there are none."""
     needed = _road_parameters(scenario)
     chosen = [
         parameter
@@ -42,7 +42,7 @@ def add_varied_roads(scenario: ScenarioFile, space: ParameterSpace) -> ScenarioF
 
 
 def _road_parameters(scenario: ScenarioFile) -> set[str]:
-    """Parameters that the road file depends on."""
+    """Return the parameters that determine the road file."""
     declared = {
         element.get("name", ""): element.get("value", "")
         for element in scenario.root.iterfind("ParameterDeclarations/ParameterDeclaration")
@@ -58,6 +58,6 @@ def _road_parameters(scenario: ScenarioFile) -> set[str]:
 
 
 def _assignments_of(parameter: Parameter) -> list[dict[str, Value]]:
-    """What each value of a parameter sets."""
+    """Return the scenario parameters and values that each choice of a parameter sets."""
     middles = parameter.level_midpoints(np.arange(min(parameter.size or 0, _MAX_COMBINATIONS)))
     return [parameter.assignment_at(float(u)) for u in middles]

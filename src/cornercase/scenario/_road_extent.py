@@ -1,4 +1,4 @@
-"""Length and lanes of the roads of a file, without their shape."""
+"""Lengths and lanes of the roads in a road file, without their geometry."""
 
 from __future__ import annotations
 
@@ -16,13 +16,16 @@ _TOLERANCE = 1e-6
 
 @dataclass(frozen=True)
 class RoadExtent:
-    """Length of a road in m, and start and lane types (by lane number) of each lane section."""
+    """Length of a road in m, and its lane sections: start in m, and lane types by lane number."""
 
     length: float
     sections: tuple[tuple[float, dict[int, str]], ...]
 
     def lane_interval(self, lane: int, s: float) -> tuple[float, float]:
-        """Return the interval around `s` in which a lane of this number exists; else the whole road."""
+        """Return the interval of s around a position in which a lane number exists.
+
+        The whole road if it does not exist there.
+        """
         section = self._section_index(s)
         if section is None or lane not in self.sections[section][1]:
             return 0.0, self.length
@@ -40,7 +43,10 @@ class RoadExtent:
         return frozenset() if section is None else frozenset(self.sections[section][1])
 
     def adjacent_lanes_of_same_type(self, lane: int, s: float) -> tuple[int, int] | None:
-        """Return the first and last of the adjacent lanes of the same type on the same side of the road."""
+        """Return the lowest and highest number of the adjacent lanes of one type around a lane.
+
+        None if the lane does not exist.
+        """
         section = self._section_index(s)
         lanes = {} if section is None else self.sections[section][1]
         if lane not in lanes:
@@ -60,7 +66,7 @@ class RoadExtent:
 
 
 def read_road_extents(path: Path | None) -> dict[str, RoadExtent]:
-    """Return lengths and lanes of the roads of a file by road id; roads that cannot be read are left out."""
+    """Return lengths and lanes of all roads by road id; roads that cannot be read are missing."""
     if path is None or not path.is_file():
         return {}
     try:

@@ -1,4 +1,4 @@
-"""Pass/fail criteria of ScenarioRunner, which scenario files request in the form of conditions."""
+"""Pass/fail criteria of ScenarioRunner, which scenario files request by conditions with special names."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ _PARAMETER_CONDITION_RULE: Final = "a ParameterCondition refers to a declared pa
 
 @dataclass(frozen=True)
 class RunnerCriterion:
-    """A criterion that a scenario file requests, such as ``"CollisionTest"``, and its bound if the file gives one."""
+    """A requested criterion, such as ``"CollisionTest"``, and its threshold; None if the file has none."""
 
     name: str
     threshold: float | None
 
 
 def read_runner_criteria(root: etree._Element, scope: Scope) -> tuple[RunnerCriterion, ...]:
-    """Return the criteria of a scenario file in its order: as in ScenarioRunner, those in stop triggers."""
+    """Return the criteria that the stop triggers of a scenario file request, in file order."""
     criteria: list[RunnerCriterion] = []
     for trigger in iter_descendants_untracked(root, "StopTrigger"):
         for condition in iter_descendants_untracked(trigger, "ParameterCondition"):
@@ -39,15 +39,16 @@ def read_runner_criteria(root: etree._Element, scope: Scope) -> tuple[RunnerCrit
 
 
 def runner_criterion_name(element: etree._Element) -> str:
-    """Return the criterion that a ``ParameterCondition`` requests; empty if none."""
+    """Return the criterion that a ``ParameterCondition`` requests; empty if it is an ordinary condition."""
     name = _condition_name(element)
     return name.removeprefix(_CRITERION_PREFIX) if name.startswith(_CRITERION_PREFIX) else ""
 
 
 def is_condition_never_true(element: etree._Element, parameter_name: str) -> bool:
-    """Whether a condition on an undeclared parameter is no mistake; record on the element what it means.
+    """Check whether a condition on an undeclared parameter is deliberate and never true.
 
-    That is so for ScenarioRunner's criteria, and for conditions that refer to no parameter at all.
+    If so, note that on the element. Such conditions request a criterion of ScenarioRunner, or refer to no parameter at
+    all.
     """
     for attribute in ("value", "rule"):
         element.get(attribute)

@@ -1,4 +1,4 @@
-"""Parameter values of a batch of concrete scenarios, in which attributes are evaluated."""
+"""Parameter values of a batch of concrete scenarios, for the evaluation of attributes."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ _MAX_REFERENCE_DEPTH = 20
 
 
 class Scope(AttributeReader):
-    """Values of parameters for N concrete scenarios.
+    """Values of parameters in N concrete scenarios, for the evaluation of attributes.
 
-    `catalog_lookup` returns a catalog entry by the names of catalog and entry. If `left_handed`, positions that are
-    read are mirrored to the axes of the road file.
+    `catalog_lookup` returns a catalog entry for the names of a catalog and an entry. If `left_handed` is set, positions
+    are mirrored when they are read, so that they are in the axes of the road file.
     """
 
     def __init__(
@@ -61,7 +61,7 @@ class Scope(AttributeReader):
         scenario_values: Sequence[Mapping[str, Value]],
         catalog_lookup: CatalogLookup | None = None,
     ) -> Scope:
-        """Create the scope of a scenario file for N concrete scenarios, as `from_declarations` does."""
+        """Create the scope of a scenario file for N concrete scenarios; errors as in `from_declarations`."""
         scope = cls.from_declarations(file_name, read_declarations(root, file_name), scenario_values, catalog_lookup)
         scope._left_handed = find_left_handed_header(root) is not None
         return scope
@@ -81,10 +81,10 @@ class Scope(AttributeReader):
         scenario_values: Sequence[Mapping[str, Value]],
         catalog_lookup: CatalogLookup | None = None,
     ) -> Scope:
-        """Create the scope of declared parameters; `scenario_values` has the values that differ from them.
+        """Create the scope of declared parameters; `scenario_values` has the values that differ from the declared ones.
 
-        Raises `InputError` for undeclared parameters and values that cannot be evaluated, `BatchSplitError` if a
-        parameter that is not a number has several values.
+        Raises `InputError` for undeclared parameters and for values that cannot be evaluated. Raises `BatchSplitError`
+        if a parameter that is not numeric has different values in the scenarios.
         """
         scope = cls(file_name, len(scenario_values), {}, {}, catalog_lookup)
         names = {name for values in scenario_values for name in values}
@@ -112,7 +112,10 @@ class Scope(AttributeReader):
         return scope
 
     def _numeric_values(self, declaration: ParameterDeclaration, assigned: Mapping[int, Value]) -> FloatArray:
-        """Return the values of a numeric parameter, by default the declared one, shape (N,)."""
+        """Return the values of a numeric parameter, shape (N,).
+
+        Scenarios without an assigned value get the declared value.
+        """
         result = np.full(self.n_scenarios, np.nan)
         if (
             len(assigned) == self.n_scenarios
@@ -131,7 +134,10 @@ class Scope(AttributeReader):
     def _common_text(
         self, declaration: ParameterDeclaration, assigned: Mapping[int, Value], origin_parameters: set[str]
     ) -> Any:
-        """Return the common value of a parameter that is not a number."""
+        """Return the value that a parameter which is not numeric has in all scenarios.
+
+        `BatchSplitError` if they differ.
+        """
         texts = {str(self._convert_scalar_to_type(value, declaration)) for value in assigned.values()}
         if len(assigned) < self.n_scenarios:
             defaults = np.unique(
@@ -143,9 +149,10 @@ class Scope(AttributeReader):
         return self._convert_to_type(texts.pop(), declaration)
 
     def nested_scope(self, element: etree._Element, assignments: etree._Element | None = None) -> Scope:
-        """Create the scope of a catalog entry or maneuver.
+        """Create the scope of a catalog entry or maneuver, which can also use the parameters of this scope.
 
-        Its own declarations come first; `assignments`, evaluated in this scope, override them.
+        The entry's own parameters have their declared values, unless `assignments` override them. Assigned values are
+        evaluated in this scope.
         """
         source = file_name_of_element(element, self.file_name)
         inner = Scope(
@@ -172,9 +179,9 @@ class Scope(AttributeReader):
         return inner
 
     def read_declared_values(self, root: etree._Element, path: str, type_attribute: str) -> dict[str, Any]:
-        """Read the values of declarations such as variables, shape (N,), by name.
+        """Read the initial values of declared variables, or of similar declarations, by name; shape (N,) each.
 
-        `path` leads to the declarations; `type_attribute` holds their type.
+        `path` is the path from `root` to the declarations. `type_attribute` is the attribute with their type.
         """
         values: dict[str, Any] = {}
         for declaration in root.iterfind(path):
@@ -197,11 +204,11 @@ class Scope(AttributeReader):
         return values
 
     def find_violations_in(self, root: etree._Element) -> dict[str, BoolArray]:
-        """Return masks of shape (N,) of the scenarios that violate constraints of a file, by parameter."""
+        """Return which scenarios violate constraints of a file's parameters: a mask (N,) for each violated parameter."""
         return self.find_violations(read_declarations(root, self.file_name))
 
     def find_violations(self, declarations: Sequence[ParameterDeclaration]) -> dict[str, BoolArray]:
-        """Return masks of shape (N,) of the scenarios that violate constraints, by parameter; only if there are any."""
+        """Return which scenarios violate constraints of the declarations: a mask (N,) for each violated parameter."""
         masks: dict[str, BoolArray] = {}
         for declaration in declarations:
             with locate_input_errors(declaration, self.file_name):
@@ -217,7 +224,7 @@ class Scope(AttributeReader):
         return evaluate_expression(text, self.parameter_values) if text.startswith("$") else text
 
     def resolve_element_or_reference(self, parent: etree._Element, tag: str) -> tuple[etree._Element, Scope]:
-        """Return a child element, or the catalog entry that is referenced instead, and the scope to read it in."""
+        """Return a child element, or the catalog entry that stands in its place; and the scope to read it in."""
         element = parent.find(tag)
         if element is not None:
             return element, self.nested_scope(element)
@@ -257,7 +264,7 @@ class Scope(AttributeReader):
         self._origin_parameters[declaration.name] = self.origin_parameters(declaration.value)
 
     def _convert_to_type(self, value: Any, declaration: ParameterDeclaration) -> Any:
-        """Convert a declared value, or the result of an expression for each scenario, to its type."""
+        """Convert the value of a parameter to its declared type; the value is a scalar or has one item per scenario."""
         if isinstance(value, np.ndarray):
             if declaration.type_name in INTEGER_TYPES:
                 broken = np.isfinite(value) & (np.abs(value - np.round(value)) > 1e-6)
@@ -294,7 +301,7 @@ def fulfils_constraints(
     scenario_values: Sequence[Mapping[str, Value]],
     file_name: str = "the scenario",
 ) -> BoolArray:
-    """Return which concrete scenarios fulfil the constraints of their parameters, shape (n,)."""
+    """Return the mask of the concrete scenarios that fulfil all constraints on their parameters, shape (n,)."""
     result = np.ones(len(scenario_values), dtype=np.bool_)
     try:
         scope = Scope.from_declarations(file_name, declarations, scenario_values)

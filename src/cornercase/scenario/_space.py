@@ -29,14 +29,15 @@ _N_TEST_POINTS = 2048
 class ParameterSpace:
     """A box of named parameters, possibly restricted by constraints.
 
-    Points are in the unit cube: each coordinate is the position of a value in the unit interval, see `Parameter`.
+    A point of the unit cube stands for a concrete scenario: each coordinate is the position of a parameter's value in
+    the unit interval, see `Parameter`.
 
     Parameters
     ----------
     parameters : sequence of Parameter
         At least one, with different names.
     declarations : sequence of ParameterDeclaration
-        Declared parameters of the scenario, if some have constraints; the space is limited to what fulfils these.
+        Declared parameters of the scenario. The space is limited to the values that fulfil their constraints.
 
     Raises
     ------
@@ -67,7 +68,7 @@ class ParameterSpace:
         return f"<ParameterSpace: {', '.join(map(str, self.parameters))}{suffix}>"
 
     def _repr_html_(self) -> str:
-        """Table of the parameters, for notebooks."""
+        """Return a table of the parameters, for notebooks."""
         groups = {declaration.name: declaration.constraint_groups for declaration in self.declarations}
         lines = [
             (p.name, p.values_text, p.unit, "uniform" if p.distribution is None else p.distribution.kind,
@@ -85,7 +86,7 @@ class ParameterSpace:
 
     @property
     def assigned_names(self) -> tuple[str, ...]:
-        """Names of all parameters of the scenario that a point sets."""
+        """Names of all scenario parameters that a point of the space sets."""
         return tuple(name for parameter in self.parameters for name in parameter.assigned_names)
 
     @property
@@ -318,7 +319,7 @@ class ParameterSpace:
         Raises
         ------
         InputError
-            A value is none of its parameter's choices.
+            A value is none of the choices of its parameter.
         """
         return np.array(
             [
@@ -354,12 +355,12 @@ class ParameterSpace:
         return np.concatenate([self.center_point(), points[self.is_admissible(points)]])
 
     def _constraint_test_points(self) -> FloatArray:
-        """Points to test constraints with: all of a small space, else random ones."""
+        """Return points for testing constraints: all points of a small space, otherwise random ones."""
         few = self.size is not None and self.size <= _N_TEST_POINTS
         return self.full_factorial() if few else np.random.default_rng(0).random((_N_TEST_POINTS, self.dimension))
 
     def snap(self, points: FloatArray) -> FloatArray:
-        """Move points to the middle of their step or choice, which is what is simulated.
+        """Move points to the middle of their step or choice, as they are simulated.
 
         Parameters
         ----------
@@ -470,5 +471,5 @@ class ParameterSpace:
 
 
 def _has_discrete_distribution(parameter: Parameter) -> bool:
-    """Whether a parameter has a discrete distribution, which cannot become continuous."""
+    """Whether a parameter has a discrete distribution, so that it cannot become continuous."""
     return parameter.distribution is not None and parameter.distribution.is_discrete

@@ -37,7 +37,7 @@ _MAX_UNSIGNED: Final = {"unsignedInt": 2**32 - 1, "unsignedShort": 2**16 - 1}
 def convert_to_type(value: Value, type_name: str) -> Value:
     """Convert a value to a declared type; booleans become ``"true"`` or ``"false"``.
 
-    Raises `ValueError` if that is not possible; the message continues "is '12.5'".
+    Raises `ValueError` if the value cannot be converted. The message explains why, and completes "is '12.5', …".
     """
     if type_name in NUMERIC_TYPES:
         try:
@@ -56,7 +56,7 @@ def convert_to_type(value: Value, type_name: str) -> Value:
 
 
 def convert_numbers_to_type(values: Sequence[object], type_name: str) -> FloatArray | None:
-    """Convert many numbers at once, shape (n,); None if they have to be converted one by one."""
+    """Convert many numbers at once, shape (n,); None if they must be converted one by one with `convert_to_type`."""
     if type_name not in NUMERIC_TYPES or not set(map(type, values)) <= _PYTHON_NUMBER_TYPES:
         return None
     numbers: FloatArray = np.array(values, dtype=np.float64)
@@ -83,9 +83,9 @@ class _TypedDeclaration(Protocol):
 def find_type_errors(
     declarations: Sequence[_TypedDeclaration], scenario_values: Sequence[Mapping[str, Value]]
 ) -> dict[int, str]:
-    """Return why scenarios have a value that does not fit its declared type, by index, as sentences without full stop.
+    """Return, by index, the scenarios that have a value which does not fit its declared type, and the error.
 
-    Expressions are not looked at.
+    An error is a sentence without full stop. Expressions are not checked.
     """
     names = set().union(*scenario_values)
     varied = [declaration for declaration in declarations if declaration.name in names]
@@ -125,7 +125,7 @@ def _convert_to_integer(number: float, type_name: str) -> int:
 
 
 def format_value(value: Value) -> str:
-    """Format a value so that it reads back the same; whole numbers have no decimals."""
+    """Format a value so that it is read back exactly; whole numbers have no decimals."""
     if isinstance(value, str):
         return value
     if isinstance(value, bool | np.bool_):

@@ -23,7 +23,7 @@ FILE_COLUMN: Final = "file"
 
 @dataclass(frozen=True)
 class ValueRow:
-    """One line of a table: line number, name of the recording (empty if not given), values by parameter."""
+    """A line of a table: its number, the name of the recording (empty if missing), and parameter values."""
 
     line: int
     recording_name: str
@@ -31,7 +31,10 @@ class ValueRow:
 
 
 def read_value_table(path: Path, scenario: ScenarioFile) -> tuple[ValueRow, ...]:
-    """Read a CSV table with a column for each varied parameter, and optionally ``file``; a scenario per line."""
+    """Read a CSV table with one scenario per line and one column per varied parameter.
+
+    A column ``file`` is optional.
+    """
     try:
         reader = csv.DictReader(io.StringIO(read_file(path).decode("utf-8-sig"), newline=""))
         names = list(reader.fieldnames or ())

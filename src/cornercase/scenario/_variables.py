@@ -1,4 +1,4 @@
-"""List the numbers of a scenario file that can be varied, with names that can be typed."""
+"""List the numbers of a scenario file that can be varied, and give each a name that users can type."""
 
 from __future__ import annotations
 
@@ -48,31 +48,31 @@ class Variable:
     Attributes
     ----------
     name : str
-        Its name for `vary`: ``"Ego.initial.speed"``.
+        Name that `vary` takes: ``"Ego.initial.speed"``.
     group : str
-        What it belongs to: ``"entity Ego"``, ``"event CutIn"``.
+        Entity or event that the number belongs to: ``"entity Ego"``, ``"event CutIn"``.
     value_text : str
-        As written in the file.
+        The number as written in the file.
     unit : str
-        Empty for numbers without one.
+        Unit; empty for numbers without unit.
     line : int
-        Line in the file; the first of several.
+        Line in the file; the first line if the number occurs several times.
     proposed_low, proposed_high : float or None
-        Proposed range; None if there is none.
+        Proposed range; None if no range is proposed.
     minimum, maximum : float or None
-        Bounds for any range; None if there are none.
+        Bounds that any range must respect; None without bounds.
     is_integer : bool
-        Whether it is an integer.
+        Whether the number must be an integer.
     parameter_name : str
-        Name of the parameter that replaces it when it is varied, or its own if it is a parameter already.
+        Name of the parameter that replaces the number when it is varied, or of the declared parameter.
     reason_fixed : str
-        Why it cannot be varied; empty if it can.
+        Why the number cannot be varied; empty if it can be varied.
     is_declared : bool
-        Whether it is a parameter already.
+        Whether the number is the value of a declared parameter.
     allowed_lanes : frozenset of int
-        Possible values of a lane number, if the road could be read.
+        Possible values of a lane number; empty for other numbers, and if the road file could not be read.
     occurrences : tuple of (int, str)
-        Index of each element that holds it, in the order of the file from 0, and the attribute.
+        For each place of the number in the file, the index of the element (in file order, from 0) and the attribute.
 
     Examples
     --------
@@ -100,7 +100,7 @@ class Variable:
 
     @property
     def proposed_range(self) -> str:
-        """Proposed range, as ``"5:20"``; empty if there is none."""
+        """Proposed range as text, such as ``"5:20"``; empty if no range is proposed."""
         return (
             ""
             if self.proposed_low is None or self.proposed_high is None
@@ -110,7 +110,7 @@ class Variable:
 
 @dataclass(frozen=True)
 class _UnnamedVariable:
-    """A number before it gets a name that is unique in its group."""
+    """A number in a scenario file before it gets its unique name."""
 
     base: str
     qualifier: str
@@ -121,18 +121,18 @@ class _UnnamedVariable:
 def list_variables(scenario: ScenarioFile | Path | str) -> tuple[Variable, ...]:
     """List the numbers of a scenario that can be varied.
 
-    These are the numeric parameters that it declares, and the numbers in it: initial speeds and positions, values of
-    triggers, targets and dynamics of actions. Each has a name that includes its entity or event, and a proposed range.
+    The list contains declared numeric parameters, initial speeds and positions, values of triggers, and targets and
+    dynamics of actions. The name of a number includes its entity or event. Most numbers have a proposed range.
 
     Parameters
     ----------
     scenario : ScenarioFile or path
-        OpenSCENARIO file; the numbers are in its own axes.
+        OpenSCENARIO file. Coordinates are in the axes of this file.
 
     Returns
     -------
     tuple of Variable
-        In the order of the file; includes those that cannot be varied, with the reason.
+        In the order of the file. Numbers that cannot be varied are included, with the reason.
 
     Raises
     ------
@@ -156,7 +156,7 @@ def list_variables(scenario: ScenarioFile | Path | str) -> tuple[Variable, ...]:
 
 
 def list_variables_in(scenario: ScenarioFile, root: etree._Element) -> tuple[Variable, ...]:
-    """List the variables of a parsed scenario file; reading `root` does not mark its elements as used."""
+    """List the variables of a parsed scenario file; its elements are not marked as used."""
     return _VariableCollector(scenario, root).collect()
 
 
@@ -172,7 +172,7 @@ class _VariableCollector:
         self._roads: dict[str, RoadExtent] | None = None
 
     def collect(self) -> tuple[Variable, ...]:
-        """All variables, with unique names and parameter names."""
+        """Return all variables, with unique names and parameter names."""
         with suppress(InputError):
             # Invalid paths are reported when the scenario runs.
             if problem := self._describe_missing_road():
@@ -248,7 +248,10 @@ class _VariableCollector:
                 )
 
     def _collect_catalog_maneuver(self, reference: etree._Element) -> Iterator[_UnnamedVariable]:
-        """Values that are assigned to a maneuver of a catalog; its other numbers are in the catalog."""
+        """Yield the values that a scenario assigns to a maneuver of a catalog.
+
+        Numbers in the catalog cannot be varied.
+        """
         catalog, entry = (
             self._resolve_parameter(reference.get("catalogName", "")),
             self._resolve_parameter(reference.get("entryName", "")),
@@ -279,7 +282,10 @@ class _VariableCollector:
         )
 
     def _collect_trigger(self, trigger: etree._Element | None, base: str, group: str) -> Iterator[_UnnamedVariable]:
-        """Numbers of conditions; identical conditions in several groups of a trigger share their variables."""
+        """Yield the numbers in the conditions of a trigger.
+
+        A condition repeated in several groups yields shared variables.
+        """
         identical: dict[Any, list[etree._Element]] = {}
         groups = () if trigger is None else trigger.iterfind("ConditionGroup")
         # Groups that are never true have no effect.
@@ -292,7 +298,7 @@ class _VariableCollector:
             yield from self._collect_descendants(conditions[0], base, qualifier, group, conditions)
 
     def _is_group_never_true(self, group: etree._Element) -> bool:
-        """Whether a group contains a criterion of ScenarioRunner, or another condition that is never true."""
+        """Whether a condition group can never be true, as when it only requests a criterion of ScenarioRunner."""
         for condition in group.iterfind("Condition/ByValueCondition/ParameterCondition"):
             name = condition.get("parameterRef", "").lstrip("$")
             if name not in self._declared_values and is_condition_never_true(condition, name):
@@ -307,7 +313,10 @@ class _VariableCollector:
         group: str,
         identical_elements: list[etree._Element] | None = None,
     ) -> Iterator[_UnnamedVariable]:
-        """Numbers of an element and its descendants; `identical_elements` share them."""
+        """Yield the numbers of an element and its descendants.
+
+        Each is shared with the equal elements `identical_elements`.
+        """
         rows = zip(*(_iter_searched_elements(twin) for twin in identical_elements or [top]), strict=True)
         entries = 0
         for row in rows:
@@ -377,7 +386,7 @@ class _VariableCollector:
         )
 
     def _road_position(self, element: etree._Element) -> tuple[RoadExtent | None, int | None, float | None]:
-        """Return road, lane and s of a position, as far as they are known."""
+        """Return road, lane number and s in m of a position; None for each that is unknown."""
         if element.tag not in _ROAD_POSITION_TAGS:
             return None, None, None
         if self._roads is None:
@@ -393,11 +402,11 @@ class _VariableCollector:
         return self._scenario.describe_missing_road()
 
     def _resolve_parameter(self, text: str) -> str:
-        """Return a text, or the value of the parameter that it refers to."""
+        """Return the value of the parameter that a text refers to, or the text itself."""
         return self._declared_values.get(text[1:], text) if text.startswith("$") else text
 
     def _unique_name_part(self, element: etree._Element, default: str) -> str:
-        """Return the part of a name that stands for an element, unique among elements of its kind."""
+        """Return the part of variable names that stands for an element, unique among those with the same `default`."""
         if element not in self._name_parts:
             self._name_parts[element] = self._name_pools.setdefault(default, _UniqueNames(())).make_unique(
                 _to_identifier(element.get("name", ""), default)
@@ -420,7 +429,10 @@ def _quantities_of(element: etree._Element) -> Mapping[str, tuple[str, Quantity]
 
 
 def _synchronize_prefix(element: etree._Element, top: etree._Element) -> str:
-    """What goes before the name of a number, where an action has two positions."""
+    """Return the prefix that distinguishes the numbers of the two positions of a synchronize action.
+
+    Otherwise empty.
+    """
     ancestor: etree._Element | None = element.getparent()
     while ancestor is not None and ancestor is not top:
         if ancestor.tag in ("TargetPositionMaster", "TargetPosition"):
@@ -437,7 +449,7 @@ def _iter_searched_elements(element: etree._Element) -> Iterator[etree._Element]
 
 
 def _element_content(element: etree._Element) -> tuple[Any, ...]:
-    """Content of an element, independent of its formatting."""
+    """Return the content of an element in a form that does not depend on its formatting, for comparisons."""
     attributes = tuple(sorted((str(key), str(value)) for key, value in element.attrib.items()))
     return str(element.tag), attributes, tuple(_element_content(child) for child in element.iterchildren("*"))
 
@@ -457,7 +469,7 @@ def _parameter_declarations(element: etree._Element, holder: str) -> Iterator[et
 
 
 def _to_identifier(text: str, default: str = "", max_length: int = _MAX_NAME_PART) -> str:
-    """Make a text usable as a part of a name: letters, digits, hyphens and underscores."""
+    """Convert a text to a part of a name, of letters, digits, hyphens and underscores only."""
     identifier = re.sub(r"[^\w-]+", "_", text).strip("_-")
     return identifier[:max_length].rstrip("_-") or default
 

@@ -1,4 +1,4 @@
-"""Write scenarios in which numbers are replaced by varied parameters."""
+"""Write scenarios in which varied parameters replace numbers."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ _REQUIRED_PATH_ELEMENTS: Final = ("LogicFile", "Directory")
 
 @dataclass(frozen=True)
 class VariedScenario:
-    """A scenario file, the parameters that vary in it, and the numbers that they replace."""
+    """A scenario file, the parameters to vary in it, and the numbers that these parameters replace."""
 
     file: ScenarioFile
     parameters: tuple[Parameter, ...]
@@ -57,7 +57,7 @@ class VariedScenario:
     def select(
         cls, scenario: Path | str | ScenarioFile, ranges: Sequence[str], proposed: bool = False
     ) -> VariedScenario:
-        """Select what varies in a scenario; `ranges` and `proposed` as for `vary`."""
+        """Select the numbers to vary in a scenario; `ranges` and `proposed` as in `vary`."""
         source = ScenarioFile.read(scenario.path if isinstance(scenario, ScenarioFile) else scenario)
         by_name = {
             variable.name: variable
@@ -89,9 +89,9 @@ class VariedScenario:
         return cls(source, parameters, tuple(by_name[name] for name in chosen))
 
     def scenario_content(self, folder: Path) -> bytes:
-        """Return the content of the new file for a folder.
+        """Return the content of the varied scenario file, to be written to `folder`.
 
-        Raises `InputError` if a path is given by an expression, so that it cannot be adapted to another folder.
+        Raises `InputError` if a path in the scenario is an expression, so that it cannot be adapted to the folder.
         """
         content = _scenario_bytes(self.file)
         root, text = parse_xml(content, self.file.path), XmlEditor(content, self.file.path)
@@ -116,7 +116,7 @@ class VariedScenario:
         return text.edited_content()
 
     def companion_files(self, folder: Path) -> dict[Path, bytes]:
-        """Return the files that have to be next to the new file and are missing: those that it names without a path."""
+        """Return files that the varied scenario needs in its own folder and that are missing there, by new path."""
         missing: dict[Path, bytes] = {}
         for file in self.file.profiles_files:
             target = folder / file.name
@@ -132,7 +132,7 @@ class VariedScenario:
         return missing
 
     def distribution_content(self, scenario_name: str) -> bytes:
-        """Return the content of the file of ranges, for a scenario of this file name next to it."""
+        """Return the content of the file with the ranges, which refers to the scenario file `scenario_name`."""
         parameters = _harmonize_steps(self.parameters)
         header = self.file.root.find("FileHeader")
         date = "" if header is None else header.get("date", "")
@@ -165,7 +165,7 @@ class VariedScenario:
         return etree.tostring(root, encoding="UTF-8", xml_declaration=True, pretty_print=True)
 
     def add_units(self, space: ParameterSpace) -> ParameterSpace:
-        """Return a space with the units of the varied numbers."""
+        """Return a space whose parameters have the units of the numbers that they replace."""
         units = {parameter.name: parameter.unit for parameter in self.parameters}
         parameters = [
             replace(parameter, unit=units.get(parameter.name) or parameter.unit) for parameter in space.parameters
@@ -178,8 +178,8 @@ def vary(
 ) -> LogicalScenario:
     """Write a scenario in which numbers vary, and a file of their ranges next to it.
 
-    Each number becomes a parameter with the number as its default: run with the defaults, the new scenario gives the
-    same recording. All else stays as written, except that paths of roads and catalogs are adapted to the new folder.
+    Each number is replaced by a parameter, whose default value is the number. With default values, the new scenario
+    gives the same recording. Only the paths of roads and catalogs change, to fit the new folder.
 
     Parameters
     ----------
@@ -229,7 +229,7 @@ def vary(
 
 
 def _require_encodable_path(path: Path | str) -> None:
-    """Refuse a path that cannot be written in XML."""
+    """Refuse a path with characters that XML cannot contain."""
     try:
         str(path).encode()
     except UnicodeEncodeError as error:
@@ -247,7 +247,7 @@ def _suggest_variable(name: str, variables: dict[str, Variable]) -> str:
 
 
 def _create_parameter(variable: Variable, range_: str) -> Parameter:
-    """Create the varied parameter, with the range that was given or proposed."""
+    """Create the parameter that replaces a number, with a range `LOW:HIGH[:STEP]`, or the proposed one if empty."""
     where = f"`vary` {variable.name}" + (f"={range_}" if range_ else "")
     if variable.reason_fixed:
         raise InputError(f"{where}: cannot be varied: {variable.reason_fixed}.")
@@ -277,7 +277,7 @@ def _create_parameter(variable: Variable, range_: str) -> Parameter:
 
 
 def _harmonize_steps(parameters: Sequence[Parameter]) -> list[Parameter]:
-    """Make all ranges stepped or all continuous, as a distribution file requires; integers fit both."""
+    """Make all ranges stepped or all continuous, as a distribution file requires; integer ranges fit either."""
     with_steps = [
         parameter for parameter in parameters if parameter.step is not None and not _has_integer_steps(parameter)
     ]
@@ -293,14 +293,14 @@ def _harmonize_steps(parameters: Sequence[Parameter]) -> list[Parameter]:
 
 
 def _has_integer_steps(parameter: Parameter) -> bool:
-    """Whether its steps are those that integers have anyway."""
+    """Whether a range has the steps of integers, with or without an explicit step."""
     return parameter.step == 1.0 and parameter.low == round(parameter.low)
 
 
 def _insert_declarations(
     root: etree._Element, element_indices: dict[etree._Element, int], editor: XmlEditor, lines: list[str]
 ) -> None:
-    """Add declarations after the existing ones."""
+    """Insert parameter declarations after the existing ones."""
     holder = root.find("ParameterDeclarations")
     if holder is None:
         header = root.find("FileHeader")
@@ -320,7 +320,7 @@ def _insert_declarations(
 def _adapted_paths(
     scenario: ScenarioFile, root: etree._Element, folder: Path
 ) -> Iterator[tuple[etree._Element, str, str]]:
-    """Yield element, attribute and new value of the paths that change in another folder."""
+    """Yield element, attribute and new value of each relative path that must change in another folder."""
     declared = {str(e.get("name")): e for e in root.iterfind("ParameterDeclarations/ParameterDeclaration")}
     changed: set[etree._Element] = set()
     for element in root.iter("*"):
@@ -349,7 +349,7 @@ def _adapted_paths(
 
 
 def _adapt_relative_path(folder: Path, old_folder: Path, path: str) -> str | None:
-    """Return a relative path adapted to another folder; None if it stays valid."""
+    """Return a relative path adapted to another folder; None if it need not change."""
     posix = path.replace("\\", "/")
     if re.match(r"[A-Za-z][A-Za-z0-9+.-]*:", posix) or posix.startswith("/") or not (old_folder / posix).exists():
         return None

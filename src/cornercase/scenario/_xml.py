@@ -70,7 +70,10 @@ def _parse_strictly(data: bytes, path: Path | str) -> etree._Element:
 
 
 def _parse_leniently(data: bytes, path: Path | str) -> etree._Element | None:
-    """Parse XML in which only declaration, encoding or comments are malformed; None if there is more."""
+    """Parse XML in which only the declaration, the encoding or comments are malformed.
+
+    None if there are other errors.
+    """
     try:
         text, encoding = data.decode("utf-8-sig"), "UTF-8"
     except UnicodeDecodeError:
@@ -99,7 +102,7 @@ def _parse_leniently(data: bytes, path: Path | str) -> etree._Element | None:
 
 
 def _replace_double_hyphens(text: str) -> str:
-    """Replace double hyphens in comments; each comment ends at its first "-->"."""
+    """Replace double hyphens inside comments; a comment ends at the first "-->"."""
     pieces, position = [], 0
     while (start := text.find("<!--", position)) >= 0 and (end := text.find("-->", start + 4)) >= 0:
         comment = text[start + 4 : end].replace("--", "__")
@@ -109,10 +112,10 @@ def _replace_double_hyphens(text: str) -> str:
 
 
 class XmlFileCache:
-    """Files that belong together, each read and parsed once, when first needed.
+    """Files that belong together; each is read and parsed once, when it is first needed.
 
-    Parsing uses the content that was read first, so that it matches the digest. Elements record which attributes were
-    used; a `SupportTable` lists the others.
+    Parsing uses the content that was read first, so the parsed content always matches the checksum. Elements record
+    which attributes were used; a `SupportTable` reports the others.
     """
 
     def __init__(self) -> None:
@@ -125,7 +128,7 @@ class XmlFileCache:
         return hashlib.sha256(self.read_bytes(path)).digest()
 
     def get_root(self, path: Path) -> etree._Element:
-        """Root element of a file, normalized; always the same object, which must not be changed."""
+        """Return the normalized root element of a file; it is the same object each time, so do not change it."""
         if path not in self._roots:
             self._roots[path] = root = parse_xml(self.read_bytes(path), path)
             # lxml elements lose their records when they are garbage-collected, so keep them.
@@ -134,7 +137,7 @@ class XmlFileCache:
         return self._roots[path]
 
     def update(self, other: XmlFileCache) -> None:
-        """Add the files of another object."""
+        """Add the files of another cache."""
         self._data |= other._data
         self._roots |= other._roots
         self._elements |= other._elements

@@ -1,4 +1,4 @@
-"""Edit attributes of an XML file while keeping the rest of its text."""
+"""Edit attributes of an XML file and keep the rest of its text unchanged."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _ATTRIBUTE: Final = re.compile(r"([^\s=/]+)\s*=\s*(\"[^\"]*\"|'[^']*')")
 
 
 class XmlEditor:
-    """Text of an XML document with pending edits; elements are given by index in document order."""
+    """Text of an XML document with pending edits; an element is identified by its index in document order."""
 
     def __init__(self, content: bytes, path: Path) -> None:
         info = parse_xml(content, path).getroottree().docinfo
@@ -49,7 +49,7 @@ class XmlEditor:
         self._edits.append((start, end, quoteattr(value)))
 
     def insert_children(self, element_index: int, lines: list[str]) -> None:
-        """Insert lines at the beginning of an element without children."""
+        """Insert lines as the content of an element that has no children."""
         start, end = self._starts[element_index], self._ends.get(element_index)
         block = "".join(f"{self._newline}{self._indentation(start)}  {line}" for line in lines)
         closing_indent = self._newline + self._indentation(start)
