@@ -1,4 +1,4 @@
-"""Where it happens: OpenDRIVE roads, their lanes, and paths along them."""
+"""OpenDRIVE roads, their lanes, and paths along the lanes."""
 
 import lazy_loader as lazy
 

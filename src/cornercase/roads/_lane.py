@@ -63,10 +63,10 @@ LaneSection = tuple[float, "dict[int, Lane]"]
 
 @dataclass(frozen=True)
 class Lane:
-    """A lane of one lane section; `borders` are used only if there are no `widths`, as the standard demands.
+    """A lane of one lane section.
 
-    If `is_reversed`, traffic runs against the usual direction of its side. Several predecessors or successors mean
-    that it splits or merges.
+    `borders` are used only if there are no `widths`, as in the standard. If `is_reversed` is set, traffic runs against
+    the usual direction of this side of the road. A lane with several predecessors or successors merges or splits.
     """
 
     lane_type: str
@@ -78,12 +78,12 @@ class Lane:
 
     @property
     def is_drivable(self) -> bool:
-        """Whether vehicles may drive on it."""
+        """Whether vehicles may drive on the lane."""
         return self.lane_type in _DRIVABLE_TYPES
 
 
 class _SideSection(NamedTuple):
-    """Lanes of one side of the road from `start` on, in m."""
+    """Lanes on one side of the road, from `start` (in m) to the next section of this side."""
 
     start: float
     lanes: dict[int, Lane]
@@ -92,10 +92,10 @@ class _SideSection(NamedTuple):
 def read_lane_sections(
     elements: Sequence[etree._Element], length: float, forced_starts: Iterable[float], location: str
 ) -> list[LaneSection]:
-    """Read the lane sections of a road, in the order of their starts.
+    """Read the lane sections of a road, sorted by start.
 
-    Each section holds the lanes of both sides, even if the file starts a new section on one side only.
-    `forced_starts` are positions in m at which a section has to start; `location` names file and road, for messages.
+    Each section has the lanes of both sides, even if the file starts a new section on one side only. Sections also
+    start at the positions `forced_starts` in m. `location` names file and road, for messages.
     """
     sides: dict[str, list[_SideSection]] = {"left": [], "right": []}
     begins = [read_finite_number(element, "s", location, 0.0) for element in elements]
@@ -132,7 +132,7 @@ def read_lane_sections(
 
 
 def _record_section_problems(section: etree._Element, start: float, length: float) -> None:
-    """Record that a lane section starts behind the end of the road, or has no center lane."""
+    """Note that a lane section begins beyond the end of the road, or has no center lane."""
     if start >= length:
         reason = f"begins at s = {start:g} m, but the road ends at {length:g} m; it is never reached"
         note_adaptation(
@@ -148,9 +148,9 @@ def _record_section_problems(section: etree._Element, start: float, length: floa
 def _side_lanes_at(
     side_sections: list[_SideSection], side_starts: list[float], starts: list[float], index: int
 ) -> dict[int, Lane]:
-    """Return the lanes of one side between the k-th start and the next.
+    """Return the lanes of one side in the section that begins at ``starts[index]``.
 
-    They are linked to themselves where the file starts no section.
+    If the file has no section boundary there on this side, each lane is linked to itself across the boundary.
     """
     section_index = bisect_right(side_starts, starts[index]) - 1
     if section_index < 0:
@@ -214,7 +214,7 @@ def _read_lanes(section: etree._Element, side: str, location: str) -> dict[int, 
 
 
 def _record_late_width(lane: etree._Element, cubics: Sequence[CubicPolynomial]) -> None:
-    """Record that the width of a lane is not given from the start of its section."""
+    """Note that the widths of a lane do not begin at the start of its section."""
     if cubics and abs(start := cubics[0][0]) > _COORDINATE_TOLERANCE:
         tag = "width" if lane.find("width") is not None else "border"
         reason = f"begins at {start:g} m of its lane section" + (
@@ -224,7 +224,7 @@ def _record_late_width(lane: etree._Element, cubics: Sequence[CubicPolynomial]) 
 
 
 def _read_lane_type(lane: etree._Element) -> str:
-    """Return the type of a lane; "none", which is not drivable, for types that the standard does not know."""
+    """Return the type of a lane; types that the standard does not know are read as "none", which is not drivable."""
     if (kind := lane.get("type")) in _LANE_TYPES:
         return str(kind)
     if kind and (standard_kind := match_enumeration(lane, "type", _LANE_TYPES)):
@@ -235,18 +235,18 @@ def _read_lane_type(lane: etree._Element) -> str:
 
 
 def _read_linked_lanes(lane: etree._Element, path: str, location: str) -> tuple[int, ...]:
-    """Return the lanes of the permanent layer that a lane is linked to."""
+    """Return the numbers of the lanes that a lane is linked to, in the permanent layer only."""
     links = [(read_lane_number(link, location), is_in_permanent_layer(link)) for link in lane.iterfind(path)]
     return tuple(number for number, permanent in links if permanent)
 
 
 def is_in_permanent_layer(element: etree._Element, *layer_attributes: str) -> bool:
-    """Whether an element belongs to the permanent layer, according to attributes of these names."""
+    """Whether an element belongs to the permanent layer, the default of the layer attributes (by default ``layer``)."""
     return all(element.get(name, PERMANENT_LAYER) == PERMANENT_LAYER for name in layer_attributes or ("layer",))
 
 
 def read_lane_number(element: etree._Element, location: str, attribute: str = "id") -> int:
-    """Read the number of a lane; raises `InputError` if it is no integer or too large."""
+    """Read the number of a lane; raises `InputError` if it is not an integer or too large."""
     number = read_finite_number(element, attribute, location)
     if number != int(number):
         location = replace_line(location, element)
@@ -270,7 +270,7 @@ def read_lane_number(element: etree._Element, location: str, attribute: str = "i
 def read_polynomials(
     elements: Iterable[etree._Element], start_attribute: str, location: str
 ) -> tuple[CubicPolynomial, ...]:
-    """Read piecewise cubics; attribute `start_attribute` holds the start of each."""
+    """Read piecewise cubics; `start_attribute` is the attribute with the start of each piece."""
     cubics: list[CubicPolynomial] = []
     elements = list(elements)
     for e in elements:

@@ -24,7 +24,7 @@ _CELLS_PER_ROW: Final = 1 << 31
 
 
 class LaneDistanceIndex:
-    """Computes distances from the nearest of all lanes."""
+    """Computes the distance of points from the nearest of all lanes."""
 
     def __init__(self, roads: Sequence[Road]) -> None:
         samples = np.concatenate([_sample_lanes(road) for road in roads])
@@ -34,7 +34,10 @@ class LaneDistanceIndex:
         self._cells = np.unique(np.concatenate(around))
 
     def distances(self, x: FloatArray, y: FloatArray) -> FloatArray:
-        """Return distances in m, shape (N,); 0 for points closer than `NEAR_DISTANCE`, and for NaN."""
+        """Return the distance of each point from the nearest lane in m, shape (N,).
+
+        It is 0 for points closer than `NEAR_DISTANCE`, and for NaN.
+        """
         result = np.zeros(len(x))
         finite = np.flatnonzero(np.isfinite(x + y))
         points = np.stack([x[finite], y[finite]], axis=1)

@@ -24,7 +24,7 @@ _EQUAL_TURN_TOLERANCE: Final = 1e-6
 
 
 class DirectedLane(NamedTuple):
-    """A lane of one lane section, travelled along the road's s or against it."""
+    """A lane of one lane section, with a direction of travel: `forward` is along the road's s."""
 
     road: int
     section: int
@@ -37,9 +37,10 @@ class DirectedLane(NamedTuple):
 
 
 class LaneWalk(NamedTuple):
-    """Consecutive directed lanes.
+    """A sequence of directed lanes.
 
-    `goals_passed` is the number of goals passed at the end of each; `is_dead_end` is whether the last one is one.
+    `goals_passed` has the number of goals passed at the end of each lane. `is_dead_end` says whether no lane follows
+    the last one.
     """
 
     stretches: list[DirectedLane]
@@ -48,9 +49,9 @@ class LaneWalk(NamedTuple):
 
 
 class LaneGraph:
-    """Lanes of a road network, and how they are connected.
+    """Lanes of a road network, and their connections.
 
-    `connections` are those of each junction; `road_indices` maps road ids to indices.
+    `connections` has the connections of each junction. `road_indices` maps road ids to indices.
     """
 
     def __init__(
@@ -63,10 +64,10 @@ class LaneGraph:
         self.road_graph = RoadGraph(roads, connections, road_indices)
 
     def follow_lanes(self, start: DirectedLane, goals: Sequence[int], max_length: float) -> LaneWalk:
-        """Follow lanes from a start through the goals if they are reachable, else as straight on as possible.
+        """Follow lanes from `start` through the goals, or as straight on as possible if the goals cannot be reached.
 
-        `goals` are roads in the order to pass them; the first may be that of the start. The walk is cut `max_length` m
-        after the first lane.
+        `goals` are roads, in the order in which to pass them; the first may be the road of `start`. The walk ends about
+        `max_length` m after the first lane.
         """
         behind = int(bool(goals) and goals[0] == start.road)
         stretches, passed, length, seen = [start], [behind], 0.0, {start}
@@ -104,7 +105,7 @@ class LaneGraph:
         return self._roads[lane.road].section_interval(lane.section)
 
     def lane_center_path(self, lane: DirectedLane, goals_passed: int = 0) -> LanePath:
-        """Return the center line in the direction of travel; `goals_passed` is the number of goals passed."""
+        """Return the center line of a lane in the direction of travel; `goals_passed` is stored in the path."""
         road = self._roads[lane.road]
         start, end = self.s_interval(lane)
         s = np.linspace(start, end, max(2, int(np.ceil((end - start) / SAMPLE_DISTANCE)) + 1))
@@ -131,7 +132,7 @@ class LaneGraph:
         return replace(path, lane_s=(begin, until), lane_span=(0.0, float(path.distance[-1])))
 
     def find_exits(self, lane: DirectedLane) -> list[DirectedLane]:
-        """Return the directed lanes that follow one; none if it ends."""
+        """Return the directed lanes that continue a directed lane; none if it is a dead end."""
         following = []
         for option in self._linked_lanes(lane):
             meets = self._gap_beyond_widths(lane, option) <= 0.0
@@ -146,21 +147,24 @@ class LaneGraph:
 
     @cached_property
     def loose_links(self) -> dict[tuple[int, int], float]:
-        """Distance in m of lane ends of loosely linked roads, by pair of road indices; filled by `find_exits`."""
+        """Linked roads with a small gap between them: the largest gap in m by pair of road indices.
+
+        Filled by `find_exits`.
+        """
         return {}
 
     @cached_property
     def unconnected_links(self) -> dict[tuple[int, int], float]:
-        """Distance in m of lane ends of roads that do not meet, by pair of road indices; filled by `find_exits`."""
+        """Linked roads that do not meet: the largest gap in m by pair of road indices; filled by `find_exits`."""
         return {}
 
     def _connects_road_ends(self, lane: DirectedLane, option: DirectedLane) -> bool:
-        """Whether a transition leads from an end of a road to an end of another one."""
+        """Whether a transition between lanes leads from an end of one road to an end of another road."""
         ends = [(self._end_s(lane), self._roads[lane.road]), (self._start_s(option), self._roads[option.road])]
         return lane.road != option.road and all(s in (0.0, road.length) for s, road in ends)
 
     def _linked_lanes(self, lane: DirectedLane) -> list[DirectedLane]:
-        """Return the directed lanes that are linked to the end of one, whether they meet or not."""
+        """Return the directed lanes that are linked to the end of a directed lane, even if they do not meet it."""
         road = self._roads[lane.road]
         section_lane = road.sections[lane.section][1].get(lane.lane)
         linked = (
@@ -199,7 +203,7 @@ class LaneGraph:
         return list(dict.fromkeys(options))
 
     def _connecting_lanes(self, road_id: str, contact_point: str, lane: int) -> list[DirectedLane]:
-        """Return the lanes of a connecting road that are linked to a lane at one of its ends."""
+        """Return the lanes of a connecting road that are linked to a lane at one end of the connecting road."""
         road = self._roads[self._road_indices[road_id]]
         lanes = road.sections[0 if contact_point == "start" else -1][1]
         return [
@@ -210,7 +214,7 @@ class LaneGraph:
         ]
 
     def _enter_linked_road(self, link: RoadLink, lanes: Sequence[int], forward: bool) -> list[DirectedLane]:
-        """Return lanes of a linked road, and the direction of travel on it.
+        """Return the given lanes of a linked road, with the direction of travel on it.
 
         `forward` is the direction of travel on the road that has the link.
         """
@@ -236,7 +240,7 @@ class LaneGraph:
         return max(distance - wide - MAX_GAP, 0.0)
 
     def _end_distance_and_width(self, lane: DirectedLane, option: DirectedLane) -> tuple[float, float]:
-        """Return the distance in m from the end of a lane to another's start, and half their summed width."""
+        """Return the distance in m from the end of a lane to the start of the next, and their mean width in m."""
         key = lane, option
         if key not in self._end_distances:
             ends = []
@@ -259,7 +263,7 @@ class LaneGraph:
         return self.s_interval(lane)[1 if lane.forward else 0]
 
     def _heading_change(self, lane: DirectedLane, option: DirectedLane) -> float:
-        """Return the change of heading from the end of a lane to the far end of the next road, in rad."""
+        """Return the change of heading in rad from the end of a lane to the far end of the next road."""
         road = self._roads[option.road]
         far_end = road.length if option.forward else 0.0
         heading = self._roads[lane.road].reference_pose(np.array([self._end_s(lane)]))[2][0] + (

@@ -1,4 +1,4 @@
-"""Sampled path along the lanes of several roads."""
+"""Path along the lanes of several roads, sampled at equal distances."""
 
 from __future__ import annotations
 
@@ -28,14 +28,18 @@ KINK_ANGLE: Final = 0.1
 
 @dataclass(frozen=True, eq=False)
 class LanePath:
-    """A path sampled at equal distances, shape (P,); in m, rad and 1/m.
+    """A path along lanes, sampled at equal distances: arrays of shape (P,) in m, rad and 1/m.
 
-    `s`, `road`, `lane` and `forward` (whether along the road's s) locate samples on roads; `goals_passed` counts goals.
-    `reference_distance` is measured along the reference lines, `center_offset` to the left of them. Their curvature,
-    positive to the left, is given at K distances along them, piecewise linear with jumps at equal distances. `lane_s`,
-    `lane_span` and `lane_reference_distance` are start and end of the requested lane by s and by distance along the
-    path, and the distance along the reference lines of its start. Without `has_pending_stop` or `has_start` the path
-    was cut there. At `jumps`, distances along the reference lines, it jumps sideways.
+    `s`, `road`, `lane` and `forward` (along the road's s) are the road coordinates of the samples. `goals_passed` is
+    the number of goals of the route that were passed. `reference_distance` is the distance along the reference lines,
+    and `center_offset` the offset to the left of them. `reference_curvature` (K,) is the curvature of the reference
+    lines, positive to the left, at the distances `curvature_distance` (K,) along them; it is piecewise linear, and
+    jumps where a distance is repeated.
+
+    The path contains the lane that was requested: `lane_s` has its start and end as s, `lane_span` as distances along
+    the path, and `lane_reference_distance` its start along the reference lines. If `has_start` or `has_end` is False,
+    the lanes go on where the path begins or ends. At `jumps`, distances along the reference lines, the path jumps
+    sideways.
     """
 
     distance: FloatArray
@@ -61,7 +65,7 @@ class LanePath:
 
     @cached_property
     def arrays(self) -> tuple[npt.NDArray[Any], ...]:
-        """Its arrays, shape (P,) or (K,), in the order of the attributes, for kernels."""
+        """The arrays of the path for kernels, shape (P,) or (K,), in the order of the attributes."""
         names = [field.name for field in fields(self) if field.default is MISSING]
         return tuple(np.ascontiguousarray(getattr(self, name)) for name in names)
 
@@ -72,7 +76,7 @@ class LanePath:
 
     @cached_property
     def max_chord(self) -> float:
-        """Largest distance of consecutive samples in m, slightly above 0 at least."""
+        """Largest distance between consecutive samples in m, always above 0."""
         return max(float(np.hypot(np.diff(self.x), np.diff(self.y)).max()), 1e-9)
 
     @classmethod
@@ -91,9 +95,9 @@ class LanePath:
         reference_curvature: FloatArray,
         is_after_jump: BoolArray | None = None,
     ) -> LanePath:
-        """Create a path through points that are close together, shape (Q,); the attributes explain the arrays.
+        """Create a path through Q points that are close together; arrays as in the attributes, shape (Q,).
 
-        `is_after_jump` marks points right after a sideways jump; the jump itself has no length.
+        `is_after_jump` marks the first point after each sideways jump. A jump does not count as distance.
         """
         keep = np.concatenate([[True], np.hypot(np.diff(x), np.diff(y)) > 1e-6])
         is_after_jump = np.zeros(len(x), dtype=np.bool_) if is_after_jump is None else is_after_jump
@@ -134,9 +138,10 @@ class LanePath:
         )
 
     def with_jump_headings(self, jumps: Sequence[float], heading: FloatArray) -> LanePath:
-        """Return the path with the `heading` of the lanes near jumps, where points would give that of the jump.
+        """Return the path with corrected headings near sideways jumps.
 
-        `jumps` are distances along the reference lines in m, `heading` has shape (P,).
+        Samples near a jump have the direction of the jump; `heading`, shape (P,), has the headings of the lanes, which
+        replace it there. `jumps` are distances along the reference lines in m.
         """
         if not jumps:
             return self
@@ -146,18 +151,21 @@ class LanePath:
         return replace(self, heading=headings, curvature=curvature, jumps=tuple(jumps))
 
     def sample_index(self, distance: FloatArray) -> IntArray:
-        """Return the index of the last sample up to each distance in m, shape (N,); clipped."""
+        """Return the index of the last sample before or at each distance in m, shape (N,); always a valid index."""
         return np.clip(np.searchsorted(self.distance, distance, "right") - 1, 0, self.x.size - 1)
 
     def distance_of_s(self, s: FloatArray) -> FloatArray:
-        """Return the distances along the path of coordinates s on the requested lane, in m, shape (N,); clipped."""
+        """Return the distance along the path for each s on the requested lane, in m, shape (N,).
+
+        Clipped to the lane.
+        """
         low, high = sorted(self.lane_s)
         target = self.lane_reference_distance + np.abs(np.clip(s, low, high) - self.lane_s[0])
         # Between lanes that do not quite meet, the distance along the reference lines is constant.
         return np.clip(np.interp(target, self.reference_distance, self.distance), *self.lane_span)
 
     def advance_along_reference(self, distance: FloatArray, reference_step: FloatArray) -> FloatArray:
-        """Return positions further along the reference lines, as distances along the path; m, shape (N,)."""
+        """Return the distances along the path after steps along the reference lines, in m, shape (N,)."""
         along = np.interp(distance, self.distance, self.reference_distance)
         return np.interp(along + reference_step, self.reference_distance, self.distance)
 
@@ -165,7 +173,7 @@ class LanePath:
 def _distances_along_line(
     x: FloatArray, y: FloatArray, reference_distance: FloatArray, is_after_jump: BoolArray
 ) -> FloatArray:
-    """Return distances along the line through points, in which jumps have no length, shape (Q,) in m."""
+    """Return the distance of each point along a line, shape (Q,), in m; jumps do not count."""
     lengths = np.hypot(np.diff(x), np.diff(y))
     if is_after_jump.any():
         reference_steps = np.diff(reference_distance)
@@ -180,7 +188,7 @@ def _distances_along_line(
 
 
 def find_first_after_jumps(reference_distance: FloatArray, jumps: Sequence[float]) -> BoolArray:
-    """Return which points are the first after a jump, from distances along the reference lines, shape (Q,)."""
+    """Return which points are the first after a jump, shape (Q,); `jumps` are distances along the reference lines."""
     jumped = np.zeros(len(reference_distance), dtype=np.bool_)
     behind = np.searchsorted(reference_distance, np.asarray(jumps))
     jumped[behind[behind < len(reference_distance)]] = True
@@ -194,7 +202,7 @@ def _heading_and_curvature(x: FloatArray, y: FloatArray, distance: FloatArray) -
 
 
 def _arc_offset_from_chord(curvature: FloatArray, fraction: FloatArray, chord_length: FloatArray | float) -> FloatArray:
-    """Return how far to the right of its chord an arc is, in m; 0 at kinks."""
+    """Return the distance in m between an arc and its chord, positive to the right of the chord; 0 at corners."""
     return np.where(
         np.abs(curvature) * chord_length < KINK_ANGLE,
         0.5 * curvature * fraction * (1.0 - fraction) * chord_length**2,
@@ -203,7 +211,7 @@ def _arc_offset_from_chord(curvature: FloatArray, fraction: FloatArray, chord_le
 
 
 def join_paths(pieces: Sequence[LanePath], requested: int = 0) -> LanePath:
-    """Join pieces, each of which starts where the one before ends; `requested` is the piece of the requested lane."""
+    """Join consecutive paths to one path; `requested` is the index of the piece that is the requested lane."""
     offsets = np.cumsum([0.0, *(piece.reference_distance[-1] for piece in pieces[:-1])])
     requested_piece = pieces[requested]
     pieces = [

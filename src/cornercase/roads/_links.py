@@ -21,9 +21,10 @@ _LINK_RULE: Final = "a link names a road, a junction or a lane of the file"
 def resolve_links(
     roads: Sequence[Road], elements: Mapping[str, etree._Element], junctions: set[str]
 ) -> tuple[Road, ...]:
-    """Return the roads with completed links, and without those that lead to nothing.
+    """Return the roads with complete links; links that lead to nothing are removed.
 
-    `elements` has the XML elements of all roads by id, including excluded ones; `junctions` their ids.
+    `elements` has the XML elements of all roads by id, including excluded roads. `junctions` has the ids of the
+    junctions.
     """
     by_name = {road.road_id: road for road in roads}
     resolved = []
@@ -71,7 +72,7 @@ def _nearer_end(road: Road, end: str, other: Road) -> str:
 
 
 def _record_missing_lanes(roads: Mapping[str, Road], elements: Mapping[str, etree._Element]) -> None:
-    """Record lanes that are linked to lanes that do not exist."""
+    """Note on the file which lanes are linked to lanes that do not exist."""
     for name, road in roads.items():
         lost = set(_links_to_missing_lanes(road, roads))
         if not lost:
@@ -89,7 +90,7 @@ def _record_missing_lanes(roads: Mapping[str, Road], elements: Mapping[str, etre
 
 
 def _links_to_missing_lanes(road: Road, roads: Mapping[str, Road]) -> Iterator[tuple[float, str, str, str]]:
-    """Yield links to lanes that do not exist: start of the section, lane, end, linked lane."""
+    """Yield each link to a lane that does not exist: start of the section, lane, end of the lane, linked lane."""
     last_index = len(road.sections) - 1
     for k, (start, lanes) in enumerate(road.sections):
         ahead = road.sections[k + 1][1] if k < last_index else _lanes_of_linked_end(road.successor, roads)
@@ -106,7 +107,7 @@ def _links_to_missing_lanes(road: Road, roads: Mapping[str, Road]) -> Iterator[t
 
 
 def _lanes_of_linked_end(link: RoadLink | None, roads: Mapping[str, Road]) -> Mapping[int, object] | None:
-    """Return the lanes at the end of a linked road; None if the link does not determine them."""
+    """Return the lanes at the end of a linked road; None if the link leads elsewhere, as to a junction."""
     if link is None or link.target_type != "road" or link.s is not None:
         return None
     return roads[link.target_id].sections[-1 if link.contact_point == "end" else 0][1]
@@ -115,7 +116,7 @@ def _lanes_of_linked_end(link: RoadLink | None, roads: Mapping[str, Road]) -> Ma
 def read_junction_connections(
     junction: etree._Element, location: str, roads: Mapping[str, Road], elements: Mapping[str, etree._Element]
 ) -> tuple[JunctionConnection, ...]:
-    """Read the connections of a junction, except those of roads that do not exist."""
+    """Read the connections of a junction; connections with roads that do not exist are left out."""
     connections = []
     for e in junction.iterfind("connection"):
         links = {

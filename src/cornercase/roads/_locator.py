@@ -31,7 +31,10 @@ _MAX_COORDINATE: Final = 1e12
 
 
 class LaneCoordinates(NamedTuple):
-    """Road index, lane, s, and offset to the left of the lane's center (seen along s) in m, of N points."""
+    """Positions of N points on roads: road index, lane number, s, and offset from the lane's center.
+
+    s and offset are in m. The offset is positive to the left, seen along s.
+    """
 
     road: IntArray
     lane: IntArray
@@ -40,7 +43,7 @@ class LaneCoordinates(NamedTuple):
 
 
 class _LaneSamples(NamedTuple):
-    """Samples of the center lines of all lanes; `spacing` is their largest distance in m."""
+    """Samples of the center lines of all lanes; `spacing` is the largest distance in m between consecutive samples."""
 
     point_index: NearestPointIndex
     points: FloatArray
@@ -65,7 +68,7 @@ class RoadLocator:
     def locate(self, x: FloatArray, y: FloatArray) -> LaneCoordinates:
         """Return the positions of points on the roads; x and y in m, shape (N,).
 
-        A lane that contains the point is preferred to a nearer one, and a drivable lane to others.
+        A lane that contains a point is preferred to lanes nearby. Among these, drivable lanes are preferred.
         """
         if not (len(x) and (x == x[0]).all() and (y == y[0]).all()):
             return self._search(x, y)
@@ -103,7 +106,7 @@ class RoadLocator:
     def track_road(
         self, last_road: IntArray, last_s: FloatArray, x: FloatArray, y: FloatArray, heading: FloatArray
     ) -> tuple[IntArray, FloatArray]:
-        """Track the road of moving points, as `RoadNetwork.track_road`."""
+        """Track the road of moving points; see `RoadNetwork.track_road`."""
         road, s = last_road.copy(), last_s.copy()
         lost = ~self._is_on_road(last_road, x, y, s, 1, OFF_ROAD_TOLERANCE)
         if lost.any():
@@ -117,7 +120,7 @@ class RoadLocator:
         return road, s
 
     def _find_road(self, x: FloatArray, y: FloatArray, heading: FloatArray) -> tuple[IntArray, FloatArray]:
-        """Return road and s of points whose last position is unknown."""
+        """Return road and s of points whose previous road is unknown."""
         located = self.locate(x, y)
         road, s = located.road, located.s
         best_turn = np.full(len(x), np.inf)
@@ -135,7 +138,7 @@ class RoadLocator:
     def _is_on_road(
         self, road: IntArray, x: FloatArray, y: FloatArray, s: FloatArray, n_projections: int, tolerance: float
     ) -> BoolArray:
-        """Return whether points are on given roads, and update their s in place; `s` is a first guess."""
+        """Return whether points are on given roads; `s` is a first guess, and is updated in place."""
         inside = np.zeros(len(x), dtype=np.bool_)
         for r in np.unique(road[(road >= 0) & np.isfinite(x)]):
             rows = np.flatnonzero((road == r) & np.isfinite(x))
@@ -200,7 +203,7 @@ class RoadLocator:
 
 @kernel(interpreted_seconds=lambda points, samples, candidates: 3e-6 * candidates.size, error_model="numpy")
 def _distances_to_samples(points, samples, candidates):
-    """Return the distances in m from points to the nearby samples."""
+    """Return the distances in m from points to their candidate samples."""
     gap = np.empty(candidates.shape)
     for i in range(candidates.shape[0]):
         for k in range(candidates.shape[1]):
@@ -211,7 +214,7 @@ def _distances_to_samples(points, samples, candidates):
 
 @kernel(interpreted_seconds=lambda distances, *_: 2e-6 * distances.size, error_model="numpy")
 def _choose_candidate(distances, candidates, half_width, is_undrivable):
-    """Return which nearby sample is on the lane that the point belongs to; the first one if tied."""
+    """Return, for each point, the candidate sample on the lane that the point belongs to; the first one if tied."""
     best = np.zeros(candidates.shape[0], dtype=np.int64)
     for i in range(candidates.shape[0]):
         lowest = math.inf
@@ -226,7 +229,7 @@ def _choose_candidate(distances, candidates, half_width, is_undrivable):
 
 
 def _distances_to_lanes(points: FloatArray, samples: _LaneSamples, candidates: IntArray) -> FloatArray:
-    """Return the distances in m from points to lanes with widely spaced samples."""
+    """Return the distances in m from points to the lanes of their candidate samples, if samples are widely spaced."""
     dx, dy = (points[:, None, axis] - samples.points[candidates, axis] for axis in (0, 1))
     cos, sin = np.cos(samples.heading[candidates]), np.sin(samples.heading[candidates])
     beyond = np.maximum(np.abs(dx * cos + dy * sin) - samples.spacing, 0.0)

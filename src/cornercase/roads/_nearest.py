@@ -17,13 +17,16 @@ _MAX_BRUTE_FORCE_PAIRS: Final = 200_000
 
 
 class NearestPointIndex:
-    """Finds the nearest of fixed points, shape (M, 2)."""
+    """Finds the nearest neighbours of query points among M fixed points, shape (M, 2)."""
 
     def __init__(self, points: FloatArray) -> None:
         self._points = points
 
     def find_nearest(self, queries: FloatArray, count: int) -> IntArray:
-        """Return the indices of the `count` nearest points, ascending, shape (N, min(count, M))."""
+        """Return the indices of the `count` points nearest to each query, shape (N, min(count, M)).
+
+        The indices of each query are in ascending order, not in the order of distance.
+        """
         count = min(count, len(self._points))
         if len(queries) * len(self._points) > _MAX_BRUTE_FORCE_PAIRS:
             rows = np.reshape(self._tree.query(queries, k=count)[1], (len(queries), count))

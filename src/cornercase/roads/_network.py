@@ -38,8 +38,8 @@ _MAX_CONTINUATION_GAP: Final = 0.3
 class RoadNetwork:
     """All roads of an OpenDRIVE file.
 
-    `connections` are those of each junction. `excluded_roads` maps ids of unusable roads to the reason; they are
-    ignored. `first_line` is that of the first road in the file, for messages.
+    `connections` has the connections of each junction. Roads that cannot be used are ignored; `excluded_roads` maps
+    their ids to the reason. `first_line` is the line of the first road in the file, for messages.
     """
 
     path: Path
@@ -133,15 +133,15 @@ class RoadNetwork:
         return bool(self.roads[road].is_traffic_forward(lane, np.array([s]))[0])
 
     def road_to_world(self, road: int, s: FloatArray, t: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Convert road coordinates s and t in m to x, y and the heading of the reference line, shape (N,)."""
+        """Convert road coordinates s and t in m to x, y and the heading of the reference line, shape (N,) each."""
         return self.roads[road].pose_at(s, t)
 
     def lane_to_world(
         self, road: int, lane: int, s: FloatArray, offset: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Convert lane coordinates to x, y and the heading of the lane's traffic, shape (N,).
+        """Convert lane coordinates to x and y, and the heading of the lane's traffic, shape (N,) each.
 
-        `offset` is in m to the left of the lane's center, seen along s.
+        `offset` is the offset from the lane's center in m, positive to the left, seen along s.
         """
         current = self.roads[road]
         x, y, heading = current.lane_pose_at(lane, s, offset)
@@ -151,9 +151,9 @@ class RoadNetwork:
         return x, y, np.where(current.is_traffic_forward(lane, s), heading, heading + np.pi)
 
     def find_lane(self, road: int, s: FloatArray, t: FloatArray) -> tuple[IntArray, FloatArray]:
-        """Return the lane that contains road coordinates, or is nearest, and the offset from its center.
+        """Return the lane at road coordinates s and t, or the nearest lane; and the offset from its center.
 
-        Offsets are in m, positive to the left along s; all of shape (N,).
+        The offset is in m, positive to the left, seen along s. All arrays have shape (N,).
         """
         current = self.roads[road]
         lane, offset = np.zeros(len(s), dtype=np.int64), np.zeros(len(s))
@@ -171,9 +171,9 @@ class RoadNetwork:
     def locate_on_route(
         self, waypoints: list[tuple[int, int, float]], distance: FloatArray
     ) -> tuple[IntArray, FloatArray, BoolArray]:
-        """Return road, s and direction (whether along s) at distances along a route, shape (N,).
+        """Return road, s and direction (whether along s) at distances along a route, shape (N,) each.
 
-        `waypoints` are road, lane and s; `distance` is in m from the first one.
+        `waypoints` are (road, lane, s). `distance` is measured from the first waypoint, in m.
         """
         road, lane, s = waypoints[0]
         section = int(self.roads[road].section_at(np.array([s]))[0])
@@ -200,50 +200,56 @@ class RoadNetwork:
     def driving_distance(
         self, road: IntArray, s: FloatArray, forward: BoolArray, goal_road: IntArray, goal_s: FloatArray
     ) -> FloatArray:
-        """Return distances along roads from positions to goals, in m, shape (N,); lanes are ignored.
+        """Return the distances along roads from positions to goals, in m, shape (N,); lanes are ignored.
 
-        Negative if the shorter route leads back, infinite if the roads are not connected. `forward` is whether ahead
-        means along s.
+        `forward` says whether driving ahead means driving along s. The distance is negative if the shorter route leads
+        back, and infinite if the roads are not connected.
         """
         return self._lane_graph.road_graph.driving_distance(road, s, forward, goal_road, goal_s)
 
     def unconnected_links(self) -> list[tuple[str, str, float]]:
-        """Return linked roads that do not meet, and the distance of their lanes in m, so far as paths got."""
+        """Return pairs of linked roads that do not meet, and the distance of their lanes in m.
+
+        Only roads that paths have reached so far are known.
+        """
         pairs = sorted((*pair, distance) for pair, distance in self._lane_graph.unconnected_links.items())
         return [(self.roads[a].road_id, self.roads[b].road_id, distance) for a, b, distance in pairs]
 
     def loose_links(self) -> list[tuple[str, str, float]]:
-        """Return linked roads more than 0.5 m apart that paths cross, and the distance of their lane ends in m."""
+        """Return pairs of linked roads that are more than 0.5 m apart, and the distance of their lane ends in m.
+
+        Only pairs that paths have crossed so far are known.
+        """
         pairs = sorted((*pair, distance) for pair, distance in self._lane_graph.loose_links.items())
         return [(self.roads[a].road_id, self.roads[b].road_id, distance) for a, b, distance in pairs]
 
     def locate(self, x: FloatArray, y: FloatArray) -> LaneCoordinates:
         """Return the positions of points on the roads; x and y in m, shape (N,).
 
-        A lane that contains the point is preferred to a nearer one, and a drivable lane to others.
+        A lane that contains a point is preferred to lanes nearby. Among these, drivable lanes are preferred.
         """
         return self._locator.locate(x, y)
 
     def track_road(
         self, last_road: IntArray, last_s: FloatArray, x: FloatArray, y: FloatArray, heading: FloatArray
     ) -> tuple[IntArray, FloatArray]:
-        """Return road and s of moving points, given those of a moment ago (`last_road` is -1 if unknown), shape (N,).
+        """Return road and s of moving points, shape (N,) each, given their previous road and s.
 
-        Where roads overlap, as in a junction, a point stays on its road as long as it can, and then changes to the road
-        whose direction is most similar to its heading.
+        `last_road` is -1 if the previous road is unknown. Where roads overlap, as in a junction, a point stays on its
+        road as long as possible. Then it changes to the road whose direction is most similar to its heading.
         """
         return self._locator.track_road(last_road, last_s, x, y, heading)
 
     @cached_property
     def road_tables(self) -> RoadTables:
-        """Tables of the roads for compiled code."""
+        """The roads as arrays for kernels."""
         # Imported here, so that the compiler is loaded only if needed.
         from cornercase.roads._kernels.heading import build_road_tables
 
         return build_road_tables(self.roads)
 
     def distance_from_lanes(self, x: FloatArray, y: FloatArray) -> FloatArray:
-        """Return distances from the nearest lane in m, shape (N,); 0 up to 10 m."""
+        """Return the distances from the nearest lane in m, shape (N,); distances below 10 m are returned as 0."""
         return self._lane_distance_index.distances(x, y)
 
     @cached_property
@@ -263,10 +269,11 @@ class RoadNetwork:
     def lane_path_from(
         self, road: int, lane: int, s: float, forward: bool, waypoints: tuple[tuple[int, int, float], ...] = ()
     ) -> LanePath | None:
-        """Return the path along a lane and those that follow and precede it; None if there is no such lane.
+        """Return the path along a lane, and the lanes before and after it; None if there is no such lane.
 
-        `s` is where the lane has this number, `forward` whether the path runs along the road's s. `waypoints` (road,
-        lane, s) choose the exits of junctions; beyond them the path goes as straight on as possible.
+        `s` is a position at which the lane exists. `forward` says whether the path runs along the road's s. The
+        `waypoints` (road, lane, s) determine the exits from junctions. After the last waypoint the path goes as
+        straight on as possible.
         """
         current = self.roads[road]
         section = int(current.section_at(np.array([s]))[0])
@@ -303,7 +310,7 @@ class RoadNetwork:
 
 
 def _link_positions(root: etree._Element, path: Path) -> dict[str, list[float]]:
-    """Return the positions in m at which roads start or end along others, by id of the latter."""
+    """Return, by road id, the positions in m along this road at which other roads start or end."""
     positions: dict[str, list[float]] = {}
     for road in root.iterfind("road"):
         for link in (*road.iterfind("link/predecessor"), *road.iterfind("link/successor")):

@@ -1,4 +1,4 @@
-"""Outlines of roads for drawings: areas of lanes, and lines between them."""
+"""Outlines of roads for drawings: lane areas, and the lines between lanes."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ Region = tuple[float, float, float, float]
 
 
 class RoadOutline(NamedTuple):
-    """Areas and lines to draw, each a kind and points of shape (P, 2) in m.
+    """Areas and lines to draw; each has a kind, and points of shape (P, 2) in m.
 
-    Areas are ``"road"`` for vehicles, ``"walk"`` for pedestrians and ``"verge"`` for the rest; they overlap, as in
-    junctions. Lines separate lanes for vehicles: ``"lane"`` if both have the same direction, else ``"centre"``;
-    junctions have none.
+    The kinds of areas are ``"road"`` for vehicles, ``"walk"`` for pedestrians and ``"verge"`` for the rest. Areas may
+    overlap, for example in junctions. Lines separate lanes for vehicles: ``"lane"`` if both lanes have the same
+    direction, else ``"centre"``. There are no lines in junctions.
     """
 
     areas: list[tuple[str, FloatArray]]
@@ -43,7 +43,7 @@ class RoadOutline(NamedTuple):
 
 
 def outline_roads(network: RoadNetwork, region: Region) -> RoadOutline:
-    """Return areas and lines of the roads in a region; chords are at most 5 cm away from the lane borders."""
+    """Return areas and lines of the roads in a region; they are polylines within 5 cm of the lane borders."""
     outline = RoadOutline([], [])
     for road in _roads_near(network, region):
         for section in range(len(road.sections)):
@@ -53,7 +53,7 @@ def outline_roads(network: RoadNetwork, region: Region) -> RoadOutline:
 
 
 def _roads_near(network: RoadNetwork, region: Region) -> Iterator[Road]:
-    """Yield roads that may reach into the region: their geometries are in discs with their length as radius."""
+    """Yield the roads that may reach into the region, judged by discs around their geometries."""
     pieces = [
         (k, geometry.x, geometry.y, geometry.length)
         for k, road in enumerate(network.roads)
@@ -66,14 +66,14 @@ def _roads_near(network: RoadNetwork, region: Region) -> Iterator[Road]:
 
 
 def _distance_from_region(x: FloatArray, y: FloatArray, region: Region) -> FloatArray:
-    """Return the distance of points from a region in m, 0 inside."""
+    """Return the distance of points from a region in m; 0 inside."""
     left, bottom, right, top = region
     across = np.maximum(np.maximum(left - x, x - right), 0.0)
     return np.asarray(np.hypot(across, np.maximum(np.maximum(bottom - y, y - top), 0.0)))
 
 
 def _sample_section_in_region(road: Road, section: int, region: Region) -> Iterator[FloatArray]:
-    """Yield s coordinates of each part of a section in the region, as dense as its curvature requires."""
+    """Yield the s coordinates of samples for each part of a lane section in the region, closer together in bends."""
     start, end = road.section_interval(section)
     if end <= start:
         return
@@ -89,7 +89,7 @@ def _sample_section_in_region(road: Road, section: int, region: Region) -> Itera
 
 
 def _true_runs(mask: BoolArray) -> Iterator[tuple[int, int]]:
-    """Yield the start and end (exclusive) of each run of true values."""
+    """Yield start and end (exclusive) of each run of True in a mask."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
     yield from zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
 
@@ -149,7 +149,7 @@ def _area_kind(kind: str, drivable: bool) -> str:
 
 
 def _simplify_line(points: FloatArray) -> FloatArray:
-    """Simplify a line so that no point is lost by more than `_MAX_DEVIATION` (Douglas and Peucker)."""
+    """Remove points of a line (Douglas-Peucker); removed points are at most `_MAX_DEVIATION` away from the rest."""
     keep = np.zeros(len(points), dtype=np.bool_)
     keep[[0, -1]] = True
     pending = [(0, len(points) - 1)]

@@ -1,4 +1,4 @@
-"""Reference lines of roads: the geometries of OpenDRIVE's plan view."""
+"""Reference lines of roads: the geometries of the plan view in OpenDRIVE."""
 
 from __future__ import annotations
 
@@ -34,12 +34,13 @@ _MIN_DERIVATIVE: Final = 1e-9
 
 @dataclass(frozen=True)
 class ReferenceGeometry:
-    """One geometry of a reference line: start and length in m and rad, kind (name of its element) and numbers.
+    """A geometry of a reference line: start and length in m and rad, kind (element name), and shape parameters.
 
-    `shape_parameters` are the curvature (arc), curvatures at both ends (spiral), coefficients (poly3), or largest
-    parameter followed by coefficients (paramPoly3). The parameter of a ``paramPoly3`` is not proportional to the
-    distance, which is measured along the curve. If the curve length differs from `length`, the curve is stretched to
-    that. Beyond its ends it goes straight on.
+    `shape_parameters` are the curvature of an arc, the curvatures at both ends of a spiral, or the coefficients of a
+    poly3. For a paramPoly3 they are the largest parameter, followed by the coefficients.
+
+    The parameter of a ``paramPoly3`` is not proportional to the distance, which is measured along the curve. If the
+    length of the curve differs from `length`, the curve is stretched. Beyond its ends the line goes straight on.
     """
 
     s: float
@@ -51,7 +52,7 @@ class ReferenceGeometry:
     shape_parameters: tuple[float, ...] = ()
 
     def pose_at(self, distance: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return x, y and heading at distances from the start, shape (N,) each."""
+        """Return x, y and heading at distances in m from the start, shape (N,) each."""
         u, v, turn = self._local_pose(distance)
         cos, sin = np.cos(self.heading), np.sin(self.heading)
         return self.x + cos * u - sin * v, self.y + sin * u + cos * v, self.heading + turn
@@ -90,7 +91,7 @@ class ReferenceGeometry:
         return u + beyond * np.cos(turn), v + beyond * np.sin(turn), turn
 
     def curve_parameter(self, distance: FloatArray) -> FloatArray:
-        """Return the parameter of a ``paramPoly3`` at distances from its start, (N,); constant beyond its ends."""
+        """Return the parameter of a ``paramPoly3`` at distances from its start, shape (N,); clipped at its ends."""
         value, slope = self.parameter_table
         step = self.length / (len(value) - 1)
         position = np.clip(distance, 0.0, self.length) / step
@@ -102,7 +103,7 @@ class ReferenceGeometry:
 
     @cached_property
     def parameter_table(self) -> tuple[FloatArray, FloatArray]:
-        """Parameter of a ``paramPoly3`` at equal distances, and its derivative by distance in 1/m."""
+        """Parameter of a ``paramPoly3`` at equal distances, and the derivative of the parameter in 1/m."""
         top, *c = self.shape_parameters
         du, dv = _derivative_coefficients(c[:4]), _derivative_coefficients(c[4:])
         steps = int(np.clip(np.ceil(self.length / _TABLE_STEP), *_TABLE_SIZE_LIMITS))
@@ -147,7 +148,7 @@ def read_geometry(
 ) -> ReferenceGeometry:
     """Read a ``geometry``; `location` names file and road.
 
-    The defaults are used if its start in m, or its end as written in the file, is not given.
+    `default_start` (in m) replaces a missing start. `default_end`, as written in the file, determines a missing length.
     """
     s = read_finite_number(element, "s", location, default_start)
     x, y, heading = (read_finite_number(element, name, location, 0.0) for name in ("x", "y", "hdg"))
@@ -202,14 +203,14 @@ def _spiral_pose(
 
 
 def is_nearly_arc(start_curvature: float, end_curvature: float, length: float) -> bool:
-    """Whether the curvature of a spiral is so constant that it is treated as an arc."""
+    """Whether the curvature of a spiral is so constant that the spiral is treated as an arc."""
     return abs((end_curvature - start_curvature) / length) * length**2 < _MAX_ARC_DEVIATION
 
 
 def read_enumeration(
     element: etree._Element, attribute: str, allowed: Sequence[str], default: str, location: str
 ) -> str:
-    """Read an attribute that is one of a few words, ignoring case."""
+    """Read an attribute with a fixed set of allowed values, ignoring case."""
     text = element.get(attribute)
     if not text:
         return default
@@ -222,7 +223,7 @@ def read_enumeration(
 
 
 def match_enumeration(element: etree._Element, attribute: str, allowed: Sequence[str]) -> str | None:
-    """Return which of some words an attribute is, ignoring case and spaces; None if none."""
+    """Return the allowed value that an attribute matches, ignoring case and spaces; None if it matches none."""
     text, tag = element.get(attribute, ""), tag_without_namespace(element)
     match = next((word for word in allowed if word.lower() == text.strip().lower()), None)
     if match is not None and match != text:
@@ -236,7 +237,7 @@ def match_enumeration(element: etree._Element, attribute: str, allowed: Sequence
 
 
 def _positive_difference(end: str | None, start: float) -> float | None:
-    """Return the distance from a start to an end given as text; None if it is not positive."""
+    """Return the distance from a start to an end (a text); None if it is not positive."""
     try:
         return max(parse_number(end or "") - start, 0.0) or None
     except ValueError:
@@ -244,7 +245,7 @@ def _positive_difference(end: str | None, start: float) -> float | None:
 
 
 def record_wrong_order(elements: Sequence[etree._Element], starts: Sequence[float]) -> None:
-    """Record which elements start before their predecessor in the file; `starts` in m."""
+    """Note on each element that starts before the previous one in the file; `starts` are in m."""
     for element, start, previous in zip(elements[1:], starts[1:], starts[:-1], strict=True):
         if start < previous:
             tag = tag_without_namespace(element)
@@ -261,7 +262,7 @@ def _derivative_coefficients(coefficients: tuple[float, ...] | list[float]) -> l
 
 
 def read_finite_number(element: etree._Element, attribute: str, location: str, default: float | None = None) -> float:
-    """Read a finite number; the use of `default` is recorded. `location` names file and road."""
+    """Read a finite number, or use `default` and note that; `location` names file and road."""
     text = element.get(attribute)
     if default is not None and not (text or "").strip():
         tag = tag_without_namespace(element)

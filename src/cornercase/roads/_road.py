@@ -1,4 +1,4 @@
-"""One road of an OpenDRIVE file: reference line, lanes and links."""
+"""A road of an OpenDRIVE file: reference line, lanes and links."""
 
 from __future__ import annotations
 
@@ -43,10 +43,11 @@ _MAX_LATERAL_SLOPE: Final = 10.0
 
 @dataclass(frozen=True)
 class RoadLink:
-    """What a road is linked to at one end: another road's ``start`` or ``end``, a position along it, or a junction.
+    """Link at one end of a road: to the ``start`` or ``end`` of another road, to a position along it, or to a junction.
 
-    `target_type` is ``"road"``, ``"junction"`` or empty until it is resolved. `s` is the position along a road in m,
-    where `forward` tells whether one continues along its s when coming along the s of the road that has the link.
+    `target_type` is ``"road"``, ``"junction"``, or empty if it is not known yet. `s` is the position along the other
+    road in m, if any. `forward` says how a drive along the s of this road continues there: along the other road's s, or
+    against it.
     """
 
     target_type: str
@@ -58,7 +59,7 @@ class RoadLink:
 
 @dataclass(frozen=True)
 class Road:
-    """A road; all in m and rad."""
+    """A road; all lengths in m, angles in rad."""
 
     road_id: str
     length: float
@@ -85,9 +86,9 @@ class Road:
         return bend
 
     def sample_curvature(self, start: float, end: float, step: float) -> tuple[FloatArray, FloatArray]:
-        """Return s coordinates and curvatures, shape (K,), that are piecewise linear with jumps.
+        """Return s coordinates and curvatures, shape (K,), that define the curvature by linear interpolation.
 
-        For polynomials, coordinates are at most `step` m apart.
+        At a jump of the curvature, an s occurs twice. On polynomials, coordinates are at most `step` m apart.
         """
         at, bend = [np.zeros(0)], [np.zeros(0)]
         for k, geometry in enumerate(self.geometries):
@@ -103,7 +104,7 @@ class Road:
 
     @cached_property
     def jumps(self) -> tuple[float, ...]:
-        """Coordinates s at which consecutive geometries do not meet, in m."""
+        """Coordinates s in m at which consecutive geometries do not meet."""
         jumps = []
         for before, after in zip(self.geometries, self.geometries[1:], strict=False):
             x, y, _ = before.pose_at(np.array([after.s - before.s]))
@@ -112,7 +113,7 @@ class Road:
         return tuple(jumps)
 
     def _geometries_at(self, s: FloatArray) -> Iterator[tuple[ReferenceGeometry, BoolArray]]:
-        """Yield geometries, and which of the coordinates are on each."""
+        """Yield each geometry with a mask of the coordinates that lie on it."""
         if len(self.geometries) == 1:
             yield self.geometries[0], np.ones(len(s), dtype=np.bool_)
             return
@@ -129,7 +130,10 @@ class Road:
     def lane_pose_at(
         self, lane: int, s: FloatArray, offset: FloatArray | float = 0.0
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return x, y and the heading of the reference line beside a lane's center, shape (N,) each."""
+        """Return x, y and heading at an offset from a lane's center, shape (N,) each.
+
+        The heading is that of the reference line.
+        """
         section, t = self.section_at(s), np.empty(len(s))
         for k in sorted(set(section.tolist())):
             t[section == k] = self.lane_center(k, lane, s[section == k])
@@ -137,7 +141,7 @@ class Road:
 
     @cached_property
     def section_bounds(self) -> FloatArray:
-        """Starts of lane sections, and the end of the last one, in m, shape (sections + 1,)."""
+        """Starts of all lane sections and the end of the last, in m, shape (number of sections + 1,)."""
         return np.array([*(start for start, _ in self.sections), self.length])
 
     def section_interval(self, section: int) -> tuple[float, float]:
@@ -212,7 +216,7 @@ class Road:
 
 
 def read_road(element: etree._Element, location: str, forced_starts: Iterable[float] = ()) -> Road:
-    """Read a <road>; `forced_starts` are positions in m at which other roads start or end along it."""
+    """Read a <road>; `forced_starts` are positions in m along it where other roads start or end."""
     geometries = _read_geometries(element, location)
     length = read_finite_number(
         element, "length", location, max(geometry.s + geometry.length for geometry in geometries)

@@ -20,7 +20,7 @@ JunctionConnection = tuple[str, str, str, dict[int, int]]
 
 
 class RoadGraph:
-    """Roads of a network, and how they are connected; see `LaneGraph`."""
+    """Connections between the roads of a network, regardless of lanes; `LaneGraph` describes the arguments."""
 
     def __init__(
         self,
@@ -35,7 +35,7 @@ class RoadGraph:
     def driving_distance(
         self, road: IntArray, s: FloatArray, forward: BoolArray, goal_road: IntArray, goal_s: FloatArray
     ) -> FloatArray:
-        """Return distances in m as `RoadNetwork.driving_distance`, shape (N,)."""
+        """Return the distances along roads in m, shape (N,); see `RoadNetwork.driving_distance`."""
         ahead = np.where(road == goal_road, np.where(forward, goal_s - s, s - goal_s), np.inf)
         back = np.full(len(s), np.inf)
         section = np.zeros(len(s), dtype=np.int64)
@@ -52,7 +52,10 @@ class RoadGraph:
         return np.where(ahead <= back, ahead, -back)
 
     def length_to_goal(self, road: int, section: int, forward: bool, goal_road: int) -> float:
-        """Return the length in m of the roads from the start of a section to a goal; infinite if unreachable."""
+        """Return the driving distance in m from the start of a lane section to a road.
+
+        Infinite if it cannot be reached.
+        """
         if road == goal_road:
             return 0.0
         start, end = self._roads[road].section_interval(section)
@@ -73,7 +76,7 @@ class RoadGraph:
         return best
 
     def _routes_to(self, road: int, section: int, forward: bool, goal_road: int) -> list[tuple[float, float, bool]]:
-        """Return routes from the end of a lane section to a road: length in m, s of arrival, whether along its s."""
+        """Return routes from the end of a lane section to a road: (length in m, s of arrival, whether along its s)."""
         key = road, section, forward, goal_road
         if key in self._routes:
             return self._routes[key]
@@ -94,7 +97,7 @@ class RoadGraph:
         return self._routes[key]
 
     def _next_roads(self, road: int, forward: bool, s: float) -> list[tuple[float, int, bool, float]]:
-        """Return the next roads: distance in m to their start, index, whether along their s, and s at their start."""
+        """Return roads that follow, as (distance in m to its start, index, whether along its s, s at its start)."""
         current, ahead = self._roads[road], 1 if forward else -1
         candidates = [
             (abs(at - s), *self._entry_at_road_end(name, contact))
@@ -123,7 +126,7 @@ class RoadGraph:
         ]
 
     def _do_roads_touch(self, road: int, s: float, other: int, other_s: float) -> bool:
-        """Whether two roads touch at given positions."""
+        """Whether two roads touch at the given positions."""
         key = road, s, other, other_s
         if key not in self._touching:
             edge, other_edge = (self._edge_points(r, at) for r, at in ((road, s), (other, other_s)))
@@ -136,7 +139,7 @@ class RoadGraph:
         return self._touching[key]
 
     def _edge_points(self, road: int, s: float) -> tuple[complex, complex]:
-        """Return the right and left edge of a road at s, as x + iy in m."""
+        """Return the points of a road's right and left edge at s, as complex numbers x + iy in m."""
         current, at = self._roads[road], np.array([s])
         x, y, _ = current.pose_at(np.repeat(at, 2), np.concatenate(current.road_edge_offsets(at)))
         return complex(x[0], y[0]), complex(x[1], y[1])
@@ -147,7 +150,7 @@ class RoadGraph:
 
     @cached_property
     def connecting_roads_at_ends(self) -> dict[tuple[str, str, str], list[tuple[str, str]]]:
-        """Connecting roads (id and touching end) of a junction, by junction, road and end of that road."""
+        """Connecting roads (id and touching end) of junctions, by (junction, road, end of the road)."""
         ends: dict[tuple[str, str, str], list[tuple[str, str]]] = {}
         for name, contact, link in self._connecting_road_links():
             if link.s is None:
@@ -157,7 +160,7 @@ class RoadGraph:
 
     @cached_property
     def connecting_roads_along(self) -> dict[tuple[str, bool], list[tuple[float, str, str]]]:
-        """Connecting roads that start or end along another road (s, id, touching end), by road and direction."""
+        """Connecting roads that start or end along another road: (s, id, touching end), by (road, whether along its s)."""
         ends: dict[tuple[str, bool], list[tuple[float, str, str]]] = {}
         for name, contact, link in self._connecting_road_links():
             if link.s is not None:

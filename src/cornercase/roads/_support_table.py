@@ -1,4 +1,4 @@
-"""Support table of OpenDRIVE: what happens with each element and attribute."""
+"""Support table of OpenDRIVE: how each element and attribute is handled."""
 
 from __future__ import annotations
 

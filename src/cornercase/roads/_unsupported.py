@@ -1,4 +1,4 @@
-"""Notices on parts of a road file that have no effect."""
+"""Notices about the parts of a road file that have no effect."""
 
 from __future__ import annotations
 
@@ -27,9 +27,10 @@ _RESERVED_LANE_TYPES: Final = ("bus", "taxi", "HOV", "tram", "rail")
 def list_unsupported(
     root: etree._Element, file: Path, network: RoadNetwork | None = None, fully_read: bool = True
 ) -> tuple[Notice, ...]:
-    """List what has no effect in a road file.
+    """List the parts of a road file that have no effect.
 
-    `network` is needed to find linked roads that do not meet. Unless `fully_read`, unused elements are not listed.
+    If `network` is given, linked roads that do not meet are reported. Unused elements are listed only if the file was
+    `fully_read`.
     """
     elements = list(root.iter())
     reserved = [
@@ -64,7 +65,7 @@ def list_unsupported(
 
 
 def _geometry_notices(elements: dict[str, etree._Element], file: Path, network: RoadNetwork) -> list[Notice]:
-    """Notices on roads that are longer than their geometry, and on lanes with negative width."""
+    """Return notices about roads that are longer than their geometry, and about lanes with negative width."""
     short, narrow = [], []
     for road in network.roads:
         first, last = road.geometries[0], road.geometries[-1]
@@ -84,7 +85,7 @@ def _geometry_notices(elements: dict[str, etree._Element], file: Path, network: 
 
 
 def _min_lane_width(road: Road, section: int) -> float:
-    """Return the smallest width of the lanes of a section by its cubics, in m."""
+    """Return the smallest width in m that the cubics of a lane section's lanes reach."""
     s = np.linspace(0.0, max(float(np.diff(road.section_bounds)[section]), 0.0), 20)
     lanes = road.sections[section][1].values()
     return min((float(evaluate_polynomials(lane.widths, s).min()) for lane in lanes), default=0.0)
@@ -110,7 +111,7 @@ def _roads_with_slope(root: etree._Element) -> list[etree._Element]:
 
 
 def _max_slope_or_value(records: list[etree._Element], length: str, slope: bool) -> float:
-    """Return the largest absolute slope (or value) of piecewise cubics on a road."""
+    """Return the largest absolute slope (or value, unless `slope`) of piecewise cubics along a road."""
     if not records:
         return 0.0
     try:

@@ -1,4 +1,4 @@
-"""Reject roads with inconsistent geometry."""
+"""Reject roads with impossible geometry."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ _MAX_LENGTH_RATIO: Final = 2.0
 def require_drivable_road(road: Road, element: etree._Element, location: str) -> None:
     """Raise `InputError` if a road cannot be driven.
 
-    That is so if its reference line has gaps, winds up or is much longer than its length, or if it or its lanes are
-    extremely far away.
+    The reference line must have no gaps and no extreme curvature, and must be about as long as its `length`. The road
+    and its lanes must not be extremely far away.
     """
     ends = [*(geometry_.s for geometry_ in road.geometries[1:]), road.length]
     for geometry, end in zip(road.geometries, ends, strict=True):
@@ -60,7 +60,7 @@ def require_drivable_road(road: Road, element: etree._Element, location: str) ->
 
 
 def _find_geometry_element(road: etree._Element, s: float) -> etree._Element:
-    """Return the <geometry> that starts at s; the road if there is none."""
+    """Return the <geometry> that starts at s; the <road> itself if there is none."""
     for geometry in find_untracked(road, "planView", "geometry"):
         if float(geometry.attrib.get("s") or "nan") == s:
             return geometry
@@ -96,7 +96,7 @@ def _require_valid_geometry(geometry: ReferenceGeometry, end: float, location: s
 
 
 def _require_bounded_cubics(cubics: tuple[CubicPolynomial, ...], length: float, subject: str) -> None:
-    """Refuse cubics that get too large between their starts."""
+    """Refuse piecewise cubics that become too large before the next piece starts."""
     ends = [*(start for start, *_ in cubics), length][1:]
     for (start, *coefficients), end in zip(cubics, ends, strict=False):
         reach = max(min(end, length) - max(start, 0.0), 0.0)

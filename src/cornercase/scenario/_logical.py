@@ -110,7 +110,8 @@ class LogicalScenario:
     file: ScenarioFile | None = field(default=None, repr=False, compare=False)
 
     def __repr__(self) -> str:
-        return f"<LogicalScenario {str(self.path)!r}: {', '.join(map(str, self.space.parameters))}>"
+        varied = ", ".join(map(str, self.space.parameters)) or "nothing is varied"
+        return f"<LogicalScenario {str(self.path)!r}: {varied}>"
 
     @cached_property
     def scenario_file(self) -> ScenarioFile:
@@ -132,7 +133,7 @@ class LogicalScenario:
         scenario : path or ScenarioFile, optional
             OpenSCENARIO file; by default the file that `space` names.
         space : path, optional
-            ParameterValueDistribution file.
+            ParameterValueDistribution file. Without it and `ranges` nothing is varied, until `vary` says what.
         ranges : sequence of str
             ``NAME=LOW:HIGH[:STEP]``; they extend the space or replace its ranges.
         continuous : bool, default False
@@ -145,7 +146,7 @@ class LogicalScenario:
         Raises
         ------
         InputError
-            A file cannot be used, no parameter is varied, or a varied parameter is not declared in the scenario.
+            A file cannot be used, or a varied parameter is not declared in the scenario.
 
         Examples
         --------
@@ -157,7 +158,7 @@ class LogicalScenario:
         """
         ranges = check_str_sequence("ranges", ranges)
         files = XmlFileCache()
-        varied = None if space is None else ParameterSpace.from_file(check_path("space", space), files)
+        varied = ParameterSpace(()) if space is None else ParameterSpace.from_file(check_path("space", space), files)
         if scenario is None:
             if space is None:
                 hint = _OWN_SIMULATOR_HINT if ranges else ""
@@ -165,12 +166,9 @@ class LogicalScenario:
                     f"There is no scenario; name an OpenSCENARIO file, or a `space` file that names one{hint}."
                 )
             scenario = ParameterSpace.read_scenario_path(space, files)
-        if ranges:
-            varied = varied.with_ranges(ranges) if varied is not None else ParameterSpace.from_ranges(ranges)
+        varied = varied.with_ranges(ranges)
         file = scenario if isinstance(scenario, ScenarioFile) else ScenarioFile.read(scenario)
         file.add_files(files)
-        if varied is None:
-            raise InputError(f"{file.path}: nothing is varied; give a `space` file, or `ranges` such as NAME=LOW:HIGH.")
         return cls._from_space(file, varied.as_continuous() if check_bool("continuous", continuous) else varied)
 
     @classmethod
@@ -210,8 +208,8 @@ class LogicalScenario:
         Examples
         --------
         >>> from cornercase import LogicalScenario
-        >>> logical = LogicalScenario.read("examples/r157/deceleration.xosc", ranges=["gap=20:40"])
-        >>> logical.vary("deceleration", 1, 6, step=0.5)
+        >>> logical = LogicalScenario.read("examples/r157/deceleration.xosc")
+        >>> logical.vary("gap", 20, 40).vary("deceleration", 1, 6, step=0.5)
         <LogicalScenario 'examples/r157/deceleration.xosc': gap 20 to 40, deceleration 1 to 6 by 0.5>
         """
         bounds = [check_float("low", low), check_float("high", high)]

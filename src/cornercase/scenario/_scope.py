@@ -204,7 +204,7 @@ class Scope(AttributeReader):
         return values
 
     def find_violations_in(self, root: etree._Element) -> dict[str, BoolArray]:
-        """Return which scenarios violate constraints of a file's parameters: a mask (N,) for each violated parameter."""
+        """Return which scenarios violate constraints of a file's parameters: a mask (N,) per violated parameter."""
         return self.find_violations(read_declarations(root, self.file_name))
 
     def find_violations(self, declarations: Sequence[ParameterDeclaration]) -> dict[str, BoolArray]:

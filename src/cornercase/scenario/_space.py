@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from html import escape
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -35,21 +35,19 @@ class ParameterSpace:
     Parameters
     ----------
     parameters : sequence of Parameter
-        At least one, with different names.
+        With different names. Without any, nothing is varied, and there is nothing to search.
     declarations : sequence of ParameterDeclaration
         Declared parameters of the scenario. The space is limited to the values that fulfil their constraints.
 
     Raises
     ------
     InputError
-        There are no parameters, or two have the same name.
+        Two parameters have the same name.
     """
 
     def __init__(self, parameters: Sequence[Parameter], declarations: Sequence[ParameterDeclaration] = ()) -> None:
         self.parameters = tuple(parameters)
         self.declarations = tuple(declarations)
-        if not self.parameters:
-            raise InputError("The parameter space is empty; vary at least one parameter.")
         for name in self.names:
             if self.names.count(name) > 1:
                 raise InputError(f"The parameter {name} is varied twice.")
@@ -78,6 +76,22 @@ class ParameterSpace:
         head = "".join(f"<th>{name}</th>" for name in ("parameter", "values", "unit", "distribution", "constraints"))
         body = "".join("<tr>" + "".join(f"<td>{escape(text)}</td>" for text in line) + "</tr>" for line in lines)
         return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+
+    def require_parameters(self) -> Self:
+        """Return the space itself.
+
+        Returns
+        -------
+        ParameterSpace
+
+        Raises
+        ------
+        InputError
+            It has no parameters.
+        """
+        if not self.parameters:
+            raise InputError("The parameter space is empty; vary at least one parameter.")
+        return self
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -119,7 +133,7 @@ class ParameterSpace:
         Raises
         ------
         InputError
-            A text is malformed, a bound is not finite, or LOW is not below HIGH.
+            There is none, a text is malformed, a bound is not finite, or LOW is not below HIGH.
 
         Examples
         --------
@@ -128,7 +142,7 @@ class ParameterSpace:
         >>> space.values([[0.5, 0.9]])
         [{'speed': 15.0, 'lanes': 3.0}]
         """
-        return cls(parse_ranges(ranges))
+        return cls(parse_ranges(ranges)).require_parameters()
 
     @classmethod
     def from_file(cls, path: Path | str, cache: XmlFileCache | None = None) -> ParameterSpace:
@@ -261,7 +275,7 @@ class ParameterSpace:
         InputError
             None of 2048 random points fulfils the constraints.
         """
-        if not any(declaration.constraint_groups for declaration in declarations):
+        if not self.parameters or not any(declaration.constraint_groups for declaration in declarations):
             return ParameterSpace(self.parameters)
         points = self._constraint_test_points()
         if not fulfils_constraints(declarations, self.values(self.snap(points)), file_name).any():
@@ -452,6 +466,11 @@ class ParameterSpace:
         Returns
         -------
         ParameterSpace
+
+        Raises
+        ------
+        InputError
+            There are no parameters, or two have the same name.
         """
         parameters = [
             Parameter(
@@ -467,7 +486,7 @@ class ParameterSpace:
             )
             for p in data["parameters"]
         ]
-        return cls(parameters, constraints.declarations_from_json(data["declarations"]))
+        return cls(parameters, constraints.declarations_from_json(data["declarations"])).require_parameters()
 
 
 def _has_discrete_distribution(parameter: Parameter) -> bool:

@@ -1,4 +1,4 @@
-"""Compiled position and heading of roads' reference lines, for one point at a time."""
+"""Compiled position and heading of the reference lines of roads, for one point at a time."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, untyped-decorator"
@@ -26,11 +26,16 @@ _N_COEFFICIENTS: Final = 8
 class RoadTables(NamedTuple):
     """Reference lines of R roads with P geometries in all, as arrays for kernels.
 
-    By road: whether kernels can compute headings (`heading_known`) and positions (`position_known`), `length` in m, and
-    the `first_geometry`. By geometry: its start in m and rad, its type, and `coefficients`: curvature at the start in
-    1/m and its rate in 1/m²; or length in m, number of tabulated steps, and coefficients of the derivatives of both
-    polynomials, highest first. `table_start` points to the table of the curve `parameter` at equal distances and of its
-    derivative, the `parameter_rate` in 1/m.
+    Arrays by road, shape (R,): `heading_known` and `position_known` (whether kernels can compute headings and
+    positions), `length` in m, and the index of the `first_geometry`.
+
+    Arrays by geometry: start in m and rad, `geometry_type`, and `coefficients`. The coefficients of a line, arc or
+    spiral are the curvature at its start in 1/m and the rate of change in 1/m². Those of a parametric curve are its
+    length in m, the number of tabulated steps, and the coefficients of the derivatives of both polynomials, highest
+    first.
+
+    For a parametric curve, `table_start` is the index of its first entry in `parameter` and `parameter_rate`: the curve
+    parameter at equal distances, and its derivative in 1/m. `edges` are the road edges.
     """
 
     heading_known: BoolArray
@@ -52,7 +57,7 @@ class RoadTables(NamedTuple):
 
 
 def build_road_tables(roads: Sequence[Road]) -> RoadTables:
-    """Tabulate reference lines for kernels."""
+    """Create the arrays of the reference lines for kernels."""
     pieces = [piece for road in roads for piece in road.geometries]
     numbers = np.zeros((len(pieces), _N_COEFFICIENTS))
     for k, piece in enumerate(pieces):
@@ -109,7 +114,7 @@ def _geometry_coefficients(geometry: ReferenceGeometry) -> tuple[float, ...]:
 
 @kernel(interpreted_seconds=lambda heading: 1e-6 * heading.size, error_model="numpy")
 def _cos_and_sin(heading):
-    """Return cosines and sines with the last digits that kernels compute, which NumPy's may not have."""
+    """Return cosines and sines as kernels compute them, since NumPy's may differ in the last digits."""
     cos, sin = np.empty(heading.size), np.empty(heading.size)
     for k in range(heading.size):
         cos[k], sin[k] = math.cos(heading[k]), math.sin(heading[k])
@@ -118,7 +123,7 @@ def _cos_and_sin(heading):
 
 @kernel(error_model="numpy", forceinline=True, _nrt=False)
 def reference_heading(tables, road, s):
-    """Return the heading of a road's reference line at `s`, in rad; only for roads that are `known`."""
+    """Return the heading of a road's reference line at `s`, in rad; only for roads with `heading_known`."""
     piece = _geometry_index(tables, road, s)
     along, numbers = s - tables.s[piece], tables.coefficients[piece]
     if tables.geometry_type[piece] == _LINE_ARC_OR_SPIRAL:
@@ -144,11 +149,10 @@ def reference_cos_and_sin(tables, road, s):
 
 @kernel(error_model="numpy", forceinline=True, _nrt=False)
 def stays_on_road(tables, road, s, x, y):
-    """Return whether a moved point is still on its `plain` road, or at most `OFF_ROAD_TOLERANCE` beside it.
+    """Return whether a moved point is still on its road, or within `OFF_ROAD_TOLERANCE` of it; and its new s.
 
-    And its new `s`.
-
-    `s` is its last coordinate on the road; x and y are its position, all in m.
+    `s` is the previous coordinate of the point, `x` and `y` are its new position, all in m. Only for roads with
+    `position_known`.
     """
     length = tables.length[road]
     s = min(max(s, 0.0), length)
@@ -183,7 +187,7 @@ def _line_or_arc_pose(tables, geometry, s):
 
 @kernel(error_model="numpy", forceinline=True, _nrt=False)
 def _curve_parameter(tables, geometry, distance):
-    """Return the curve parameter at a distance, as `ReferenceGeometry.curve_parameter`."""
+    """Return the curve parameter at a distance, like `ReferenceGeometry.curve_parameter`."""
     length, steps, first = (
         tables.coefficients[geometry, 0],
         tables.coefficients[geometry, 1],

@@ -21,13 +21,13 @@ _EDGE_TOLERANCE: Final = 1e-9
 
 
 class RoadEdgeTables(NamedTuple):
-    """Widths of R roads with S lane sections, L lanes and Q cubics in all, as arrays for kernels.
+    """Edges of R roads with S lane sections, L lanes and Q cubics in all, as arrays for kernels.
 
-    `sections`, shape (R + 1,), has the first section of each road; `lanes`, (2 S + 1,), the first lane right and left
-    of each section, from the center outwards; `cubics`, (R + L + 1,), the first cubic of each road's lane offset and
-    of each lane's width or border (`is_border`). `coefficients`, (Q, 5), are the start in m and the coefficients,
-    lowest first. Between both values of `always_inside`, (R, 2), a lateral coordinate in m is on the road everywhere
-    along it.
+    `sections` (R + 1,): index of the first section of each road. `start`: start of each section in m. `lanes` (2 S +
+    1,): index of the first lane on the right and on the left of each section, from the center outwards. `cubics` (R + L
+    + 1,): index of the first cubic of each road's lane offset, and of each lane's width or border (`is_border`).
+    `coefficients` (Q, 5): start of each cubic in m, and its coefficients, lowest first. `always_inside` (R, 2): lateral
+    coordinates in m between which a point is on the road at every s.
     """
 
     sections: IntArray
@@ -40,7 +40,7 @@ class RoadEdgeTables(NamedTuple):
 
 
 def build_edge_tables(roads: Sequence[Road]) -> RoadEdgeTables:
-    """Tabulate the widths of roads for kernels."""
+    """Create the arrays of road edges for kernels."""
     lines: list[tuple[CubicPolynomial, ...]] = [road.lane_offsets for road in roads]
     starts, counts, bordered = [], [], []
     for road in roads:
