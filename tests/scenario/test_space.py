@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from conftest import EXAMPLES
 from cornercase._common.errors import InputError
+from cornercase.exploration import Problem, explore
 from cornercase.scenario import Constraint, LogicalScenario, Parameter, ParameterDeclaration, ParameterSpace
 from cornercase.scenario import _distributions as distributions
 from cornercase.scenario._distributions import Distribution
@@ -334,6 +335,28 @@ def test_a_parameter_without_a_range_is_refused(given, named):
     with pytest.raises(InputError) as refused:
         Parameter("a", *given)
     assert str(refused.value).startswith(f"{named}: ")
+
+
+def test_what_is_searched_or_stored_has_parameters():
+    stored = ParameterSpace(()).to_json()
+    for make in (lambda: ParameterSpace.from_ranges([]), lambda: ParameterSpace.from_json(stored)):
+        with pytest.raises(InputError, match=r"^The parameter space is empty; vary at least one parameter"):
+            make()
+
+
+def test_a_scenario_of_which_nothing_varies_yet_is_varied_step_by_step(tmp_path):
+    path = EXAMPLES / "r157" / "deceleration.xosc"
+    logical = LogicalScenario.read(path)
+    assert (logical.space.names, logical.space.size) == ((), 1)
+    assert repr(logical).endswith("deceleration.xosc': nothing is varied>")
+    assert logical.concrete_scenario({}).with_all_values().values["ego_kmh"] == 90.0
+    varied = logical.vary("gap", 20, 40).vary("deceleration", 1, 6, step=0.5)
+    assert varied == LogicalScenario.read(path, ranges=["gap=20:40", "deceleration=1:6:0.5"])
+    with pytest.raises(InputError, match=r"nothing is varied; give a `space` file, or `ranges` such as NAME=LOW:HIGH"):
+        Problem(logical, "Ego", "Other", "ttc")
+    with pytest.raises(InputError, match="nothing is varied"):
+        explore(path, tmp_path / "s.db", ego="Ego", other="Other", metrics=["ttc"])
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_parameter_may_have_a_single_value():

@@ -49,6 +49,10 @@ class ExplorationConfig(ExplorationOptions):
     logical: LogicalScenario
 
     def __post_init__(self) -> None:
+        if not self.logical.space.parameters:
+            raise InputError(
+                f"{self.logical.path}: nothing is varied; give a `space` file, or `ranges` such as NAME=LOW:HIGH."
+            )
         given = dict(vars(self))
         given["simulator"], common = split_common_options(self.simulator, given)
         given |= common

@@ -317,6 +317,8 @@ class ParameterSpace:
         if len(points):
             for parameter, u in zip(self.parameters, np.clip(points, 0.0, 1.0).T, strict=True):
                 columns |= parameter.assignments_at(u)
+        if not columns:
+            return [{} for _ in points]
         return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 
     def points(self, values: Sequence[Mapping[str, Value]]) -> FloatArray:

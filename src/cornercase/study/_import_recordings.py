@@ -1,4 +1,4 @@
-"""Make studies from recordings of other programs."""
+"""Make studies from recordings that other programs wrote."""
 
 from __future__ import annotations
 
@@ -51,7 +51,8 @@ class ImportResult:
     failed : int
         Number of recordings that could not.
     reason : str
-        Why the first of those failed, in a sentence; empty if all succeeded. The study has the reason of each.
+        Why the first of the failed recordings could not be used, in a sentence; empty if none failed. The study stores
+        the reason of each.
     """
 
     study: Path
@@ -75,7 +76,7 @@ def import_recordings(
     critical: float | None = None,
     progress: bool = False,
 ) -> ImportResult:
-    """Make a study of recordings in files, or continue one.
+    """Make a study from recordings in files, or continue an earlier import.
 
     Parameters
     ----------
@@ -157,7 +158,7 @@ def import_recordings(
 
 
 def _resolve_others(other: object, ego: str, files: Sequence[Path]) -> tuple[str, ...]:
-    """Resolve the names of the others; reads recordings if all others are meant."""
+    """Return the names of the entities that the ego is measured against; "all" means all entities in the recordings."""
     names = resolve_others(other, ego, (ALL_OTHERS,))
     if len(names) == 1 and ALL_OTHERS not in names:
         return names
@@ -189,7 +190,7 @@ def _require_measurable(files: Sequence[Path], metrics: Sequence[Metric], ego: s
 
 
 def _describe_failure(file: Path, error: InputError | SimulationError) -> str:
-    """Error message that begins with the file, unless the message names it already."""
+    """Return an error message that begins with the name of the file."""
     return str(error) if str(file) in str(error) else f"{file}: {error}"
 
 
@@ -207,7 +208,7 @@ def _measure_recording(study: StudyFile, row: ScenarioRecord, file: Path, metric
 
 
 def _read_parameter_table(folder: Path, table: Path) -> tuple[list[str], list[dict[str, Value]]]:
-    """Read the files and the values of their parameters from the CSV table."""
+    """Read the CSV table of recordings: return file names, and parameter values for each file."""
     try:
         reader = csv.DictReader(io.StringIO(read_file(table).decode("utf-8-sig"), newline=""))
         names = list(reader.fieldnames or ())
@@ -263,11 +264,11 @@ def _infer_space(values: Sequence[dict[str, Value]]) -> ParameterSpace:
         if len(choices) > _MAX_CHOICES:
             raise InputError(f"The parameter '{name}' has {len(choices)} different texts; leave it out.")
         parameters.append(Parameter(name, 0.0, float(len(choices) - 1), None, choices))
-    return ParameterSpace(parameters)
+    return ParameterSpace(parameters).require_parameters()
 
 
 def _hash_inputs(table: Path, folder: Path, files: Sequence[str]) -> str:
-    """SHA-256 of the table and all recordings."""
+    """Return the SHA-256 of the table and all recordings."""
     digest = hashlib.sha256(read_file(table))
     for file in files:
         # Large files are hashed without loading them.
