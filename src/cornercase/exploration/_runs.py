@@ -3,39 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any, Final
 
 from cornercase._common.errors import InputError
-from cornercase._common.process.dask import check_cluster
-from cornercase._common.validation import check_float, check_int
-from cornercase.simulators._run_options import DEFAULT_MAX_FAILURES, MAX_WORKERS
+from cornercase._common.option import document_options
+from cornercase.exploration._explore_options import CONFIG_OPTIONS
+from cornercase.simulators._run_options import RUN_OPTIONS, RunOptions
 
-if TYPE_CHECKING:
-    from distributed import Client
+_OPTIONS: Final = {name: CONFIG_OPTIONS[name] for name in (*RUN_OPTIONS, "repeats", "max_repeats")}
 
 
-@dataclass(frozen=True, kw_only=True)
-class Runs:
+@document_options(_OPTIONS)
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Runs(RunOptions):
     """How scenarios are run: where, how often, and what happens if a simulator dies or hangs.
 
     Parameters
     ----------
-    workers : int, default 1
-        Number of simulators that run in parallel. The result does not depend on it.
-    cluster : str or distributed.Client, optional
-        Dask cluster to run on: ``"local"`` for `workers` local processes, the address of a scheduler, a scheduler file,
-        or a client, which stays open.
-    timeout : float, optional
-        Time in s after which a scenario is cancelled.
-    retries : int, default 1
-        How often a scenario is run again after the simulator died or hung.
-    max_failures : int, default 5
-        Stop after this many consecutive scenarios in which the simulator died or hung; 0 for no limit.
-    repeats : int, default 1
-        How often each scenario is run; the median score counts.
-    max_repeats : int, optional
-        Upper limit of runs per scenario. A scenario gets `repeats` further runs as long as it is undecided on which
-        side of the threshold it is. Default: each scenario is run `repeats` times.
+    OPTIONS
 
     Raises
     ------
@@ -49,24 +34,12 @@ class Runs:
     Runs(workers=4, timeout=60.0)
     """
 
-    workers: int = 1
-    cluster: str | Client | None = None
-    timeout: float | None = None
-    retries: int = 1
-    max_failures: int = DEFAULT_MAX_FAILURES
     repeats: int = 1
     max_repeats: int | None = None
 
     def __post_init__(self) -> None:
-        check_int("workers", self.workers, 1, MAX_WORKERS)
-        if self.cluster is not None:
-            check_cluster(self.cluster)
-        if self.timeout is not None:
-            check_float("timeout", self.timeout, above=0.0)
-        for name, minimum in (("retries", 0), ("max_failures", 0), ("repeats", 1)):
-            check_int(name, getattr(self, name), minimum)
-        if self.max_repeats is not None:
-            check_int("max_repeats", self.max_repeats, 1)
+        for name, option in _OPTIONS.items():
+            option.check(getattr(self, name))
 
     def __repr__(self) -> str:
         changed = [f"{name}={value!r}" for name, value in vars(self).items() if value != getattr(Runs, name)]
