@@ -5,7 +5,7 @@ this for the functions that it calls, at each level of calls.
 """
 
 # numba's internals have no type hints.
-# mypy: disable-error-code="no-untyped-call, no-untyped-def, misc"
+# mypy: disable-error-code="no-untyped-call, no-untyped-def, misc, attr-defined, assignment"
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from functools import partial
 from typing import Any
 
 import llvmlite.binding as llvm
+import numpy as np
 from numba.core import compiler, event, typing
 from numba.core.codegen import JITCodeLibrary
 from numba.core.registry import CPUDispatcher
@@ -33,6 +34,8 @@ class KernelDispatcher(CPUDispatcher):
         # By argument types: compiled to LLVM's intermediate representation, but not further.
         self._parts: dict[Any, Any] = {}
         self._estimate_seconds = estimate_seconds
+        # Kinds of arguments for which no machine code was on disk.
+        self._missing: set[Any] = set()
 
     @property
     def is_compiled(self):
@@ -40,10 +43,19 @@ class KernelDispatcher(CPUDispatcher):
         return bool(self.overloads or self._parts)
 
     def is_ready(self, *args):
-        """Whether there is machine code in this process, or on disk for arguments of these types."""
+        """Whether there is machine code in this process, or on disk for arguments of these types.
+
+        The disk is asked once, as that takes longer than to interpret a short call.
+        """
         if self.overloads:
             return True
-        return self._cache.has_overload(tuple(map(self.typeof_pyval, args)), self.targetctx)
+        kinds = tuple(map(_kind, args))
+        if kinds in self._missing:
+            return False
+        if self._cache.has_overload(tuple(map(self.typeof_pyval, args)), self.targetctx):
+            return True
+        self._missing.add(kinds)
+        return False
 
     def _compile_for_args(self, *args, **kws):
         # What is returned is then called.
@@ -77,6 +89,13 @@ class KernelDispatcher(CPUDispatcher):
         )
         self.targetctx.insert_user_function(part.fndesc, part.fndesc, [library])
         return part
+
+
+def _kind(value):
+    """Type of an argument, found quickly; of a tuple, not what it holds."""
+    if isinstance(value, np.ndarray):
+        return value.dtype, value.ndim, value.flags.c_contiguous
+    return type(value)
 
 
 def _interpret_call(kernel, *args):

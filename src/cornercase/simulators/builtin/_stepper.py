@@ -340,7 +340,7 @@ def _bind_arguments(*arguments: Any) -> tuple[Callable[[int, int], object], bool
 
     Numba looks at the types of all arrays in each call, which takes longer than one frame of a scenario.
     """
-    if isinstance(run_until_storyboard, Dispatcher):
+    if isinstance(run_until_storyboard, Dispatcher) and run_until_storyboard.overloads:
         types = (*map(typeof, arguments), int64, int64)
         if types in run_until_storyboard.overloads:
             compiled: Any = run_until_storyboard.overloads[types]

@@ -398,7 +398,7 @@ def _apply_lane_offset(scene, tracks, actions, n, j, dt):
     return ACTION_ENDED if has_arrived else ACTION_APPLIED
 
 
-@kernel(error_model="numpy")
+@kernel(interpreted_seconds=lambda *arguments: 5e-5 * arguments[4].size, error_model="numpy")
 def apply_action_in(scene, tracks, roads, actions, scenarios, j, dt):
     """Apply an action for one time step in some scenarios, shape (K,), and return the outcomes, shape (K,)."""
     outcomes = np.empty(scenarios.size, dtype=np.int64)

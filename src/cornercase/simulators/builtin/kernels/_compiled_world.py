@@ -60,7 +60,7 @@ class CompiledWorld:
         return np.asarray(_measure(self._scene, entity, other, _NO_POINTS, _OVERLAP) > 0.0)
 
 
-@kernel(error_model="numpy")
+@kernel(interpreted_seconds=lambda scene, *_: 3e-5 * scene.time.size, error_model="numpy")
 def _measure(scene, e, other, points, distance_kind):
     result = np.empty(scene.time.size)
     for n in range(result.size):

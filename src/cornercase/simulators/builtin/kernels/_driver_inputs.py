@@ -27,7 +27,7 @@ OTHERS_ROWS: Final = (X, Y, HEADING, SPEED)
 """What a driver is given of the others, as rows of `World.floats`."""
 
 
-@kernel(error_model="numpy")
+@kernel(interpreted_seconds=lambda floats, *_: 1e-5 * floats.shape[0] * floats.shape[2], error_model="numpy")
 def copy_driver_inputs(floats, flags, entity, own, others):
     """Copy the state of an entity, (7, N), and of the A others, (4, A, N), NaN for those that it does not see."""
     for n in range(floats.shape[0]):

@@ -76,7 +76,7 @@ def trajectory_time_and_speed(tracks, row, n, distance):
     return clothoid_track.spline_time_and_speed(tracks, row, n, distance)
 
 
-@kernel(error_model="numpy")
+@kernel(interpreted_seconds=lambda tracks, scenarios, points: 5e-5 * scenarios.size, error_model="numpy")
 def evaluate_track(tracks, scenarios, points):
     """Evaluate the only track of a table at `points`, (2, R): distances and offsets in m; `scenarios` has shape (R,).
 
