@@ -1,7 +1,7 @@
 """The decorator `kernel`: numba compilation with a cache on disk that concurrent processes share safely."""
 
 # numba's caching internals have no type hints.
-# mypy: disable-error-code="no-untyped-call, no-untyped-def, misc"
+# mypy: disable-error-code="no-untyped-call, no-untyped-def, misc, attr-defined"
 
 from __future__ import annotations
 

@@ -5,7 +5,7 @@ would take much longer.
 """
 
 # numba's extension API has no type hints.
-# mypy: disable-error-code="no-untyped-call, no-untyped-def, misc, untyped-decorator, attr-defined"
+# mypy: disable-error-code="no-untyped-call, no-untyped-def, misc, untyped-decorator, attr-defined, override"
 
 from __future__ import annotations
 

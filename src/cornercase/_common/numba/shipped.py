@@ -29,7 +29,7 @@ from numba.core.serialize import dumps
 FOLDER: Final = Path(__file__).parents[2] / "_compiled"
 """Folder of machine code in the package."""
 
-LEVELS: Final = {
+LEVELS: Final[dict[str, dict[str, tuple[str, ...]]]] = {
     "x86_64": {
         "x86-64-v4": ("avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl"),
         "x86-64-v3": ("avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe"),

@@ -1,5 +1,8 @@
 """Run the time loop, compiled or, for a few scenarios on a machine where it is not, interpreted."""
 
+# What a kernel has beside its call is not declared.
+# mypy: disable-error-code="attr-defined"
+
 from __future__ import annotations
 
 import time
