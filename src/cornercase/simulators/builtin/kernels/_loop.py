@@ -1,7 +1,7 @@
 """The compiled time loop: runs scenarios until Python has to evaluate a storyboard or to ask a driver."""
 
 # Compiled functions have no static types.
-# mypy: disable-error-code="no-untyped-def, untyped-decorator"
+# mypy: disable-error-code="no-untyped-def, untyped-decorator, call-arg"
 
 from __future__ import annotations
 
