@@ -1,4 +1,4 @@
-"""What came out of a run: recordings, and the formats they are read from."""
+"""Recordings of runs, and the file formats that they can be read from."""
 
 import lazy_loader as lazy
 

@@ -22,9 +22,9 @@ def are_bitwise_equal(first: Recording, second: Recording) -> bool:
 
 
 def max_position_difference(first: Recording, second: Recording) -> float | None:
-    """Return the largest distance in m of an entity's positions at the same instant; None if not comparable.
+    """Return the largest distance in m between the positions of an entity at the same instant in two recordings.
 
-    Only instants that both recordings have are compared.
+    Only instants that are in both recordings are compared. None if the recordings cannot be compared.
     """
     count = min(len(first.time), len(second.time))
     if first.names != second.names or not np.array_equal(first.time[:count], second.time[:count]):

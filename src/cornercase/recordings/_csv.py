@@ -24,7 +24,7 @@ from cornercase.recordings._recording import BOX_ARRAYS, CSV_COLUMNS, MOTION_ARR
 
 
 def read_recording_csv(path: Path) -> Recording:
-    """Read a table with one row per entity and instant, with at least the columns `CSV_COLUMNS`."""
+    """Read a CSV table with one row per entity and instant, and at least the columns `CSV_COLUMNS`."""
     rows = _CsvColumns()
     for line, row in _iter_csv_rows(path):
         rows.add_row(path, line, row)
@@ -72,7 +72,7 @@ def read_recording_csv(path: Path) -> Recording:
 
 
 class _CsvColumns:
-    """Content of the rows in little memory: numbers in one array, each text once."""
+    """Content of the rows in a form that needs little memory: numbers in one array, and each distinct text once."""
 
     def __init__(self) -> None:
         self.lines: list[int] = []
@@ -96,7 +96,7 @@ class _CsvColumns:
 
 
 def _iter_csv_rows(path: Path) -> Iterator[tuple[int, dict[str, str | None]]]:
-    """Yield line numbers and rows, by column."""
+    """Yield the line number of each row, and its cells by column name."""
     try:
         reader = csv.DictReader(io.StringIO(read_file(path).decode("utf-8-sig"), newline=""))
         missing = [column for column in CSV_COLUMNS if column not in (reader.fieldnames or ())]
@@ -111,7 +111,7 @@ def _iter_csv_rows(path: Path) -> Iterator[tuple[int, dict[str, str | None]]]:
 
 
 def write_courses(path: Path | str, time: FloatArray, courses: Mapping[str, FloatArray]) -> None:
-    """Write time series of metrics, one row per instant; empty cells for NaN."""
+    """Write time series of metrics as CSV, with one row per instant; cells for NaN are empty."""
     with atomic_write(path) as temporary, open(temporary, "w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(("time", *map(escape_csv_cell, courses)))
@@ -122,7 +122,7 @@ def write_courses(path: Path | str, time: FloatArray, courses: Mapping[str, Floa
 
 
 def _refuse_duplicate_rows(path: Path, lines: list[int], keys: IntArray) -> None:
-    """Refuse two rows of an entity at one instant."""
+    """Refuse files with two rows for the same entity and instant."""
     order = np.argsort(keys, kind="stable")
     double = np.flatnonzero(np.diff(keys[order]) == 0)
     if len(double):
@@ -134,7 +134,7 @@ def _refuse_duplicate_rows(path: Path, lines: list[int], keys: IntArray) -> None
 
 
 def _parse_collision_cell(path: Path, line: int, text: str, names: set[str]) -> list[str]:
-    """Return the entities in the column ``collision``."""
+    """Return the names of the entities in a cell of the column ``collision``."""
     names_touched = [part.strip() for part in text.split(";") if part.strip()]
     for name in names_touched:
         if name not in names:

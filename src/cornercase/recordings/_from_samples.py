@@ -1,4 +1,4 @@
-"""Create recordings from samples of entities, and check values of untrusted files."""
+"""Create recordings from samples of the motion of entities, and check values from untrusted files."""
 
 from __future__ import annotations
 
@@ -25,9 +25,10 @@ _MAX_TIME: Final = 1e12
 
 @dataclass
 class EntitySamples:
-    """Samples of one entity, by time in s; kind and box as in `Recording`.
+    """Samples of the motion of one entity, by time in s; object type and box as in `Recording`.
 
-    A sample has x and y of the box center in m, heading in rad, speed and acceleration; NaN for unknown values.
+    A sample is x and y of the box center in m, the heading in rad, speed in m/s and acceleration in m/s². An unknown
+    speed or acceleration is NaN.
     """
 
     object_type: str
@@ -38,7 +39,7 @@ class EntitySamples:
 
 @dataclass(frozen=True)
 class EntityBox:
-    """Kind and bounding box of an entity, if the file of its motion lacks them; as in `Recording`."""
+    """Object type and box size of an entity, for motion files that contain neither; as in `Recording`."""
 
     object_type: str
     length: float
@@ -46,14 +47,14 @@ class EntityBox:
 
 
 def box_center_from_point(x: float, y: float, heading: float, ahead: float, left: float = 0.0) -> tuple[float, float]:
-    """Return the center of a box that is `ahead` and `left` m from a point with a heading."""
+    """Return the center of a box that is `ahead` m in front of a reference point, and `left` m to its left."""
     # Invalid headings are refused when the recording is created.
     cos, sin = (math.cos(heading), math.sin(heading)) if math.isfinite(heading) else (math.nan, math.nan)
     return x + ahead * cos - left * sin, y + ahead * sin + left * cos
 
 
 def require_loadable_size(path: Path, n_entities: int, n_instants: int) -> None:
-    """Raise `InputError` if a recording would take too much memory."""
+    """Raise `InputError` if a recording of this size would take too much memory."""
     if n_entities * n_instants > _MAX_SAMPLES:
         raise InputError(
             f"{path}: has {n_entities} entities and {n_instants} instants; at most {_MAX_SAMPLES}"
@@ -79,7 +80,7 @@ def require_valid_times(path: Path, time: FloatArray) -> None:
 
 
 def require_valid_motion(path: Path, motion: FloatArray) -> None:
-    """Raise `InputError` for impossible motion, shape (5, N); NaN is allowed."""
+    """Raise `InputError` for impossible motion, shape (5, N) as in `EntitySamples`; NaN is allowed."""
     worst = np.nanmax(np.abs(motion), initial=0.0, axis=1)
     for name, largest in zip(("position", "position", "heading", "speed", "acceleration"), worst.tolist(), strict=True):
         if largest > _MAX_MOTION_VALUE:
@@ -90,9 +91,10 @@ def require_valid_motion(path: Path, motion: FloatArray) -> None:
 def recording_from_samples(
     path: Path, samples_by_entity: dict[str, EntitySamples], collisions: Sequence[Collision] = ()
 ) -> Recording:
-    """Create a recording from samples of entities, by name.
+    """Create a recording from samples of the motion of entities, by entity name.
 
-    Reference points are the box centers. Missing speeds and accelerations are differences along the heading.
+    The reference points of the recording are the box centers. Missing speeds and accelerations are computed from the
+    positions, as differences along the heading.
     """
     time = np.unique([t for track in samples_by_entity.values() for t in track.samples])
     if not len(time):

@@ -25,7 +25,8 @@ def read_recording(path: Path | str) -> Recording:
         The extension selects the format: an ASAM OSI trace (``.osi``, ``.mcap``; extra ``osi``), a CommonRoad scenario
         (``.xml``; extra ``commonroad``), floating car data of SUMO (``.xml``), a result file of CarMaker (``.erg``), a
         file of CARLA's recorder (``.log``), otherwise CSV: a log of esmini, or a table with at least the columns
-        `CSV_COLUMNS`. Its rows may be in any order; an entity without a row at an instant does not exist then.
+        `CSV_COLUMNS`. Rows of the table may be in any order. An entity without a row at an instant does not exist at
+        this instant.
 
     Returns
     -------
@@ -34,8 +35,8 @@ def read_recording(path: Path | str) -> Recording:
     Raises
     ------
     InputError
-        The file cannot be read, a column is missing, a field is not a number, or an entity has two rows of the same
-        time; the message names the line. Or the required extra is not installed.
+        The file cannot be read, a column is missing, a field is not a number, an entity has two rows of the same time,
+        or the required extra is not installed. The message names the line, if any.
     """
     path = validation.check_path("path", path)
     # Opening a pipe could block.
@@ -55,7 +56,7 @@ def read_recording(path: Path | str) -> Recording:
 
 
 def _starts_with_words(path: Path, words: str) -> bool:
-    """Whether a file has these words near its beginning."""
+    """Whether a text occurs near the beginning of a file."""
     try:
         with open(path, encoding="utf-8", errors="replace") as file:
             return words in file.read(8192)

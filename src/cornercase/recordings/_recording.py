@@ -41,7 +41,7 @@ class Collision:
     time : float
         s.
     entities : tuple of str
-        The two names, in the recording's order.
+        Names of the two entities, in the order of the recording.
     """
 
     time: float
@@ -59,10 +59,10 @@ class Recording:
     names : tuple of str, length A
         Names of the entities.
     object_types : tuple of str, length A
-        Vehicle category (``"car"``, ``"truck"``, …), ``"pedestrian"`` or ``"misc"``.
+        Vehicle category (``"car"``, ``"truck"``, …), ``"pedestrian"`` or ``"misc"``, by entity.
     x, y : ndarray of float64, shape (A, T)
-        OpenSCENARIO's reference point in m: the rear axle on the ground for vehicles. NaN while an entity does not
-        exist, as in the next three.
+        Reference point of OpenSCENARIO in m: for vehicles, the center of the rear axle on the ground. All motion is NaN
+        while an entity does not exist.
     heading : ndarray of float64, shape (A, T)
         rad, counter-clockwise from +x.
     speed : ndarray of float64, shape (A, T)
@@ -76,8 +76,8 @@ class Recording:
     collisions : tuple of Collision
         In order of time.
     is_truncated : bool or None
-        Whether the maximum duration ended the run before its storyboard did. Not stored: None for recordings from
-        files, and if the simulator does not say.
+        Whether the run ended at the maximum duration, before its storyboard had ended. Not stored in files: None for
+        recordings that were read from a file, and if the simulator does not report it.
 
     Examples
     --------
@@ -200,12 +200,12 @@ class Recording:
         Parameters
         ----------
         names : iterable of str
-            Entities that the recording has are not changed.
+            Names of entities to add. Entities that exist in the recording are not changed.
 
         Returns
         -------
         Recording
-            The same object if it has all of them.
+            The same object if no entity is missing.
         """
         missing = tuple(dict.fromkeys(name for name in names if name not in self.names))
         if not missing:
@@ -244,7 +244,7 @@ class Recording:
         return pandas.DataFrame(columns)
 
     def _first_contacts(self) -> dict[tuple[int, str], list[str]]:
-        """Return the entities that an entity first touches, by instant index and name."""
+        """Return, by instant index and name of an entity, the entities that it touches first at that instant."""
         touched: dict[tuple[int, str], list[str]] = {}
         for collision in self.collisions:
             first, second = collision.entities
@@ -254,7 +254,7 @@ class Recording:
         return touched
 
     def _csv_lines(self, contacts: Mapping[tuple[int, str], Sequence[str]]) -> Iterator[str]:
-        """Yield the lines of the CSV; repeated cells are formatted once, since formatting takes the time."""
+        """Yield the lines of the CSV; repeated cells are formatted only once, to save time."""
         entities = len(self.names)
         boxes = np.array([getattr(self, column) for column in BOX_ARRAYS], dtype=np.float64).T.tolist()
         begins = [
@@ -281,9 +281,9 @@ class Recording:
     def to_csv(self, path: Path | str) -> None:
         """Write one row per instant and entity, with the columns `CSV_COLUMNS` and ``collision``.
 
-        Reading gives the same bits. ``collision`` names the entities that it touches first at that instant, separated
-        by semicolons. Texts that a spreadsheet would take for a formula get an apostrophe, which
-        `cornercase.recordings.read_recording` removes.
+        Reading the file with `cornercase.recordings.read_recording` gives the same numbers, bit by bit. The column
+        ``collision`` has the entities that an entity begins to touch at this instant, separated by semicolons. A text
+        that a spreadsheet would take for a formula gets an apostrophe in front, which is removed when the file is read.
 
         Parameters
         ----------

@@ -15,9 +15,9 @@ _MAX_POINTS: Final = 400
 
 
 def draw_tracks(x: FloatArray, y: FloatArray) -> str:
-    """Draw tracks in the order of `TRACK_COLORS`, with a dot at the start; empty if no entity ever exists.
+    """Draw the tracks of A entities as SVG, with a dot at each start; empty if no entity ever exists.
 
-    x and y are in m, shape (A, T), NaN while an entity does not exist.
+    `x` and `y` are in m, shape (A, T), NaN while an entity does not exist. Colors follow `TRACK_COLORS`.
     """
     exists = np.isfinite(x) & np.isfinite(y)
     if not exists.any():

@@ -160,7 +160,7 @@ class RoadGraph:
 
     @cached_property
     def connecting_roads_along(self) -> dict[tuple[str, bool], list[tuple[float, str, str]]]:
-        """Connecting roads that start or end along another road: (s, id, touching end), by (road, whether along its s)."""
+        """Connecting roads that start or end along a road, as (s, id, touching end); by (road, whether along its s)."""
         ends: dict[tuple[str, bool], list[tuple[float, str, str]]] = {}
         for name, contact, link in self._connecting_road_links():
             if link.s is not None:

@@ -1,1 +1,1 @@
-"""Recordings of other tools, one module a format."""
+"""Readers for recordings of other tools, one module per format."""

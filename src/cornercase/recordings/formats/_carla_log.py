@@ -40,10 +40,10 @@ class _Actor:
 
 
 def read_carla_log(path: Path | str) -> Recording:
-    """Read a file of CARLA's recorder (0.9.13 and later, which store boxes), without CARLA.
+    """Read a file of CARLA's recorder (0.9.13 or later, which stores boxes); CARLA itself is not needed.
 
-    Vehicles and walkers are named by their role if it is unique (``hero``), else by type and number. Reference points
-    are the box centers; y and headings change their sign, since CARLA's axes are left-handed.
+    Vehicles and walkers are named by their role (``hero``) if it is unique, else by type and number. Reference points
+    are the box centers. CARLA's axes are left-handed, so y and headings change sign.
     """
     path = Path(path)
     data = read_file(path, _MAX_FILE_SIZE)
@@ -76,7 +76,7 @@ def read_carla_log(path: Path | str) -> Recording:
 
 
 def _parse_actors_and_collisions(data: bytes) -> tuple[list[_Actor], list[tuple[float, str, str]]]:
-    """Return all actors, and the collisions between them."""
+    """Return all vehicles and walkers, and the collisions between them."""
     # Header: version, magic, date, name of the map.
     _, at = _read_text(data, 2 + 2 + len(_MAGIC) + 8)
     present: dict[int, _Actor] = {}
@@ -121,7 +121,7 @@ def _parse_actors_and_collisions(data: bytes) -> tuple[list[_Actor], list[tuple[
 
 
 def _parse_added_actors(packet: bytes) -> list[tuple[int, _Actor]]:
-    """Return the vehicles and walkers among new actors."""
+    """Return the vehicles and walkers in a packet of new actors."""
     (count,), at, actors = struct.unpack_from("<H", packet), 2, []
     for _ in range(count):
         number, sort = struct.unpack_from("<IB", packet, at)

@@ -33,10 +33,10 @@ _OBJECT_TYPES = {
 
 
 def read_commonroad(path: Path | str) -> Recording:
-    """Read the obstacles of a CommonRoad scenario, named by their ids; needs the extra ``commonroad``.
+    """Read the obstacles of a CommonRoad scenario, named by their ids; requires the extra ``commonroad``.
 
-    Dynamic obstacles need a trajectory; static ones stand all the time. The ego's motion is not part of such a file,
-    since a planner has to find it: add it as an obstacle.
+    Dynamic obstacles must have a trajectory. Static obstacles stand at all times. A CommonRoad scenario does not
+    contain the motion of the ego, which a planner has to find: add it as an obstacle.
     """
     path = Path(path)
     # Refuse what commonroad-io would accept: document types, huge files, huge numbers.
@@ -76,7 +76,7 @@ def read_commonroad(path: Path | str) -> Recording:
 
 
 def _refuse_huge_numbers(path: Path, root: etree._Element) -> None:
-    """Refuse numbers with which commonroad-io would not terminate: it normalizes angles turn by turn."""
+    """Refuse huge numbers, since commonroad-io normalizes angles in a loop that would not end."""
     for element in root.iter("*"):
         try:
             number = abs(float(element.text or ""))

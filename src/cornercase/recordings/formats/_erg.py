@@ -30,7 +30,7 @@ _DEFAULT_BOX: Final = EntityBox("car", 4.5, 1.8)
 
 
 def read_erg_columns(path: Path | str) -> dict[str, npt.NDArray[Any]]:
-    """Read all quantities of a result file, shape (T,) each, in SI units; ``.info`` has to be next to the file."""
+    """Read all quantities of a result file, shape (T,) each, in SI units; the ``.info`` file must be next to it."""
     path = Path(path)
     info = path.with_name(path.name + ".info")
     data, text = read_file(path, _MAX_FILE_SIZE), read_file(info).decode("utf-8", "replace")
@@ -79,8 +79,8 @@ def _iter_info_entries(text: str) -> Iterator[tuple[str, str]]:
 def read_erg(path: Path | str, entity_boxes: Mapping[str, EntityBox] | None = None) -> Recording:
     """Read the motion of ``Ego`` and of traffic objects (``T00``, ``T01``, …) from a result file.
 
-    Positions are those of the middle of the rear end, as in CarMaker's vehicle frame. Entities without a box in
-    `entity_boxes` are cars of 4.5 m x 1.8 m, since the file does not tell.
+    Positions are those of the middle of the vehicle's rear end, as in CarMaker's vehicle frame. Result files contain no
+    boxes: entities that are not in `entity_boxes` are cars of 4.5 m x 1.8 m.
     """
     path = Path(path)
     columns = read_erg_columns(path)
@@ -120,7 +120,7 @@ def _create_entity_samples(
 
 
 def _direction_of_motion(time: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
-    """Return the direction of motion; a standing entity keeps the last one."""
+    """Return the direction of motion in rad; an entity that stands keeps its last direction."""
     if len(time) < 2:
         return np.zeros(len(time))
     dx, dy = np.gradient(x.astype(np.float64), time), np.gradient(y.astype(np.float64), time)

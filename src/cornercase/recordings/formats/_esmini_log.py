@@ -22,7 +22,7 @@ _REQUIRED_COLUMNS = (
 
 
 def read_esmini_log(path: Path | str) -> Recording:
-    """Read a log of esmini; all entities become cars, since the log does not tell."""
+    """Read a log of esmini; all entities become cars, since the log does not contain their types."""
     path = Path(path)
     try:
         lines = read_file(path).decode("utf-8").splitlines()

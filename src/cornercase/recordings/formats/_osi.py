@@ -23,9 +23,10 @@ _MAGIC_SIZE, _RECORD_HEADER_SIZE, _CHUNK_OPCODE = 8, 9, 6
 
 
 def read_osi(path: Path | str) -> Recording:
-    """Read the moving objects of an ASAM OSI trace, named by their ids; needs the extra ``osi``.
+    """Read the moving objects of an ASAM OSI trace, named by their ids; requires the extra ``osi``.
 
-    It is single-channel (``.osi``, ``.xz``, ``.lzma``) or multi-channel (``.mcap``), of GroundTruth or SensorView.
+    The trace has one channel (``.osi``, ``.xz``, ``.lzma``) or several (``.mcap``). Its messages are GroundTruth or
+    SensorView.
     """
     path = Path(path)
     try:
@@ -76,7 +77,7 @@ def read_osi(path: Path | str) -> Recording:
 
 
 def _iter_ground_truths(path: Path) -> Iterator[Any]:
-    """Yield the ground truth of each message, of the message type that has moving objects."""
+    """Yield the GroundTruth of each message, from the message type that contains moving objects."""
     for kind in ("SensorView", "GroundTruth"):
         truths = (m.global_ground_truth if kind == "SensorView" else m for m in _iter_messages(path, kind))
         first = next(truths, None)
@@ -94,7 +95,7 @@ def _iter_messages(path: Path, message_type: str) -> Iterator[Any]:
 
 
 def _iter_single_channel(path: Path, message_type: str) -> Iterator[Any]:
-    """Yield length-prefixed messages, with limited memory."""
+    """Yield the messages of a single-channel file one by one, with limited memory."""
     from google.protobuf.message import DecodeError
     from osi3trace.osi_trace import OSITrace
 
@@ -152,7 +153,10 @@ def _iter_mcap(path: Path, message_type: str) -> Iterator[Any]:
 
 
 def _refuse_oversized_records(path: Path) -> None:
-    """Refuse records longer than the file, and chunks that unpack to too much; mcap trusts the file."""
+    """Refuse records that are longer than the file, and chunks that become too large.
+
+    The mcap package does not check.
+    """
     size = path.stat().st_size
     if size > _MAX_FILE_SIZE:
         raise InputError(f"{path}: has more than {_MAX_FILE_SIZE} bytes, which are not read.")

@@ -1,4 +1,4 @@
-"""Floating car data of SUMO's ``--fcd-output``."""
+"""Floating car data of SUMO (``--fcd-output``)."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _DEFAULT_BOXES: Final = {
 
 
 def read_sumo_fcd(path: Path | str) -> Recording:
-    """Read floating car data of SUMO; entities without box get that of SUMO's default types."""
+    """Read floating car data of SUMO; entities get the box sizes of SUMO's default types if the file has none."""
     path = Path(path)
     tracks: dict[str, EntitySamples] = {}
     for step in read_xml(path).iterfind("timestep"):
