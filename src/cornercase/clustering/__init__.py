@@ -1,4 +1,4 @@
-"""Which kinds of scenario there are."""
+"""Clusters of scenarios: which kinds of scenario there are."""
 
 import lazy_loader as lazy
 

@@ -52,9 +52,9 @@ def compare_labels(ids: IntArray, labels_a: IntArray, labels_b: IntArray) -> Agr
 
 
 def compare_clusterings(study: StudyFile) -> dict[tuple[str, str], Agreement]:
-    """Compare all pairs of a study's analyses that have the same scenarios; returned by the two aspects.
+    """Compare all pairs of a study's analyses that have the same scenarios; return agreements by pair of aspects.
 
-    Pairs with a single cluster (or only noise) on both sides are left out: they agree by construction.
+    A pair is left out if both clusterings have a single cluster or only noise: they agree by construction.
     """
     arrays = {name: study.read_analysis(name, "ids", "labels")[0] for name in study.analyzed_aspects()}
     return {
@@ -66,10 +66,11 @@ def compare_clusterings(study: StudyFile) -> dict[tuple[str, str], Agreement]:
 
 
 def collect_facts(study: StudyFile, outcomes: Sequence[Outcome]) -> dict[str, list[str]]:
-    """Return facts that differ between scenarios, by name one value per scenario, to compare clusterings with.
+    """Return facts to compare clusterings with: by name, one value per scenario. Facts that never differ are left out.
 
-    ``"outcome"`` (its text), ``"first"`` (None if ego and other collide), ``"ego first"``, ``"collision"``,
-    ``"stopped"``, ``"first of Ego and C"`` for each further entity, and ``"critical"`` if the study has a threshold.
+    The names are ``"outcome"`` (a text), ``"first"`` (who is first; None if ego and other collide), ``"ego first"``,
+    ``"collision"``, ``"stopped"``, and ``"first of Ego and C"`` for each further entity. ``"critical"`` is added if the
+    study has a threshold.
     """
     other = outcomes[0].encounter.entity
     firsts = [None if other in {hit.entity for hit in outcome.impacts} else outcome.first for outcome in outcomes]
@@ -89,9 +90,9 @@ def collect_facts(study: StudyFile, outcomes: Sequence[Outcome]) -> dict[str, li
 
 
 def mutual_information_with_facts(labels: IntArray, facts: Mapping[str, Sequence[str]]) -> dict[str, float]:
-    """Return the adjusted mutual information (Vinh et al. 2010) of labels and each fact; noise counts as a cluster.
+    """Return the adjusted mutual information (Vinh et al. 2010) of cluster labels with each fact.
 
-    It is 1 if clusters and fact are the same, about 0 if they are independent.
+    It is 1 if clusters and fact are the same, about 0 if they are independent. Noise counts as a cluster.
     """
     from sklearn.metrics import adjusted_mutual_info_score
 
@@ -99,7 +100,7 @@ def mutual_information_with_facts(labels: IntArray, facts: Mapping[str, Sequence
 
 
 def mutual_information_with_critical(study: StudyFile, ids: IntArray, labels: IntArray) -> dict[str, float]:
-    """Return the agreement of labels and the fact ``"critical"``; empty if all scenarios or none are critical."""
+    """Return the agreement of clusters with the fact ``"critical"``; empty if all scenarios or none are critical."""
     is_critical = dict(
         zip(
             (row.id for row in study.finished_rows()),

@@ -77,10 +77,12 @@ def analyze(
 ) -> dict[str, Analysis]:
     """Cluster the scenarios of a study by behaviour and by criticality, and store the result in it.
 
-    For each aspect, scenarios are compared by Dynamic Time Warping, and `ScenarioClustering` clusters them by these
-    distances. With more than 2,000 scenarios, each is compared only with 500 random ones, the landmarks, and series are
-    downsampled to at most 100 instants (for a series of median length). The landmarks are clustered, and the others
-    join their clusters. Distances between the others follow from landmark multidimensional scaling;
+    Scenarios are compared by several aspects, such as the trajectory of the ego. For each aspect, the distance of two
+    scenarios is that of Dynamic Time Warping, and `ScenarioClustering` finds the clusters.
+
+    With more than 2,000 scenarios, each is compared only with 500 random ones, the landmarks. Series are downsampled to
+    at most 100 instants (for a series of median length). The landmarks are clustered, and the other scenarios join
+    their clusters. Distances between the other scenarios follow from landmark multidimensional scaling;
     `Analysis.embedding_error` says how exact they are.
 
     Parameters
@@ -160,7 +162,7 @@ def analyze(
 
 @dataclass(frozen=True, eq=False)
 class _Inputs:
-    """Inputs read from the digests of all scenarios that were run, or from their recordings."""
+    """Time series and other inputs of all scenarios that were run, read from stored digests or else from recordings."""
 
     outcomes: list[Outcome]
     naming_facts: NamingFacts
@@ -230,7 +232,7 @@ def _analyze_by_aspects(
 
 
 def _choose_stride(study: StudyFile, ids: IntArray) -> int:
-    """Stride of the series, from the lengths of some of the recordings; 1 if all pairs are compared."""
+    """Choose the stride of the series from the lengths of some recordings; 1 if all pairs are compared."""
     if len(ids) <= MAX_ALL_PAIRS:
         return 1
     sample = ids[np.linspace(0, len(ids) - 1, _SAMPLED_RECORDINGS).astype(np.int64)]
@@ -292,7 +294,7 @@ def _require_memory(
     n_scenarios: int,
     memory_limit: MemoryLimit,
 ) -> None:
-    """Raise an error if all series will not fit, judged by the first ones."""
+    """Raise an error if the series will not fit in memory, estimated from the first scenarios."""
     first = max(map(len, series_by_aspect.values()), default=0)
     series = sum(values.nbytes for series in series_by_aspect.values() for values in series) / max(first, 1)
     pairs = min(n_scenarios, MAX_ALL_PAIRS) ** 2 * (_BYTES_PER_PAIR + (n_aspects - 1) * _BYTES_PER_WAITING_PAIR)
@@ -316,7 +318,11 @@ def _cluster_by_aspect(
     by: str,
     existing: Analysis | None,
 ) -> tuple[Clustering, IntArray, FloatArray, Distances, float | None]:
-    """Return clusters, ids they were found in, distances to store, all distances, and the error of these."""
+    """Cluster scenarios by one aspect.
+
+    Returns the clusters, the ids of the scenarios they were found in, the distances to store, the distances between all
+    scenarios, and the error of the latter distances (None if exact).
+    """
     if existing is None and len(ids) > MAX_ALL_PAIRS:
         result = cluster_by_landmarks(comparer, model)
         return (
@@ -355,7 +361,10 @@ def _cluster_by_aspect(
 
 
 def _extend_clusters(existing: Analysis, ids: IntArray, distances: FloatArray) -> tuple[Clustering, IntArray]:
-    """Extend the clusters of an earlier analysis to scenarios run since; also return the ids they were found in."""
+    """Assign scenarios that were run since an earlier analysis to its clusters.
+
+    Returns the extended clusters, and the ids of the scenarios they were found in.
+    """
     # A failed scenario may have been run again since, so the earlier ones need not come first.
     is_fitted = np.isin(ids, existing.fitted_ids)
     clustering = existing.clustering

@@ -27,9 +27,10 @@ _SLOW_SPEED: Final = 5.0
 
 
 class Aspect(ABC):
-    """An aspect defines what is compared between two scenarios.
+    """An aspect of behaviour by which scenarios are compared, as a time series.
 
-    A subclass sets `name` and `unit`, and defines `series`. Scenarios are then compared by Dynamic Time Warping.
+    A subclass sets `name` and `unit`, and defines `series`. The distance of two scenarios is that of Dynamic Time
+    Warping between their series.
 
     Attributes
     ----------
@@ -93,7 +94,7 @@ class EgoTrajectory(Aspect):
 
 
 class EgoSpeed(Aspect):
-    """Speed of the ego in m/s, wherever it is."""
+    """Speed of the ego in m/s, regardless of the position."""
 
     name, unit = "ego-speed", "m/s"
 
@@ -113,7 +114,7 @@ class EgoMotion(Aspect):
 
 
 class JointPositions(Aspect):
-    """Positions of ego and other at the same time, jointly: x, y, x, y in m."""
+    """Positions of the ego and the other entity at the same time, as one point: x, y, x, y in m."""
 
     name, unit = "interaction", "m"
 
@@ -123,7 +124,7 @@ class JointPositions(Aspect):
 
 
 class RelativePosition(Aspect):
-    """Position of the other as seen from the ego: ahead and to the left, in m."""
+    """Position of the other entity as seen from the ego: ahead and to the left, in m."""
 
     name, unit = "relative", "m"
 
@@ -133,10 +134,10 @@ class RelativePosition(Aspect):
 
 
 class Bearing(Aspect):
-    """Direction in which the ego sees the other, as a unit vector ahead and to the left, at any distance.
+    """Direction in which the ego sees the other entity, as a unit vector (ahead, left), regardless of the distance.
 
-    When the two pass each other it turns one way or the other, so it shows who was first; before and after, it hardly
-    changes. If they are at the same point, or the other never exists, it is the null vector.
+    When the two pass each other, the direction turns one way or the other, so it shows who was first. Before and after,
+    it hardly changes. If both are at the same point, or the other entity never exists, it is the null vector.
     """
 
     name, unit = "bearing", "1"
@@ -147,10 +148,9 @@ class Bearing(Aspect):
 
 
 class Behaviour(Aspect):
-    """Distance travelled by the ego along its own path, and time scaled by 5 m/s, in m.
+    """Distance travelled by the ego along its own path, and time scaled by 5 m/s, both in m.
 
-    Matching different times has a cost per second between them, so waiting counts, and the location of the path does
-    not.
+    Matching different times has a cost per second, so waiting counts. The location of the path does not count.
     """
 
     name, unit = "behaviour", "m"

@@ -21,7 +21,8 @@ from cornercase.study._digest import downsample
 def refit(analysis: Analysis, distances: FloatArray) -> ScenarioClustering:
     """Refit the clusters of an analysis, so that further scenarios can be assigned to them.
 
-    `distances`, shape (m, m), are those of the scenarios that it was fitted on, or of the landmarks.
+    `distances`, shape (m, m), are those between the scenarios that the analysis was fitted on, or between its
+    landmarks.
     """
     clustering = analysis.clustering
     dimensions = clustering.embedding.shape[1]
@@ -33,8 +34,8 @@ def refit(analysis: Analysis, distances: FloatArray) -> ScenarioClustering:
 def assign_to_clusters(study: StudyFile, analysis: Analysis, other_study: StudyFile, ids: Sequence[int]) -> IntArray:
     """Assign scenarios `ids` of another study to the clusters of an analysis; -1 is noise.
 
-    Works as `ScenarioClustering.predict`. The other study has the same entities, and the same metric if the analysis is
-    by one.
+    It works like `ScenarioClustering.predict`. The other study must have the same entities, and the same metric if the
+    analysis is by a metric.
     """
     if not len(ids):
         return np.zeros(0, dtype=np.int64)

@@ -55,10 +55,10 @@ def search_settings(
     n_components: int | _Auto,
     method: ClusteringMethod,
 ) -> Clustering:
-    """Cluster with the given settings, and with the best of those that are ``"auto"``.
+    """Cluster with the given settings; settings that are ``"auto"`` are searched.
 
-    `ScenarioClustering` says what is best. `distances`, shape (n, n), are in `canonical_order`, since the assignment of
-    border points depends on the order.
+    `ScenarioClustering` defines the best settings. `distances`, shape (n, n), are in `canonical_order`, since the
+    assignment of border points depends on the order.
     """
     n = len(distances)
     positive = distances[distances > 0.0]
@@ -98,14 +98,14 @@ def search_settings(
 
 
 def canonical_order(distances: FloatArray) -> IntArray:
-    """Return the scenarios by rising sum of distances, an order that does not depend on how they were given."""
+    """Order the scenarios by rising sum of distances, which does not depend on the order in which they were given."""
     return np.argsort(distances.sum(axis=1), kind="stable").astype(np.int64)
 
 
 def _candidate_spaces(
     n_scenarios: int, n_components: int | _Auto, min_samples: int | _Auto, smallest_cluster: int
 ) -> Iterator[tuple[int, int]]:
-    """Yield pairs of dimensions and `min_samples` to try, the usual ones first."""
+    """Yield pairs (number of dimensions, `min_samples`) to try, the usual values first."""
     usual = max(3, math.ceil(math.log(n_scenarios))) if n_scenarios >= _MIN_SCENARIOS else 1
     # A cluster of five is not dense if six are needed; clusters that touch need more neighbours to be separated.
     neighbours = [value for value in (usual, 3, 2 * usual) if value <= max(smallest_cluster, 1)]
@@ -116,7 +116,7 @@ def _candidate_spaces(
 
 
 def _mean_f_measure(labels: IntArray, expected: IntArray) -> float:
-    """Smaller of two mean F-measures: of each expected cluster with its best match, and vice versa."""
+    """Match of two clusterings: mean F-measure of each expected cluster with its best match, or vice versa if lower."""
     shared = np.zeros((int(expected.max()) + 1, int(labels.max()) + 1))
     if not shared.size:
         return 0.0
@@ -128,14 +128,14 @@ def _mean_f_measure(labels: IntArray, expected: IntArray) -> float:
 
 
 class _Embedding(NamedTuple):
-    """The part of a fitted kernel space that the search needs."""
+    """The data of a fitted kernel space that the search needs."""
 
     points: FloatArray
     explained: float
 
 
 class _SettingsSearch:
-    """Candidate settings and how well each shows the clusters that the distances show."""
+    """Search over settings, scored by how well they show the clusters that the distances show."""
 
     def __init__(self, distances: FloatArray, searching: bool, method: ClusteringMethod) -> None:
         self._scaled, self._searching, self._method = distances, searching, method
@@ -179,7 +179,7 @@ class _SettingsSearch:
             self.candidates.append((candidate, labels, space))
 
     def best_candidate(self, settings_given: bool) -> int:
-        """Return the index of the best candidate, after judging the best few by stability and validity."""
+        """Return the index of the best candidate; the best few are also judged by stability and validity."""
         indices = np.arange(len(self._scaled))
         self._stability = StabilityScorer(self._scaled, indices, method=self._method, max_part_size=MAX_SCORED)
         # At equal scores the wider radius is more robust when scenarios are left out.
@@ -215,7 +215,7 @@ class _SettingsSearch:
         return best
 
     def _add_stability(self, index: int) -> float:
-        """Add the stability of a candidate to it and to its score."""
+        """Compute the stability of a candidate, and include it in the score."""
         candidate, labels, space = self.candidates[index]
         if math.isnan(candidate.stability):
             stability = self._stability.mean_rand_index(candidate, labels)
@@ -227,7 +227,7 @@ class _SettingsSearch:
 
 
 class _TreeEdges:
-    """Edges of the minimum spanning tree in an embedding: within the expected clusters, and between them."""
+    """Edges of the minimum spanning tree in an embedding: those within expected clusters, and those between them."""
 
     def __init__(self, points: FloatArray, expected: IntArray, min_samples: int) -> None:
         n, distances = len(points), squareform(pdist(points))
@@ -240,13 +240,16 @@ class _TreeEdges:
 
     @property
     def gap_clearness(self) -> float:
-        """How clear the gap between clusters is, 0 to 1."""
+        """How clearly the edges between clusters are longer than those within, 0 to 1."""
         if not len(self._across) or not len(self._within):
             return 0.0
         return max(0.0, 1.0 - float(self._within.max() / max(self._across.min(), 1e-300)))
 
     def candidate_radii(self, method: ClusteringMethod) -> Iterable[float]:
-        """Radii to try: between the edges within clusters and those across; the largest connects everything."""
+        """Neighbourhood radii to try, between the edges within clusters and those between them.
+
+        The largest radius connects everything.
+        """
         tiny = 1e-9 + 1e-6 * self._largest
         # A radius equal to a distance would make neighbours depend on the last digits.
         connects_all = self._largest + tiny

@@ -19,7 +19,7 @@ ClusteringMethod = Literal["dbscan", "hdbscan"]
 
 @dataclass(frozen=True)
 class Candidate:
-    """Settings that the search tried, and how good the clusters are.
+    """Settings that the search tried, and how good the resulting clusters are.
 
     Attributes
     ----------
@@ -59,7 +59,7 @@ class Candidate:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Clustering:
-    """Clusters of n scenarios.
+    """Clusters of n scenarios, and the settings with which they were found.
 
     Attributes
     ----------
@@ -101,7 +101,7 @@ class Clustering:
     def stability(self) -> float | None:
         """Mean adjusted Rand index with the clusters of random parts; None if not computed or all are one cluster.
 
-        It also helps to choose the settings, so it is not independent evidence.
+        The stability is also used to choose the settings, so it is not independent evidence.
         """
         if len(np.unique(self.labels)) < 2:
             return None

@@ -15,9 +15,9 @@ from cornercase.clustering._kernels.dbscan import dbscan_labels
 def cluster_by_density(embedding: FloatArray, eps: float, min_samples: int, method: ClusteringMethod) -> IntArray:
     """Cluster points, shape (n, n_components), by DBSCAN or HDBSCAN; the largest cluster is 0, -1 is noise.
 
-    For HDBSCAN, clusters nearer than `eps` are not divided. M. Ester et al., "A density-based algorithm for discovering
-    clusters in large spatial databases with noise", 1996; R. Campello, D. Moulavi, J. Sander, "Density-based clustering
-    based on hierarchical density estimates", 2013.
+    For HDBSCAN, clusters with a distance below `eps` are not divided. M. Ester et al., "A density-based algorithm for
+    discovering clusters in large spatial databases with noise", 1996; R. Campello, D. Moulavi, J. Sander,
+    "Density-based clustering based on hierarchical density estimates", 2013.
     """
     if method == "dbscan":
         labels = np.empty(len(embedding), dtype=np.int64)
@@ -31,7 +31,7 @@ def cluster_by_density(embedding: FloatArray, eps: float, min_samples: int, meth
 
 
 def assign_to_nearest_cluster(new_points: FloatArray, clustering: Clustering) -> IntArray:
-    """Assign new points of the same kernel space to the cluster of the nearest dense point in reach, else noise."""
+    """Assign new points in the kernel space to the cluster of the nearest dense point; noise if none is near."""
     dense = np.flatnonzero(_is_dense(clustering))
     if not len(dense):
         return np.full(len(new_points), NOISE_LABEL, dtype=np.int64)
@@ -42,7 +42,7 @@ def assign_to_nearest_cluster(new_points: FloatArray, clustering: Clustering) ->
 
 
 def renumber_by_size(labels: npt.NDArray[np.int_]) -> IntArray:
-    """Renumber clusters by falling size; ties keep their order, -1 stays noise."""
+    """Renumber clusters by falling size; ties stay in order, and -1 stays noise."""
     sizes = np.bincount(labels[labels >= 0], minlength=1)
     rank = np.empty(len(sizes), dtype=np.int64)
     rank[np.argsort(-sizes, kind="stable")] = np.arange(len(sizes))
@@ -50,7 +50,7 @@ def renumber_by_size(labels: npt.NDArray[np.int_]) -> IntArray:
 
 
 def _is_dense(clustering: Clustering) -> BoolArray:
-    """Mask of the dense scenarios; for HDBSCAN, of all that are in a cluster."""
+    """Mask of the scenarios that are dense points; for HDBSCAN, of all that are in a cluster."""
     if clustering.method == "hdbscan":
         return np.asarray(clustering.labels >= 0)
     distances = cdist(clustering.embedding, clustering.embedding)

@@ -32,8 +32,8 @@ _N_WALKS: Final = 8
 class EmbeddedDistances:
     """Squared Euclidean distances of embedded scenarios, computed on demand; behaves like a matrix of shape (n, m).
 
-    `rows`, shape (n, p), and `columns`, shape (m, p), are coordinates; by default both are the same scenarios. Supports
-    indexing by rows and by ``numpy.ix_``.
+    `rows`, shape (n, p), and `columns`, shape (m, p), are coordinates of scenarios; by default the columns are the
+    rows. The matrix can be indexed by rows and by ``numpy.ix_``.
     """
 
     def __init__(self, rows: FloatArray, columns: FloatArray | None = None) -> None:
@@ -49,7 +49,7 @@ class EmbeddedDistances:
 
     @property
     def coordinates(self) -> FloatArray:
-        """Coordinates of the scenarios of the rows, shape (n, p)."""
+        """Coordinates of the scenarios in the rows, shape (n, p)."""
         return self._rows
 
     def __len__(self) -> int:
@@ -79,19 +79,20 @@ class EmbeddedDistances:
         return self[:] if dtype is None else self[:].astype(dtype)
 
     def subset(self, rows: IntArray, columns: IntArray) -> EmbeddedDistances:
-        """Return the distances of some of the rows and columns."""
+        """Return the distances between some of the rows and some of the columns."""
         return EmbeddedDistances(self._rows[rows], self._columns[columns])
 
     def row_blocks(self) -> Iterator[slice]:
-        """Yield slices of the rows such that the distances of each take at most 64 MB."""
+        """Yield slices of rows; the distances of one slice take at most 64 MB."""
         step = max(1, _BLOCK_SIZE // max(1, len(self._columns)))
         for first in range(0, len(self), step):
             yield slice(first, min(first + step, len(self)))
 
     def max(self) -> float:
-        """Return the largest distance, nearly.
+        """Return approximately the largest distance.
 
-        Walks from eight scenarios to the farthest one until that leads no farther; all pairs would take n² time.
+        The search starts at eight scenarios, and moves to the farthest scenario until the distance no longer grows.
+        Comparing all pairs would take n² time.
         """
         largest = 0.0
         for start in np.linspace(0, len(self) - 1, _N_WALKS).astype(np.int64).tolist():
@@ -102,17 +103,17 @@ class EmbeddedDistances:
         return largest
 
     def medoid(self, members: IntArray) -> int:
-        """Return the medoid of some scenarios: the member nearest to their mean, since the distances are squares."""
+        """Return the medoid of some scenarios: the member nearest to their mean, since the distances are squared."""
         points = self._rows[members]
         return int(members[((points - points.mean(axis=0)) ** 2).sum(axis=1).argmin()])
 
     def distances_to_nearest(self, rows: IntArray) -> FloatArray:
-        """Return the distance of every column to the nearest of some rows, shape (m,)."""
+        """Return the distance of each column to the nearest of some rows, shape (m,)."""
         transposed = EmbeddedDistances(self._columns, self._rows[rows])
         return np.concatenate([transposed[block].min(axis=1) for block in transposed.row_blocks()])
 
     def distances_to_nearest_per_choice(self, row_choices: IntArray) -> FloatArray:
-        """Return the distance of every column to the nearest row of each choice, shape (draws, m)."""
+        """Return the distance of each column to the nearest row in each choice of rows, shape (draws, m)."""
         n = len(self)
         if row_choices.shape[1] < _SPARSE_SHARE * n or n <= 2 * _N_NEAREST:
             return np.array([self.distances_to_nearest(choice) for choice in row_choices])
@@ -129,13 +130,13 @@ class EmbeddedDistances:
 
     @cached_property
     def _nearest_rows(self) -> IntArray:
-        """Indices of the nearest rows of each column, the nearest first, shape (m, 32)."""
+        """Indices of the 32 rows nearest to each column, the nearest first, shape (m, 32)."""
         return np.asarray(cKDTree(self._rows).query(self._columns, k=_N_NEAREST)[1], dtype=np.int64)
 
     def medoids(self, count: int) -> IntArray:
-        """Choose `count` scenarios with a small mean distance from all to the nearest one, in rising order.
+        """Choose `count` scenarios such that all scenarios are near to one of them; return rising indices.
 
-        The distances are squares, so k-means minimises their sum; the scenario nearest to each mean is taken.
+        The distances are squared, so k-means minimises their sum. The scenario nearest to each mean is chosen.
         """
         n = len(self)
         if count >= n:
@@ -151,10 +152,10 @@ class EmbeddedDistances:
 class LandmarkMDS:
     """Landmark multidimensional scaling: coordinates of scenarios from their distances to some landmarks.
 
-    `landmark_distances`, shape (m, m), are the distances of the landmarks. Uses the roots of the distances: DTW sums
-    along a path and is no metric, but its root is nearly Euclidean. Only the 48 largest axes are kept, so distances
-    between very similar scenarios come out too small. V. de Silva, J. Tenenbaum, "Sparse multidimensional scaling using
-    landmark points", 2004.
+    `landmark_distances`, shape (m, m), are the distances between the landmarks. The scaling uses the square roots of
+    the distances: the DTW distance is no metric, but its root is nearly Euclidean. Only the 48 largest axes are used,
+    so distances between very similar scenarios come out too small. V. de Silva, J. Tenenbaum, "Sparse multidimensional
+    scaling using landmark points", 2004.
     """
 
     def __init__(self, landmark_distances: FloatArray) -> None:

@@ -1,6 +1,6 @@
-"""k-means for as many clusters as a tenth of the points: neither step grows with points times clusters.
+"""k-means for very many clusters, up to a tenth of the points, in less time than points times clusters.
 
-Finds what `sklearn.cluster.KMeans` finds with the same seed, but compares each point only with centres nearby. D.
+It finds what `sklearn.cluster.KMeans` finds with the same seed, but compares each point only with centres nearby. D.
 Arthur, S. Vassilvitskii, "k-means++: The advantages of careful seeding", 2007; S. Lloyd, "Least squares quantization in
 PCM", 1982.
 """
@@ -22,7 +22,7 @@ _TOLERANCE: Final = 1e-4
 
 
 def find_k_means(points: FloatArray, k: int) -> tuple[IntArray, FloatArray]:
-    """Return the cluster of each point, shape (n,), and the centres, shape (k, p); clusters may be empty."""
+    """Return the cluster of each point, shape (n,), and the centres, shape (k, p). Clusters may be empty."""
     mean = points.mean(axis=0)
     points = np.pad(points - mean, ((0, 0), (0, max(0, N_CELL_AXES - points.shape[1]))))
     centers = points[_choose_starts(points, k)]
@@ -42,7 +42,7 @@ def find_k_means(points: FloatArray, k: int) -> tuple[IntArray, FloatArray]:
 
 
 def _choose_starts(points: FloatArray, k: int) -> IntArray:
-    """Choose the points at which the centres begin, as scikit-learn does with seed 0."""
+    """Choose the points that are the initial centres, as scikit-learn does with seed 0."""
     rng = np.random.RandomState(0)
     first = int(rng.choice(len(points), p=np.full(len(points), 1.0 / len(points))))
     random_numbers = rng.uniform(size=(k - 1, 2 + int(math.log(k))))
@@ -58,7 +58,7 @@ def _nearest_center(points: FloatArray, centers: FloatArray) -> IntArray:
 
 
 def _mean_per_cluster(points: FloatArray, labels: IntArray, centers: FloatArray) -> FloatArray:
-    """Mean of the points of each cluster; an empty cluster keeps its centre."""
+    """Mean of the points of each cluster; the centre of an empty cluster stays where it is."""
     order = np.argsort(labels, kind="stable")
     used, starts, counts = np.unique(labels[order], return_index=True, return_counts=True)
     means = centers.copy()

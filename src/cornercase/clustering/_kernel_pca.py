@@ -12,12 +12,12 @@ from cornercase._common.typing import FloatArray
 
 
 class KernelPca:
-    """Leading components of the kernel ``exp(-gamma * d**2)``, by kernel PCA.
+    """Kernel PCA with the Gaussian kernel ``exp(-gamma * d**2)`` of distances d.
 
-    After `fit`, `embedding`, shape (n, n_components), has the coordinates (0 on axes beyond the rank of the kernel),
-    and `explained` the share of the variance that the components keep. S. Mika et al., "Kernel PCA and de-noising in
-    feature spaces", 1998; new scenarios are projected as in C. Williams, M. Seeger, "Using the Nyström method to speed
-    up kernel machines", 2001.
+    After `fit`, `embedding`, shape (n, n_components), has the coordinates; they are 0 on axes beyond the rank of the
+    kernel. `explained` is the share of the variance that the components explain. S. Mika et al., "Kernel PCA and
+    de-noising in feature spaces", 1998. New scenarios are projected as in C. Williams, M. Seeger, "Using the Nyström
+    method to speed up kernel machines", 2001.
     """
 
     def __init__(self, gamma: float, n_components: int) -> None:
@@ -26,7 +26,7 @@ class KernelPca:
         self.explained = 1.0
 
     def fit(self, distances: FloatArray) -> Self:
-        """Fit the components to distances, shape (n, n), divided by their scale."""
+        """Fit the components to distances, shape (n, n), that are divided by their scale."""
         kernel = self._gaussian_kernel(distances)
         n = len(kernel)
         self._fitted_kernel = kernel
@@ -43,7 +43,7 @@ class KernelPca:
         return self
 
     def transform(self, distances: FloatArray) -> FloatArray:
-        """Project further scenarios by their distances to the fitted ones, shape (m, n), divided by the same scale."""
+        """Project further scenarios; `distances`, shape (m, n), are to the fitted ones, divided by the same scale."""
         embedding = np.zeros((len(distances), self._n_components))
         if self._pca is not None and len(distances):
             coordinates = self._pca.transform(self._gaussian_kernel(distances))
@@ -51,9 +51,9 @@ class KernelPca:
         return embedding
 
     def approximation_error(self, to_fitted: FloatArray, between: FloatArray, tolerance: float = 1e-10) -> float:
-        """Return the relative error (Frobenius norm) of the kernel of further scenarios, rebuilt from the fitted ones.
+        """Return the relative error (Frobenius norm) of the kernel of further scenarios that fitted ones approximate.
 
-        Singular values below the share `tolerance` of the largest one count as rounding.
+        Singular values below the share `tolerance` of the largest one count as rounding errors.
         """
         cross, kernel = self._gaussian_kernel(to_fitted), self._gaussian_kernel(between)
         weights = lstsq(self._fitted_kernel, cross.T, cond=tolerance)[0]
@@ -66,7 +66,7 @@ class KernelPca:
 
 
 def _fit_kernel_pca(kernel: FloatArray, centred_kernel: FloatArray, n_components: int) -> tuple[KernelPCA, FloatArray]:
-    """Kernel PCA with `n_components` components, or with as many as have a positive eigenvalue."""
+    """Kernel PCA with `n_components` components, or with as many as have positive eigenvalues."""
     model = KernelPCA(n_components, kernel="precomputed", random_state=0)
     try:
         return model, model.fit_transform(kernel)

@@ -1,6 +1,7 @@
-"""Clustering of many scenarios by landmarks, so that nothing grows with the square of their number.
+"""Clustering of very many scenarios by landmarks; time and memory do not grow with the square of their number.
 
-Every scenario is compared with a few landmarks only. The landmarks are clustered, and the others join their clusters.
+Every scenario is compared only with a few scenarios, the landmarks. The landmarks are clustered, and the others join
+their clusters.
 """
 
 from __future__ import annotations
@@ -34,8 +35,8 @@ _BATCH_SIZE: Final = 1000
 class LandmarkClustering:
     """Clusters and embedding of scenarios that were compared with landmarks.
 
-    `embedding`, shape (n, p), are coordinates for `EmbeddedDistances`; `landmark_distances`, shape (m, m), are the
-    distances of the landmarks; `embedding_error` is the mean absolute error of embedded distances between other
+    `embedding`, shape (n, p), has the coordinates for `EmbeddedDistances`. `landmark_distances`, shape (m, m), are
+    those between the landmarks. `embedding_error` is the mean absolute error of embedded distances between other
     scenarios, as a share of the mean distance.
     """
 
@@ -47,9 +48,10 @@ class LandmarkClustering:
 
 @dataclass(eq=False)
 class PairwiseComparer:
-    """DTW comparison of downsampled series; distances are multiplied by the stride `stride`.
+    """Compares scenarios by DTW of downsampled series; distances are multiplied by `stride` to make up for it.
 
-    `window` is in instants; `progress` is the label of a bar, None for no bar; `seconds` is the time spent so far.
+    `window` is in instants. `progress` is the label of a progress bar; None for no bar. `seconds` is the time spent so
+    far.
     """
 
     series: Sequence[FloatArray]
@@ -90,7 +92,7 @@ class PairwiseComparer:
 
 
 def draw_landmarks(n_scenarios: int) -> IntArray:
-    """Draw landmark scenarios at random, in rising order; so they are dense where scenarios are."""
+    """Draw landmark scenarios at random; return rising indices. Landmarks are dense where scenarios are dense."""
     drawn = np.random.default_rng(0).choice(n_scenarios, min(N_LANDMARKS, n_scenarios), replace=False)
     return np.sort(drawn).astype(np.int64)
 
@@ -113,7 +115,7 @@ def assign_by_landmarks(
     existing: Clustering,
     labels: IntArray,
 ) -> LandmarkClustering:
-    """Assign scenarios to clusters of an earlier analysis; landmarks keep their `labels`, shape (m,)."""
+    """Assign scenarios to the clusters of an earlier analysis; landmarks stay in their clusters `labels`, (m,)."""
     dimensions = existing.embedding.shape[1]
     fitted = ScenarioClustering(
         existing.gamma, existing.eps, existing.min_samples, dimensions, method=existing.method
@@ -128,7 +130,7 @@ def assign_by_landmarks(
 def _assign_all(
     comparer: PairwiseComparer, landmarks: IntArray, landmark_distances: FloatArray, fitted: ScenarioClustering
 ) -> tuple[Clustering, FloatArray, float]:
-    """Clusters and coordinates of all scenarios, and the error of embedded distances."""
+    """Assign all scenarios; return clusters, coordinates, and the error of embedded distances."""
     n = len(comparer.series)
     clustering, embedder = fitted.result_, LandmarkMDS(landmark_distances)
     labels, embedding = np.empty(n, dtype=np.int64), np.empty((n, clustering.embedding.shape[1]))

@@ -43,26 +43,25 @@ _JOINT_TEST_NEIGHBOURS: Final = 2
 
 
 def estimate_clusters(distances: FloatArray) -> IntArray:
-    """Divide scenarios into clusters if there is evidence for more than one; all 0 if there is no structure.
+    """Divide scenarios into clusters if there is evidence for more than one; otherwise all labels are 0.
 
-    `distances`, shape (n, n), may have any unit; at equal distances the order of the scenarios may matter.
+    `distances`, shape (n, n), may have any unit. If distances are equal, the order of the scenarios may matter.
 
     The minimum spanning tree of mutual reachability (Campello et al. 2013) merges scenarios, the nearest first. If two
-    groups merge at length r, the strength of the split is the number of neighbours that a typical member has within r,
-    in the group that has fewer. A point between the groups has hardly more than the `k` neighbours that mutual
-    reachability allows, so strength over `k` is a ratio of densities, in any number of dimensions. If r exceeds the
-    extent of a group, as for a small group far away, the strength grows with r over the extent. Splits that are no
-    stronger than chance are merged: the weaker group becomes part of the other. Clusters are divided again until none
-    divides.
+    groups merge at length r, the strength of the split is the number of neighbours within r of a typical member, in the
+    group in which this number is smaller. Mutual reachability allows a point between the groups hardly more than `k`
+    neighbours. So strength over `k` is a ratio of densities, in any number of dimensions. If r exceeds the extent of a
+    group, as for a small group far away, the strength grows with r over the extent. Splits that are no stronger than
+    chance are merged: the weaker group becomes part of the other. Clusters are divided again until none divides.
 
-    The strength of the strongest split by chance depends on the number of scenarios and their intrinsic dimension,
+    The strength of the strongest split by chance depends on the number of scenarios and on their intrinsic dimension,
     which is estimated from distances to neighbours (Levina and Bickel 2005).
 
     Among few scenarios no single split may be clear, though all of them together are. So for up to a hundred scenarios
-    all gaps are first tested together. Random gaps between points on a line are exponential, and in `d` dimensions so
-    is the gap to the power of `d`. For each number of groups, the sum of the logarithms of the gaps, as multiples of
-    the longest step within a group, then follows at most a gamma distribution. If one of these sums is too large for
-    chance, the number of groups is taken for which the sum times the silhouette is largest.
+    all gaps are first tested together. Random gaps between points on a line are exponential; in d dimensions the gap to
+    the power of d is exponential. Each number of groups is tested by the sum of the logarithms of the gaps, as
+    multiples of the longest step within a group. By chance this sum follows at most a gamma distribution. If one of the
+    sums is too large for chance, the number of groups is chosen for which the sum times the silhouette is largest.
     """
     n = len(distances)
     labels = np.zeros(n, dtype=np.int64)
@@ -84,7 +83,7 @@ def estimate_clusters(distances: FloatArray) -> IntArray:
 
 
 def _test_gaps_jointly(distances: FloatArray, min_gap: float) -> IntArray:
-    """Groups of up to a hundred scenarios between which the gaps, taken together, are longer than by chance."""
+    """Divide up to a hundred scenarios into groups if the gaps between groups, taken together, exceed chance."""
     n = len(distances)
     undivided = best = np.zeros(n, dtype=np.int64)
     if not 2 * MIN_JOINT_MEMBERS <= n <= MAX_JOINT_TEST:
@@ -120,7 +119,7 @@ def _test_gaps_jointly(distances: FloatArray, min_gap: float) -> IntArray:
 
 
 def _split_by_density(distances: FloatArray, min_gap: float) -> IntArray:
-    """Split scenarios with the smallest number of neighbours that divides them; parts are numbered from 0."""
+    """Split scenarios with the smallest number of neighbours for which they divide; the labels begin at 0."""
     n = len(distances)
     if n >= 2 * MIN_MEMBERS:
         dimension = _intrinsic_dimension(distances, _DIMENSION_NEIGHBOURS)
@@ -141,13 +140,19 @@ def _split_by_density(distances: FloatArray, min_gap: float) -> IntArray:
 
 
 def _split_strength_by_chance(n: int, n_neighbours: int, dimension: float) -> float:
-    """Strength of the strongest split within a single cluster, at least that of twice the density."""
+    """Strength of the strongest split that is expected by chance within a single cluster.
+
+    It is at least that of a ratio of densities of two.
+    """
     by_dimension = [a * math.log(n) + b + c * max(n_neighbours - 6, 0) for a, b, c in CHANCE_STRENGTH]
     return max(float(np.exp(np.interp(dimension, [1.0, 2.0, 3.0], np.log(by_dimension)))), 2.0 * n_neighbours)
 
 
 def _lowest_accepted_strength(strengths: list[float], fair: float, clear: float) -> float:
-    """Smallest accepted strength: below `clear` if a split is much stronger than all weaker ones."""
+    """Smallest strength at which a split is accepted.
+
+    It lies below `clear` if a split is much stronger than all weaker ones.
+    """
     accepted = clear
     descending = [*sorted(strengths, reverse=True), 0.0]
     for strength, weaker in itertools.pairwise(descending):
@@ -183,7 +188,7 @@ class _ReachabilityHierarchy:
         self._least = max(MIN_MEMBERS, n_neighbours)
 
     def split(self, min_strength: float) -> tuple[IntArray, list[float]]:
-        """Return groups separated by splits of at least the accepted strength, and the strengths of all splits."""
+        """Return the groups that are separated by splits of sufficient strength, and the strengths of all splits."""
         n = len(self._distances)
         label, tree = np.arange(n), np.arange(n)
         members = {i: np.array([i]) for i in range(n)}
@@ -220,8 +225,8 @@ class _ReachabilityHierarchy:
     def _count_neighbours(self, members: IntArray, others: IntArray, radius: float) -> float:
         """Number of members within `radius` of a typical member, extrapolated if `radius` exceeds their extent.
 
-        Limited by the number at the members nearest to the others: where a dense part meets a sparse one, or a few
-        points lie at a sparse edge, there is no gap between two clusters, though most members of one lie close
+        The number is limited by that at the members nearest to the `others`. There is no gap between two clusters where
+        a dense part meets a sparse one, or a few points lie at a sparse edge, though most members of one lie close
         together.
         """
         distances = self._distances[np.ix_(members[:: math.ceil(len(members) / _MAX_SAMPLED_MEMBERS)], members)]

@@ -26,12 +26,12 @@ _SINGULAR_VALUE_TOLERANCE: Final = 1e-7
 
 
 class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
-    """Cluster scenarios by their distances, and assign new ones to the existing clusters.
+    """Cluster scenarios by their distances, and assign new scenarios to the existing clusters.
 
-    As in [1]_, the distances d become a Gaussian kernel ``exp(-gamma * (d / scale)**2)``, kernel PCA [2]_ projects it
-    to a few dimensions, and DBSCAN [3]_ finds the dense regions there. `scale` is the median distance of two scenarios
-    that differ. So `gamma` has no unit and means the same for trajectories in metres and courses in seconds: at 1 the
-    kernel has fallen to 1/e at the typical distance.
+    The distances d become a Gaussian kernel ``exp(-gamma * (d / scale)**2)``, as in [1]_. Kernel PCA [2]_ projects the
+    kernel to a few dimensions, and DBSCAN [3]_ finds the dense regions there. `scale` is the median distance of two
+    scenarios that differ. So `gamma` has no unit and means the same for trajectories in metres and courses in seconds:
+    at 1 the kernel has fallen to 1/e at the median distance.
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
         self.n_components, self.method, self.landmarks = n_components, method, landmarks
 
     def fit(self, distances: npt.ArrayLike, y: Any = None) -> Self:
-        """Cluster.
+        """Find the clusters of scenarios.
 
         Parameters
         ----------
@@ -183,7 +183,7 @@ class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
         return self
 
     def check_settings(self) -> None:
-        """Check the settings; `fit` does it too.
+        """Check the settings; `fit` checks them too.
 
         Raises
         ------
@@ -235,10 +235,10 @@ class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
             return self._space.transform(matrix[:, self._kernel_rows] / self._scale)
 
     def predict(self, distances: npt.ArrayLike) -> IntArray:
-        """Assign new scenarios to the existing clusters, without changing these.
+        """Assign new scenarios to the existing clusters, without changing the clusters.
 
-        As in DBSCAN, each goes to the cluster of the nearest dense scenario within its neighbourhood, and is noise if
-        there is none.
+        As in DBSCAN, a scenario joins the cluster of the nearest dense scenario within its neighbourhood; without a
+        dense scenario there, it is noise.
 
         Parameters
         ----------
@@ -280,7 +280,7 @@ class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
             )
 
     def _in_given_order(self) -> Clustering:
-        """Clusters of all scenarios, in the order in which these were given."""
+        """Clusters of all scenarios, in the order in which the scenarios were given."""
         order = np.argsort(self._kernel_rows)
         return replace(
             self._fitted_clustering,

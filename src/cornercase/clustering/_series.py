@@ -30,7 +30,7 @@ def default_aspects(study: StudyFile) -> tuple[str, ...]:
 
 
 def require_aspect(study: StudyFile, aspect: str) -> None:
-    """Raise `InputError` unless `aspect` is one of `ASPECTS` or a metric of the study."""
+    """Raise `InputError` unless `aspect` is in `ASPECTS` or a metric of the study."""
     if aspect in study.meta.metrics:
         return
     if aspect.partition(":")[0] not in ASPECTS:
@@ -40,7 +40,7 @@ def require_aspect(study: StudyFile, aspect: str) -> None:
 
 
 def create_aspect(name: str) -> Aspect:
-    """Create an aspect of `ASPECTS` and check its name and unit; another package may have registered it."""
+    """Create a registered aspect, and check its name and unit, since it may come from another package."""
     try:
         aspect = ASPECTS.create(name)
         unit, _ = aspect.unit, aspect.name
@@ -56,9 +56,10 @@ def create_aspect(name: str) -> Aspect:
 def read_series(
     study: StudyFile, aspect: str, ids: Sequence[int] | None = None, other_entity: str | None = None
 ) -> list[FloatArray]:
-    """Return one time series per finished scenario, or per scenario of `ids`: shape (T_i, k); (T_i,) for a metric.
+    """Return one time series per finished scenario, or per scenario in `ids`.
 
-    `other_entity` is the entity that aspects look at besides the ego, by default the main other one of the study.
+    The series have shape (T_i, k), or (T_i,) for a metric. `other_entity` is the entity that aspects look at besides
+    the ego. By default it is the main other entity of the study.
     """
     require_aspect(study, aspect)
     ids = [row.id for row in study.finished_rows()] if ids is None else ids
@@ -74,9 +75,9 @@ def read_series(
 
 
 def digested_series(digest: ScenarioDigest, aspect: Aspect, other_index: int) -> FloatArray | None:
-    """Return the stored series of one scenario for an aspect, shape (M, k); None if the digest has none.
+    """Return the stored series of one scenario for an aspect, shape (M, k); None if it is not stored.
 
-    `other_index` is the index of the entity that the aspect looks at among the others of the study.
+    `other_index` is the index of the entity that the aspect looks at, among the other entities of the study.
     """
     position, bearing = digest.position_and_bearing(other_index)
     # Another package may have replaced an aspect.
@@ -90,9 +91,9 @@ def digested_series(digest: ScenarioDigest, aspect: Aspect, other_index: int) ->
 def aspect_series(
     study: StudyFile, scenario: int, recording: Recording, aspect: Aspect, other_entity: str
 ) -> FloatArray:
-    """Return the time series of one scenario for an aspect, shape (T, k), checked.
+    """Compute and check the time series of one scenario for an aspect, shape (T, k).
 
-    `other_entity` is the entity that the aspect looks at besides the ego; it is the same in all scenarios that are
+    `other_entity` is the entity that the aspect looks at besides the ego. It is the same in all scenarios that are
     compared.
     """
     # Read-only, since all aspects get the same recording.
@@ -132,7 +133,7 @@ def require_same_channels(study: StudyFile, aspect: str, ids: Sequence[int], ser
 
 
 def distance_unit(study: StudyFile, aspect: str) -> str:
-    """Return the unit of DTW distances by an aspect: that of its series, since they are sums; "1" for none."""
+    """Return the unit of DTW distances by an aspect, which is that of the series; "1" for none."""
     require_aspect(study, aspect)
     return METRICS.create(aspect).unit if aspect in study.meta.metrics else create_aspect(aspect).unit
 

@@ -1,4 +1,4 @@
-"""Stability of clusters: whether random parts of the scenarios give the same ones."""
+"""Stability of clusters: whether random parts of the scenarios give the same clusters."""
 
 from __future__ import annotations
 
@@ -16,10 +16,11 @@ RESAMPLED_SHARE: Final = 0.8
 
 
 class StabilityScorer:
-    """Clusterings of ten random parts of 80 % of the scenarios, each in a kernel space of its own.
+    """Scores the stability of clusters by clustering ten random parts of 80 % of the scenarios.
 
-    `distances`, shape (n, n), are divided by their scale; `order`, shape (n,), depends only on the distances; a part
-    has at most `max_part_size` scenarios. U. von Luxburg, "Clustering stability: an overview", 2010.
+    Each part has its own kernel space and at most `max_part_size` scenarios. `distances`, shape (n, n), are divided by
+    their scale. `order`, shape (n,), is an order of the scenarios that depends only on the distances. U. von Luxburg,
+    "Clustering stability: an overview", 2010.
     """
 
     def __init__(
@@ -40,7 +41,7 @@ class StabilityScorer:
         self._spaces: dict[tuple[float, int, int], FloatArray] = {}
 
     def mean_rand_index(self, candidate: Candidate, labels: IntArray) -> float:
-        """Return the mean adjusted Rand index, -1 to 1, of clusters and those found in the parts."""
+        """Return the mean adjusted Rand index, -1 to 1, of clusters with those found in the random parts."""
         min_samples = max(min(3, candidate.min_samples), round(candidate.min_samples * self._thinned))
         scores = []
         for k, part in enumerate(self._parts):
@@ -54,7 +55,10 @@ class StabilityScorer:
 
 
 def _adjusted_rand_index(labels_a: IntArray, labels_b: IntArray) -> float:
-    """Adjusted Rand index of two labellings with values from -1 up; scikit-learn's checks take 30 times as long."""
+    """Adjusted Rand index of two labellings with values from -1 up.
+
+    The checks of scikit-learn's function take 30 times as long.
+    """
     width = int(labels_b.max()) + 2
     shared = np.bincount((labels_a + 1) * width + labels_b + 1, minlength=(int(labels_a.max()) + 2) * width).reshape(
         -1, width

@@ -25,7 +25,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Analysis:
-    """Clusters of a study's scenarios by one aspect; `read_distances` returns the distances.
+    """Clusters of a study's scenarios by one aspect, as stored in the study.
+
+    The distances are stored separately; `read_distances` returns them.
 
     Attributes
     ----------
@@ -120,7 +122,7 @@ class Analysis:
         return pd.DataFrame(columns).set_index(clusters)
 
     def _repr_html_(self) -> str:
-        """Table of the clusters, for notebooks."""
+        """HTML table of the clusters, for notebooks."""
         return render_html_table(repr(self), self.table())
 
     def __repr__(self) -> str:
@@ -135,9 +137,9 @@ class Analysis:
 def analysis_to_storage(
     study: StudyFile, analysis: Analysis, dtw_distances: FloatArray, distances: Distances
 ) -> tuple[dict[str, npt.ArrayLike], dict[str, Any]]:
-    """Return the arrays and the info that `StudyFile.save_analysis` stores of an analysis.
+    """Convert an analysis to the arrays and the info that `StudyFile.save_analysis` stores.
 
-    `dtw_distances` are between all scenarios or the landmarks, `distances` between all scenarios.
+    `dtw_distances` are between all scenarios or between the landmarks, `distances` between all scenarios.
     """
     clustering = analysis.clustering
     arrays: dict[str, npt.ArrayLike] = {"ids": analysis.ids, "distances": dtw_distances}
@@ -173,7 +175,7 @@ def analysis_to_storage(
 
 
 def read_analysis(study: StudyFile, by: str) -> Analysis:
-    """Read back what `analyze` found by one aspect.
+    """Read the stored analysis of a study by one aspect.
 
     Parameters
     ----------
@@ -260,7 +262,7 @@ def _profiles_from_storage(info: Mapping[str, Any]) -> tuple[Profile, ...]:
 
 
 def read_analyses(study: StudyFile) -> dict[str, Analysis]:
-    """Read back all analyses of a study.
+    """Read all stored analyses of a study.
 
     Parameters
     ----------
@@ -276,7 +278,7 @@ def read_analyses(study: StudyFile) -> dict[str, Analysis]:
 
 
 def read_distances(study: StudyFile, by: str) -> Distances:
-    """Read the distances by which scenarios were clustered.
+    """Read the distances by which the scenarios of a study were clustered.
 
     Parameters
     ----------

@@ -12,7 +12,7 @@ _MIN_DISTANCE = 1e-5
 
 
 class ValidityScorer:
-    """DBCV and silhouette of labellings on a subset of the scenarios; results are cached by labelling."""
+    """Scores labellings of scenarios by DBCV and silhouette, on a subset of the scenarios; scores are cached."""
 
     def __init__(self, distances: FloatArray, sample: IntArray) -> None:
         self._some = sample
@@ -20,7 +20,7 @@ class ValidityScorer:
         self._known: dict[bytes, tuple[float, float]] = {}
 
     def dbcv_and_silhouette(self, labels: IntArray) -> tuple[float, float]:
-        """Return DBCV and silhouette, -1 to 1 each; noise counts as 0.
+        """Return DBCV and silhouette of labels, -1 to 1 each; a scenario in noise contributes 0.
 
         Both are -1 if a cluster has fewer than three scenarios.
         """
@@ -41,10 +41,10 @@ class ValidityScorer:
 
 
 def dbcv(distances: FloatArray, labels: IntArray, *, dimensions: float = 3.0) -> float:
-    """Density-based clustering validation index (DBCV), -1 to 1, higher is better; noise counts as 0.
+    """Density-based clustering validation index (DBCV), -1 to 1, higher is better; noise contributes 0.
 
     `labels` has two or more clusters of three or more scenarios. Definitions 1 to 8 of Moulavi et al., "Density-based
-    clustering validation", 2014; `dimensions` is the exponent of the all-points core distance.
+    clustering validation", 2014. `dimensions` is the exponent of the all-points core distance.
     """
     positive = distances[distances > 0]
     distances = distances / np.median(positive) if len(positive) else distances

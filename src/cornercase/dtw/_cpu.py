@@ -1,10 +1,10 @@
-"""Dynamic time warping on the CPU: one series against as many others as a vector has lanes.
+"""Dynamic time warping on the CPU: one series against as many others as a vector register has lanes.
 
-Series are sorted by length. Each block of 8 (double) or 16 (single precision) neighbours is interleaved, so that one
-vector holds the same instant of all of them; a tile is such a block against a run of single series. The recurrence
-advances four rows at a time: their values stay in registers, and four independent chains hide the latency of one. Every
-cell is one rounded sum of its cost and an exact minimum, so the result depends neither on the order of the cells, nor
-on the neighbouring lanes, nor on the number of threads.
+Series are sorted by length. Each block of 8 (double precision) or 16 (single precision) neighbours is interleaved, so
+that one vector holds the same instant of all of them. A tile is the comparison of such a block with several single
+series. The recurrence advances four rows at a time: their values stay in registers, and four independent chains hide
+the latency of each other. Every cell is one rounded sum of its cost and an exact minimum. So the result does not depend
+on the order of the cells, the neighbouring lanes, or the number of threads.
 """
 
 # Compiled functions have no static types.
@@ -49,7 +49,7 @@ Floats = npt.NDArray[np.floating[Any]]
 
 @dataclass(frozen=True)
 class _SortedSeries:
-    """Concatenated series sorted by length: series ``order[i]`` begins at ``starts[i]``."""
+    """Concatenated series, sorted by length: series ``order[i]`` begins at index ``starts[i]`` of `values`."""
 
     order: IntArray
     lengths: IntArray
@@ -59,7 +59,7 @@ class _SortedSeries:
 
 @dataclass(frozen=True)
 class _InterleavedBlock:
-    """Interleaved series of similar length: ``values[(instant * dims + dim) * lanes + lane]``."""
+    """Series of similar length, interleaved: ``values[(instant * dims + dim) * lanes + lane]``."""
 
     first: int
     lengths: IntArray
@@ -77,12 +77,11 @@ def compute_distances_on_cpu(
     report_progress: Callable[[int], None],
     needed: BoolArray | None = None,
 ) -> Floats:
-    """Distances of checked series, shape (len(rows), len(columns)).
+    """Distances of validated series, shape (len(rows), len(columns)).
 
-    `columns` None means the rows; then only one half is computed.
-
-    `report_progress` gets the number of cells done since its last call, in this thread. `needed`: pairs that are
-    wanted; others may be infinite.
+    Without `columns`, the rows are compared with each other, and only one half is computed. `report_progress` gets the
+    number of cells (pairs of instants) done since its last call, in the thread of the caller. `needed` marks the pairs
+    that are wanted; other distances may be infinite.
     """
     if columns is not None and len(columns) < len(rows):
         # The longer side fills the lanes better; the distance is the same from either side.
@@ -143,7 +142,7 @@ def _sort_by_length(series: Sequence[Floats], dtype: np.dtype[Any]) -> _SortedSe
 
 
 def _interleave_block(series: _SortedSeries, first: int, dims: int, lanes: int) -> _InterleavedBlock:
-    """Interleave up to `lanes` series; padding is finite and never read out."""
+    """Interleave up to `lanes` series. Unused places are filled with finite numbers, which are never read out."""
     members = range(first, min(first + lanes, len(series.order)))
     block = np.zeros((series.lengths[members[-1]], dims, lanes), dtype=series.values.dtype)
     for lane, i in enumerate(members):
@@ -155,7 +154,10 @@ def _interleave_block(series: _SortedSeries, first: int, dims: int, lanes: int) 
 def _iter_tiles(
     blocks: Sequence[_InterleavedBlock], lengths: IntArray, symmetric: bool, n_jobs: int
 ) -> Iterator[tuple[_InterleavedBlock, range]]:
-    """Blocks with runs of single series, the most expensive first; symmetric runs end with the block's last member."""
+    """Yield tiles (a block and a range of single series), the most expensive first.
+
+    If the comparison is `symmetric`, the range ends with the last series of the block.
+    """
     total = int(lengths.sum()) * sum(int(block.lengths.sum()) for block in blocks) // (2 if symmetric else 1)
     share = min(max(total // (16 * n_jobs), TILE_CELLS // 10), TILE_CELLS)
     for block in reversed(blocks):
@@ -175,7 +177,7 @@ def _run_tiles(
     n_jobs: int,
     report_progress: Callable[[int], None],
 ) -> None:
-    """Run tiles on threads; an interrupt drops waiting tiles and waits for running ones."""
+    """Run tiles on threads. An interrupt drops the tiles that wait, and waits for those that run."""
     if n_jobs == 1:
         for tile in tiles:
             report_progress(run(*tile))
@@ -255,7 +257,7 @@ def _four_rows(x, i, y, lower, upper, row, below, above, infinity, dims, squared
 
 @cache
 def _tile_kernel(dims: int, squared: bool, banded: bool, lanes: int) -> Callable[..., None]:
-    """Kernel of a tile for one kind of cost: distances of some single series to one block."""
+    """Make the kernel for one kind of cost: it computes the distances of some single series to one block."""
 
     def tile(values, starts, lengths, block, block_lengths, selected, window, out):
         members = len(block_lengths)
@@ -297,7 +299,7 @@ def _tile_kernel(dims: int, squared: bool, banded: bool, lanes: int) -> Callable
 
 
 def get_compiled_kernel(dims: int, squared: bool, banded: bool, dtype: npt.DTypeLike) -> Callable[..., None]:
-    """Return a kernel that is compiled."""
+    """Return the kernel for one kind of cost, compiled."""
     dtype = np.dtype(dtype)
     kernel = _tile_kernel(dims, squared, banded, simd.VECTOR_BYTES // dtype.itemsize)
     floats, integers = np.zeros(dims, dtype=dtype), np.zeros(1, dtype=np.int64)

@@ -1,8 +1,8 @@
-"""Dynamic time warping on an NVIDIA GPU: one pair per thread, four rows of its table at a time.
+"""Dynamic time warping on an NVIDIA GPU: one pair of series per thread, four rows of the cost table at a time.
 
-Neighbouring threads have the same row series and neighbouring column series, which are interleaved: a warp reads and
-writes consecutive numbers. Four rows stay in registers, the last of them in global memory. The compiler contracts
-products and sums, so the last digits may differ from the CPU's.
+Neighbouring threads have the same row series and neighbouring column series. The column series are interleaved, so a
+warp reads and writes consecutive numbers. Of four rows, the last is written to global memory; all stay in registers.
+The compiler contracts products and sums, so the last digits may differ from the CPU's.
 """
 
 # Compiled functions have no static types.
@@ -40,7 +40,7 @@ def compute_distances_on_gpu(
     dtype: npt.DTypeLike,
     report_progress: Callable[[int], None],
 ) -> Floats:
-    """Distances of checked series; parameters and result are those of the CPU version."""
+    """Distances of validated series; parameters and result are those of the function for the CPU."""
     dtype = np.dtype(dtype)
     symmetric = columns is None
     partners = rows if columns is None else columns

@@ -40,9 +40,9 @@ _MIN_BANDS: Final = 12
 
 
 class ClusterTiles:
-    """Squares of a distance matrix, computed by a cluster; identical to `pairs.distances` to the last bit.
+    """Squares (blocks) of a distance matrix, computed by a Dask cluster; identical to local results to the last bit.
 
-    The series are sent once, in bands; a square needs two of them.
+    The series are sent once, in bands. A square needs two bands: for its rows and its columns.
     """
 
     def __init__(self, client: Client, settings: DtwSettings, bands: Sequence[Sequence[Floats]]) -> None:
@@ -50,9 +50,9 @@ class ClusterTiles:
         self._band_futures: dict[int, Future[Any]] = {}
 
     def iter_squares(self, squares: Iterable[tuple[int, int]]) -> Iterator[tuple[int, int, Floats]]:
-        """Yield (rows, columns, distances) for squares given by the indices of their bands, in the order of completion.
+        """Yield (row band, column band, distances) for pairs of bands, in the order of completion.
 
-        Raises `InputError` if the workers cannot compute them, or the cluster is lost.
+        Raises `InputError` if the workers cannot compute distances, or the cluster is lost.
         """
         from distributed.scheduler import KilledWorker
 
@@ -131,10 +131,10 @@ def compute_square_on_worker(
     rows: Sequence[Floats],
     columns: Sequence[Floats] | None,
 ) -> Floats:
-    """Compute a square of distances on a worker.
+    """Compute a square (block) of distances on a worker.
 
-    Raises `InputError` if the worker has another `version` of cornercase. `machines`: number of threads of all workers
-    of each machine, by address.
+    Raises `InputError` if the worker does not have the same `version` of cornercase. `machines` maps the address of
+    each machine to the number of threads of all its workers.
     """
     if version != __version__:
         raise InputError(
@@ -160,7 +160,7 @@ def compute_distances_on_cluster(
     client: Client,
     report_progress: Callable[[int], None],
 ) -> Floats:
-    """Compute distances of checked series on a cluster, like `pairs.distances`."""
+    """Compute distances of validated series on a Dask cluster."""
     row_bands = split_into_bands(len(rows))
     parts: list[Sequence[Floats]] = [[rows[i] for i in band] for band in row_bands]
     if columns is None:

@@ -1,9 +1,9 @@
-"""A distance matrix that does not fit in memory: written to a file square by square, and resumable.
+"""A distance matrix that does not fit in memory: written to a file square by square (block by block), and resumable.
 
-Next to the matrix is the journal ``NAME.progress``: a line with a fingerprint of the series and the settings, then a
-line for each finished square with its CRC-32. A square is recorded after it has been flushed, so a killed process loses
-only the current square; the same call with ``resume=True`` computes it and the rest, and any square that does not match
-its checksum.
+Next to the matrix is the journal ``NAME.progress``. Its first line is a fingerprint of the series and the settings. A
+line for each finished square follows, with the CRC-32 of the square. A square is recorded after it has been flushed to
+disk, so a killed process loses only the current square. The same call with ``resume=True`` computes all squares that
+are missing or do not match their checksum.
 """
 
 from __future__ import annotations
@@ -49,11 +49,11 @@ def fill_matrix_file(
     report_progress: Callable[[int], None],
     client: Client | None = None,
 ) -> FloatMap:
-    """Fill a matrix on disk from checked series: a new file at a path, or a memmap (n, n) of an existing one.
+    """Compute the distances between validated series into a file; return a map onto it, shape (n, n).
 
-    With `resume`, continue with the existing squares. A Dask `client` computes the squares; this process writes them.
-    Raises `InputError` if `out` does not fit, exists without `resume`, belongs to other series or settings, or lacks
-    space.
+    `out` is the path of a new file, or a memmap onto an existing one. With `resume`, finished squares in the file are
+    not computed again. With a Dask `client`, the cluster computes the squares, and this process writes them. Raises
+    `InputError` if `out` does not fit, exists without `resume`, belongs to other series or settings, or lacks space.
     """
     size = len(series)
     path = Path(_path_of_memmap(out, size, settings.dtype) if isinstance(out, np.memmap) else out)
@@ -148,7 +148,7 @@ def _iter_squares(
 
 
 def _path_of_memmap(out: FloatMap, size: int, dtype: np.dtype[Any]) -> str:
-    """Return the path of the file under a memmap, if it can be filled."""
+    """Return the path of the file under a memmap; InputError if the map cannot be filled."""
     if out.shape != (size, size) or out.dtype != dtype:
         raise InputError(f"out is {out.dtype} of shape {out.shape}; give {dtype} of shape ({size}, {size}).")
     if out.filename is None or not isinstance(out.base, mmap.mmap) or not out.flags.c_contiguous:
@@ -174,7 +174,7 @@ def _open_memmap(path: Path, size: int, dtype: np.dtype[Any], *, new: bool) -> F
 
 
 def _allocate_disk_space(path: Path) -> None:
-    """Allocate the whole file now: the system kills a process that writes into a map of a full disk."""
+    """Allocate the whole file in advance, since the system kills a process that writes into a map of a full disk."""
     lacking = count_unallocated_bytes(path)
     free = shutil.disk_usage(path).free
     if lacking > free:
@@ -187,7 +187,7 @@ def _allocate_disk_space(path: Path) -> None:
 
 
 def _header_size(path: Path) -> int:
-    """Bytes before the numbers of a NumPy file."""
+    """Size of the header of a NumPy file in bytes."""
     with path.open("rb") as file:
         try:
             version = _FORMAT.read_magic(file)
@@ -198,7 +198,7 @@ def _header_size(path: Path) -> int:
 
 
 def _read_or_create_journal(journal: Path, fingerprint: str) -> dict[tuple[int, int], int]:
-    """Return checksums of the finished squares; start the journal if there is none."""
+    """Return the checksums of the finished squares by band indices; create the journal if there is none."""
     if not journal.exists():
         journal.write_text(fingerprint + "\n", encoding="utf-8", newline="\n")
         return {}

@@ -1,8 +1,9 @@
 """Dynamic time warping distance between all pairs of series.
 
-The distance of two series is the sum of the local costs along the cheapest path through their table, from both first
-to both last points, by steps 1-1, 1-0 and 0-1 (Sakoe and Chiba, Dynamic programming algorithm optimization for spoken
-word recognition, 1978, without slope constraint and weighting).
+The distance of two series is the sum of the local costs along the cheapest path through the table of all pairs of
+points. A path leads from the pair of first points to the pair of last points, by steps 1-1, 1-0 and 0-1 (Sakoe and
+Chiba, Dynamic programming algorithm optimization for spoken word recognition, 1978, without slope constraint and
+weighting).
 """
 
 from __future__ import annotations
@@ -181,8 +182,8 @@ def kernel_matrix(
 ) -> npt.NDArray[np.floating[Any]]:
     """Gaussian (RBF) kernel ``exp(-gamma d²)`` of the dynamic time warping distances d between all pairs.
 
-    If a lower bound proves that an entry underflows to zero, its distance is not computed; the result is the same to
-    the bit as that of `distance_matrix`. The other options are those of `distance_matrix`.
+    A distance is not computed if a lower bound proves that its entry underflows to zero. The result is the same to the
+    bit as with all distances. The other options are those of `distance_matrix`.
 
     Parameters
     ----------
@@ -267,7 +268,10 @@ def _check_settings(
 def _subtract_common_mean(
     arrays: list[npt.NDArray[np.float64]], dtype: np.dtype[Any], n_series: int
 ) -> list[npt.NDArray[np.float64]]:
-    """Subtract the common mean in single precision; the first `n_series` arrays are series, the others landmarks."""
+    """In single precision, subtract the mean of all points.
+
+    The first `n_series` arrays are series, the others are landmarks.
+    """
     if dtype != np.float32 or not arrays:
         return arrays
     points = np.concatenate(arrays)
@@ -291,7 +295,10 @@ def _check_positive_int(name: str, value: object) -> int:
 def _validate_series(
     series: Sequence[npt.ArrayLike], name: str = "Series", dims: int | None = None
 ) -> list[npt.NDArray[np.float64]]:
-    """Return the series as finite arrays of shape (T_i, k); `dims` is k if already known."""
+    """Return the series as finite arrays of shape (T_i, k).
+
+    `dims` is the number of dimensions k if it is already known; by default it is that of the first series.
+    """
     arrays: list[npt.NDArray[np.float64]] = []
     for index, values in enumerate(series):
         try:
@@ -323,7 +330,7 @@ _CELLS_PER_STEP: Final = 1_000_000
 
 @contextmanager
 def _progress_bar(progress: bool, cells: int) -> Iterator[Callable[[int], None]]:
-    """Show a progress bar; yield the function that takes the number of cells of each finished tile."""
+    """Show a progress bar; yield the function that adds the number of cells of a finished tile."""
     total = max(1, round(cells / _CELLS_PER_STEP))
     finished = 0
 

@@ -23,11 +23,11 @@ _TINY = 1e-150
 def find_pairs_within_distance(
     series: Sequence[npt.NDArray[np.floating[Any]]], distance: float, squared: bool
 ) -> BoolArray:
-    """Return which pairs may be at most `distance` apart, bool (n, n), symmetric.
+    """Return which pairs of series may be at most `distance` apart, bool (n, n), symmetric.
 
-    Each point of one series is matched with some point of the other, so its cost is at least its distance to their
-    bounding box: the sum of these costs is a lower bound with any window. `squared`: costs are squared and the root is
-    taken of the sum.
+    Each point of one series is matched with some point of the other. So the cost of the point is at least its distance
+    to the bounding box of the other series. The sum of these costs is a lower bound, with any window. If costs are
+    `squared`, the bound is the root of the sum.
     """
     lengths = np.array([len(values_of_series) for values_of_series in series], dtype=np.int64)
     starts = np.concatenate(([0], np.cumsum(lengths)))

@@ -1,4 +1,4 @@
-"""All distances of a set of series in memory, on the CPU or the GPU, without redundant ones."""
+"""All distances of a set of series in memory, on the CPU or the GPU; repeated pairs are computed once."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Floats = npt.NDArray[np.floating[Any]]
 
 @dataclass(frozen=True)
 class DtwSettings:
-    """What is computed, and where; `squared` and `window` as in ``cornercase.dtw.distance_matrix``."""
+    """Settings of a computation of distances; `squared` is the choice of the local cost."""
 
     squared: bool
     window: int | None
@@ -36,10 +36,11 @@ def compute_distances(
     report_progress: Callable[[int], None],
     max_distance: float | None = None,
 ) -> Floats:
-    """Distances of checked series, shape (len(rows), len(columns)); infinite on overflow or if not computed.
+    """Distances of validated series, shape (len(rows), len(columns)); infinite on overflow or if not computed.
 
-    `columns` None means the rows. `report_progress` gets the number of cells done since its last call. Distances that
-    surely exceed `max_distance` need not be computed (for all pairs of the rows on the CPU).
+    Without `columns`, the rows are compared with each other. `report_progress` gets the number of cells (pairs of
+    instants) done since its last call. Distances that surely exceed `max_distance` are skipped if the rows are compared
+    with each other on the CPU.
     """
     total = count_cells(rows, columns)
     distinct_rows, row_of = remove_duplicates(rows)
@@ -89,8 +90,8 @@ def require_finite_distances(
 ) -> None:
     """Raise `InputError` for the first pair whose distance has overflowed.
 
-    `first_row`, `first_column`: index of the first row and column; `column_label`: what a column is, with a trailing
-    space.
+    The message counts rows from `first_row` and columns from `first_column`. `column_label` is the text before the
+    column's number, with a trailing space.
     """
     if not np.isfinite(distances).all():
         i, j = np.argwhere(~np.isfinite(distances))[0] + (first_row, first_column)
@@ -101,7 +102,7 @@ def require_finite_distances(
 
 
 def require_gpu() -> None:
-    """Raise `InputError` if there is no usable GPU; numba's simulator counts as one."""
+    """Raise `InputError` if there is no usable GPU; the simulator of numba counts as a GPU."""
     if os.environ.get("NUMBA_ENABLE_CUDASIM") == "1":
         return
     if find_spec("numba_cuda") is None:
@@ -113,7 +114,7 @@ def require_gpu() -> None:
 
 
 def count_cells(rows: Sequence[Floats], columns: Sequence[Floats] | None) -> int:
-    """Total number of cells of the tables of all pairs."""
+    """Number of cells (pairs of instants) in the cost tables of all pairs of series."""
     lengths = np.array([len(values) for values in rows], dtype=np.float64)
     if columns is None:
         return int((lengths.sum() ** 2 - (lengths**2).sum()) / 2)
@@ -121,7 +122,10 @@ def count_cells(rows: Sequence[Floats], columns: Sequence[Floats] | None) -> int
 
 
 def remove_duplicates(series: Sequence[Floats]) -> tuple[Sequence[Floats], IntArray]:
-    """Return series without bitwise duplicates, and the index among them for each series."""
+    """Return the distinct series, and for each given series the index of its equal among them.
+
+    Only series that are equal to the bit are duplicates.
+    """
     positions: dict[bytes, int] = {}
     index = np.array([positions.setdefault(values.tobytes(), len(positions)) for values in series], dtype=np.int64)
     _, first = np.unique(index, return_index=True)
@@ -131,16 +135,18 @@ def remove_duplicates(series: Sequence[Floats]) -> tuple[Sequence[Floats], IntAr
 def trim_common_constant_parts(
     rows: Sequence[Floats], columns: Sequence[Floats] | None
 ) -> tuple[Sequence[Floats], Sequence[Floats] | None]:
-    """Shorten a common constant start, or end, of all series to one point, which changes no distance.
+    """Shorten a constant start or end that all series share to one point, which changes no distance.
 
-    A metric's course at its cap is such a rest. Without a window the distances stay the same to the bit. Let x begin
-    with p and y with q times the point c. A path that leaves the square of the two rests before both are over, say at
-    ``x[i]`` with ``i < p``, continues along ``x[i] ... x[p - 1]``, all c, and meets each of the columns on its way at
-    least once. Resting until ``(p - 1, q - 1)`` costs nothing, and meeting each of these columns from ``x[p - 1]``
-    costs a subset of the same terms in the same order; omitting non-negative terms raises no rounded sum. So some
-    cheapest path rests, and its part before ``(p - 1, q - 1)`` can be cut off. The end is the start reversed. A common
-    start that is not constant cannot be cut off: after 0, 3 in both, a path may have left early to meet zeros in the
-    other.
+    An example is a metric's course at its cap. Without a window the distances stay the same to the bit.
+
+    Why: let x begin with p times the point c, and y with q times. A path through the cost table begins in the p by q
+    square of both constant starts. Suppose that it leaves the square early, at ``x[i]`` with ``i < p``. It then
+    continues along ``x[i] ... x[p - 1]``, which are all c, and meets each column on its way at least once. A path that
+    stays in the square until ``(p - 1, q - 1)`` pays nothing there. Meeting each of these columns from ``x[p - 1]``
+    then costs a subset of the same terms in the same order, and omitting non-negative terms raises no rounded sum. So
+    some cheapest path stays in the square, and its part before ``(p - 1, q - 1)`` can be cut off. The end is the start
+    reversed. A common start that is not constant cannot be cut off: after 0, 3 in both series, a path may have left
+    early to meet zeros in the other one.
     """
     series = [*rows, *(columns or ())]
     starts = np.array([values[0] for values in series])

@@ -1,8 +1,8 @@
-"""Vectors of 64 bytes for numba: 8 double or 16 single numbers that undergo the same operations.
+"""Vectors of 64 bytes for numba: 8 double or 16 single precision numbers that undergo the same operations.
 
-Numba leaves it to the compiler whether a loop becomes vector instructions, and compilers give up on the recurrence of
+Numba leaves it to the compiler whether a loop becomes vector instructions. Compilers do not vectorize the recurrence of
 dynamic time warping, so the vectors are explicit here. On machines with narrower registers the compiler splits them. No
-operation reorders or fuses arithmetic: each lane has the bits of scalar code.
+operation reorders or fuses arithmetic: each lane has the same bits as scalar code.
 """
 
 # Compiled functions have no static types.
@@ -21,7 +21,7 @@ VECTOR_BYTES = 64
 
 
 class Vector(types.Type):
-    """Numba's type of a vector of `dtype`."""
+    """Type of a vector of `dtype` in numba."""
 
     def __init__(self, dtype: types.Float) -> None:
         self.dtype = dtype
@@ -61,7 +61,7 @@ def _call_llvm_intrinsic(builder: Any, name: str, value: Any) -> Any:
 
 @intrinsic
 def load_vector(typingctx: Any, array: Any, index: Any) -> Any:
-    """Load a vector from `index` on of a contiguous one-dimensional array."""
+    """Load a vector from a contiguous one-dimensional array; its first element is at `index`."""
     vector = Vector(array.dtype)
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
@@ -74,7 +74,7 @@ def load_vector(typingctx: Any, array: Any, index: Any) -> Any:
 
 @intrinsic
 def store_vector(typingctx: Any, array: Any, index: Any, value: Any) -> Any:
-    """Write a vector to the elements from `index` on."""
+    """Write a vector to an array; its first element goes to `index`."""
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         pointer = _pointer(context, builder, signature.args[0], args[0], args[1])
@@ -87,7 +87,10 @@ def store_vector(typingctx: Any, array: Any, index: Any, value: Any) -> Any:
 
 @intrinsic(prefer_literal=True)
 def broadcast_point(typingctx: Any, array: Any, index: Any, dims: Any) -> Any:
-    """Tuple of `dims` (a constant) vectors, each with one element from `index` on in every lane."""
+    """Make a tuple of `dims` (a constant) vectors, one for each coordinate of a point that begins at `index`.
+
+    All lanes of a vector have the same value.
+    """
     vector = Vector(array.dtype)
     vectors = types.UniTuple(vector, dims.literal_value)
 
@@ -105,7 +108,7 @@ def broadcast_point(typingctx: Any, array: Any, index: Any, dims: Any) -> Any:
 
 @intrinsic
 def sum_of_squares(typingctx: Any, point: Any, array: Any, index: Any) -> Any:
-    """Squared distances of a point to the interleaved points from `index` on."""
+    """Squared distances of a point to the interleaved points that begin at `index`, one per lane."""
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         vector_type = _ir_type(point.dtype)
@@ -157,7 +160,7 @@ _INTEGER_MINIMUM = bool(get_host_cpu_features().get("avx512f"))
 
 @intrinsic
 def nonnegative_minimum(typingctx: Any, a: Any, b: Any) -> Any:
-    """Minimum of two vectors of non-negative numbers, including infinity."""
+    """Minimum of two vectors of non-negative numbers, which may be infinite."""
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         a, b = args
@@ -176,7 +179,7 @@ root = _make_unary_intrinsic(lambda builder, a: _call_llvm_intrinsic(builder, "s
 
 @intrinsic
 def mask_outside_band(typingctx: Any, value: Any, shift: Any, below: Any, above: Any) -> Any:
-    """`value` in the lanes where ``-below <= shift <= above`` for the scalar `shift`, else infinity."""
+    """Return `value` in the lanes in which ``-below <= shift <= above``, and infinity in the others."""
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         value, shift, below, above = args

@@ -1,4 +1,4 @@
-"""Calibrate the predictions of a surrogate to probabilities of being critical, by their own record."""
+"""Calibration: turn the predictions of a surrogate model into probabilities of being critical."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ _MAX_BINS: Final = 128
 
 
 class ProbitCalibration:
-    """Posterior of a and b in the probability ``p = Φ(-(a + b t))`` that a scenario is critical (probit calibration).
+    """Probit calibration: the probability that a scenario is critical is ``p = Φ(-(a + b t))``, for a statistic t.
 
-    t is any statistic that decreases with the probability of being critical: the mean of a Gaussian process over its
-    standard deviation, or the normal deviate of another classifier's output. The prior of a and log b is standard
-    normal, centred at the identity.
+    t is any statistic that decreases with the probability of being critical. Examples are the mean of a Gaussian
+    process over its standard deviation, and the normal deviate of another classifier's output. The parameters a and b
+    have a posterior. Their prior is standard normal in a and log b, centred at the identity (a = 0, b = 1).
 
     `t` (n,) holds out-of-sample predictions, `critical` (n,) the outcomes. `prediction_weight` is the weight of one
-    prediction in the likelihood, below 1 if errors of neighbours are correlated. With more than 160 predictions each
-    gets less weight: their total grows with the square root of their number, and the posterior narrows with the fourth
-    root.
+    prediction in the likelihood; it is below 1 if errors of neighbours are correlated. With more than 160 predictions
+    each gets less weight: the total weight grows with the square root of their number, and the posterior narrows with
+    the fourth root.
 
     Source: J. Platt, "Probabilistic outputs for support vector machines" (1999), here with the normal distribution
     function and the full posterior on a grid.
@@ -46,12 +46,12 @@ class ProbitCalibration:
         self._a, self._b, self._posterior = a, slope, density / density.sum()
 
     def draw_parameters(self, count: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
-        """Draw a and b from their posterior, shape (count,) each, stratified."""
+        """Draw `count` values of a and of b from the posterior by stratified sampling, shape (count,) each."""
         # One draw in each of `count` strata of equal probability, in a random order.
         quantiles = (rng.permutation(count) + rng.random(count)) / count
         index = np.minimum(np.searchsorted(np.cumsum(self._posterior), quantiles), len(self._a) - 1)
         return self._a[index], self._b[index]
 
     def probability_of_critical(self, t: FloatArray) -> FloatArray:
-        """Probability of being critical at the posterior mean of a and b, (n,)."""
+        """Probability of being critical for statistics t, (n,), at the posterior mean of a and b."""
         return np.asarray(ndtr(-(self._posterior @ self._a + (self._posterior @ self._b) * t)))

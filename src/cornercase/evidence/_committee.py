@@ -39,23 +39,25 @@ _UNUSED_FEATURES: Final = frozenset(
 
 
 class CommitteeModel:
-    """Predicts which scenarios are critical by the weighted probabilities of three members.
+    """Committee of three classifiers that predicts the probability that a scenario is critical.
 
     1. Extremely randomised trees on the parameters and predicted features of the recordings. A score jumps between the
-       branches of a scenario, such as the other going first; features tell the branches apart. Gaussian processes
-       predict the features of each scenario from all other scenarios and from those of each branch
+       branches of a scenario, such as the other entity going first; features tell the branches apart. Gaussian
+       processes predict the features of each scenario from all other scenarios, and from the scenarios of each branch
        (`PerBranchFeatureModels`). Without features, the score is used instead.
     2. A random forest on the parameters, which follows jumps too.
-    3. The process of `fit_boundary_process`, which is best at smooth boundaries.
+    3. The Gaussian process of `fit_boundary_process`, which is best at smooth boundaries.
 
-    The weights maximize the likelihood of the known outcomes under the weighted mean of out-of-fold predictions.
+    The prediction is a weighted mean of the three probabilities. The weights maximize the likelihood of the known
+    outcomes for out-of-fold predictions.
 
-    `fit` learns everything; `condition_on` updates the data at less cost. With more than 2,000 scenarios the feature
-    processes use 2,000: half of them nearest to the threshold, the others evenly spaced among the rest. Trees use at
-    most 4,000: half nearest to the threshold, of the rest the rarer class first. The process uses all.
+    `fit` learns everything; `condition_on` updates the data at less cost. With more than 2,000 scenarios the processes
+    of the features use 2,000: half of them nearest to the threshold, the others evenly spaced among the rest. Trees use
+    at most 4,000 scenarios: half nearest to the threshold, and of the rest the rarer class first. The process of the
+    scores uses all scenarios.
 
-    `columns` describes the features; `has_prediction` says whether the last coordinate of points is the prediction of
-    another study (`SourceStudyModel`); `process` is the third member.
+    `columns` describes the features. `has_prediction` says whether the last coordinate of points is the prediction of
+    another study (`SourceStudyModel`). `process` is the third classifier.
 
     Source: H. S. Seung, M. Opper, H. Sompolinsky, "Query by committee", COLT (1992); P. Geurts, D. Ernst, L. Wehenkel,
     "Extremely randomized trees", Machine Learning 63 (2006); D. H. Wolpert, "Stacked generalization", Neural Networks 5
@@ -75,14 +77,17 @@ class CommitteeModel:
         self._feature_models: PerBranchFeatureModels
 
     def fit(self, points: FloatArray, scores: FloatArray, features: FloatArray | None = None) -> Self:
-        """Learn kernels and weights from points (n, e), finite scores (n,), not all equal, and features (n, f)."""
+        """Learn kernels and weights from points (n, e), scores (n,) and features (n, f).
+
+        The scores are finite and not all equal.
+        """
         self.process = fit_boundary_process(points, scores, self._threshold, has_prediction=self._has_prediction)
         self._train_on_subset(points, scores, features)
         self._weights = _fit_member_weights(self._out_of_fold_by_member(_WEIGHTING_TREES), self._critical)
         return self
 
     def condition_on(self, points: FloatArray, scores: FloatArray, features: FloatArray | None = None) -> Self:
-        """Replace the scenarios, keeping kernels and weights; arguments as for `fit`."""
+        """Replace the known scenarios, but not the kernels and weights; arguments as for `fit`."""
         self.process.condition_on_scores(points, scores, self._threshold)
         self._train_on_subset(points, scores, features, self._feature_models.kernels)
         return self
@@ -94,7 +99,10 @@ class CommitteeModel:
         features: FloatArray | None,
         kernels: Mapping[int | None, FeatureKernels] | None = None,
     ) -> None:
-        """Train trees and feature processes on the scenarios, or a subset of many; kernels are learned if not given."""
+        """Train trees and feature processes on the scenarios, or on a subset of many.
+
+        Kernels that are not given are learned.
+        """
         self._all_points, self._tree_scenarios = points, self._select_tree_scenarios(scores)
         points, scores = points[self._tree_scenarios], scores[self._tree_scenarios]
         features = None if features is None else features[self._tree_scenarios]
@@ -105,7 +113,7 @@ class CommitteeModel:
         self._trees, self._forest = self._train_trees(np.arange(len(points)), _TREES)
 
     def predict(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the probability of being critical, and that of the likeliest branch, (m,) each, at points (m, e)."""
+        """Return the probability of being critical, and the probability of the likeliest branch, (m,) each."""
         mean, deviation = self.process.predict(points)
         critical, classes = self._combine_members(points, mean / np.hypot(deviation, self.process.kernel.noise))
         branches = self._trees.classes_ // 2
@@ -113,7 +121,10 @@ class CommitteeModel:
         return critical, np.minimum(by_branch.max(axis=0), 1.0)
 
     def _combine_members(self, points: FloatArray, t: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Weighted probability of being critical, and that of each class; `t`: the process in deviations above 0."""
+        """Weighted probability of being critical, and of each class.
+
+        `t` is how far the process predicts each point above the threshold, in standard deviations.
+        """
         classes = self._trees.predict_proba(np.hstack([points, self._feature_models.predict_features(points)]))
         by_member = [
             _critical_probability_of_classes(self._trees, classes),
@@ -123,9 +134,9 @@ class CommitteeModel:
         return np.asarray(self._weights @ np.stack(by_member)), classes
 
     def out_of_fold_probability(self) -> FloatArray:
-        """Probability of being critical of each known scenario, predicted from others, (n,).
+        """Probability of being critical of each known scenario, predicted from other scenarios, (n,).
 
-        By trees that were trained without the scenario's fold, and by the process of all other scenarios.
+        Trees are trained without the scenario's fold; the process uses all other scenarios.
         """
         probability = np.empty(len(self._all_points))
         probability[self._tree_scenarios] = self._out_of_fold_by_member(_TREES) @ self._weights
@@ -137,7 +148,10 @@ class CommitteeModel:
         return probability
 
     def _out_of_fold_by_member(self, n_trees: int) -> FloatArray:
-        """Out-of-fold probabilities by each member for the scenarios that trees use, (n, 3), `n_trees` trees each."""
+        """Out-of-fold probabilities by each classifier, (n, 3), for the scenarios that trees use.
+
+        Tree classifiers have `n_trees` trees.
+        """
         mean, deviation = self.process.leave_one_out(self._tree_scenarios)
         probability: FloatArray = np.stack([np.empty(len(mean)), np.empty(len(mean)), ndtr(-mean / deviation)], axis=1)
         for train, test in self._train_test_folds():
@@ -170,7 +184,10 @@ class CommitteeModel:
         )
 
     def _select_tree_scenarios(self, scores: FloatArray) -> IntArray:
-        """Scenarios that trees use: all, or half nearest to the threshold, and of the rest the rarer class first."""
+        """Select the scenarios that trees use: all, or a part of very many.
+
+        Half of this part is nearest to the threshold; of the rest, the rarer class comes first.
+        """
         if len(scores) <= self.max_tree_scenarios:
             return np.arange(len(scores))
         near, rest = self._nearest_and_rest(scores, self.max_tree_scenarios // 2)
@@ -181,9 +198,9 @@ class CommitteeModel:
         )
 
     def _select_process_scenarios(self, scores: FloatArray) -> IntArray | None:
-        """Scenarios that the feature processes use: None for all, or half nearest to the threshold.
+        """Select the scenarios that the feature processes use; None for all.
 
-        The other half is evenly spaced among the rest.
+        Of many scenarios, half are nearest to the threshold, and the others evenly spaced among the rest.
         """
         if len(scores) <= self.max_process_scenarios:
             return None
@@ -193,7 +210,7 @@ class CommitteeModel:
         )
 
     def _nearest_and_rest(self, scores: FloatArray, count: int) -> tuple[IntArray, IntArray]:
-        """Indices of the `count` scores nearest to the threshold, and of the others in order."""
+        """Indices of the `count` scores nearest to the threshold, and indices of the other scores in order."""
         order = np.argsort(np.abs(scores - self._threshold), kind="stable")
         return order[:count], np.sort(order[count:])
 
@@ -203,7 +220,7 @@ class CommitteeModel:
         return features[:, self._inputs]
 
     def _class_labels(self, scores: FloatArray, features: FloatArray | None) -> IntArray:
-        """Class of each scenario: odd if critical; the other bits are the signs of the branch features."""
+        """Class of each scenario: odd if critical; the higher bits are the signs of the branch features."""
         critical: BoolArray = scores <= self._threshold
         classes = critical.astype(np.int64)
         if features is not None:
@@ -213,17 +230,20 @@ class CommitteeModel:
 
 
 def _critical_probability_of_classes(trees: ExtraTreesClassifier, class_probabilities: FloatArray) -> FloatArray:
-    """Probability of being critical from probabilities of classes."""
+    """Probability of being critical: the sum over the probabilities of the critical classes."""
     return np.asarray(np.minimum(class_probabilities[:, trees.classes_ % 2 == 1].sum(axis=1), 1.0))
 
 
 def _critical_probability_by_forest(forest: RandomForestClassifier, points: FloatArray) -> FloatArray:
-    """Probability of being critical by a forest, which may have seen one class only."""
+    """Probability of being critical by a forest, which may have been trained on a single class."""
     return np.asarray(forest.predict_proba(points)[:, forest.classes_].sum(axis=1))
 
 
 def _fit_member_weights(by_member: FloatArray, critical: BoolArray) -> FloatArray:
-    """Weights of members that maximize the likelihood of the outcomes under their weighted mean (EM for a mixture)."""
+    """Weights of the classifiers that maximize the likelihood of the outcomes under the weighted mean of probabilities.
+
+    They are found by expectation maximization for a mixture.
+    """
     likelihood = np.clip(np.where(critical[:, None], by_member, 1.0 - by_member), _MIN_PROBABILITY, 1.0)
     weights = np.full(likelihood.shape[1], 1.0 / likelihood.shape[1])
     for _ in range(_EM_STEPS):

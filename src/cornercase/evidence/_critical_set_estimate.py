@@ -50,23 +50,23 @@ MIN_REGION_FRACTION: Final = 0.01
 
 
 class CriticalSet:
-    """Estimate of the set of all critical scenarios of a space, from those that were run.
+    """Estimate of the set of all critical scenarios of a space, from the scenarios that were run.
 
     A Gaussian process of the scores (`fit_boundary_process`) predicts each scenario of the initial design, and each
-    audit, from all others. The quality of these predictions calibrates the probability that a scenario is critical
-    (`ProbitCalibration`). Critical sets are drawn with these probabilities, with the correlation of the process between
-    points, and with the calibration drawn from its posterior.
+    audit, from all other scenarios. The quality of these predictions calibrates the probability that a scenario is
+    critical (`ProbitCalibration`). Critical sets are drawn with these probabilities, with the correlation of the
+    process between points, and with the calibration drawn from its posterior.
 
     A critical scenario counts as found if it was run, or if the mean of the process there is beyond the threshold.
     Audits never affect what is found. With `features` a `CommitteeModel` predicts instead of the process, which is one
-    of its members; found is then what it gives a probability of at least `PREDICTED_CRITICAL`. The process still
-    provides the correlation.
+    of its classifiers. A scenario then counts as found if the predicted probability is at least `PREDICTED_CRITICAL`.
+    The process still provides the correlation.
 
-    `points` (n, d) were run and have `scores` (n,), lower is more critical, NaN for a failed scenario. `initial_design`
-    (n,) marks those chosen independently of scores, by default all. `audits` are random points and their scores, which
-    the optimizer has not observed. `features` are the columns and their values (n, f). `source_model` gives one more
-    coordinate of the process, which is dropped if it misleads; the calibration uses the scenarios at hand only.
-    ValueError if there are fewer than 10 scores, or all are the same.
+    `points` (n, d) were run and have `scores` (n,); lower is more critical, NaN for a failed scenario. `initial_design`
+    (n,) marks the scenarios chosen independently of scores, by default all. `audits` are random points and their
+    scores, which the optimizer has not observed. `features` are the columns and their values (n, f). `source_model`
+    adds the prediction of another study as a coordinate of the process. It is dropped if it misleads, and it is never
+    used for the calibration. ValueError if there are fewer than 10 scores, or all are the same.
 
     Leave-one-out prediction: C. E. Rasmussen, C. K. I. Williams, "Gaussian Processes for Machine Learning" (2006),
     equation 5.12.
@@ -124,13 +124,16 @@ class CriticalSet:
 
     @property
     def uses_committee(self) -> bool:
-        """Whether a `CommitteeModel` predicts instead of the process: if there are features and both classes."""
+        """Whether a `CommitteeModel` predicts instead of the process.
+
+        It does if there are features, and both critical and other scenarios were run.
+        """
         return self._committee is not None
 
     def _margin_and_z(self, encoded_points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return `(margin, z)` at encoded points.
+        """Return the predictions ``margin`` and ``z`` at encoded points.
 
-        `margin` is negative where the model predicts *critical*; `z` is the distance to the threshold in standard
+        ``margin`` is negative where the model predicts *critical*. ``z`` is the distance to the threshold in standard
         deviations.
         """
         encoded_points = augment_points(self._source_model, encoded_points)
@@ -143,7 +146,10 @@ class CriticalSet:
     def _prediction_record(
         self, points: FloatArray, scores: FloatArray, threshold: float
     ) -> tuple[FloatArray, BoolArray]:
-        """Out-of-sample `z` of the scenarios chosen independently of scores, and whether these were critical."""
+        """Out-of-sample predictions of the scenarios chosen independently of scores, and whether these were critical.
+
+        A prediction is the distance to the threshold in standard deviations.
+        """
         if self._committee is not None:
             t = _normal_deviate(self._committee.out_of_fold_probability())[self._is_initial_design]
         else:
@@ -159,14 +165,14 @@ class CriticalSet:
 
     @cached_property
     def _joint_points(self) -> tuple[IntArray, FloatArray]:
-        """Points for which critical sets are drawn jointly, and the fraction of the space that each represents."""
+        """Indices of the points for which critical sets are drawn jointly, and the fraction of space of each."""
         probability = np.where(self._known_outcome == 0.0, self._calibrations[1].probability_of_critical(self._z), 0.0)
         return self._sample.subset(np.sqrt(probability * (1.0 - probability)) + _MIN_DEVIATION, _JOINT_POINTS)
 
     def _draw_standardized_errors(self, indices: IntArray, key: int) -> FloatArray:
-        """Draw standardized errors of the predictions at some points, (m, draws), correlated as the process.
+        """Draw standardized errors of the predictions at some points, (m, draws), with the correlation of the process.
 
-        Another key gives independent draws.
+        Draws with another `key` are independent.
         """
         factor, deviation = self._process.joint_covariance(
             augment_points(self._source_model, self._sample.encoded_points[indices])
@@ -178,7 +184,7 @@ class CriticalSet:
 
     @cached_property
     def _set_samples(self) -> tuple[SetSamples, SetSamples]:
-        """Critical sets drawn with the calibration for the whole set, and with that for its parts."""
+        """Draws of critical sets, twice: with the calibration for the whole set, and with the one for its parts."""
         with single_threaded_blas():
             normal = self._draw_standardized_errors(self._joint_points[0], 4)
         whole, parts = (
@@ -198,7 +204,7 @@ class CriticalSet:
         return self._set_samples[1]
 
     def predict(self, points: FloatArray) -> BoolArray:
-        """Whether scenarios (n, d) are critical, as run or as predicted, (n,)."""
+        """Whether scenarios (n, d) are critical, (n,): as run, otherwise as predicted."""
         if not len(points):
             return np.zeros(0, dtype=np.bool_)
         return _is_predicted_critical(
@@ -211,7 +217,7 @@ class CriticalSet:
 
     @cached_property
     def is_exhausted(self) -> bool:
-        """Whether all scenarios of a finite space were run, so that the fraction is exact and nothing is missed."""
+        """Whether all scenarios of a finite space were run; the fraction is then exact and nothing is missed."""
         return self._sample.is_complete and bool((self._known_outcome != 0.0).all())
 
     @property
@@ -223,7 +229,7 @@ class CriticalSet:
     def interval_unavailable(self) -> str | None:
         """Reason why `critical_fraction` and `missed_fraction` have no interval; None if they have one.
 
-        Scenarios chosen by scores say nothing about how often predictions are wrong elsewhere.
+        Scenarios that were chosen by their scores do not show how often predictions are wrong in the rest of the space.
         """
         count = int(self._is_initial_design.sum()) + len(self._audit_points)
         if count >= _MIN_SCENARIOS or self.is_exhausted:
@@ -246,7 +252,10 @@ class CriticalSet:
 
     @cached_property
     def critical_fraction(self) -> Estimate:
-        """Critical fraction of the space; bounded by random scenarios only as long as all outcomes are the same."""
+        """Critical fraction of the space.
+
+        While all outcomes are the same, its interval is bounded by random scenarios only.
+        """
         if self.has_both_classes:
             return Estimate.from_draws(self._whole_set_samples.critical_fraction)
         hits = int(self._critical[self._is_initial_design].sum() + self._audit_is_critical.sum())
@@ -260,7 +269,10 @@ class CriticalSet:
 
     @cached_property
     def missed_fraction(self) -> Estimate:
-        """Fraction of the critical set that is not found; 1 while nothing critical was run, 0 if exhausted."""
+        """Fraction of the critical set that is not found.
+
+        It is 1 while nothing critical was run, and 0 if all scenarios were run.
+        """
         if not self._critical.any():
             return Estimate(*[float(not self.is_exhausted)] * 3)
         with single_threaded_blas():
@@ -281,8 +293,8 @@ class CriticalSet:
     def max_hidden_fraction(self) -> float:
         """Fraction of the critical set that an unexplored region may hold, in addition to `missed_fraction`.
 
-        It is the fraction of a ball without any scenario that was run, as large as the largest that escapes with a
-        probability of 5 %. It depends on the location of scenarios, not on the predicted scores.
+        The region is a ball in which no scenario was run, as large as the largest that escapes with a probability of 5
+        %. The fraction depends on the location of scenarios, not on the predicted scores.
         """
         ball = float(np.quantile(self._empty_ball_fractions, 1.0 - _ESCAPE_PROBABILITY))
         return ball / max(ball + self.critical_fraction.value, 1e-12)
@@ -299,16 +311,19 @@ class CriticalSet:
 
     @property
     def audited_missed_fraction(self) -> Estimate:
-        """Fraction of the critical audits that are not found: what is missed, by the audits alone."""
+        """Missed fraction of the critical set, estimated from the audits alone: critical audits that are not found."""
         return proportion_interval(*self._missed_audits_and_total)
 
     @property
     def audited_missed_upper_bound(self) -> float:
-        """Upper bound of `audited_missed_fraction` that holds at all times, whenever runs are stopped."""
+        """Upper bound of `audited_missed_fraction`, valid at all times.
+
+        It holds even if the decision to stop depends on the bound.
+        """
         return anytime_upper_bound(*self._missed_audits_and_total)
 
     def fraction_inside(self, other: CriticalSet) -> Estimate:
-        """Fraction of this critical set that lies in `other`, which is of another score, with the same seed."""
+        """Fraction of this critical set that lies in `other`, the critical set of another score with the same seed."""
         with single_threaded_blas():
             both = self._parts_samples.overlap_fraction(
                 other._parts_samples, other._draw_standardized_errors(self._joint_points[0], 5), np.arange(N_DRAWS)
@@ -324,7 +339,8 @@ class CriticalSet:
     def draw_overlap_with(self, other: CriticalSet) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Draw the fractions of the space that are critical here, in `other`, and in both, shape (draws,) each.
 
-        `other` is from other scenarios of the same space, with the same seed. The draws of both are independent.
+        `other` is an estimate from other scenarios of the same space, with the same seed. The draws of both sets are
+        independent.
         """
         # The calibrations of both are drawn with the same random numbers; permuted, they are independent.
         order = np.random.default_rng([self._seed, 6]).permutation(N_DRAWS)
@@ -360,10 +376,10 @@ class CriticalSet:
         return means
 
     def p_overlooked_region(self, size: float = MIN_REGION_FRACTION) -> float:
-        """Probability, by the process, that some critical region contains no scenario that was run.
+        """Probability that some critical region contains no scenario that was run, according to the process.
 
-        `size` is the smallest fraction of the space that counts as a region. As long as nothing critical was run, it is
-        that of a region at a random place (`unexplored_fraction`).
+        `size` is the smallest fraction of the space that counts as a region. While nothing critical was run, the result
+        is the probability for a region at a random place (`unexplored_fraction`).
         """
         if not self._critical.any():
             return self.unexplored_fraction(size)
@@ -382,8 +398,8 @@ class CriticalSet:
     def unexplored_fraction(self, size: float = MIN_REGION_FRACTION) -> float:
         """Fraction of the space around which a ball of volume `size` contains none of the scenarios that were run.
 
-        It needs no assumption about the scores: a critical ball of this size at a random place contains such a scenario
-        with a probability of one minus this fraction. Parts of the ball outside the space do not count.
+        A critical ball of this size at a random place contains no such scenario with this probability. No assumption
+        about the scores is needed. Parts of the ball outside the space do not count.
         """
         return float((self._empty_ball_fractions > size).mean())
 
@@ -394,7 +410,7 @@ class CriticalSet:
 
     @cached_property
     def _neighbour_graph(self) -> tuple[IntArray, int]:
-        """Pairs of neighbours, (2, E), among sampled points and critical regions, and the number of these.
+        """Pairs of neighbours, (2, E), among sampled points and critical regions, and the number of these regions.
 
         Critical scenarios that were run are connected in every draw, so each of their connected regions is a single
         node.
@@ -426,13 +442,13 @@ def _neighbour_pairs(points: FloatArray) -> IntArray:
 
 
 def _label_components(edges: IntArray, count: int) -> IntArray:
-    """Label of the connected component of each of `count` nodes, (count,)."""
+    """Label of the connected component of each of `count` nodes, (count,); `edges` are pairs of nodes."""
     graph = coo_array((np.ones(edges.shape[1]), (edges[0], edges[1])), shape=(count, count))
     return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
 
 
 def _normal_deviate(probability: FloatArray) -> FloatArray:
-    """Normal deviate of a probability of being critical, negative where critical is likely."""
+    """Convert a probability of being critical to a normal deviate, which is negative where critical is likely."""
     return np.asarray(-ndtri(np.clip(probability, _MIN_PROBABILITY, 1.0 - _MIN_PROBABILITY)))
 
 

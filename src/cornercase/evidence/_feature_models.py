@@ -24,16 +24,17 @@ FeatureKernels = Sequence[MaternKernel | None]
 
 
 class PerBranchFeatureModels:
-    """Predicted features, from all scenarios and additionally from those of each branch.
+    """Gaussian processes that predict features, from all scenarios and additionally from the scenarios of each branch.
 
-    Many features are discontinuous between branches (ego first, other first, contact) but smooth within one. A process
-    of all scenarios bends to follow the jump; one of a single branch predicts the features if the scenario takes this
-    branch. The classifier learns which columns matter. Branches with fewer than 8 scenarios have no process of their
-    own.
+    Many features are discontinuous between branches (ego first, other first, contact) but smooth within a branch. A
+    process of all scenarios bends to follow the jump. A process of a single branch predicts the features if the
+    scenario takes this branch. The classifier learns which columns matter. Branches with fewer than 8 scenarios have no
+    process of their own.
 
     `branches` (n,) is the branch of each scenario. `kernels` maps each branch, and None for all scenarios, to the
-    kernels of `FeatureModels`; missing ones are learned. `leave_one_out` (n, g) holds leave-one-out predictions, first
-    from all scenarios and then from each branch; for scenarios of other branches it holds the prediction of the branch.
+    kernels of `FeatureModels`; missing ones are learned. `leave_one_out` (n, g) holds leave-one-out predictions: first
+    from all scenarios, then from each branch. For scenarios outside of a branch, it holds the ordinary prediction of
+    the branch.
     """
 
     def __init__(
@@ -62,20 +63,20 @@ class PerBranchFeatureModels:
         self.leave_one_out = np.hstack(left_out)
 
     def predict_features(self, points: FloatArray) -> FloatArray:
-        """Predict the features at points, (m, g), columns as in `leave_one_out`."""
+        """Predict the features at points, (m, g), with the columns of `leave_one_out`."""
         return np.hstack([part.predict_features(points) for part in self._models])
 
 
 class FeatureModels:
-    """A Gaussian process per feature, with its own Matérn kernel (5/2).
+    """Gaussian processes that predict features: one per feature, each with its own Matérn kernel (5/2).
 
-    Some features depend on all parameters and jump, others hardly do: where the other is at a given time depends on its
-    own parameters alone. So each has its own length scales and noise.
+    Some features depend on all parameters and jump. Others hardly do: where the other entity is at a given time depends
+    on its own parameters alone. So each feature has its own length scales and noise.
 
-    `points` (n, e) are encoded, `features` (n, f) finite. `kernels` are one per feature, None for a constant one; by
-    default they are learned. `subset` are the indices of the scenarios that the processes use, by default all; matrices
-    of len(subset)² numbers are created. `leave_one_out` (n, g) holds the standardized leave-one-out predictions,
-    without constant features.
+    `points` (n, e) are encoded, `features` (n, f) are finite. `kernels` has one kernel per feature, None for a constant
+    feature; by default they are learned. `subset` are the indices of the scenarios that the processes use, by default
+    all. Memory grows with the square of their number. `leave_one_out` (n, g) holds the standardized leave-one-out
+    predictions, without constant features.
 
     Source: C. E. Rasmussen, C. K. I. Williams, "Gaussian Processes for Machine Learning" (2006), equations 5.8, 5.9 and
     5.12.
@@ -114,7 +115,7 @@ class FeatureModels:
         self.leave_one_out[used] = leave_one_out
 
     def predict_features(self, points: FloatArray) -> FloatArray:
-        """Predict the features at points, (m, g), standardized as `leave_one_out`."""
+        """Predict the features at points, (m, g), standardized like `leave_one_out`."""
         predicted = np.empty((len(points), len(self._kernels_and_weights)))
         with single_threaded_blas():
             for k, (kernel, weights) in enumerate(self._kernels_and_weights):
@@ -125,6 +126,6 @@ class FeatureModels:
 
 
 def _single_precision_if_accurate(weights: FloatArray, kernel: MaternKernel) -> Floats:
-    """Weights in single precision, if that is accurate enough for sums of them and covariances."""
+    """Convert weights to single precision, if weighted sums of covariances are then accurate enough."""
     rounding = np.finfo(np.float32).eps * np.abs(weights).sum() * kernel.signal**2
     return weights.astype(np.float32) if rounding <= _ROUNDING else weights

@@ -14,7 +14,7 @@ _INTERVAL: Final = (0.05, 0.95)
 
 @dataclass(frozen=True)
 class Estimate:
-    """A quantity with its 90 % credible interval.
+    """An estimated quantity: mean and 90 % credible interval.
 
     Attributes
     ----------
@@ -29,7 +29,7 @@ class Estimate:
 
     @classmethod
     def from_draws(cls, draws: FloatArray) -> Estimate:
-        """Mean and interval of draws of the quantity.
+        """Estimate a quantity by the mean and the quantiles of draws.
 
         Parameters
         ----------

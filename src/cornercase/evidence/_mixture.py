@@ -24,8 +24,9 @@ _DEGREES_OF_FREEDOM: Final = 3.0  # heavy tails keep the weights of single point
 class TMixture:
     """A mixture of K multivariate t distributions.
 
-    `weights` (K,) sum to 1; `means` (K, d); `scale_roots` (K, d, d) are lower triangular, each times its transpose is
-    the scale of a component; `degrees_of_freedom` (K,) are the degrees of freedom, inf for a normal distribution.
+    `weights` (K,) sum to 1. `means` (K, d) are the locations. `scale_roots` (K, d, d) are lower triangular; the scale
+    matrix of a component is the product of its root and the transpose. `degrees_of_freedom` (K,) are inf for a normal
+    distribution.
     """
 
     weights: FloatArray
@@ -40,7 +41,7 @@ class TMixture:
 
     @classmethod
     def from_parts(cls, parts: list[tuple[float, TMixture]]) -> Self:
-        """Mixture of mixtures, from pairs of weight and mixture."""
+        """Mixture of several mixtures; `parts` are pairs of weight and mixture."""
         shares = np.concatenate([weight * part.weights for weight, part in parts])
         return cls(
             shares / shares.sum(),
@@ -105,11 +106,11 @@ class TMixture:
         return mixture
 
     def log_density(self, points: FloatArray, as_normal: bool = False) -> FloatArray:
-        """Logarithm of the density at points (n, d), (n,); `as_normal` treats all components as normal."""
+        """Logarithm of the density at points (n, d), shape (n,); `as_normal` makes each component normal."""
         return np.asarray(logsumexp(self._component_log_densities(points, as_normal), axis=1))
 
     def _component_log_densities(self, points: FloatArray, as_normal: bool = False) -> FloatArray:
-        """Logarithm of each component's contribution to the density, (n, K)."""
+        """Logarithm of each component's contribution to the density, shape (n, K)."""
         dimension = points.shape[1]
         offsets = (points[None] - self.means[:, None]) @ np.linalg.inv(self.scale_roots).transpose(0, 2, 1)
         square = (offsets**2).sum(-1).T
@@ -126,7 +127,7 @@ class TMixture:
         return np.asarray(densities)
 
     def draw_points(self, count: int, rng: np.random.Generator) -> FloatArray:
-        """Draw points, (count, d)."""
+        """Draw `count` points from the mixture, shape (count, d)."""
         which = rng.choice(len(self.weights), size=count, p=self.weights)
         steps = rng.standard_normal((count, self.means.shape[1]))
         heavy = np.isfinite(self.degrees_of_freedom[which])

@@ -1,4 +1,4 @@
-"""Out-of-sample predictions of scores that neither the values nor the kernel of a process have seen."""
+"""Out-of-sample predictions of scores, by a process that has seen them neither as values nor for its kernel."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ _N_FOLDS: Final = 5
 def cross_validate_scores(
     process: GaussianProcess, points: FloatArray, scores: FloatArray, threshold: float, indices: IntArray | None = None
 ) -> tuple[FloatArray, FloatArray]:
-    """Predict each score, or `indices`, from all others: mean and deviation as of `GaussianProcess.leave_one_out`.
+    """Predict each score from all others: mean and standard deviation as in `GaussianProcess.leave_one_out`.
 
-    With few scores per dimension the length scales of the kernel overfit, and leave-one-out predictions are too good.
-    Then each fifth of the scores is predicted with a kernel learned from the other four fifths. `process` is that of
-    `fit_boundary_process`.
+    `indices` selects the scores to predict. With few scores per dimension the length scales of the kernel overfit, and
+    leave-one-out predictions are too good. In this case each fifth of the scores is predicted with a kernel learned
+    from the other four fifths. `process` is the fitted process of all scores (`fit_boundary_process`).
     """
     count, dims = points.shape
     if count > min(_OVERFIT_PER_DIMENSION * dims, MAX_EXACT_VALUES):

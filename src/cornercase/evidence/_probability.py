@@ -18,7 +18,7 @@ _LEVELS: Final = (0.95, 0.9)
 
 @dataclass(frozen=True)
 class Probability:
-    """A probability with its confidence intervals.
+    """A probability of an event, with its confidence intervals.
 
     Attributes
     ----------
@@ -56,13 +56,13 @@ class Probability:
 
     @property
     def equivalent_monte_carlo_scenarios(self) -> float | None:
-        """Number of scenarios with which plain Monte Carlo would have the same relative standard error."""
+        """Number of scenarios that plain Monte Carlo would need for the same relative standard error."""
         if not self.error or not 0.0 < self.value <= 1.0:
             return None
         return (1.0 - self.value) / (self.value * self.error**2)
 
     def to_json(self) -> dict[str, Any]:
-        """Convert to plain values.
+        """Convert to plain values, for JSON.
 
         Returns
         -------
@@ -83,7 +83,7 @@ class Probability:
 
 
 def probability_from_counts(met: int, scenarios: int) -> Probability:
-    """Probability from scenarios drawn from the distribution itself, with the Clopper-Pearson interval.
+    """Probability of an event from scenarios drawn from the distribution itself, with the Clopper-Pearson interval.
 
     The event occurred in `met` of `scenarios` scenarios.
     """
@@ -96,13 +96,14 @@ def probability_from_counts(met: int, scenarios: int) -> Probability:
 
 
 def probability_from_weights(weights: FloatArray, met: BoolArray, common_error: float = 0.0) -> Probability:
-    """Probability from independent scenarios of a proposal distribution, with an interval of its logarithm.
+    """Probability of an event from independent scenarios of a proposal distribution (importance sampling).
 
-    `weights` (n,) are the density of the distribution over that of the proposal, `met` (n,) whether the event occurred;
-    `common_error` is the relative standard error that all weights have in common.
+    `weights` (n,) are the density of the distribution over that of the proposal. `met` (n,) is whether the event
+    occurred. `common_error` is the relative standard error that all weights have in common.
 
-    The interval is that of the logarithm, since the estimate is skewed: mostly slightly too low, rarely much too high.
-    The quantiles are those of Student's t, with the effective number of occurrences less one as degrees of freedom.
+    The interval is computed for the logarithm, since the estimate is skewed: mostly slightly too low, rarely much too
+    high. The quantiles are those of Student's t; its degrees of freedom are the effective number of occurrences less
+    one.
     """
     parts = np.where(met, weights, 0.0)
     total, count = float(parts.sum()), len(parts)
@@ -121,10 +122,11 @@ def probability_from_weights(weights: FloatArray, met: BoolArray, common_error: 
 
 
 def probability_from_enumeration(probabilities: FloatArray, met: BoolArray, total: float | None = None) -> Probability:
-    """Probability from all scenarios of a finite space, which has no error; from a part of them, bounds.
+    """Probability of an event from all scenarios of a finite space, without error; from a part of them, bounds.
 
-    `probabilities` (n,) are the probabilities of the scenarios that were run, `total` is the sum over all scenarios, by
-    default all were run. The bounds hold whatever the other scenarios are; the value is in the middle.
+    `probabilities` (n,) are those of the scenarios that were run. `total` is the sum over all scenarios of the space;
+    by default all were run. The bounds hold whatever the outcomes of the other scenarios are; the value is in the
+    middle.
     """
     normalization = float(probabilities.sum()) if total is None else total
     weights = probabilities / normalization
@@ -141,9 +143,10 @@ def probability_from_enumeration(probabilities: FloatArray, met: BoolArray, tota
 
 
 def conditional_probability(both: Probability, condition: Probability) -> Probability | None:
-    """Conditional probability from those of both events and of the condition, found from different scenarios.
+    """Conditional probability, from the probability `both` of both events and that of the `condition`.
 
-    With an interval of its logarithm; None if one of them did not occur.
+    The two are estimated from different scenarios. The interval is computed for the logarithm. None if one of the two
+    did not occur.
     """
     if both.error is None or condition.error is None:
         return None
@@ -158,13 +161,13 @@ Bounds = tuple[float, float, float, float]
 
 
 def _bounds_of_both_levels(interval: Callable[[float], tuple[float, float]]) -> Bounds:
-    """Bounds of the 95 % and 90 % intervals, from a function of the tail probability."""
+    """Bounds of the 95 % and 90 % intervals; `interval` gives the bounds for a tail probability."""
     wide, narrow = (0.5 * (1.0 - level) for level in _LEVELS)
     return *interval(wide), *interval(narrow)
 
 
 def _log_normal_bounds(value: float, error: float, effective: float) -> Bounds:
-    """Bounds of the intervals from the standard error of the logarithm."""
+    """Bounds of the 95 % and 90 % intervals from the standard error of the logarithm."""
 
     def interval_for_tail(tail: float) -> tuple[float, float]:
         # Limited, so that the exponential does not overflow.

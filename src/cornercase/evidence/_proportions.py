@@ -15,9 +15,9 @@ _CONFIDENCE: Final = 0.9
 
 
 def proportion_interval(hits: int, draws: int) -> Estimate:
-    """Clopper-Pearson 90 % interval of a proportion, from `hits` of `draws` random draws; 0 to 1 without draws.
+    """Clopper-Pearson 90 % interval of a proportion, from `hits` of `draws` random draws.
 
-    Without a hit the upper end is about 3 / `draws` (the rule of three).
+    Without draws it is 0 to 1. Without a hit the upper end is about 3 / `draws` (the rule of three).
     """
     if not draws:
         return Estimate(0.5, 0.0, 1.0)
@@ -25,19 +25,19 @@ def proportion_interval(hits: int, draws: int) -> Estimate:
 
 
 def anytime_upper_bound(hits: int, draws: int, error_probability: float = 0.05) -> float:
-    """Upper bound of a proportion that holds at all times, even if draws are stopped depending on the bound.
+    """Upper bound of a proportion that is valid at all times, even if the decision to stop depends on the bound.
 
-    The true proportion ever exceeds the bound with a probability of at most `error_probability`. The bound inverts the
-    likelihood ratio of the Beta(1/2, 1/2) mixture to one proportion, which exceeds 1/`error_probability` with
-    probability `error_probability` at most, at any time: H. Robbins, "Statistical methods related to the law of the
-    iterated logarithm", Annals of Mathematical Statistics 41 (1970).
+    The probability that the true proportion ever exceeds the bound is at most `error_probability`. The bound compares
+    the likelihood of a proportion with that of a Beta(1/2, 1/2) mixture. The ratio exceeds 1 / `error_probability` at
+    any time with a probability of at most `error_probability`: H. Robbins, "Statistical methods related to the law of
+    the iterated logarithm", Annals of Mathematical Statistics 41 (1970).
     """
     if not draws or hits == draws:
         return 1.0
     mixture = float(betaln(hits + 0.5, draws - hits + 0.5) - betaln(0.5, 0.5))
 
     def log_evidence_against(proportion: float) -> float:
-        """Logarithm of the evidence against a proportion, less what is needed to reject it."""
+        """Logarithm of the evidence against a proportion, less the evidence needed to reject it."""
         return (
             mixture - float(xlogy(hits, proportion) + xlog1py(draws - hits, -proportion)) + math.log(error_probability)
         )

@@ -1,4 +1,4 @@
-"""Importance sampling of rare events, with a proposal that is learned first and then frozen."""
+"""Importance sampling of rare events; the proposal distribution is learned first and then frozen."""
 
 from __future__ import annotations
 
@@ -33,18 +33,18 @@ _HARDLY_ANY: Final = (
 
 
 class ImportanceSampling:
-    """Draws scenarios among which a rare event is frequent, and weights them.
+    """Draws scenarios among which rare events are frequent, and weights the scenarios accordingly.
 
-    The unit cube is mapped to a space in which the parameters are standard normal. The first scenarios follow that
-    distribution. Then, round by round, a mixture of t distributions is fitted to the scenarios nearest to the event, as
-    many as it can be learned from, with their weights; the next round is drawn from it and from wide normal
-    distributions. With enough events the proposal is frozen, with parts of all earlier ones, of the wide ones and of
-    the parameters' distribution. Later scenarios are independent, so the mean of the weights of the events is an
-    unbiased estimate of their probability, whatever was learned before. Deterministic given its arguments and the
-    recorded results.
+    The unit cube is mapped to a space in which the parameters are standard normal. The first scenarios follow this
+    normal distribution. Then, round by round, a mixture of t distributions is fitted to weighted scenarios nearest to
+    the event, as many as are needed to learn it. The next round is drawn from the mixture and from wide normal
+    distributions. When enough events have occurred, the proposal is frozen. The frozen proposal includes parts of all
+    earlier mixtures, of the wide normal distributions and of the distribution of the parameters. Later scenarios are
+    independent, so the mean of the weights of the events is an unbiased estimate of their probability, whatever was
+    learned before. The draws depend only on the arguments and the recorded results.
 
-    `n_events` is the number of events, which share each round; `max_learning_scenarios` is the greatest number of
-    scenarios until the proposal is frozen; `initial_proposal` is an optional first guess.
+    `n_events` is the number of events, which share each round. `max_learning_scenarios` is the greatest number of
+    scenarios before the proposal is frozen. `initial_proposal` is an optional first guess.
     """
 
     def __init__(
@@ -69,11 +69,11 @@ class ImportanceSampling:
 
     @property
     def next_stage(self) -> str:
-        """Purpose of the next round: ``"law"``, ``"learn"`` or ``"estimate"``."""
+        """Purpose of the next round: ``"law"`` (draw from the distribution itself), ``"learn"`` or ``"estimate"``."""
         return "law" if self._rounds == 0 else "estimate" if self._frozen else "learn"
 
     def draw_round(self, max_count: int) -> FloatArray:
-        """Draw a round of at most `max_count` scenarios, (n, d) in the unit cube, within the constraints.
+        """Draw a round of at most `max_count` scenarios within the constraints, (n, d) in the unit cube.
 
         Raises
         ------
@@ -91,10 +91,10 @@ class ImportanceSampling:
         raise InputError(_HARDLY_ANY)
 
     def record_round(self, points: FloatArray, scores: FloatArray, occurred: BoolArray) -> None:
-        """Record the results of a round, and learn from them unless the proposal is frozen.
+        """Record the results of a round; while the proposal is not frozen, learn from them.
 
-        `scores` (n,) are lower nearer to the events, NaN for a failed scenario; `occurred` (n, events): which events
-        occurred.
+        `scores` (n,) are lower nearer to the events, and NaN for a failed scenario. `occurred` (n, events) says which
+        events occurred.
         """
         if not self._frozen:
             self._drawn.append((len(points), self._proposal))
@@ -107,7 +107,7 @@ class ImportanceSampling:
     def importance_weights(self, points: FloatArray) -> FloatArray:
         """Weights (n,) of scenarios that were drawn with the frozen proposal; 1 on average.
 
-        Density of the parameters' distribution over that of the proposal, both within the constraints.
+        A weight is the density of the parameters' distribution over that of the proposal, both within the constraints.
         """
         normal = _to_standard_normal(points)
         factor, _ = self._constraint_factor_and_error()
@@ -117,11 +117,17 @@ class ImportanceSampling:
 
     @property
     def common_weight_error(self) -> float:
-        """Relative standard error that all weights have in common, from the fraction within the constraints."""
+        """Relative standard error that all weights have in common.
+
+        It comes from the estimated fraction of draws within the constraints.
+        """
         return self._constraint_factor_and_error()[1]
 
     def _constraint_factor_and_error(self) -> tuple[float, float]:
-        """Fraction of the proposal within the constraints over that of the distribution; relative standard error."""
+        """Factor of the weights that is due to constraints, and its relative standard error.
+
+        The factor is the fraction of the proposal within the constraints over that of the distribution.
+        """
         if not self._space.declarations:
             return 1.0, 0.0
         if self._factor is None:
@@ -166,7 +172,7 @@ class ImportanceSampling:
         self._earlier.append(new)
 
     def _select_nearest_to_event(self, event: int, weights: FloatArray) -> tuple[BoolArray, bool]:
-        """Mask of the scenarios nearest to an event that the fit uses, and whether there are enough events."""
+        """Mask of the scenarios nearest to an event, for the fit, and whether enough events have occurred."""
         met = self._met[:, event]
         # The worst score gives no direction towards the event; failures rank last.
         finite = np.isfinite(self._scores)
@@ -186,10 +192,10 @@ class ImportanceSampling:
 def initial_proposal(
     space: ParameterSpace, points: FloatArray, scores: FloatArray, threshold: float, seed: int
 ) -> TMixture | None:
-    """Proposal for critical scenarios from a Gaussian process of scenarios that were run.
+    """Proposal for critical scenarios, from a Gaussian process of scenarios that were run; None if too little is known.
 
-    In the space in which the parameters are standard normal; None if too little is known. `scores` and `threshold` are
-    minimized, NaN for a failed scenario.
+    It is a distribution in the space in which the parameters are standard normal. `scores` and `threshold` are lower
+    where more critical; a failed scenario is NaN.
     """
     try:
         points, scores = require_enough_scores(points, scores)

@@ -31,7 +31,7 @@ MIN_PREDICTED: Final = 0.1
 
 @dataclass(frozen=True)
 class Sensitivity:
-    """How much of a score's variance comes from each parameter.
+    """Sensitivity of a score to the parameters: the fraction of the variance that comes from each.
 
     Attributes
     ----------
@@ -79,13 +79,13 @@ class Sensitivity:
         return table.sort_values("total", ascending=False, kind="stable")
 
     def _repr_html_(self) -> str:
-        """Table of the parameters, for notebooks."""
+        """HTML table of the parameters, for notebooks."""
         title = f"Sensitivity: the parameters predict {max(self.predicted, 0.0):.0%} of the variance"
         return render_html_table(title, self.table(), n_rows=len(self.names))
 
     @property
     def uninfluential_parameters(self) -> tuple[str, ...]:
-        """Parameters whose total index, with its interval, is below 0.05; none if hardly anything is predicted."""
+        """Parameters whose total index is below 0.05, including its interval; none if hardly anything is predicted."""
         intervals = zip(self.names, self.total_interval, strict=True)
         return tuple(name for name, (_, high) in intervals if high < LITTLE_INFLUENCE) if self.is_meaningful else ()
 
@@ -93,9 +93,9 @@ class Sensitivity:
 def estimate_sensitivity(space: ParameterSpace, points: FloatArray, scores: FloatArray, seed: int = 0) -> Sensitivity:
     """Sobol' indices of the mean of a Gaussian process of the scores, with intervals from draws of the process.
 
-    Parameters vary independently over their ranges, regardless of constraints. `points` (n, d) are in the unit cube,
-    `scores` (n,) may be minimized or not, NaN for a failed scenario. ValueError if there are fewer than 10 scores, or
-    all are equal.
+    Parameters vary independently over their ranges, regardless of constraints. `points` (n, d) are in the unit cube.
+    `scores` (n,) may be in either orientation, and are NaN for a failed scenario. ValueError if there are fewer than 10
+    scores, or all are equal.
 
     Source: I. M. Sobol', "Global sensitivity indices for nonlinear mathematical models and their Monte Carlo
     estimates", Mathematics and Computers in Simulation 55 (2001); A. Saltelli et al., "Variance based sensitivity
@@ -136,9 +136,10 @@ def estimate_sensitivity(space: ParameterSpace, points: FloatArray, scores: Floa
 
 
 def _index_deviations(space: ParameterSpace, process: GaussianProcess, seed: int) -> tuple[FloatArray, FloatArray]:
-    """Deviations of the first-order and total indices of draws of a process from those of its mean, (draws, d) each.
+    """Deviations of the Sobol' indices of draws of a process from the indices of its mean, (draws, d) each.
 
-    Both are computed at the same few points, so that the sampling error cancels.
+    Returns those of the first-order and of the total indices. Both are computed at the same few points, so that the
+    sampling error cancels.
     """
     dims = space.dimension
     count = 1 << ((_N_POINTS // (dims + 2)).bit_length() - 1)

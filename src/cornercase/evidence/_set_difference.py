@@ -76,12 +76,12 @@ class SetDifference:
 
 
 def _difference_of_draws(before: FloatArray, after: FloatArray) -> Estimate:
-    """Estimate of `after - before` from all pairs of independent draws."""
+    """Estimate of the difference `after - before`, from all pairs of independent draws."""
     return Estimate.from_draws((after[:, None] - before).ravel())
 
 
 def _estimate_with_lower_bound(draws: FloatArray, low: float) -> Estimate:
-    """Estimate from draws that bound it from above, with the lower bound `low`."""
+    """Estimate of a quantity that `draws` bound from above and `low` bounds from below."""
     estimate = Estimate.from_draws(draws)
     low = max(low, 0.0)
     return Estimate(max(estimate.value, low), low, max(estimate.high, low))

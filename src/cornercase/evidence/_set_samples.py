@@ -21,12 +21,13 @@ _N_BINS: Final = 1024
 
 
 class SetSamples:
-    """Samples of a critical set: drawn jointly on some points, with marginal probabilities on all points.
+    """Draws of a critical set from the posterior, on n points that represent a space.
 
-    `weights` (n,) are the fractions of the space that points represent, `z` (n,) the predictions, and `known_outcome`
-    (n,) is inf where a critical scenario was run, -inf where another one was run, else 0. `joint_points` holds the
-    indices (m,) of the points with joint draws and the fraction of the space that each represents,
-    `standardized_errors` (m, `N_DRAWS`) standard normal numbers for them, with the correlation of their scores.
+    On some of the points, draws are joint; on all points, there are marginal probabilities. `weights` (n,) are the
+    fractions of the space that the points represent, `z` (n,) the predictions. `known_outcome` (n,) is inf if a
+    scenario was run and is critical, -inf if it was run and is not critical, else 0. `joint_points` holds the indices
+    (m,) of the points with joint draws, and the fraction of the space that each represents. `standardized_errors` (m,
+    `N_DRAWS`) are standard normal numbers for these points, with the correlation of their scores.
     """
 
     def __init__(
@@ -50,17 +51,17 @@ class SetSamples:
 
     @cached_property
     def joint_draws(self) -> BoolArray:
-        """Whether each of the joint points is critical in each draw, (m, draws)."""
+        """Whether each of the points with joint draws is critical in each draw, (m, draws)."""
         return np.asarray(self._standardized_errors <= self._critical_limit(self.joint_indices))
 
     @cached_property
     def _residuals(self) -> FloatArray:
-        """Outcome less marginal probability of each joint point in each draw, (m, draws)."""
+        """Outcome (0 or 1) less marginal probability of each point with joint draws, in each draw, (m, draws)."""
         return np.asarray(self.joint_draws - ndtr(self._critical_limit(self.joint_indices)))
 
     @cached_property
     def _probability_bins(self) -> tuple[IntArray, FloatArray]:
-        """Bin of each point by `z`, and the probability of being critical by bin and draw."""
+        """Bin of each point by its prediction `z`, and the probability of being critical by bin and draw."""
         order = np.argsort(self._z[self._known_outcome == 0.0], kind="stable")
         bins = [
             part for part in np.array_split(np.flatnonzero(self._known_outcome == 0.0)[order], _N_BINS) if len(part)
@@ -74,7 +75,7 @@ class SetSamples:
         return bin_of, np.concatenate([probability, np.zeros((1, N_DRAWS)), np.ones((1, N_DRAWS))])
 
     def _critical_limit(self, indices: IntArray) -> FloatArray:
-        """Normal deviate up to which a point is critical in each draw; infinite if it was run."""
+        """Normal deviate up to which a point is critical in each draw; infinite if the outcome is known."""
         limit = -(self._a + self._b * self._z[indices, None])
         return np.where(self._known_outcome[indices, None] == 0.0, limit, self._known_outcome[indices, None])
 
@@ -92,13 +93,13 @@ class SetSamples:
             return np.clip(self.critical_fraction_within(np.ones(len(self._z), dtype=np.bool_)), 0.0, 1.0)
 
     def overlap_fraction(self, other: SetSamples, standardized_errors: FloatArray, order: IntArray) -> FloatArray:
-        """Fraction of the space that is critical here and in a draw of `other`, (draws,).
+        """Fraction of the space that is critical both here and in a draw of `other`, (draws,).
 
-        `standardized_errors` (m, `N_DRAWS`) is as for this set, with the correlation of the other scores; draw
-        `order[i]` of `other` is paired with draw i.
+        `standardized_errors` (m, `N_DRAWS`) are those for the other set, on the points with joint draws of this one.
+        Draw i of this set is paired with draw `order[i]` of `other`.
         """
         limit = other._critical_limit(self.joint_indices)[:, order]
-        # As in `fractions`: some points give the spread, all points the mean.
+        # As in `critical_fraction_within`: some points give the spread, all points the mean.
         (bins, probability), (other_bins, other_probability) = self._probability_bins, other._probability_bins
         weights = coo_array((self._weights, (bins, other_bins)), shape=(len(probability), len(other_probability)))
         both = (probability * np.asarray(weights.tocsr() @ other_probability[:, order])).sum(axis=0)

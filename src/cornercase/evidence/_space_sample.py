@@ -26,8 +26,9 @@ _GOLDEN_RATIO: Final = (5.0**0.5 - 1.0) / 2.0  # its multiples modulo 1 are spre
 class SpaceSample:
     """Distinct concrete scenarios of a space, and the fraction of the space that each represents.
 
-    `points` (n, d) are in the unit cube, in the order of a Sobol' sequence; `encoded_points` (n, e) is for a kernel;
-    `weights` (n,) sum to 1. `is_complete`: whether they are all scenarios of the space that have a probability.
+    `points` (n, d) are in the unit cube, in the order of a Sobol' sequence. `encoded_points` (n, e) are coordinates for
+    a kernel. `weights` (n,) sum to 1. `is_complete` says whether the sample contains every scenario of the space that
+    has a probability.
     """
 
     points: FloatArray
@@ -37,7 +38,7 @@ class SpaceSample:
 
     @classmethod
     def from_space(cls, space: ParameterSpace, seed: int) -> SpaceSample:
-        """Sample a space: all scenarios of a small one of steps and choices, else quasi-random ones."""
+        """Sample a space: all scenarios if it is small and finite, otherwise quasi-random scenarios."""
         # Imported late, since it takes half a second.
         from scipy.stats import qmc
 
@@ -59,9 +60,10 @@ class SpaceSample:
         return cls(points, encode_points(space, points), weights, complete)
 
     def subset(self, relevance: FloatArray, count: int) -> tuple[IntArray, FloatArray]:
-        """Choose at most about `count` points, by relevance: indices (m,), and the fraction each represents.
+        """Choose about `count` points or fewer, relevant ones with more probability.
 
-        Sums over them with these fractions estimate sums over all points. `relevance` (n,) is above 0.
+        Returns the indices (m,) and the fraction of the space that each point represents. Sums over the chosen points,
+        weighted by these fractions, estimate sums over all points. `relevance` (n,) is above 0.
         """
         if len(self.weights) <= count:
             return np.arange(len(self.weights)), self.weights
@@ -72,9 +74,9 @@ class SpaceSample:
         return indices, self.weights[indices] / probability[indices]
 
     def empty_ball_fractions(self, run: FloatArray) -> FloatArray:
-        """Volumes of the largest balls around random points that contain no point of `run` (m, e), (k,).
+        """Volumes of the largest balls around k random points that contain no point of `run` (m, e), shape (k,).
 
-        As fractions of the space; parts of a ball outside the space do not count.
+        Volumes are fractions of the space; parts of a ball outside the space do not count.
         """
         # Any contiguous part of the sequence is spread evenly.
         centers, others = self.encoded_points[:_N_BALLS], self.encoded_points[-_N_VOLUME_POINTS:]
@@ -84,7 +86,10 @@ class SpaceSample:
 
 
 def _all_scenarios(space: ParameterSpace, first: FloatArray, seed: int) -> tuple[FloatArray, FloatArray]:
-    """All scenarios of a finite space, those in `first` first, and the fraction of the space that each represents."""
+    """All scenarios of a finite space, and the fraction of the space that each represents.
+
+    The scenarios in `first` come first.
+    """
     points = space.snap(space.full_factorial())
     points = points[space.is_admissible(points)]
     keys = set(row_keys(first))

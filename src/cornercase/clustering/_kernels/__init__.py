@@ -1,1 +1,1 @@
-"""Compiled distances of the clustering."""
+"""Compiled functions for clustering."""

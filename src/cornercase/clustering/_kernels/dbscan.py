@@ -1,4 +1,4 @@
-"""Compiled DBSCAN; for some hundred points faster than the input checks and the tree of a library."""
+"""Compiled DBSCAN; for some hundred points faster than the input checks and search tree of a library."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, untyped-decorator"
@@ -14,10 +14,10 @@ _NOISE = -1
 
 @kernel(error_model="numpy")
 def dbscan_labels(points, eps, min_samples, labels):
-    """Fill `labels`, shape (n,), with DBSCAN clusters of points, shape (n, k); -1 is noise.
+    """Write the DBSCAN cluster of each point to `labels`, shape (n,); -1 is noise.
 
-    Clusters are numbered in the order of their first dense points. A border point belongs to the first cluster in which
-    it has a dense neighbour.
+    `points` have shape (n, k). Clusters are numbered in the order of their first dense points. A border point belongs
+    to the first cluster that has a dense point in its neighbourhood.
     """
     count = len(points)
     square = eps * eps

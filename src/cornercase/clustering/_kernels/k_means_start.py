@@ -1,4 +1,7 @@
-"""Compiled start of k-means: centres far from each other, without distances of all scenarios to all centres."""
+"""Compiled choice of initial centres for k-means, far from each other.
+
+Distances of all scenarios to all centres are not needed.
+"""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, untyped-decorator"
@@ -26,12 +29,12 @@ _BLOCK_SIZE = 128
 
 @kernel(error_model="numpy")
 def choose_centers(points, cells, first, random_numbers):
-    """Return the indices of k centres, the first of which is given, by greedy k-means++.
+    """Return the indices of k centres by greedy k-means++; `first` is the first centre.
 
-    `points` have shape (n, p) with p at least `N_CELL_AXES`; `cells`, shape (c, CELL_SIZE), group nearby points,
-    with -1 as padding. `random_numbers`, shape (k - 1, trials), are in [0, 1): each draws a candidate in
-    proportion to the squared distance to the nearest centre, and the candidate that lowers the sum of these most is
-    taken, the first of equals.
+    `points` have shape (n, p) with p at least `N_CELL_AXES`. `cells`, shape (c, CELL_SIZE), are groups of nearby
+    points, padded with -1. `random_numbers`, shape (k - 1, trials), are in [0, 1). Each of them draws a candidate, with
+    a probability in proportion to the squared distance to the nearest centre. The candidate that lowers the sum of
+    these squared distances most becomes the next centre, the first if tied.
     """
     n, k = len(points), len(random_numbers) + 1
     chosen = np.empty(k, dtype=np.int64)
@@ -83,7 +86,7 @@ def choose_centers(points, cells, first, random_numbers):
 
 @kernel(error_model="numpy", _nrt=False)
 def _draw(target, squares, block_sums):
-    """Return the first point up to which the sum of squared distances is at least `target`."""
+    """Return the first point at which the cumulative sum of squared distances reaches `target`."""
     last, total = len(squares) - 1, 0.0
     for block in range(len(block_sums)):
         if total + block_sums[block] < target:
@@ -98,7 +101,7 @@ def _draw(target, squares, block_sums):
 
 @kernel(error_model="numpy")
 def _bound_cells(points, cells):
-    """Return middles, shape (c, N_CELL_AXES), and radii of balls around the cells in the first axes."""
+    """Bounding balls of the cells in the first axes: return middles, shape (c, N_CELL_AXES), and radii."""
     middles, radii = np.zeros((len(cells), N_CELL_AXES)), np.zeros(len(cells))
     for cell in range(len(cells)):
         count = 0
@@ -116,7 +119,10 @@ def _bound_cells(points, cells):
 
 @kernel(error_model="numpy", _nrt=False)
 def _cell_reach(members, radius, squares):
-    """Return the squared distance from the middle of a cell beyond which a centre is nearest to none of its points."""
+    """Return the distance limit for a cell: a centre farther from the middle is nearest to none of its points.
+
+    The limit is a squared distance.
+    """
     largest = 0.0
     for i in members:
         if i >= 0:
@@ -135,7 +141,7 @@ def _squared_distance_to_cell(point, middle):
 
 @kernel(error_model="numpy", _nrt=False)
 def _squared_distance(point, other_point, bound):
-    """Return the squared distance of two points, or any number of at least `bound` if it is as large."""
+    """Return the squared distance of two points; if it is at least `bound`, any number of at least `bound`."""
     total = 0.0
     for first in range(0, len(point), N_CELL_AXES):
         for axis in range(first, min(first + N_CELL_AXES, len(point))):

@@ -12,11 +12,11 @@ from cornercase._common.numba.kernel import kernel
 
 @kernel(error_model="numpy")
 def fill_nearest_distances(rows, columns, nearest_rows, is_chosen, result):
-    """Fill `result`, shape (draws, m), with the squared distance of each column to the nearest row of each choice.
+    """Write the squared distance of each column to the nearest row in each choice to `result`, shape (draws, m).
 
-    `rows`, shape (n, p), and `columns`, shape (m, p), are coordinates; `nearest_rows`, shape (m, k), are the nearest
-    rows of each column in order, and `is_chosen`, shape (draws, n), marks the rows of each choice. Infinite where none
-    of the nearest rows is in the choice.
+    `rows`, shape (n, p), and `columns`, shape (m, p), are coordinates. `nearest_rows`, shape (m, k), are the nearest
+    rows of each column, the nearest first. `is_chosen`, shape (draws, n), marks the rows in each choice. The result is
+    infinite if none of the nearest rows is in the choice.
     """
     for draw in range(len(is_chosen)):
         for j in range(len(nearest_rows)):

@@ -12,7 +12,10 @@ from cornercase._common.numba.kernel import kernel
 
 @kernel(error_model="numpy")
 def fill_spanning_tree(distances, ends, lengths):
-    """Fill `ends`, shape (2, n - 1), and `lengths` with the tree's edges; `distances`, shape (n, n), is symmetric."""
+    """Write the edges of the minimum spanning tree to `ends`, shape (2, n - 1), and `lengths`.
+
+    `distances`, shape (n, n), are symmetric.
+    """
     count = len(distances)
     nearest, reach = np.zeros(count, dtype=np.int64), distances[0].copy()
     outside = np.ones(count, dtype=np.bool_)

@@ -1,1 +1,1 @@
-"""Names of clusters: predicates that hold for their scenarios."""
+"""Names of clusters, built from predicates that hold for the scenarios of a cluster."""

@@ -1,4 +1,4 @@
-"""Phrases of a cluster's name for more and for less of a feature."""
+"""Phrases in the names of clusters that say whether a feature is larger or smaller than in other clusters."""
 
 from __future__ import annotations
 

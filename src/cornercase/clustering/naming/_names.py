@@ -1,4 +1,4 @@
-"""Names of clusters, as a person would give them."""
+"""Names of clusters in plain words."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _ENDING_ADVERBS: Final = ("at low speed", "at medium speed", "at high speed", "c
 
 @dataclass(frozen=True, eq=False)
 class ClusterName:
-    """Name of a cluster: how its scenarios end, and further predicates that hold for them."""
+    """Name of a cluster: how its scenarios end, and further predicates that hold for these scenarios."""
 
     ending: Predicate
     qualifiers: tuple[Predicate, ...] = ()
@@ -50,12 +50,15 @@ class ClusterName:
 
     @property
     def holds(self) -> BoolArray:
-        """Mask of the scenarios for which the whole name is true, shape (n,)."""
+        """Mask of the scenarios for which all predicates of the name hold, shape (n,)."""
         holds: BoolArray = np.all([self.ending.holds, *(qualifier.holds for qualifier in self.qualifiers)], axis=0)
         return holds
 
     def with_qualifier(self, predicate: Predicate) -> ClusterName:
-        """Return the name with one more predicate; it replaces one with a bound on the same side."""
+        """Return the name with one more predicate.
+
+        A bound replaces an existing bound of the same quantity on the same side.
+        """
         others = tuple(
             qualifier
             for qualifier in self.qualifiers
@@ -65,12 +68,13 @@ class ClusterName:
 
 
 def name_clusters(facts: NamingFacts, labels: IntArray, examples: Sequence[int]) -> dict[int, ClusterName]:
-    """Name each cluster by what is true of at least 95 % of its scenarios; no two names are the same.
+    """Name each cluster by what is true of at least 95 % of its scenarios. No two clusters have the same name.
 
-    A name starts with how the scenarios end, or the two or three ways in which they do. Predicates follow that separate
-    the cluster from those with the same name, or from all if the name is true of many other scenarios: first fixed
-    words such as ``"clear"``, then bounds of features, then parts of parameter ranges. `examples` has one scenario per
-    cluster, which completes the name if nothing else separates it.
+    A name starts with how the scenarios end, or with the two or three ways in which they end. Predicates follow that
+    separate the cluster from clusters with the same name. If the name is true of many scenarios of other clusters,
+    predicates separate it from all clusters. Fixed words such as ``"clear"`` are tried first, then bounds of features,
+    then parts of parameter ranges. `examples` has one scenario per cluster. The scenario's number completes the name if
+    nothing else separates the cluster.
     """
     endings_by_scenario = [describe_ending(outcome) for outcome in facts.outcomes]
     fixed = predicates_with_fixed_bounds(facts)
@@ -104,7 +108,7 @@ def _name_by_ending(
     is_member: BoolArray,
     other_clusters: Sequence[BoolArray],
 ) -> ClusterName:
-    """Name a cluster by the fewest endings that cover it, each as specific as is true."""
+    """Name a cluster by the fewest endings that cover it, each as specific as possible."""
     ego, needed = quote_name(facts.outcomes[0].ego), _min_members(is_member)
     members = np.flatnonzero(is_member).tolist()
     counts = Counter(endings[k][-1] for k in members)
@@ -145,7 +149,7 @@ def _add_distinguishing_predicate(
     names: dict[int, ClusterName],
     label: int,
 ) -> ClusterName:
-    """Add the predicate that best separates a cluster from those of the same name, or from all others."""
+    """Add the predicate that best separates a cluster from clusters of the same name, or from all others."""
     name, is_member = names[label], clusters[label]
     others = [other for other in clusters if other != label]
     same_name = [other for other in others if names[other].text == name.text]

@@ -29,10 +29,10 @@ _BOUND_DIGITS: Final = (1, 2, 3)
 
 @dataclass(frozen=True, eq=False)
 class Predicate:
-    """A predicate and the scenarios it holds for, shape (n,).
+    """A predicate, and the mask of the scenarios for which it holds, shape (n,).
 
-    `quantity` says which quantity a bound limits, and on which side; it is empty for predicates without a bound. A name
-    needs only one predicate of each.
+    `quantity` names the quantity that a bound limits, and the side of the bound. It is empty for predicates without a
+    bound. A name has only one predicate of each quantity.
     """
 
     text: str
@@ -42,7 +42,7 @@ class Predicate:
 
 @dataclass(frozen=True, eq=False)
 class NamingFacts:
-    """Everything about n scenarios from which names of clusters are made; traits have shape (n,) each."""
+    """All facts about n scenarios from which names of clusters are made; `features` has a column (n,) per feature."""
 
     outcomes: Sequence[Outcome]
     features: Mapping[str, FloatArray]
@@ -57,7 +57,7 @@ class NamingFacts:
         space: ParameterSpace,
         values: Sequence[Mapping[str, Value]],
     ) -> NamingFacts:
-        """Collect features per scenario into one column per feature."""
+        """Collect the facts; features that are given per scenario become one column per feature."""
         columns = {name: np.array([row[name] for row in features], dtype=np.float64) for name in features[0]}
         return cls(outcomes, columns, space, values)
 
@@ -106,7 +106,7 @@ def _describe_encounter(outcome: Outcome) -> tuple[str, ...]:
 
 
 def predicates_with_fixed_bounds(facts: NamingFacts) -> list[Predicate]:
-    """Return predicates with fixed bounds: impact speed, gap, braking, stops, turns, other entities."""
+    """Return predicates with fixed bounds on impact speed, gap, braking, stops, turns and other entities."""
     traits, outcomes = facts.features, facts.outcomes
     hit, gap, braking = traits["impact speed"], traits["gap"], traits["braking"]
     turn, shift, aside = traits["turn"], traits["shift"], traits["aside"]
@@ -156,9 +156,10 @@ def _describe_other_entities(outcome: Outcome) -> Iterator[str]:
 def predicates_with_fitted_bounds(
     facts: NamingFacts, is_member: BoolArray, min_members: int, is_rival: BoolArray
 ) -> list[tuple[int, Predicate]]:
-    """Return predicates that separate members from rivals, with rank 1 for features, 2 for parameters.
+    """Return predicates that separate the members of a cluster from rivals, with a rank.
 
-    Each holds for at least `min_members` of the members: more or less of a feature, or part of a parameter's range.
+    A predicate bounds a feature (rank 1), or selects a part of a parameter's range (rank 2). Each holds for at least
+    `min_members` of the members.
     """
     other = quote_name(facts.outcomes[0].encounter.entity)
     clauses = [
@@ -185,7 +186,7 @@ def predicates_with_fitted_bounds(
 
 
 def _describe_choice(parameter: Parameter, choice: str) -> str:
-    """Describe a choice; of values that belong together, the first one that identifies it."""
+    """Describe the choice of a parameter; of values that belong together, the first one identifies the choice."""
     names, parts = parameter.name.split(", "), [choice_parts.split(", ") for choice_parts in parameter.choices]
     if len(names) > 1 and all(len(choice_parts) == len(names) for choice_parts in parts):
         for name, part, column in zip(names, choice.split(", "), zip(*parts, strict=True), strict=True):
@@ -203,7 +204,7 @@ def _fit_bounds(
     is_rival: BoolArray,
     smallest_bound: float = -math.inf,
 ) -> Iterator[Predicate]:
-    """Yield upper and lower bounds that hold for all members, or for just `min_members` of them."""
+    """Yield upper and lower bounds that hold for all members, or for exactly `min_members` of them."""
     for sign, text in ((-1.0, texts[0]), (1.0, texts[1])):
         signed = sign * values
         own = np.sort(signed[is_member & np.isfinite(values)])
@@ -222,7 +223,7 @@ def _fit_bounds(
 
 
 def _shortest_number_between(low: float, high: float) -> str | None:
-    """Write the shortest number in [low, high); None if it needs more than three digits."""
+    """Return the shortest number in [low, high) as text; None if it needs more than three digits."""
     for digits in _BOUND_DIGITS:
         text = f"{(low + high) / 2.0:.{digits}g}"
         if low <= float(text) < high and "e" not in text:

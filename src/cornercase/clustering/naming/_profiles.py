@@ -1,4 +1,4 @@
-"""Profiles of clusters: what their scenarios have in common, so that a person can name them."""
+"""Profiles of clusters: what the scenarios of a cluster have in common."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from cornercase.study import StudyFile
 
 @dataclass(frozen=True)
 class Profile:
-    """Description of one cluster.
+    """Description of one cluster: what its scenarios have in common.
 
     Attributes
     ----------
@@ -50,12 +50,12 @@ class Profile:
 
     @property
     def collisions(self) -> int:
-        """Number of its scenarios in which the ego collides."""
+        """Number of scenarios of the cluster in which the ego collides."""
         return sum(count for outcome, count in self.outcomes.items() if outcome.endswith(" collide"))
 
     @property
     def label(self) -> str:
-        """Its name, with the number of collisions if only some of its scenarios end so."""
+        """Name of the cluster, with the number of collisions if only some of its scenarios end in one."""
         if not self.name or self.collisions in (0, self.size):
             return self.name
         return f"{self.name}; {self.collisions} of {self.size} collide"
@@ -64,7 +64,7 @@ class Profile:
 def profile_clusters(
     study: StudyFile, labels: IntArray, facts: NamingFacts, distances: Distances
 ) -> tuple[Profile, ...]:
-    """Return the profile of each cluster, noise last; `distances` are those they were clustered by."""
+    """Return the profile of each cluster, noise last; `distances` are those by which the scenarios were clustered."""
     ids = [row.id for row in study.finished_rows()]
     scores = {name: study.scores(name) for name in study.meta.metrics}
     clusters = sorted(np.unique(labels).tolist(), key=lambda label: (label < 0, label))

@@ -1,4 +1,4 @@
-"""Rules for clusters: the bounds of the parameters between which a cluster prevails."""
+"""Rules for clusters: bounds of the parameters between which most scenarios belong to a cluster."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _Region = tuple[BoolArray, _Bounds]
 class Rule:
     """Part of the parameter space in which a cluster prevails.
 
-    The shares are cross-validated, as `find_rules` says; NaN in studies of early versions.
+    The shares are cross-validated; they are NaN in studies of early versions.
 
     Attributes
     ----------
@@ -49,12 +49,13 @@ class Rule:
 
 
 def find_rules(space: ParameterSpace, values: Sequence[Mapping[str, Value]], is_member: BoolArray) -> tuple[Rule, ...]:
-    """Find the parts of the parameter space in which members prevail, by a shallow decision tree.
+    """Find the parts of the parameter space in which members of a cluster prevail, by a shallow decision tree.
 
-    Rules are judged by ten-fold cross-validation: each tenth is judged by the rules of the other nine, and each of
-    those counts for the rule of all scenarios that it overlaps most. A rule is returned only if significantly more
-    members lie there than by chance; labels of pure noise get one in about 1 of 100 cases. Rules come by falling share
-    of the members; a single rule ``"everywhere"`` if all are members or no parameter separates them.
+    Rules are judged by ten-fold cross-validation: each tenth of the scenarios is judged by rules found in the other
+    nine. Each of these rules counts for the rule of all scenarios that it overlaps most. A rule is returned only if
+    significantly more members lie in its part than by chance; labels of pure noise get a rule in about 1 of 100 cases.
+    Rules come by falling share of the members. If all scenarios are members, or no parameter separates them, there is a
+    single rule ``"everywhere"``.
     """
     # Imported here, since opening an analysis does not need it.
     from scipy.stats import hypergeom
@@ -76,7 +77,7 @@ def find_rules(space: ParameterSpace, values: Sequence[Mapping[str, Value]], is_
 
 
 def _find_prevailing_regions(columns: FloatArray, is_member: BoolArray) -> list[_Region]:
-    """Parts of the space, with bounds, in which the share of members is above average."""
+    """Find parts of the space, with bounds, in which the share of members is above average."""
     from sklearn.tree import DecisionTreeClassifier
 
     if is_member.all() or not is_member.any():
@@ -92,7 +93,7 @@ def _find_prevailing_regions(columns: FloatArray, is_member: BoolArray) -> list[
 
 
 def _cross_validated_regions(columns: FloatArray, is_member: BoolArray, regions: Sequence[_Region]) -> IntArray:
-    """Part in which each scenario lies by the rules of the other folds; -1 for none, shape (n,)."""
+    """For each scenario, the part in which it lies by the rules of the other folds, shape (n,); -1 for none."""
     judged = np.full(len(is_member), -1)
     fold = _stratified_folds(is_member)
     for k in range(int(fold.max()) + 1):
@@ -109,7 +110,7 @@ def _cross_validated_regions(columns: FloatArray, is_member: BoolArray, regions:
 
 
 def _stratified_folds(is_member: BoolArray) -> IntArray:
-    """Fold of each scenario; stratified, so that all folds have equally many members, give or take one."""
+    """Fold of each scenario; the numbers of members in any two folds differ by at most one."""
     rng = np.random.default_rng(0)
     order = np.concatenate([rng.permutation(np.flatnonzero(is_member)), rng.permutation(np.flatnonzero(~is_member))])
     fold = np.empty(len(is_member), dtype=np.int64)
@@ -127,7 +128,7 @@ def _is_within_bounds(columns: FloatArray, bounds: _Bounds) -> BoolArray:
 def _encode_parameters(
     space: ParameterSpace, values: Sequence[Mapping[str, Value]]
 ) -> tuple[FloatArray, list[tuple[str, str, str]]]:
-    """Numeric columns for a tree, and for each column its parameter, unit and the choice that it encodes."""
+    """Numeric columns for a decision tree; for each column, its parameter, unit and encoded choice."""
     columns, names = [], []
     for parameter in space.parameters:
         if parameter.size == 1:
@@ -145,7 +146,7 @@ def _encode_parameters(
 def _collect_leaves(
     tree: Any, columns: FloatArray, is_member: BoolArray, node: int, is_inside: BoolArray, bounds: _Bounds
 ) -> list[_Region]:
-    """Leaves of the tree in which the members prevail, with the bounds of each column; siblings are merged."""
+    """Leaves of the tree in which members prevail, with the bounds of each column; sibling leaves are merged."""
     left, right = int(tree.children_left[node]), int(tree.children_right[node])
     if left < 0:
         prevails = is_member[is_inside].mean() >= 0.5 or is_member[is_inside].sum() >= 0.5 * is_member.sum()

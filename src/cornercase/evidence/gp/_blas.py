@@ -1,4 +1,4 @@
-"""Matrix products in double precision by SciPy's BLAS that exploit structure.
+"""Products of structured matrices in double precision, by SciPy's BLAS.
 
 A product with a triangular matrix, or of a matrix with its transpose, takes half the operations of a general product.
 """
@@ -12,7 +12,7 @@ from cornercase._common.typing import FloatArray
 
 
 def multiply_lower_triangular(lower: FloatArray, right: FloatArray) -> FloatArray:
-    """Multiply a lower triangular matrix with another one; the upper half of `lower` is not read."""
+    """Multiply a lower triangular matrix with another matrix; entries above the diagonal of `lower` are not read."""
     # BLAS is column-major: row-major matrices are passed as their transposes, without a copy.
     if lower.flags.f_contiguous:
         return np.asarray(dtrmm(1.0, lower, right.T, side=1, lower=1, trans_a=1)).T
@@ -20,12 +20,12 @@ def multiply_lower_triangular(lower: FloatArray, right: FloatArray) -> FloatArra
 
 
 def multiply_by_lower_transposed(left: FloatArray, lower: FloatArray) -> FloatArray:
-    """Multiply a matrix with the transpose of a lower triangular one, whose upper half is not read."""
+    """Multiply a matrix with the transpose of a lower triangular matrix; entries above its diagonal are not read."""
     return multiply_lower_triangular(lower, left.T).T
 
 
 def multiply_by_transposed(left: FloatArray, right: FloatArray) -> FloatArray:
-    """Multiply a matrix (n, k) with the transpose of another one (m, k)."""
+    """Multiply a matrix (n, k) with the transpose of a matrix (m, k)."""
     return np.asarray(dgemm(1.0, left, right, trans_b=1))
 
 

@@ -28,7 +28,7 @@ _LENGTH_SCALE_BOUNDS, _SIGNAL_BOUNDS, _MIN_NOISE = (1e-2, 10.0), (1e-2, 30.0), 1
 class MaternKernel:
     """Matérn kernel (5/2) with a length scale per dimension.
 
-    `signal` and `noise` are the standard deviations of the process and of single values.
+    `signal` is the standard deviation of the process, `noise` that of the error of single values.
     """
 
     length_scales: FloatArray
@@ -36,11 +36,11 @@ class MaternKernel:
     noise: float
 
     def covariance(self, a: FloatArray, b: FloatArray) -> FloatArray:
-        """Covariance of the process at points a (n, e) with that at points b (m, e), without noise, (n, m)."""
+        """Covariance of the process, without noise, between points a (n, e) and points b (m, e), (n, m)."""
         return np.asarray(self._scaled_covariance(a / self.length_scales, b / self.length_scales), dtype=np.float64)
 
     def covariance_in_single_precision(self, a: FloatArray, b: FloatArray) -> Floats:
-        """As `covariance`, in single precision."""
+        """Same as `covariance`, in single precision."""
         return self._scaled_covariance(
             (a / self.length_scales).astype(np.float32), (b / self.length_scales).astype(np.float32)
         )
@@ -52,12 +52,15 @@ class MaternKernel:
 
 
 def evenly_spaced_indices(count: int, max_count: int) -> IntArray:
-    """Indices of at most `max_count` of `count` values, evenly spaced."""
+    """At most `max_count` evenly spaced indices of `count` values."""
     return np.unique(np.linspace(0, count - 1, max_count).astype(np.int64))
 
 
 def indices_with_rare_values(count: int, max_count: int, is_rare: BoolArray | None) -> IntArray:
-    """Indices of at most `max_count` of `count` values, up to half of them rare, evenly spaced in each class."""
+    """At most `max_count` indices of `count` values; up to half of them are rare values.
+
+    Indices are evenly spaced among the rare and among the other values.
+    """
     if is_rare is None or count <= max_count or not is_rare.any():
         return evenly_spaced_indices(count, max_count)
     rare_indices, common = np.flatnonzero(is_rare), np.flatnonzero(~is_rare)
@@ -73,11 +76,11 @@ def fit_kernel(
     start: MaternKernel | None = None,
     is_rare: BoolArray | None = None,
 ) -> MaternKernel:
-    """Maximize the marginal likelihood times a log-normal prior on the length scales.
+    """Fit a kernel: maximize the marginal likelihood times a log-normal prior on the length scales.
 
-    The prior keeps the length scales bounded with few points; its median grows with the root of the number of
-    dimensions. `values` have a mean of 0. A subset of 40 per dimension is used, at least 160 and at most 400, up to
-    half of it rare.
+    The prior bounds the length scales if there are few points; its median grows with the root of the number of
+    dimensions. `values` have a mean of 0. At most 40 values per dimension are used, but at least 160 and at most 400.
+    Up to half of them are rare values.
 
     Source: C. E. Rasmussen, C. K. I. Williams, "Gaussian Processes for Machine Learning" (2006), equations 4.17, 5.8
     and 5.9. The prior is scaled as in C. Hvarfner, E. O. Hellsten, L. Nardi, "Vanilla Bayesian optimization performs
@@ -105,7 +108,7 @@ def fit_kernel(
 
 
 class _NegativeLogPosterior:
-    """Negative log of marginal likelihood and prior, and its gradient.
+    """Objective of the fit and its gradient: negative logarithm of marginal likelihood times prior.
 
     `squares` (e, n * n) holds the squared differences of all pairs of points.
     """
@@ -164,7 +167,7 @@ def _pairwise_distances(a: Floats, b: Floats) -> Floats:
 
 
 def matern_correlations(distance: Floats) -> Floats:
-    """Matérn correlation (5/2) at distances divided by the length scales; overwrites `distance`."""
+    """Matérn correlations (5/2) at distances that are divided by the length scales; overwrites `distance`."""
     number = distance.dtype.type
     distance *= number(_ROOT5)
     polynomial = distance * number(1.0 / 3.0)

@@ -22,10 +22,11 @@ _MIN_VARIANCE: Final = 1e-12
 
 
 class NearestPosterior:
-    """Process conditioned, at each point, on the values nearest to it by the length scales: 12 per dimension, 32 to 64.
+    """Process that is conditioned, at each point, only on the nearest values: 12 per dimension, 32 to 64.
 
-    The cost per point does not depend on the number of values, and it keeps detail that 512 inducing points smooth
-    away. But it gives no joint distribution. Needs more than 64 values.
+    Nearness is measured in length scales. The cost per point does not depend on the number of values. Detail is
+    preserved that 512 inducing points would smooth away, but there is no joint distribution of several points. There
+    must be more than 64 values.
 
     Source: A. V. Vecchia, "Estimation and model identification for continuous spatial processes", Journal of the Royal
     Statistical Society B 50 (1988); A. Datta, S. Banerjee, A. O. Finley, A. E. Gelfand, "Hierarchical nearest-neighbor
@@ -46,16 +47,16 @@ class NearestPosterior:
         return self._predict_excluding(points / self._kernel.length_scales, np.full(len(points), -1))
 
     def leave_one_out(self, indices: IntArray | None = None) -> tuple[FloatArray, FloatArray]:
-        """Mean and standard deviation of each value, or of `indices`, by the process of the others.
+        """Mean and standard deviation of each value, or of those at `indices`, by the process of the other values.
 
-        The deviation includes the noise of the single value.
+        The standard deviation includes the noise of the single value.
         """
         selected = np.arange(len(self._points)) if indices is None else indices
         mean, deviation = self._predict_excluding(self._points[selected], selected)
         return mean, np.hypot(deviation, self._kernel.noise)
 
     def _predict_excluding(self, scaled_points: FloatArray, excluded: IntArray) -> tuple[FloatArray, FloatArray]:
-        """Mean and standard deviation at scaled points (m, e), leaving out value `excluded[i]` (-1: none)."""
+        """Mean and standard deviation at scaled points (m, e), without the value `excluded[i]` (-1: use all)."""
         mean, variance = np.empty(len(scaled_points)), np.empty(len(scaled_points))
 
         def predict_chunk(first: int) -> None:
@@ -71,7 +72,7 @@ class NearestPosterior:
         return mean, np.sqrt(np.maximum(variance, _MIN_VARIANCE * self._kernel.signal**2))
 
     def _nearest_indices(self, scaled_points: FloatArray, excluded: IntArray) -> IntArray:
-        """Indices of the values nearest to each point, without the excluded one, (m, k)."""
+        """Indices of the k values nearest to each point, without the excluded value, (m, k)."""
         near = np.asarray(self._tree.query(scaled_points, k=self._count + 1)[1], dtype=np.int64)
         keep = near != excluded[:, None]
         # If none is excluded, drop the farthest.

@@ -1,8 +1,8 @@
 """Posterior of a Gaussian process with a given kernel: exact, or with inducing points.
 
-Both have the same form: the mean at a point is the product of its covariances with `points` and `weights`; the variance
-that the values explain there is the squared norm of `inverse_factor` times these covariances. Both can be extended by
-further values, which updates the factor instead of computing it anew.
+Both have the same form. The mean at a point is the product of its covariances with `points` and `weights`. The variance
+that the values explain there is the squared norm of `inverse_factor` times these covariances. More values can be added
+to both, which updates the factor instead of computing it again.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _SLACK = 1e-8  # added to the explained fraction of the variance, against roundi
 
 
 class ExactPosterior:
-    """Posterior given values (n,) at points (n, e).
+    """Exact posterior for values (n,) at points (n, e).
 
     `inverse_factor` (n, n) is the inverse of the lower Cholesky factor of the values' covariance.
 
@@ -53,7 +53,7 @@ class ExactPosterior:
         self.weights = self.inverse_factor.T @ (self.inverse_factor @ values)
 
     def with_more_values(self, points: FloatArray, values: FloatArray) -> ExactPosterior:
-        """Posterior with additional values; equal, up to rounding, to that of all values at once."""
+        """Posterior with additional values; up to rounding, it equals the posterior of all values at once."""
         cross = self._kernel.covariance(points, self.points) @ self.inverse_factor.T
         corner = _inverse_cholesky_factor(
             _covariance_with_noise(self._kernel, points) - cross @ cross.T, _VALUE_JITTER * self._kernel.signal**2
@@ -66,19 +66,20 @@ class ExactPosterior:
         return ExactPosterior(self._kernel, points, values, inverse)
 
     def leave_one_out(self) -> tuple[FloatArray, FloatArray]:
-        """Mean and standard deviation of each value by the process of all others, (n,) each."""
+        """Mean and standard deviation of each value by the process of all other values, (n,) each."""
         precision = (self.inverse_factor**2).sum(axis=0)
         return self._values - self.weights / precision, 1.0 / np.sqrt(precision)
 
 
 class SparsePosterior:
-    """Posterior given many values, by inducing points.
+    """Approximate posterior for many values, by inducing points.
 
-    The remaining variance at the other points is treated as independent noise (FITC). `relevance` (n,), above 0, makes
-    points likelier inducing points. With `base`, its inducing points and values are taken over.
+    The variance that inducing points leave unexplained at the other points is treated as independent noise (FITC).
+    `relevance` (n,), above 0, makes points more likely to be inducing points. A posterior `base` provides its inducing
+    points and values.
 
-    `points` (k, e) are the inducing points, `weights` (k,) and `inverse_factor` (k, k) as for `ExactPosterior`,
-    `all_points` (n, e) and `values` (n,) all points and values.
+    `points` (k, e) are the inducing points; `weights` (k,) and `inverse_factor` (k, k) correspond to `ExactPosterior`.
+    `all_points` (n, e) and `values` (n,) are all points and values.
 
     Source: E. Snelson, Z. Ghahramani, "Sparse Gaussian processes using pseudo-inputs", NIPS (2005). Inducing points are
     chosen as in Y. Chen, E. N. Epperly, J. A. Tropp, R. J. Webber, "Randomly pivoted Cholesky", Communications on Pure
@@ -128,7 +129,7 @@ class SparsePosterior:
         return SparsePosterior(self._kernel, points, values, base=self)
 
     def leave_one_out(self) -> tuple[FloatArray, FloatArray]:
-        """Mean and standard deviation of each value by the process of all others, (n,) each."""
+        """Mean and standard deviation of each value by the process of all other values, (n,) each."""
         parts = [
             self._leave_one_out_block(self.all_points[block], self.values[block])
             for block in _block_slices(len(self.all_points))
@@ -137,7 +138,7 @@ class SparsePosterior:
         return mean, deviation
 
     def _leave_one_out_block(self, points: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """As `leave_one_out`, for some of the known values."""
+        """Leave-one-out mean and standard deviation of some of the known values."""
         rows, root = self._project_on_inducing_points(points)
         projections = multiply_by_lower_transposed(rows, self._inverse_precision_factor)
         explained = np.einsum("ij,ij->i", projections, projections)
@@ -146,7 +147,7 @@ class SparsePosterior:
         return values - error, 1.0 / np.sqrt(precision)
 
     def _project_on_inducing_points(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Whitened covariances with the inducing points, and the standard deviation that these leave unexplained."""
+        """Whitened covariances with the inducing points, and the standard deviation left unexplained by them."""
         rows = multiply_by_lower_transposed(self._kernel.covariance(points, self.points), self._whitening)
         variance = self._kernel.signal**2
         unexplained = variance - np.einsum("ij,ij->i", rows, rows)
@@ -157,14 +158,14 @@ AnyPosterior = ExactPosterior | SparsePosterior
 
 
 def _block_slices(count: int) -> list[slice]:
-    """Slices of at most 8192 of `count` values."""
+    """Slices that cover `count` values, with at most 8192 values each."""
     return [slice(first, first + _BLOCK_SIZE) for first in range(0, count, _BLOCK_SIZE)] or [slice(0, 0)]
 
 
 def cholesky_with_slack(covariance: FloatArray, slack: float) -> FloatArray:
-    """Lower Cholesky factor of a covariance that rounding errors may have made indefinite.
+    """Lower Cholesky factor of a covariance that may be indefinite because of rounding errors.
 
-    Adds `slack`, or more if needed, to the diagonal of `covariance` in place; only the lower half is read.
+    `slack`, or more if needed, is added to the diagonal of `covariance` in place. Only the lower half is read.
     """
     diagonal = np.diag_indices(len(covariance))
     for _ in range(_TRIES):
@@ -179,14 +180,14 @@ def cholesky_with_slack(covariance: FloatArray, slack: float) -> FloatArray:
 def condition_process(
     kernel: MaternKernel, points: FloatArray, values: FloatArray, relevance: FloatArray | None = None
 ) -> AnyPosterior:
-    """Posterior of a process: exact for up to 512 values, else by as many inducing points."""
+    """Posterior of a process: exact for up to 512 values, otherwise with 512 inducing points."""
     if len(points) <= MAX_EXACT_VALUES:
         return ExactPosterior(kernel, points, values)
     return SparsePosterior(kernel, points, values, relevance)
 
 
 def _choose_inducing_points(kernel: MaternKernel, points: FloatArray, relevance: FloatArray | None) -> IntArray:
-    """Choose inducing points by randomly pivoted Cholesky, weighted by relevance."""
+    """Choose inducing points by randomly pivoted Cholesky factorization, weighted by relevance."""
     candidates = evenly_spaced_indices(len(points), _N_CANDIDATES)
     rng = np.random.default_rng(0)
     weights = np.ones(len(candidates)) if relevance is None else relevance[candidates]
@@ -205,12 +206,12 @@ def _choose_inducing_points(kernel: MaternKernel, points: FloatArray, relevance:
 
 
 def _covariance_with_noise(kernel: MaternKernel, points: FloatArray) -> FloatArray:
-    """Covariance of values, with their noise."""
+    """Covariance of values at points, including their noise."""
     covariance = kernel.covariance(points, points)
     covariance[np.diag_indices(len(points))] += kernel.noise**2
     return covariance
 
 
 def _inverse_cholesky_factor(covariance: FloatArray, slack: float) -> FloatArray:
-    """Inverse of the lower Cholesky factor."""
+    """Inverse of the lower Cholesky factor of a covariance."""
     return np.asarray(dtrtri(cholesky_with_slack(covariance, slack), lower=1)[0])

@@ -48,7 +48,7 @@ _COMPARED_FRACTION, _N_COMPARED, _MAX_PRECISION_ERROR = 0.9, 64, 0.1
 
 
 def encode_points(space: ParameterSpace, points: FloatArray) -> FloatArray:
-    """Encode points (n, d) for a kernel, (n, e): choices become equidistant corners of a simplex."""
+    """Encode points (n, d) as coordinates for a kernel, (n, e): choices become equidistant corners of a simplex."""
     columns = []
     for j, parameter in enumerate(space.parameters):
         if parameter.choices:
@@ -69,36 +69,36 @@ def require_enough_scores(points: FloatArray, scores: FloatArray) -> tuple[Float
 def squash_scale(scores: FloatArray) -> float:
     """Distance from the threshold beyond which scores are squashed: 0.5 to 1 standard deviation.
 
-    Scores far from the threshold say little about the boundary of the critical set, and a process that need not follow
-    them fits the boundary better. But they lead to regions not seen yet; so it is one standard deviation with up to 100
-    scores, and less with more of them.
+    Scores far from the threshold say little about the boundary of the critical set. A process that need not follow them
+    fits the boundary better. But they lead to regions that were not explored yet. So the scale is one standard
+    deviation with up to 100 scores, and decreases with more scores.
     """
     return float(np.clip(_FULL_SCALE_COUNT / len(scores), 0.5, 1.0) * np.std(scores))
 
 
 def squash_around_threshold(scores: FloatArray, threshold: float, scale: float) -> FloatArray:
-    """Shift the threshold to 0, and squash scores far from it by a hyperbolic tangent of the given scale."""
+    """Shift the threshold to 0, and compress scores far from it by a hyperbolic tangent of the given scale."""
     return np.asarray(np.tanh((scores - threshold) / scale))
 
 
 def fit_boundary_process(
     points: FloatArray, scores: FloatArray, threshold: float, *, has_prediction: bool = False
 ) -> GaussianProcess:
-    """Gaussian process of squashed scores that best predicts which scenarios are critical.
+    """Fit the Gaussian process of squashed scores that best predicts which scenarios are critical.
 
-    If scores jump, a process with much noise smooths the boundary away; if they are noisy, one with little noise
-    follows the noise. So several are fitted, with increasing bounds of the noise, and the one is selected with the best
-    leave-one-out likelihood of the side of the threshold, of at most 512 scenarios: from the others of these, and with
-    more than 4,000 scenarios from the nearest of all. Smooth functions are predicted best from scores far from the
-    threshold too, so two standard deviations are tried in addition to `squash_scale`. The most critical tenth of the
-    scores is never squashed.
+    If scores jump, a process with much noise smooths the boundary away. If scores are noisy, a process with little
+    noise follows the noise. So several processes are fitted, with increasing bounds of the noise. The process is
+    selected that best predicts, by leave-one-out likelihood, on which side of the threshold scores are. At most 512
+    scenarios are left out: each is predicted from the others of these, or with more than 4,000 scenarios from the
+    nearest of all. Smooth functions are predicted best from scores far from the threshold too, so two standard
+    deviations are tried in addition to `squash_scale`. The most critical tenth of the scores is never squashed.
 
-    The prediction of another study is used if it makes the left-out scores 100 times as likely, and each of them twice
-    as likely (geometric mean). A weakly related study meets the former with enough scores, and yet moves the boundary
-    away.
+    The prediction of another study is used if it makes the left-out scores 100 times as likely in total, and twice as
+    likely each (geometric mean). With enough scores a weakly related study meets the first condition alone, although it
+    moves the boundary away.
 
-    `points` (n, e) are encoded, `scores` (n,) not all the same. `has_prediction`: whether the last coordinate is the
-    prediction of a `SourceStudyModel`.
+    `points` (n, e) are encoded, `scores` (n,) are not all the same. `has_prediction` says whether the last coordinate
+    is the prediction of a `SourceStudyModel`.
     """
     critical = scores <= threshold
     # Keep all scenarios of the rarer class in the subset, since length scales around them are learned from them.
@@ -109,7 +109,7 @@ def fit_boundary_process(
     densities: dict[tuple[float, int], float] = {}
 
     def fit_candidate(scale: float, max_noise: float, n_used: int, start: GaussianProcess | None) -> _Candidate:
-        """Fit one process; return its leave-one-out log-likelihood of the sides."""
+        """Fit one process; return it with its leave-one-out log-likelihood of the sides of the threshold."""
         values = squash_around_threshold(scores, threshold, scale)
         process = GaussianProcess(max_noise, scale).fit_hyperparameters(points, values, start, rare, n_used)
         if len(points) > GaussianProcess.max_induced_values:
@@ -150,7 +150,8 @@ class GaussianProcess:
 
     `fit` learns the kernel and conditions on the values. The steps are also available separately:
     `fit_hyperparameters`, `condition_on`, and `with_more_values` for additional values. `max_noise` is the greatest
-    standard deviation of single values, `squash_scale` that of `squash_around_threshold`, if the values come from it.
+    standard deviation of the noise of single values. If the values come from `squash_around_threshold`, `squash_scale`
+    is the scale used there.
     """
 
     max_induced_values: ClassVar[int] = 4000
@@ -175,10 +176,10 @@ class GaussianProcess:
         rare: BoolArray | None = None,
         n_used: int | None = None,
     ) -> GaussianProcess:
-        """Learn the kernel, and the mean far from all values.
+        """Learn the kernel, and the mean of the process far from all values.
 
-        `initial` has a kernel to start from, `rare` (n,) marks values that must not be lost if only a subset is used,
-        and `n_used` is the number of leading coordinates that the process may use, by default all.
+        `initial` has a kernel to start from. `rare` (n,) marks values that are preferred if only a subset is used.
+        `n_used` is the number of leading coordinates that the process may use, by default all.
         """
         self._mean = float(values.mean())
         # One thread, so that sums do not depend on the number of threads: proposals depend on the last digits.
@@ -197,17 +198,18 @@ class GaussianProcess:
     def condition_on(
         self, points: FloatArray, values: FloatArray, relevance: FloatArray | None = None
     ) -> GaussianProcess:
-        """Condition on values instead of the previous ones: exactly for up to 512, else by as many inducing points.
+        """Condition the process on new values instead of the previous ones.
 
-        With more than 4,000 values, predictions and leave-one-out use the nearest values. `relevance` (n,), above 0, is
-        how much it matters to know the process at a point.
+        Up to 512 values are exact; for more, there are 512 inducing points. With more than 4,000 values, predictions
+        and leave-one-out use the nearest values. `relevance` (n,), above 0, says how much it matters to know the
+        process at a point.
         """
         with single_threaded_blas():
             self._set_posterior(condition_process(self.kernel, points, values - self._mean, relevance))
         return self
 
     def condition_on_scores(self, points: FloatArray, scores: FloatArray, threshold: float) -> GaussianProcess:
-        """Condition on squashed scores, with more relevance near the threshold."""
+        """Condition on squashed scores; points near the threshold have more relevance."""
         values = squash_around_threshold(scores, threshold, self.squash_scale)
         # The slope of the hyperbolic tangent measures how near a score is to the threshold.
         return self.condition_on(points, values, (1.0 - values**2 + _MIN_RELEVANCE) ** 2)
@@ -222,7 +224,7 @@ class GaussianProcess:
     def leave_one_out_by_nearest(
         self, points: FloatArray, values: FloatArray, indices: IntArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Leave-one-out mean and deviation, (k,), of the values at `indices` by the nearest other values."""
+        """Leave-one-out mean and standard deviation, (k,) each, of values at `indices`, by the nearest others."""
         mean, deviation = NearestPosterior(self.kernel, points, values - self._mean).leave_one_out(indices)
         return self._mean + mean, deviation
 
@@ -248,7 +250,7 @@ class GaussianProcess:
     def predict(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Mean and standard deviation at points, (n,) each.
 
-        In single precision if that is accurate enough, so that 100,000 points with 500 values take about a second.
+        Single precision is used if it is accurate enough, so that 100,000 points with 500 values take about a second.
         """
         if self._nearest_posterior is not None:
             mean, deviation = self._nearest_posterior.predict(points)
@@ -257,7 +259,7 @@ class GaussianProcess:
         return mean, deviation
 
     def predict_with_projections(self, points: FloatArray) -> tuple[FloatArray, FloatArray, Floats]:
-        """As `predict`, for up to 4,000 values, and additionally the rows (n, k) that `covariance_with_point` needs."""
+        """Like `predict`, for up to 4,000 values; also return the rows (n, k) that `covariance_with_point` needs."""
         mean, deviation, parts = self._predict_in_chunks(points, keep_projections=True)
         return mean, deviation, np.concatenate(parts)
 
@@ -278,7 +280,7 @@ class GaussianProcess:
         return mean + self._mean, np.sqrt(np.maximum(variance, lowest * self.kernel.signal**2)), rows
 
     def _predict_at(self, points: FloatArray, weights: Floats, inverse: Floats) -> tuple[Floats, FloatArray, Floats]:
-        """Mean less the overall mean, variance and projections at points, in the precision of the factors."""
+        """Mean less the overall mean, variance, and projections at points, in the precision of `weights`."""
         single = inverse.dtype == np.float32
         cross = (self.kernel.covariance_in_single_precision if single else self.kernel.covariance)(
             points, self._posterior.points
@@ -291,7 +293,8 @@ class GaussianProcess:
     def leave_one_out(self, indices: IntArray | None = None) -> tuple[FloatArray, FloatArray]:
         """Predict each value (or those at `indices`) from all others: mean and standard deviation, shape (k,) each.
 
-        The deviation includes the noise of the single value. Source: Rasmussen and Williams 2006, equation 5.12.
+        The standard deviation includes the noise of the single value. Source: Rasmussen and Williams 2006, equation
+        5.12.
         """
         if self._nearest_posterior is not None:
             mean, deviation = self._nearest_posterior.leave_one_out(indices)
@@ -304,7 +307,7 @@ class GaussianProcess:
     def joint_covariance(self, points: FloatArray, with_noise: bool = True) -> tuple[FloatArray, FloatArray]:
         """Lower Cholesky factor (m, m) of the covariance at points, and the standard deviations (m,).
 
-        `with_noise`: with the noise of single values.
+        If `with_noise`, both include the noise of single values.
         """
         cross = self.kernel.covariance(points, self._posterior.points)
         covariance = self.kernel.covariance(points, points)
@@ -316,7 +319,7 @@ class GaussianProcess:
         return factor, np.sqrt(np.diag(covariance))
 
     def covariance_with_point(self, points: FloatArray, projections: Floats, i: int) -> FloatArray:
-        """Covariance of the process at all points with that at point `i`, (n,).
+        """Covariance of the process at all points with the process at point `i`, (n,).
 
         `projections` are those of `predict_with_projections`.
         """
