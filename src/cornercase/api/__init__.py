@@ -1,4 +1,4 @@
-"""The objects of the public API that use several rooms."""
+"""Objects of the public API: studies, suites, comparisons and pages."""
 
 import lazy_loader as lazy
 

@@ -1,4 +1,4 @@
-"""Fields of an exploration's configuration that a simulator stands for."""
+"""Settings of an exploration that a simulator object contains."""
 
 from __future__ import annotations
 
@@ -12,9 +12,10 @@ _RUN_SETTINGS: Final = {"time_step": None, "duration": None, "on_collision": Non
 
 
 def simulator_fields(simulator: Simulator | str) -> dict[str, Any]:
-    """Return ``simulator``, and the time step, duration, effect of collisions and drivers that an object was given.
+    """Return the settings of an exploration that a simulator object contains, by name.
 
-    Raises `InputError` for an unknown name, or something that is no simulator.
+    These are the simulator, and, if they were given, time step, duration, effect of collisions, and drivers. Raises
+    `InputError` for an unknown name, or if the argument is no simulator.
     """
     stripped, _ = split_common_options(simulator, _RUN_SETTINGS)
     if isinstance(stripped, str):

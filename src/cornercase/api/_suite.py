@@ -1,4 +1,4 @@
-"""A suite: the few scenarios that matter, run again."""
+"""The class `Suite` of the public API: run a few selected scenarios again."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class Suite:
-    """Scenarios that run by themselves, such as a reduced set, to test versions with; make one with `open`.
+    """Concrete scenarios, such as a reduced set, to test versions of a system with; make one with `open`.
 
     Parameters
     ----------
@@ -97,10 +97,10 @@ class Suite:
         seed: int = 0,
         progress: bool = False,
     ) -> SuiteResult:
-        """Run the scenarios, judge them, and compare them with those that they were selected from.
+        """Run the scenarios, judge them, and compare them with the earlier recordings.
 
-        Each scenario is stored when it has ended. The same call again resumes an interrupted run; with other
-        requirements it judges what has run.
+        Each scenario is stored as soon as it has ended. The same call again resumes an interrupted run. With other
+        requirements, it judges the stored runs.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""A written page, which notebooks show."""
+"""A page that was written to a file, which notebooks show."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _MAX_BYTES: Final = 20_000_000
 
 
 class Page(os.PathLike[str]):
-    """A file that was written; a notebook shows it if it is an HTML page.
+    """A file that was written; a notebook shows its content if it is an HTML page.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ class Page(os.PathLike[str]):
         return f"<Page {str(self.path)!r}>"
 
     def _repr_html_(self) -> str:
-        """The page in a frame that cannot reach the notebook; a line for films, and if it is large or was removed."""
+        """The page in a frame that cannot access the notebook; for films and missing or large files, a line of text."""
         try:
             if self.path.suffix.lower() not in (".html", ".htm") or self.path.stat().st_size > _MAX_BYTES:
                 return render_html(str(self.path))

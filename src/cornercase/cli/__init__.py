@@ -1,4 +1,4 @@
-"""The command line: parses, calls the API, prints."""
+"""The command line: parse options, call the API, print results."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ __all__ = [
 
 
 def main() -> None:
-    """Run the command line; any failure becomes one sentence and an exit code."""
+    """Run the command line; any failure prints one sentence and returns an exit code."""
     gc.set_threshold(_OBJECTS_BETWEEN_COLLECTIONS)
     # No collection at exit, which would take half a second.
     atexit.register(gc.freeze)

@@ -1,4 +1,4 @@
-"""Options of commands that stand in the table of options, and help in sections."""
+"""Give commands the options that the API defines, and divide their help into sections."""
 
 from __future__ import annotations
 
@@ -18,9 +18,10 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 def with_options(*names: str, **defaults: str) -> Callable[[Function], Function]:
-    """Give a command options of the table: it gets them as keyword arguments, parsed as the API takes them.
+    """Decorator that adds options of the API to a command.
 
-    `defaults` are options without a default of their own, each with what its help says instead.
+    The command gets their values as keyword arguments, parsed as the API takes them. `defaults` names options that have
+    no default here; each value is the text that help shows instead.
     """
     options = {name: OPTIONS[name] for name in names}
     options |= {name: OPTIONS[name].with_default_of(source) for name, source in defaults.items()}
@@ -45,7 +46,7 @@ def with_options(*names: str, **defaults: str) -> Callable[[Function], Function]
 
 
 def _make_parameter(option: Option) -> Parameter:
-    """Return an option as Typer reads it from the signature of a command."""
+    """Return an option as a parameter of a command's signature, where Typer reads it."""
     declared = typer.Option(
         option.flag,
         metavar=option.metavar,
@@ -69,7 +70,7 @@ def _make_parameter(option: Option) -> Parameter:
 
 
 def _parse(option: Option, value: Any) -> Any:
-    """Return what the API takes for what was given on the command line or in a study file."""
+    """Convert the value of an option from the command line or a study file to what the API takes."""
     if not value and option.is_list:
         return option.default
     if not option.is_mapping:
@@ -78,10 +79,10 @@ def _parse(option: Option, value: Any) -> Any:
 
 
 class SectionedCommand(TyperCommand):
-    """Command whose help has a section for each panel of the table of options."""
+    """Command whose help has a section for each group of options."""
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
-        """Write arguments and options, called by click."""
+        """Write the sections of the help; click calls this."""
         sections: dict[str, list[tuple[str, str]]] = {}
         for parameter in self.get_params(ctx):
             heading = "Arguments" if parameter.param_type_name == "argument" else "Options"

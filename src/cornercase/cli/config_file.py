@@ -1,4 +1,4 @@
-"""The option ``--config``: take other options from a study file."""
+"""The option ``--config``: read other options from a study file."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def _check_value(path: Path, option: Option, value: Any) -> Any:
 
 
 def _require_registered_driver(path: Path, text: str) -> None:
-    """Refuse a driver that is user code: naming it in a file must not run it."""
+    """Raise InputError if a driver is the user's own code: a study file must not run code."""
     from cornercase.drivers._registry import is_registered_driver
     from cornercase.drivers._resolve import create_driver_named_in_file
 
@@ -92,7 +92,7 @@ def _require_registered_driver(path: Path, text: str) -> None:
 
 
 def _load_defaults(context: typer.Context, path: Path | None) -> Path | None:
-    """Use the file as defaults of the command line."""
+    """Use the options in a study file as defaults of the command line."""
     if path is not None:
         context.default_map = {**(context.default_map or {}), **read_study_file(path)}
     return path

@@ -69,7 +69,7 @@ def demo(
 
 
 def _write_suite(study: StudyFile, folder: Path, mutants: int, scenario: ScenarioFile) -> None:
-    """Write a suite that kills mutants of the ego's driver, and print how to run it."""
+    """Write a suite of scenarios that kill mutants of the ego's driver, and print how to run it."""
     from cornercase import reduction
     from cornercase.suite import analyze_mutants
 

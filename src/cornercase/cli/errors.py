@@ -1,4 +1,4 @@
-"""Turn whatever ends a command into one sentence and an exit code; tracebacks only with --debug."""
+"""Turn any failure of a command into one sentence and an exit code; only ``--debug`` shows tracebacks."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ _PACKAGE_FOLDER: Final = Path(__file__).parents[1]
 
 
 def run_command(command: Callable[[], Any]) -> int:
-    """Run the typer application and return its exit code, printing one sentence to stderr unless it succeeds.
+    """Run the command line application and return its exit code; a failure prints one sentence to stderr.
 
-    2: input, machine or cornercase itself prevented it; 130 for Ctrl-C, 143 for SIGTERM; 1: the study being written
-    was lost, or (silently) the output pipe was closed.
+    Exit codes: 2 if input, machine or a bug prevented the work; 130 for Ctrl-C and 143 for SIGTERM; 1 if the study
+    being written was lost, or if the output pipe was closed (without a sentence).
     """
     try:
         code = command()
@@ -69,7 +69,7 @@ def run_command(command: Callable[[], Any]) -> int:
 
 
 def _is_raised_by_typer(error: BaseException) -> bool:
-    """Return whether typer raised the exception, as after completing a command for a shell."""
+    """Return whether typer itself raised the exception, for example after shell completion."""
     *_, (frame, _) = traceback.walk_tb(error.__traceback__)
     return str(frame.f_globals.get("__name__")).partition(".")[0] in ("typer", "click")
 
@@ -84,7 +84,7 @@ def _print_error(sentence: str, excerpt: str = "") -> None:
 
 
 def _expression_excerpt(error: BaseException | None) -> str:
-    """Return the lines that show the place in an expression, if the error is about one."""
+    """Return the lines that show where an expression is wrong; empty if the error is not about an expression."""
     while error is not None:
         if isinstance(error, ExpressionError):
             return error.excerpt
@@ -93,7 +93,7 @@ def _expression_excerpt(error: BaseException | None) -> str:
 
 
 def _discard_output() -> None:
-    """Discard what Python still buffers for a closed pipe, so that it raises no error at exit."""
+    """Discard output that Python still buffers for a closed pipe, so that writing it at exit does not fail."""
     sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115 - as long as the process
 
 
@@ -126,7 +126,7 @@ def _describe_error(error: BaseException) -> str:
 
 
 def _file_in_use(frames: list[FrameType]) -> Path | None:
-    """Return the file that the innermost function was working on."""
+    """Return the file that the innermost function was working on; None if there is none."""
     for frame in reversed(frames):
         for value in frame.f_locals.values():
             if isinstance(value, Path) and _is_file(value):
@@ -146,7 +146,7 @@ def _is_file(path: Path) -> bool:
 
 
 def _fault_location(error: BaseException) -> str:
-    """Return module and line in the package, so that the same fault has the same words."""
+    """Return module and line in cornercase where an error occurred, so that the same bug gets the same message."""
     for frame in reversed(traceback.extract_tb(error.__traceback__)):
         path = Path(frame.filename)
         if path.is_relative_to(_PACKAGE_FOLDER):

@@ -83,7 +83,7 @@ def _print_estimation(estimation: Estimation) -> None:
 
 
 def _format_probability(p: Probability) -> str:
-    """Format a probability, its uncertainty, and what plain Monte Carlo would need for the same."""
+    """Format a probability, its uncertainty, and the runs that plain Monte Carlo would need for the same."""
     if p.error is None and p.met:
         return f"between {p.low:.3g} and {p.high:.3g} ({p.method})"
     if p.error is None:

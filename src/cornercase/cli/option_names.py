@@ -1,4 +1,4 @@
-"""Translate messages of the API into terms of the command line."""
+"""Translate the API's messages into the terms of the command line."""
 
 from __future__ import annotations
 
@@ -29,14 +29,17 @@ _QUOTED: Final = re.compile(r"`(\w+)`")
 
 
 def use_option_names(message: str) -> str:
-    """Replace parameters and functions in backticks by options and commands: `` `stop_when` `` by ``--stop-when``."""
+    """Replace names of parameters and functions in backticks by options and commands.
+
+    Example: `` `stop_when` `` becomes ``--stop-when``.
+    """
     names = _names_on_command_line()
     return _QUOTED.sub(lambda match: names.get(match[1], match[0]), message)
 
 
 @cache
 def _names_on_command_line() -> dict[str, str]:
-    """Return options and commands by the names that parameters and functions have in Python."""
+    """Return options and commands by the names of the Python parameters and functions that they stand for."""
     commands: dict[str, Any] = vars(get_command(app))["commands"]
     options = {
         item.name: min(item.opts, key=len)
@@ -48,7 +51,7 @@ def _names_on_command_line() -> dict[str, str]:
 
 
 def print_notices() -> None:
-    """Print each `NoticeWarning` as a line on stderr from now on; `RuntimeWarning` only with ``--debug``."""
+    """From now on, print each `NoticeWarning` as a line on stderr; print a `RuntimeWarning` only with ``--debug``."""
     show = warnings.showwarning
 
     def show_warning(message: Any, category: Any, *location: Any, **kwargs: Any) -> None:

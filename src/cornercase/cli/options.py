@@ -1,4 +1,4 @@
-"""The application, and options shared by several commands."""
+"""The command line application, and options that several commands share."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ app = typer.Typer(
 
 
 class _PlainConsole(Console):
-    """Console that prints text as it is, without markup and control characters."""
+    """Console that prints text as it is: markup is not interpreted, and control characters are escaped."""
 
     def render_str(self, text: str, **options: Any) -> Text:
         return super().render_str(escape_control_characters(text), **options)
@@ -88,7 +88,7 @@ Json = Annotated[bool, Option("--json", help="Print JSON, for programs.")]
 
 
 def _search_maps(context: typer.Context, folders: list[Path] | None) -> None:
-    """Search maps in folders, and in those of the environment variable, while the command runs."""
+    """Add the folders of ``--maps`` and of the environment variable to the map folders while the command runs."""
     from cornercase.scenario._maps import MAPS_VARIABLE, search_maps_in
 
     if folders or os.environ.get(MAPS_VARIABLE):
@@ -137,7 +137,7 @@ _MAX_REASON_LENGTH: Final = 300
 
 
 def print_ending(result: ExplorationResult) -> None:
-    """Print how an exploration ended, and exit with its code."""
+    """Print how an exploration ended, and exit with the matching exit code."""
     if result.reproducible is not None:
         out.print(f"{result.study}: {result.reason}.")
         raise typer.Exit(0 if result.reproducible else 1)
@@ -158,7 +158,7 @@ def print_ending(result: ExplorationResult) -> None:
 
 
 def print_failure_reasons(reasons: Mapping[str, int], suffix: str = "") -> None:
-    """Print how many scenarios failed for which reason, the most frequent first."""
+    """Print each reason of failure with its number of scenarios, the most frequent first."""
     for reason, count in list(reasons.items())[:_MAX_REASONS]:
         out.print(f"  {count} failed: {shorten(reason, _MAX_REASON_LENGTH)}")
     if len(reasons) > _MAX_REASONS:

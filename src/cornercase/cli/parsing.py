@@ -55,7 +55,7 @@ def parse_number_or_auto(text: str, option: str) -> float | Literal["auto"]:
 
 
 def require_one_of(text: str, choices: tuple[str, ...], option: str) -> Any:
-    """Return `text` if it is one of the known values; else InputError with a suggestion."""
+    """Return `text` if it is one of `choices`; else InputError with a suggestion."""
     if text not in choices:
         raise InputError(f"{option} {text}: {suggest_name(text, choices)}")
     return text

@@ -1,4 +1,4 @@
-"""The option ``--profile``: write how much time each function took."""
+"""The option ``--profile``: write to a file how much time each function took."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _MAX_FUNCTIONS: Final = 80
 
 
 def _start_profiling(context: typer.Context, file: Path | None) -> Path | None:
-    """Start profiling; the file is written when the command ends for any reason."""
+    """Start profiling; the file is written when the command ends, even by an error."""
     if file is not None:
         if file.is_dir() or (file.exists() and not file.read_bytes().startswith(_FIRST_LINE.encode())):
             raise InputError(f"`profile`: {file} exists already and is not a profile; choose another file.")

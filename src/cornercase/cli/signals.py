@@ -14,24 +14,24 @@ from cornercase._common.process.signals import install_signal_handlers, last_sig
 
 
 class InterruptibleGroup(TyperGroup):
-    """Command group that reports interrupts in a sentence; typer would exit silently."""
+    """Command group that prints a sentence when it is interrupted; typer would exit without a message."""
 
     def make_context(self, *args: Any, **kwargs: Any) -> Any:
-        """Parse the command line; an interrupt raises `typer.Exit` with `interrupt_exit_code`."""
+        """Parse the command line; if interrupted, print a sentence and exit with `interrupt_exit_code`."""
         with _report_interrupts():
             # Again, as typer has replaced one of the hooks.
             install_signal_handlers()
             return super().make_context(*args, **kwargs)
 
     def invoke(self, ctx: Any) -> Any:
-        """Run the command; an interrupt raises `typer.Exit` with `interrupt_exit_code`."""
+        """Run the command; if interrupted, print a sentence and exit with `interrupt_exit_code`."""
         with _report_interrupts():
             return super().invoke(ctx)
 
 
 @contextmanager
 def _report_interrupts() -> Iterator[None]:
-    """Report an interrupt and exit with its code."""
+    """Within the block, turn an interrupt into a sentence and an exit code."""
     try:
         yield
     except KeyboardInterrupt as error:
@@ -49,5 +49,5 @@ def print_interrupt() -> None:
 
 
 def interrupt_exit_code() -> int:
-    """Return the exit code that shells give: 130 for Ctrl-C, 143 for SIGTERM, 129 for a closed terminal."""
+    """Return the exit code by the convention of shells: 130 for Ctrl-C, 143 for SIGTERM, 129 for a closed terminal."""
     return 128 + last_signal()

@@ -81,9 +81,10 @@ def warm_up() -> None:
 
 @contextmanager
 def compile_in_parallel(program: str = _LATE_PROGRAM) -> Iterator[None]:
-    """Context in which a second process compiles what runs after the simulations, once this process compiles.
+    """Within the block, once this process begins to compile, compile the later kernels in a second process.
 
-    Both share the cache, so that the kernels of the other process are ready when they are needed.
+    The later kernels are those that are needed after the simulations. Both processes share the cache on disk, so this
+    process finds them compiled.
     """
     from cornercase._common.numba.interpret import compile_at_once
     from cornercase._common.numba.kernel import call_on_first_compilation
@@ -112,9 +113,9 @@ def compile_in_parallel(program: str = _LATE_PROGRAM) -> Iterator[None]:
 
 
 def compile_late_kernels() -> None:
-    """Compile what the examples need after the simulations.
+    """Compile the kernels that the examples need after the simulations.
 
-    To be called in a process of its own, which ends with its standard input.
+    Call it in a process of its own; it exits when its standard input closes.
     """
     import numpy as np
 
@@ -132,7 +133,7 @@ def compile_late_kernels() -> None:
 
 
 def _import_kernels() -> None:
-    """Import all modules with kernels, so that their number is known before the first one is compiled."""
+    """Import all modules with kernels, so that their total number is known before compilation begins."""
     package = Path(__file__).parents[1]
     for path in sorted(package.rglob("*.py")):
         if path != Path(__file__) and any(sign in path.read_text("utf-8") for sign in _KERNEL_IMPORTS):
@@ -140,7 +141,7 @@ def _import_kernels() -> None:
 
 
 def _runs_by_room(folder: Path) -> Iterator[tuple[str, Callable[[], Any]]]:
-    """Yield the room and a small run of everything that compiles: running it shows what it needs."""
+    """Yield, by package, small runs that together compile all kernels."""
     from cornercase import clustering, drivers, metrics, optimizers, reduction, report, simulators
     from cornercase._common.errors import InputError
     from cornercase.exploration._config import ExplorationConfig
@@ -180,7 +181,7 @@ def _runs_by_room(folder: Path) -> Iterator[tuple[str, Callable[[], Any]]]:
 
 
 def _reduce_large_set() -> None:
-    """Reduce a set that is too large for all pairwise distances."""
+    """Reduce a set of scenarios that is too large for all pairwise distances."""
     import numpy as np
 
     from cornercase.clustering._embedding import EmbeddedDistances
@@ -196,7 +197,7 @@ def _reduce_large_set() -> None:
 
 
 def _two_group_distances() -> FloatArray:
-    """Return distances of two well separated groups."""
+    """Return a distance matrix of two well separated groups."""
     import numpy as np
 
     positions = np.concatenate([np.linspace(0.0, 1.0, 12), np.linspace(9.0, 10.0, 12)])

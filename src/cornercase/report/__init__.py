@@ -1,4 +1,4 @@
-"""What a person looks at."""
+"""Present studies: reports, replays, comparisons, and a live page."""
 
 import lazy_loader as lazy
 

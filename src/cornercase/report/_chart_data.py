@@ -1,4 +1,4 @@
-"""Data of the page's charts."""
+"""Data of the charts in the report page."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _N_DISTANCES: Final = 120
 
 
 def search_chart(data: ReportData) -> dict[str, Any]:
-    """Return the progress of the search per round: scenarios run, best score, critical scenarios, missed share."""
+    """Return the progress of the search by round: scenarios run, best score, critical scenarios, missed fraction."""
     meta = data.summary.meta
     objective = Objective.from_study_meta(meta)
     oriented = objective.minimized(np.stack([data.scores[metric.name] for metric in objective.metrics], axis=1))
@@ -45,7 +45,7 @@ def search_chart(data: ReportData) -> dict[str, Any]:
 
 
 def sensitivity_chart(data: ReportData) -> dict[str, Any] | None:
-    """Return the sensitivity of each parameter with 90 % intervals; None if unknown."""
+    """Return the sensitivity to each parameter with 90 % intervals; None if it is unknown."""
     sensitivity = data.summary.estimates.sensitivity
     if sensitivity is None or not sensitivity.is_meaningful:
         return None
@@ -60,9 +60,10 @@ def sensitivity_chart(data: ReportData) -> dict[str, Any] | None:
 
 
 def coverage_charts(data: ReportData) -> dict[str, Any]:
-    """Return by aspect the percentage of scenarios within a distance of the reduced set, over the distance.
+    """Return, by aspect, the percentage of scenarios within a distance of the reduced set, as a function of distance.
 
-    For comparison: k-medoids, the range of 90 of 100 random choices, and the critical scenarios alone.
+    Three curves serve for comparison: k-medoids, the range of 90 of 100 random choices, and the critical scenarios
+    alone.
     """
     charts = {}
     for name, gaps in data.gaps.items():
@@ -88,7 +89,7 @@ def coverage_charts(data: ReportData) -> dict[str, Any]:
 
 
 def hull_edges(data: ReportData) -> dict[str, list[list[int]]]:
-    """Return the edges of each cluster's hull in the parameter space, as pairs of scenario ids by cluster."""
+    """Return the edges of each cluster's hull in the parameter space: pairs of scenario ids, by cluster."""
     reduced = data.summary.reduced_set
     hulls = {} if reduced is None else reduced.hulls
     edges_by_cluster = {}
@@ -99,7 +100,7 @@ def hull_edges(data: ReportData) -> dict[str, list[list[int]]]:
 
 
 def _percent_within(gaps: FloatArray, distances: FloatArray) -> FloatArray:
-    """Percentage of gaps up to each distance in `reach`."""
+    """Return, for each distance, the percentage of gaps that are at most this long."""
     return np.asarray(100.0 * np.searchsorted(np.sort(gaps), distances, side="right") / max(len(gaps), 1))
 
 

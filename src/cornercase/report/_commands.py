@@ -1,4 +1,4 @@
-"""The command line and the study file that make a study again."""
+"""Recreate the command line or the study file that repeats a study."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _SIMULATION: Final = ("simulator", "time_step", "duration", "on_collision", "dri
 
 
 def format_command(meta: StudyMeta) -> str:
-    """Return the command that makes a study again, to be run in the folder of the scenario or imported recordings."""
+    """Return the command that repeats a study, to be run in the folder of the scenario or the imported recordings."""
     if meta.optimizer.startswith(_ESTIMATE_PREFIX):
         arguments = ["estimate", "STUDY.db", *_arguments(meta, "budget", "seed")]
     elif meta.simulator == IMPORTED_SIMULATOR:
@@ -50,7 +50,7 @@ def format_command(meta: StudyMeta) -> str:
 
 
 def _arguments(meta: StudyMeta, *names: str) -> Iterator[str]:
-    """Format options of a study, as far as it holds them, for the command line."""
+    """Yield the named options of a study as command line arguments; options that have no stored value are left out."""
     for name, texts in _format_options(meta).items():
         if name in names:
             flag = OPTIONS[name].flag
@@ -60,7 +60,7 @@ def _arguments(meta: StudyMeta, *names: str) -> Iterator[str]:
 
 
 def _format_options(meta: StudyMeta) -> dict[str, list[str]]:
-    """Return the values of the options of a study that have any, by name, as they are on the command line."""
+    """Return the values of a study's options as written on the command line, by option name."""
     values = stored_values(meta) | _stored_ranges(meta)
     return {
         name: _format_values(option, value)
@@ -83,7 +83,7 @@ def _format_values(option: Option, value: Any) -> list[str]:
 
 
 def _stored_ranges(meta: StudyMeta) -> dict[str, list[str] | str]:
-    """Return the space of a study as ranges, or as a file if ranges cannot express it."""
+    """Return the parameter space of a study as ``--range`` options, or as a file if ranges cannot express it."""
     if not all(map(_is_expressible_as_range, meta.space.parameters)):
         return {"space": _SPACE_PLACEHOLDER}
     return {"ranges": [_format_range(parameter) for parameter in meta.space.parameters]}
@@ -95,7 +95,10 @@ def _format_range(parameter: Parameter) -> str:
 
 
 def describe_limits(meta: StudyMeta, n_ended: int) -> Iterator[str]:
-    """Describe what the command cannot express, given the number of scenarios that have ended."""
+    """Yield a text for each part of a study that the command cannot express.
+
+    `n_ended` is the number of scenarios that have ended.
+    """
     if meta.optimizer.startswith(_ESTIMATE_PREFIX):
         yield "STUDY.db stands for the study that the estimate was made of."
     elif meta.suite:
@@ -112,7 +115,7 @@ def describe_limits(meta: StudyMeta, n_ended: int) -> Iterator[str]:
 
 
 def describe_unnamed_drivers(meta: StudyMeta) -> Iterator[str]:
-    """Describe the drivers that no command can name because Python code created them."""
+    """Yield a text for each driver that was created in Python code, because no command can name it."""
     for entity, driver in meta.drivers.items():
         if driver_command_option(driver) is None:
             yield (
@@ -134,7 +137,7 @@ def describe_retry(meta: StudyMeta) -> str:
 
 
 def _is_expressible_as_range(parameter: Parameter) -> bool:
-    """Return whether ``--range`` can express the parameter."""
+    """Return whether the option ``--range`` can express the parameter."""
     plain = not parameter.choices or parameter.choices == _BOOLEANS
     return plain and parameter.distribution is None and parameter.low < parameter.high
 
@@ -147,14 +150,15 @@ def _parameter_table_option(meta: StudyMeta) -> Iterator[str]:
 
 
 def _format_number(value: float) -> str:
-    """Format a number with all its digits."""
+    """Format a number with all digits that distinguish it from other numbers."""
     return repr(int(value)) if float(value).is_integer() and abs(value) < 1e15 else repr(float(value))
 
 
 def format_study_file(study: StudyFile | Path | str) -> str:
-    """Return a study file (TOML for ``explore --config``) that makes a study again; limits are comments.
+    """Return a study file (TOML for ``explore --config``) that repeats a study.
 
-    The scenario path is relative to the current folder. InputError if `explore` did not make the study.
+    Parts that it cannot express are listed in comments. The path of the scenario is relative to the current folder.
+    InputError if `explore` did not make the study.
     """
     with open_study(study, readonly=True) as opened:
         meta = opened.meta
@@ -185,7 +189,10 @@ def _relative_path(path: Path) -> str:
 
 
 def _find_space_file(scenario: ScenarioFile, space: ParameterSpace) -> Path | None:
-    """Find the file beside the scenario with the parameter space: options cannot express units and constraints."""
+    """Return the file beside the scenario that holds the parameter space; None if there is none.
+
+    It is needed because options of the command line cannot express units and constraints.
+    """
     for path in sorted(scenario.path.parent.glob("*.xosc"))[:_MAX_FILES]:
         with suppress(InputError, OSError):
             if path.stat().st_size > _MAX_BYTES:
@@ -226,5 +233,5 @@ def _format_toml_string(value: str) -> str:
 
 
 def _on_one_line(line: str) -> str:
-    """Keep a comment on one line, whatever names it contains."""
+    """Put a comment on one line, even if names in it contain line breaks."""
     return " ".join(line.splitlines()) if line.startswith("#") else line

@@ -1,4 +1,4 @@
-"""Encode metric courses as the lines that a page draws."""
+"""Encode the courses of metrics over time as lines for the report page."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ _MAX_CODE: Final = 65534
 
 
 def encode_courses(courses: Sequence[FloatArray | None], time_spans: Sequence[tuple[float, float]]) -> dict[str, Any]:
-    """Encode resampled courses (None: no course) of all scenarios as 16-bit integers for the page's ``courses``.
+    """Encode the resampled courses of all scenarios (None: no course) as 16-bit integers.
 
-    `time_spans` are begin and end of each recording in s; 65535 stands for no value.
+    `time_spans` are begin and end of each recording in s. The code 65535 stands for a missing value.
     """
     present = [course for course in courses if course is not None]
     low = min((float(np.nanmin(course)) for course in present), default=0.0)

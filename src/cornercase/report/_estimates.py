@@ -1,4 +1,4 @@
-"""Estimates about the whole space: Pareto front, critical set, sensitivities."""
+"""Estimates for the whole parameter space: Pareto front, critical set, sensitivities."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ class CriticalSetEstimates:
     by_committee: bool = False
 
     def descriptions(self) -> list[str]:
-        """Describe the two fractions, with intervals or why there is none.
+        """Describe both fractions, each with its interval or the reason why there is none.
 
         Returns
         -------
@@ -138,7 +138,7 @@ class AuditEstimates:
 
 @dataclass(frozen=True)
 class SpaceEstimates:
-    """What the scenarios that were run say about the whole space."""
+    """Estimates for the whole parameter space from the scenarios that were run."""
 
     pareto_front: Mapping[int, Mapping[str, float]] | None = None  # scores on the Pareto front by id and metric
     critical: CriticalEstimates | None = None  # None if a front was searched or there is no threshold
@@ -147,7 +147,7 @@ class SpaceEstimates:
 
 @dataclass(frozen=True)
 class MissedFractionAfter:
-    """Share of the critical set that was not found after `n_run` scenarios."""
+    """Fraction of the critical set that was still missed after `n_run` scenarios."""
 
     n_run: int
     missed_fraction: Estimate
@@ -155,9 +155,10 @@ class MissedFractionAfter:
 
 
 def estimate_missed_fractions(study: StudyFile, estimates: SpaceEstimates) -> Iterator[MissedFractionAfter]:
-    """Estimate the missed share of the critical set after some rounds: up to eight, about doubling, and the last.
+    """Yield the missed fraction of the critical set after some rounds, the last one included.
 
-    With more than 1,000 scenarios, or a committee (slow to fit), only the last one is estimated.
+    There are at most eight of them, with about doubling numbers of scenarios. Only the last is estimated if there are
+    more than 1,000 scenarios, or if the model is a committee of classifiers, which is slow to fit.
     """
     critical, rows = estimates.critical, study.finished_rows()
     if critical is None or critical.critical_set is None:
@@ -182,7 +183,7 @@ def estimate_missed_fractions(study: StudyFile, estimates: SpaceEstimates) -> It
 
 
 def estimate_space(study: StudyFile) -> SpaceEstimates:
-    """Estimate front, critical set and sensitivities of a study, as far as there are enough scores."""
+    """Estimate Pareto front, critical set and sensitivities of a study; parts that need more scores are None."""
     rows = study.finished_rows()
     if not rows:
         return SpaceEstimates()
@@ -198,14 +199,14 @@ def estimate_space(study: StudyFile) -> SpaceEstimates:
 
 
 def estimate_study_sensitivity(study: StudyFile) -> Sensitivity:
-    """Estimate the sensitivity of the searched score to the parameters; ValueError for fewer than 10 scores."""
+    """Estimate the sensitivity of the objective to each parameter; ValueError for fewer than 10 scores."""
     scores = study.criterion.objective.minimized_scores(study)
     searched = ~study.audit_mask()
     return estimate_sensitivity(study.space, study.points()[searched], scores[searched], study.meta.seed)
 
 
 def estimate_critical(study: StudyFile) -> CriticalEstimates | None:
-    """Estimate the critical set of a study; None without a threshold or a scenario that ran."""
+    """Estimate the critical set of a study; None without a threshold, or if no scenario was run."""
     criterion = study.criterion
     threshold, objective = criterion.oriented, criterion.objective
     if criterion.raw is None or threshold is None or not study.finished_rows():

@@ -1,4 +1,4 @@
-"""Report page of a study in which no scenario could be run."""
+"""Report page of a study all of whose scenarios failed."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _POLICY: Final = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
 
 
 def render_failure_page(study: StudyFile) -> str:
-    """Render the page of an open study in which all scenarios that ended have failed; HTML without scripts."""
+    """Render the page of an open study all of whose finished scenarios failed, as HTML without scripts."""
     summary, failed = summarize_with_collisions(study, []), study.failed_rows()
     meta = summary.meta
     return render_template(

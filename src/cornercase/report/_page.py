@@ -1,4 +1,4 @@
-"""Report of a study: one HTML file without external references."""
+"""Report of a study: one HTML file that loads nothing from elsewhere."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def write_report(
     memory: str | float = DEFAULT_MEMORY,
     progress: bool = False,
 ) -> Path:
-    """Write the report of a study as one HTML page without external references.
+    """Write the report of a study as one HTML page that loads nothing from elsewhere.
 
     Parameters
     ----------
@@ -152,7 +152,11 @@ def write_report(
 
 
 def render_report(data: ReportData, recordings: PackedRecordings, road_payload: Mapping[str, Any]) -> str:
-    """Render the report; `road_payload` holds ``roads``, ``roads_missing`` (why there are none) and ``rerun``."""
+    """Render the report as HTML.
+
+    `road_payload` has the keys ``roads`` (the drawing), ``roads_missing`` (why there is none) and ``rerun`` (how to run
+    a scenario again).
+    """
     recording_payload = {
         "recordings": recordings.index,
         "recordings_left_out": describe_left_out_recordings(data, recordings),
@@ -172,7 +176,7 @@ def render_report(data: ReportData, recordings: PackedRecordings, road_payload: 
 
 
 def render_details(data: ReportData) -> Iterator[Section]:
-    """Render all detail sections in the order of the page."""
+    """Yield all detail sections in the order of the page."""
     sections = (
         render_verdicts,
         render_scores,
@@ -187,7 +191,7 @@ def render_details(data: ReportData) -> Iterator[Section]:
 
 
 def render_live_page(title: str) -> str:
-    """Render a page without a study: it loads its contents from the live server and grows with the study."""
+    """Render the page without content: it loads the study from the live server, and grows with the study."""
     empty: dict[str, Any] = {"left_out": "", "about": "", "contents": None, "answers": [], "details": [], "blocks": ()}
     return _render(live=True, title=title, provenance=Markup(), **empty)
 

@@ -1,4 +1,4 @@
-"""Content of the page as plain values for its JavaScript."""
+"""Content of the report page as values for its JavaScript."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ FORMAT_VERSION: Final = 1
 
 
 def page_payload(data: ReportData) -> dict[str, Any]:
-    """Return all contents of the page except recordings, as JSON values; None for what is unknown."""
+    """Return the content of the page, except recordings, as JSON values; None stands for unknown values."""
     return whole_study_payload(data) | scenario_payload(data)
 
 
 def scenario_payload(data: ReportData) -> dict[str, Any]:
-    """Return the part of `page_payload` that lists single scenarios and grows with each run."""
+    """Return the part of `page_payload` about single scenarios, which grows with each run."""
     meta, rows = data.summary.meta, _sorted_rows(data)
     indices = _row_indices(rows)
     done = [indices[row.id] for row in data.rows]
@@ -72,9 +72,10 @@ def scenario_payload(data: ReportData) -> dict[str, Any]:
 
 
 def score_source_column(meta: StudyMeta, others: Sequence[Sequence[str | None] | None]) -> dict[str, Any]:
-    """Return the column ``against``: the index in ``other`` whose score counts, per scenario and metric.
+    """Return the column ``against``: for each scenario and metric, which other entity the score is measured against.
 
-    Empty if there is only one other; `others` has None for failed scenarios.
+    The values are indices of the study's other entities. The result is empty if there is only one. `others` has the
+    names; None stands for failed scenarios.
     """
     if len(meta.others) == 1:
         return {}
@@ -117,7 +118,7 @@ def whole_study_payload(data: ReportData) -> dict[str, Any]:
 
 
 def study_info_payload(meta: StudyMeta, file_name: str) -> dict[str, Any]:
-    """Return the part of `page_payload` that is known before a scenario was run; `file_name` is the study's."""
+    """Return the part of `page_payload` that is known before any scenario was run; `file_name` is the study's name."""
     return {
         "format": FORMAT_VERSION,
         "title": meta.title,
@@ -189,5 +190,5 @@ def round_score(value: float) -> float | None:
 
 
 def parameter_columns(parameters: Sequence[Parameter], rows: Sequence[ScenarioRecord]) -> list[list[float]]:
-    """Return the parameter values of scenarios as numbers, shape (d, n); for a choice its index."""
+    """Return the parameter values of scenarios as numbers, one list per parameter; a choice is given as its index."""
     return [[parameter.extract_number(row.values) for row in rows] for parameter in parameters]

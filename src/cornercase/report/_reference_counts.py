@@ -1,4 +1,4 @@
-"""What reference drivers showed in the scenarios of a study."""
+"""Results of reference drivers in the scenarios of a study."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from cornercase.suite import Requirement
 
 @dataclass(frozen=True)
 class ReferenceCount:
-    """How many scenarios, re-run with a reference driving the ego, had which result."""
+    """Number of scenarios by result, after they were run again with a reference driver driving the ego."""
 
     n_prevented: int
     n_colliding: int
@@ -22,12 +22,12 @@ class ReferenceCount:
 
     @property
     def n_scenarios(self) -> int:
-        """Number of scenarios that were re-run with it."""
+        """Number of scenarios that were run again with the reference driver."""
         return self.n_prevented + self.n_colliding + self.n_not_applicable
 
 
 def count_reference_results(study: StudyFile) -> dict[str, ReferenceCount]:
-    """Count the results of each reference named in the condition or requirements of an open study, by name."""
+    """Count the results of each reference driver that the condition or requirements of an open study name."""
     meta = study.meta
     with reraise_as_damage(study.path):
         condition = find_critical_if_condition(meta.metrics)
@@ -42,7 +42,7 @@ def count_reference_results(study: StudyFile) -> dict[str, ReferenceCount]:
 
 
 def describe_references(references: Mapping[str, ReferenceCount]) -> str:
-    """Describe what the references showed: one sentence each, preceded by a space; empty without any."""
+    """Describe the results of reference drivers, one sentence for each; each sentence begins with a space."""
     sentences = []
     for name, count in references.items():
         results = [f"prevents {count.n_prevented}", f"does not prevent {count.n_colliding}"]

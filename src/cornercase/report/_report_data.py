@@ -30,7 +30,7 @@ _BYTES_PER_SCENARIO: Final = 10_000
 
 @dataclass(frozen=True, eq=False)
 class ReportData:
-    """All data that a report of a study shows; `n` scenarios were run."""
+    """All data that a report of a study shows; arrays have a row for each of the `n` scenarios that ran."""
 
     file_name: str  # name of the study's file
     summary: Summary
@@ -66,12 +66,12 @@ class ReportData:
         return self.summary.meta.space.parameters
 
     def metric_for_aspect(self, aspect: str) -> Metric:
-        """Return the metric of an aspect, or the first metric if the aspect is none."""
+        """Return the metric with the name of the aspect, or the first metric if there is none."""
         names = [metric.name for metric in self.metrics]
         return self.metrics[names.index(aspect) if aspect in names else 0]
 
     def row_indices(self, ids: Sequence[int]) -> IntArray:
-        """Return the row indices of scenarios by id, shape (m,)."""
+        """Return the row indices of scenarios with these ids, shape (m,)."""
         index_by_id = {row.id: k for k, row in enumerate(self.rows)}
         return np.array([index_by_id[scenario] for scenario in ids], dtype=np.int64)
 
@@ -83,9 +83,10 @@ def read_report_data(
     memory: MemoryLimit | None = None,
     on_read: Callable[[int], None] | None = None,
 ) -> ReportData:
-    """Read all data of a report from the digests of the recordings; InputError if it exceeds the memory limit.
+    """Read all data of a report, without unpacking recordings; InputError if the data exceed the memory limit.
 
-    `figures` also keeps whole courses; `on_read` is called with the number of recordings read so far.
+    `figures` also reads the courses of metrics at full length. `on_read` is called with the number of scenarios read so
+    far.
     """
     rows = study.finished_rows()
     metrics = tuple(METRICS.create(name) for name in study.meta.metrics)
@@ -143,7 +144,7 @@ def read_report_data(
 
 
 def _check_memory(memory: MemoryLimit, scenarios: int, metrics: int, course_length: int, is_announced: bool) -> None:
-    """Raise if the contents do not fit into the memory limit."""
+    """Raise InputError if the data of a report do not fit into the memory limit."""
     need = scenarios * (_BYTES_PER_SCENARIO + metrics * (8 * COURSE_POINTS + 4 * course_length))
     instead = "give more, or leave out `figures`" if course_length else "give more"
     memory.check_fits(need, f"the contents of a report of {scenarios:,} scenarios", instead)
@@ -167,7 +168,10 @@ def _read_examples(study: StudyFile, analyses: Mapping[str, Analysis]) -> dict[i
 
 
 def _order_by_influence(values: FloatArray, scores: FloatArray) -> tuple[int, ...]:
-    """Order parameters by the share of the score's variance that ten quantile bins of each explain."""
+    """Return the order of parameters by influence on the score, the strongest first.
+
+    Influence is the fraction of the score's variance that ten quantile bins of the parameter explain.
+    """
     shares = []
     for column in values.T:
         bins = np.searchsorted(np.quantile(column, np.linspace(0, 1, 11)[1:-1]), column)

@@ -1,4 +1,4 @@
-"""Run one scenario of a study again: its command and its concrete scenario file."""
+"""Show how to run one scenario of a study again: its command and its concrete scenario file."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ _BUILTIN: Final = "builtin"
 def rerun_payload(
     study: StudyFile, scenario: Path | str | ScenarioFile | None = None, *, include_file: bool = True
 ) -> dict[str, Any]:
-    """Return what the page needs to run a scenario again: name, key per search, command, and scenario file.
+    """Return what the page needs to show how a scenario is run again: name, optimizer key, command, scenario file.
 
-    ``command`` holds the words before and after the parameters, or None (``why``). ``file`` holds the pieces of
-    the scenario file around its ``slots``, or None (``file_why``); left out without
-    `include_file`, if a server has it.
+    ``command`` holds the words before and after the parameters; if it is None, ``why`` says why. ``file`` holds the
+    pieces of the scenario file between its ``slots``; if it is None, ``file_why`` says why. Without `include_file` the
+    file is left out, because a server provides it.
     """
     meta = study.meta
     why = _reason_without_command(meta)
@@ -64,7 +64,7 @@ def rerun_payload(
 
 
 def _find_scenario(study: StudyFile, given: Path | str | ScenarioFile | None) -> tuple[ScenarioFile | None, str]:
-    """Find the scenario that was explored, or explain why there is none."""
+    """Return the scenario file that was explored, or None and the reason why it was not found."""
     try:
         scenario = find_explored_scenario(study, given)
     except InputError:
@@ -74,7 +74,7 @@ def _find_scenario(study: StudyFile, given: Path | str | ScenarioFile | None) ->
 
 
 def read_selection_reasons(study: StudyFile) -> dict[int, str]:
-    """Return why each scenario of the reduced set was selected, by id; empty before the study was reduced."""
+    """Return why each scenario of the reduced set was selected, by id; empty if the study was not reduced."""
     reduced = read_reduction(study)
     return {} if reduced is None else {scenario.id: scenario.why for scenario in reduced.scenarios}
 
@@ -82,7 +82,7 @@ def read_selection_reasons(study: StudyFile) -> dict[int, str]:
 def render_concrete_scenario(
     meta: StudyMeta, scenario: ScenarioFile, row: ScenarioRecord, selection_reason: str | None
 ) -> bytes:
-    """Return the file of a concrete scenario (UTF-8 XML) as `reduce` writes it, with its `selection_reason`."""
+    """Return the concrete scenario file (UTF-8 XML) of a scenario, as `reduce` writes it."""
     return _fill_scenario(meta, scenario, row.values, _describe_scenario(meta, str(row.id), selection_reason))
 
 
@@ -121,7 +121,7 @@ def _fill_scenario(meta: StudyMeta, scenario: ScenarioFile, values: Mapping[str,
 def _split_at_values(
     meta: StudyMeta, scenario: ScenarioFile, selection_reasons: Mapping[int, str]
 ) -> dict[str, Any] | None:
-    """Split the scenario file at its parameter values and its description."""
+    """Split the scenario file at its parameter values and its description, so that a page can insert others."""
     parameters = meta.space.parameters
     mark = "$cornercase"
     source = etree.tostring(scenario.root).decode()

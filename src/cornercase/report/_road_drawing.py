@@ -1,4 +1,4 @@
-"""Find the road of a scenario and encode its drawing for the page."""
+"""Find the road of a scenario, and encode a drawing of it for the page."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ def find_road_outline(
     scenario: Path | str | ScenarioFile | None = None,
     values: Mapping[str, Value] | None = None,
 ) -> tuple[RoadOutline | None, str]:
-    """Find the road that was explored, via the scenario file beside the study or `scenario`.
+    """Return the outline of the road in `region`, or None and a sentence that explains why there is none.
 
-    Return its outline in `region`, or None and a sentence (without paths) that explains why. `values` are the
-    parameters of a scenario, one of which may name the road file. InputError if `scenario` is not the one that was
-    explored.
+    The road is found through the scenario file: `scenario`, or the file beside the study. `values` are the parameters
+    of a scenario; one of them may name the road file. The sentence contains no paths. InputError if `scenario` is not
+    the file that was explored.
     """
     if region is None:
         return None, ""
@@ -64,7 +64,7 @@ def find_road_outline(
 
 
 def is_missing_map(reason: str) -> bool:
-    """Return whether a message of `find_road_outline` says that a map is missing in the map folders."""
+    """Return whether the explanation of `find_road_outline` is that a map is missing from the map folders."""
     return MAPS_VARIABLE in reason
 
 
@@ -88,7 +88,7 @@ def _describe_missing_scenario(study: StudyFile, name: str) -> str:
 
 
 def recorded_bounds(recordings: Iterable[Recording]) -> Region | None:
-    """Return the bounding box of all motion with a margin in which the road is drawn, in m; None if nothing exists."""
+    """Return the bounding box of all positions in m, with the margin for drawing the road; None if nothing exists."""
     boxes = [box for recording in recordings if (box := find_bounds(recording)) is not None]
     if not boxes:
         return None
@@ -97,7 +97,7 @@ def recorded_bounds(recordings: Iterable[Recording]) -> Region | None:
 
 
 def add_road_margin(bounds: Region | None) -> Region | None:
-    """Enlarge a bounding box by the margin in which the road is drawn."""
+    """Enlarge a bounding box by the margin for drawing the road."""
     if bounds is None:
         return None
     x_min, y_min, x_max, y_max = bounds
@@ -105,7 +105,7 @@ def add_road_margin(bounds: Region | None) -> Region | None:
 
 
 def encode_road_outline(sketch: RoadOutline) -> dict[str, Any]:
-    """Encode a road outline for the page: ``origin`` in m, and for each shape its kind and point steps in cm."""
+    """Encode a road outline for the page: ``origin`` in m; for each shape, its kind and differences of points in cm."""
     shapes = [*sketch.areas, *sketch.lines]
     origin = np.rint(shapes[0][1][0]) if shapes else np.zeros(2)
 

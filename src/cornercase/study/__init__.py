@@ -1,4 +1,4 @@
-"""Everything that was run, on disk."""
+"""Store everything that was run, and everything that was computed from it, in a study file."""
 
 import lazy_loader as lazy
 

@@ -1,4 +1,4 @@
-"""Arrays of an analysis in the study file, split into pieces because SQLite stores at most 1e9 bytes per value."""
+"""Arrays of an analysis in the study file, in pieces because SQLite stores at most 1e9 bytes per value."""
 
 from __future__ import annotations
 
@@ -27,14 +27,20 @@ _MIRROR_BLOCK_ROWS: Final = 256
 
 
 def write_arrays(connection: sqlite3.Connection, analysis: str, arrays: Mapping[str, npt.ArrayLike]) -> None:
-    """Store arrays of an analysis within a transaction; `"distances"` is square and symmetric with a zero diagonal."""
+    """Store the arrays of an analysis by name; call it within a transaction.
+
+    An array named ``"distances"`` has to be square and symmetric with a zero diagonal; only its upper half is stored.
+    """
     insert_rows(connection, "arrays", pack_array_pieces(connection, analysis, arrays))
 
 
 def pack_array_pieces(
     connection: sqlite3.Connection, analysis: str, arrays: Mapping[str, npt.ArrayLike]
 ) -> Iterator[tuple[str, str, int, bytes]]:
-    """Split arrays of an analysis into pieces and yield rows (analysis, array name, piece number from 0, archive)."""
+    """Split the arrays of an analysis into pieces, and yield a database row for each piece.
+
+    A row is (analysis, array name, piece number from 0, archive).
+    """
     # Packing may make a piece a little longer.
     max_bytes = min(_PIECE_BYTES, connection.getlimit(sqlite3.SQLITE_LIMIT_LENGTH) // 2)
     for name, array in arrays.items():
@@ -54,7 +60,7 @@ def _split_rows(array: npt.NDArray[Any], max_bytes: int) -> Iterator[npt.NDArray
 
 
 def _split_upper_triangle(matrix: npt.NDArray[Any], max_bytes: int) -> Iterator[npt.NDArray[Any]]:
-    """Yield the entries right of the diagonal, row by row, in pieces of at most `max_bytes`."""
+    """Yield the entries right of the diagonal of a matrix, row by row, in pieces of at most `max_bytes`."""
     rows: list[npt.NDArray[Any]] = []
     size = 0
     for i in range(len(matrix)):
@@ -70,9 +76,9 @@ def _split_upper_triangle(matrix: npt.NDArray[Any], max_bytes: int) -> Iterator[
 def read_arrays(
     read_rows: _RowReader, analysis: str, names: list[str], n_scenarios: int
 ) -> dict[str, npt.NDArray[Any]]:
-    """Read arrays of an analysis in their stored shapes; call it within `reraise_as_damage`.
+    """Read arrays of an analysis by name; call it within `reraise_as_damage`.
 
-    `n_scenarios` limits the size of distances, since a file could claim more than its scenarios allow.
+    `n_scenarios` limits the size of the distance matrix: a damaged file could claim a huge one.
     """
     return {
         name: _read_distance_matrix(read_rows, analysis, n_scenarios)
@@ -83,7 +89,7 @@ def read_arrays(
 
 
 def _read_pieces(read_rows: _RowReader, analysis: str, name: str) -> Iterator[npt.NDArray[Any]]:
-    """Yield the pieces of an array one by one, since all together may be large."""
+    """Yield the pieces of an array one by one, to save memory."""
     numbers = [part for _, _, part in read_rows("arrays", "analysis = ? AND name = ?", analysis, name)]
     require_value(numbers == list(range(len(numbers))), f"pieces of {name} are missing")
     for part in numbers:

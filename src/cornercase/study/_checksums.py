@@ -1,7 +1,7 @@
-"""Row checksums: computed when a row is written, and checked when it is read.
+"""Checksums of rows, computed when a row is written and checked when it is read.
 
-Each row has the CRC-32 of its table's name and its values, a blob one of its own. The table ``tallies`` stores the row
-count and the XOR of the checksums of each table, so that a lost row is noticed too.
+Each row has the CRC-32 of its table's name and its values; a blob (a value of bytes) has a checksum of its own. To
+detect missing rows, the table ``tallies`` stores the row count and the XOR of all checksums of each table.
 """
 
 from __future__ import annotations
@@ -18,7 +18,10 @@ from cornercase.study._schema import TABLES, StudyTable
 
 
 def compute_row_checksum(table: str, values: Sequence[Any]) -> int:
-    """CRC-32 of a row with the values that SQLite gives back; a blob is replaced by its checksum."""
+    """Return the CRC-32 of a table's name and the values of a row; the checksum of a blob stands for the blob.
+
+    The values must be those that SQLite returns, which may differ in type from those that were inserted.
+    """
     # The same on all platforms and versions of Python, and much faster than hashing each value.
     return crc32(ascii((table, *values)).encode("ascii"))
 
@@ -38,7 +41,7 @@ def with_checksums(table: str, row: Sequence[Any]) -> tuple[Any, ...]:
 
 
 def is_checksum_valid(table: str, stored_row: Sequence[Any]) -> bool:
-    """Tell whether a stored row has valid checksums; its blob may be left out."""
+    """Tell whether a row from the file has valid checksums; the row may lack its blob."""
     definition = TABLES[table]
     count = len(definition.columns)
     if compute_row_checksum(table, stored_row[:count]) != stored_row[count]:
@@ -96,7 +99,7 @@ def _require_int_checksum(table: str, checksum: Any) -> int:
 def read_rows(
     connection: sqlite3.Connection, table: str, condition: str = "1", *values: Any, with_blob: bool = False
 ) -> Iterator[tuple[Any, ...]]:
-    """Yield rows without checksums in the order of their keys; raises `DamageError` at an invalid checksum."""
+    """Yield the rows of a table without checksums, sorted by key; `DamageError` at the first invalid checksum."""
     definition = TABLES[table]
     columns = definition.stored_columns if with_blob or not definition.has_blob else definition.stored_columns[:-1]
     order = ", ".join(definition.columns[: definition.n_key_columns]) or "rowid"
@@ -109,7 +112,7 @@ def read_rows(
 
 
 def require_checksum_totals(connection: sqlite3.Connection, table: str) -> None:
-    """Raise `DamageError` if row count or XOR of checksums of a table differ from what is stored."""
+    """Raise `DamageError` if the row count or the XOR of checksums of a table differs from the stored value."""
     if not TABLES[table].has_totals:
         return
     checksums = [checksum for (checksum,) in connection.execute(f"SELECT checksum FROM {table}")]
@@ -124,7 +127,7 @@ def _compute_totals(checksums: Sequence[int]) -> tuple[int, int]:
 
 
 def read_checksum_totals(connection: sqlite3.Connection, table: str) -> tuple[int, int]:
-    """Stored row count and XOR of checksums of a table; raises `DamageError` if they are damaged."""
+    """Return the stored row count and XOR of checksums of a table; `DamageError` if they are damaged themselves."""
     row = connection.execute("SELECT * FROM tallies WHERE name = ?", (table,)).fetchone()
     if row is None:
         return 0, 0
@@ -134,7 +137,7 @@ def read_checksum_totals(connection: sqlite3.Connection, table: str) -> tuple[in
 
 
 def describe_row_key(table: str, stored_row: Sequence[Any]) -> str:
-    """Key columns and values of a row, in words."""
+    """Describe the key of a row in words: column names and values."""
     definition = TABLES[table]
     keys = zip(definition.columns[: definition.n_key_columns], stored_row, strict=False)
     return ", ".join(f"{name} {str(value)[:60]!r}" for name, value in keys) or "a row"

@@ -1,4 +1,4 @@
-"""Open SQLite connections to study files, and refuse unusable files before they are read."""
+"""Open SQLite connections to study files; reject unusable files before anything is read."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _UNREACHABLE_CODES: Final = {
 
 @contextmanager
 def reraise_sqlite_errors(path: Path) -> Iterator[None]:
-    """Turn SQLite errors within the block into one-sentence `InputError` messages that name the study."""
+    """Turn SQLite errors in the block into an `InputError` of one sentence that names the study."""
     try:
         yield
     except UnicodeDecodeError as error:
@@ -46,7 +46,7 @@ def reraise_sqlite_errors(path: Path) -> Iterator[None]:
 
 
 def is_unreachable_error(error: BaseException) -> bool:
-    """Tell whether SQLite could not open or lock the file, which says nothing about its content."""
+    """Tell whether an error means that SQLite could not open or lock the file; the content may then be intact."""
     # Errors of Python's own module have no code. The lower byte is the primary code.
     return isinstance(error, sqlite3.Error) and vars(error).get("sqlite_errorcode", 0) & 0xFF in _UNREACHABLE_CODES
 
@@ -66,7 +66,7 @@ def _describe_unreachable(path: Path, error: sqlite3.Error) -> str:
 
 @contextmanager
 def add_path_to_damage(path: Path) -> Iterator[None]:
-    """Add the name of the study to a `DamageError` raised within the block."""
+    """Put the name of the study into the message of a `DamageError` raised in the block."""
     try:
         yield
     except DamageError as error:
@@ -74,7 +74,7 @@ def add_path_to_damage(path: Path) -> Iterator[None]:
 
 
 def require_study_file(path: Path) -> None:
-    """Raise `InputError` unless there is a regular file of this name that is not empty."""
+    """Raise `InputError` unless the path leads to a regular file that is not empty."""
     try:
         status = path.stat()
     except OSError as error:
@@ -112,9 +112,9 @@ def require_current_schema(path: Path, connection: sqlite3.Connection) -> None:
 
 
 def require_known_tables(path: Path, connection: sqlite3.Connection) -> None:
-    """Raise `InputError` unless the file holds exactly the tables that cornercase makes.
+    """Raise `InputError` unless the file holds exactly the tables that cornercase creates.
 
-    Views, triggers, virtual tables and computed columns would run something when they are read or written.
+    Views, triggers, virtual tables and computed columns could run code when they are read or written.
     """
     entries = connection.execute("SELECT type, name, sql FROM sqlite_master").fetchall()
     for kind, name, statement in entries:
@@ -134,13 +134,13 @@ def require_known_tables(path: Path, connection: sqlite3.Connection) -> None:
 
 
 def require_sqlite_integrity(path: Path, connection: sqlite3.Connection) -> None:
-    """Raise `DamageError` if SQLite's integrity check finds a problem, also in pages that are not read."""
+    """Raise `DamageError` if SQLite's integrity check, which reads all pages, finds a problem."""
     for line in iter_sqlite_problems(connection, 1):
         raise DamageError.from_problem(path, f"SQLite says: {line}")
 
 
 def iter_sqlite_problems(connection: sqlite3.Connection, limit: int) -> Iterator[str]:
-    """Yield at most `limit` problems that SQLite's integrity check finds."""
+    """Yield the first `limit` problems that SQLite's integrity check finds."""
     text_factory = connection.text_factory
     # It quotes damaged content, which may not be valid text.
     connection.text_factory = _decode_leniently
@@ -157,14 +157,14 @@ def _decode_leniently(raw: bytes) -> str:
 
 
 def open_connection(path: Path, timeout: float = 30.0) -> sqlite3.Connection:
-    """Open an existing file, waiting up to `timeout` s for other writers."""
+    """Connect to an existing file; SQL statements wait up to `timeout` s for other writers."""
     # In WAL mode a reader creates shared memory beside the file. If it cannot, nobody can write either.
     location = f"{path.resolve().as_uri()}?{'immutable=1' if is_read_only_file(path) else 'mode=rw'}"
     return sqlite3.connect(location, uri=True, timeout=timeout)
 
 
 def file_identity(path: Path) -> tuple[int, int] | None:
-    """Device and inode of the file that a path leads to; None if there is none."""
+    """Return the device and inode of the file at a path; None if there is no file."""
     with suppress(OSError):
         status = path.stat()
         return status.st_dev, status.st_ino
@@ -172,23 +172,26 @@ def file_identity(path: Path) -> tuple[int, int] | None:
 
 
 def require_same_file(path: Path, identity: tuple[int, int] | None) -> None:
-    """Raise `InputError` if the path leads to another file than `identity`, as `file_identity` gave it before opening.
+    """Raise `InputError` if the path no longer leads to the file with this `file_identity`.
 
-    A process that waits for a lock may get the lock of the file that was there earlier.
+    A process that waits for a lock may get the lock of a file that was replaced meanwhile.
     """
     if file_identity(path) != identity:
         raise InputError(f"{path}: was replaced by another file just now; run the same command again.")
 
 
 def is_read_only_file(path: Path) -> bool:
-    """Tell whether the file may only be read here and has no log, so that nobody writes to it."""
+    """Tell whether this process cannot write the file, and no process is writing it (there is no log)."""
     # SQLite would leave its log beside a read-only file, and keep the owner from writing.
     writable = os.access(path, os.W_OK) and os.access(path.parent, os.W_OK)
     return not writable and not path.with_name(path.name + "-wal").exists()
 
 
 def require_single_link(path: Path) -> None:
-    """Raise `InputError` if the file has several hard links: SQLite keeps a log per name and sees only its own."""
+    """Raise `InputError` if the file has several hard links.
+
+    SQLite keeps a separate log for each name, so two processes could write at once.
+    """
     if (names := path.stat().st_nlink) > 1:
         raise InputError(
             f"{path}: has {names} hard links, through which two processes could write at once; remove the others, or"
@@ -197,7 +200,7 @@ def require_single_link(path: Path) -> None:
 
 
 def remove_sqlite_files(path: Path) -> None:
-    """Remove the log and journal that a killed process left beside a file that is gone."""
+    """Remove SQLite's log and journal beside a study that no longer exists, left by a process that was killed."""
     # SQLite would apply it to the new file.
     try:
         for ending in SQLITE_SUFFIXES:

@@ -1,4 +1,4 @@
-"""When a scenario is critical: threshold and orientation of an objective."""
+"""When a scenario is critical: the threshold of an objective, and which side of it counts."""
 
 from __future__ import annotations
 
@@ -14,21 +14,24 @@ from cornercase.study._objective import Objective
 
 @dataclass(frozen=True)
 class Criterion:
-    """Threshold of an objective: `raw` in its unit, as users give it and studies store it; None without one."""
+    """The threshold of an objective; None if there is none.
+
+    `raw` is in the unit of the objective, as users give it and studies store it. `oriented` is for minimized scores.
+    """
 
     objective: Objective
     raw: float | None
 
     @classmethod
     def from_study_meta(cls, meta: StudyMeta, raw: float | None = None) -> Criterion:
-        """Criterion of a stored study; `raw` replaces its threshold."""
+        """Return the criterion of a stored study, with the threshold `raw` if it is given."""
         return cls(Objective.from_study_meta(meta), meta.critical if raw is None else raw)
 
     @classmethod
     def from_given(cls, objective: Objective, given: float | None, *, is_required: bool = True) -> Criterion:
-        """Criterion of the threshold that the user gives, or of the metric's own without one.
+        """Return the criterion with the user's threshold, or else with the default threshold of the metric.
 
-        Raises `InputError` if a threshold is given for a Pareto front, or if one is required and there is none.
+        `InputError` if a threshold is given for a Pareto front, or if one is required and there is none.
         """
         raw, reason = given, ""
         if objective.pareto:
@@ -44,14 +47,17 @@ class Criterion:
 
     @property
     def oriented(self) -> float | None:
-        """Oriented score up to which a scenario is critical; None without a threshold and for a Pareto front."""
+        """The threshold for minimized scores; None if there is none.
+
+        A scenario is critical if its minimized score is at most this.
+        """
         return None if self.raw is None or self.objective.pareto else self.objective.convert_orientation(self.raw)
 
     def is_critical(self, scores: FloatArray) -> BoolArray:
-        """Return which scenarios are critical, shape (m,), by their oriented scores; none without a threshold."""
+        """Return a mask, shape (m,), of critical scenarios from minimized scores; all False without a threshold."""
         threshold = self.oriented
         return np.zeros(len(scores), dtype=np.bool_) if threshold is None else np.asarray(scores <= threshold)
 
     def is_critical_raw(self, scores: FloatArray) -> BoolArray:
-        """Return which scenarios are critical, shape (m,), by raw scores of shape (m, metrics)."""
+        """Return a mask, shape (m,), of critical scenarios from scores in the metrics' units, shape (m, metrics)."""
         return self.is_critical(self.objective.minimized(scores))

@@ -1,4 +1,4 @@
-"""Turn errors from unusable study content into one-sentence messages."""
+"""Turn errors that damaged studies cause into messages of one sentence."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ _READ_ERRORS: Final = (
 
 
 class DamageError(InputError):
-    """The content of a study is not what was written."""
+    """The content of a study differs from what was written."""
 
     @classmethod
     def from_problem(cls, path: Path, problem: str) -> DamageError:
-        """Say what is damaged, and how to repair it."""
+        """Return the error that says what is damaged and how to repair it."""
         return cls(f"{path}: is damaged: {problem}; `verify` lists all damage, and repairs it with `repair`.")
 
 
 @contextmanager
 def reraise_as_damage(path: Path) -> Iterator[None]:
-    """Turn any error from reading unusable content within the block into an `InputError` that names the study."""
+    """Turn any error in the block, which reads content of the study, into an `InputError` that names the study."""
     try:
         yield
     except DamageError:
@@ -47,13 +47,13 @@ def reraise_as_damage(path: Path) -> Iterator[None]:
 
 
 def require_value(condition: bool, message: str) -> None:
-    """Raise `ValueError` with `message` unless `condition` holds; call it within `reraise_as_damage`."""
+    """Raise `ValueError` unless `condition` holds; call it within `reraise_as_damage`."""
     if not condition:
         raise ValueError(message)
 
 
 def dataclass_from_json(dataclass_type: type[T], values: Mapping[str, Any]) -> T:
-    """Make a dataclass from plain values; raise `TypeError` if a value is missing, too many or of another type."""
+    """Make a dataclass from values in JSON; `TypeError` if a value is missing, unknown or of another type."""
     for name, hint in get_type_hints(dataclass_type).items():
         # Nested types are not checked.
         types = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)

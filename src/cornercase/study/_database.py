@@ -1,4 +1,4 @@
-"""The SQLite file of a study: create it, open it, and write to it exclusively."""
+"""Create and open the SQLite file of a study, and write to it while no other process can."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ _NOTE_TIMEOUT: Final = 5.0
 
 
 class Database:
-    """An open study file; `lease` is held while it is open for writing, and None for a reader."""
+    """An open study file; `lease` is the right to write, or None for a reader."""
 
     def __init__(self, path: Path, connection: sqlite3.Connection, lease: Lease | None) -> None:
         self.path = path
@@ -61,9 +61,10 @@ class Database:
 
     @classmethod
     def create(cls, path: Path, meta: Iterable[tuple[str, str]], *extra_tables: str) -> Database:
-        """Create a study file with the rows of its table `meta` and further tables, and open it for writing.
+        """Create a study file and open it for writing.
 
-        Raises `InputError` if the file exists already or cannot be written.
+        `meta` are the rows of the table of that name; `extra_tables` are names of optional tables. `InputError` if the
+        file exists or cannot be written.
         """
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -87,7 +88,7 @@ class Database:
 
     @classmethod
     def open(cls, path: Path, readonly: bool) -> Database:
-        """Open a file; raises `InputError` if it is not a study of this version, or another process writes to it."""
+        """Open a file; `InputError` if it is no study of this schema version, or if another process writes to it."""
         require_study_file(path)
         # Open it for reading first: a file that is not a study must not be written.
         reader = cls._open(path, for_writing=False)
@@ -98,7 +99,7 @@ class Database:
 
     @classmethod
     def _open(cls, path: Path, for_writing: bool) -> Database:
-        """Open for reading, or for writing with a lease."""
+        """Open a file for reading, or acquire the lease and open it for writing."""
         lease = None
         identity = file_identity(path)
         with reraise_sqlite_errors(path):
@@ -132,7 +133,7 @@ class Database:
         return self._lease is None
 
     def close(self) -> None:
-        """Close the file; raises `StudyLostError` if it was open for writing and was removed or replaced since."""
+        """Close the file; `StudyLostError` if it was open for writing and another program removed or replaced it."""
         self._require_own_file(force=True)
         if not self._is_closed and self._lease is not None:
             self._lease.release(self.connection)
@@ -146,9 +147,10 @@ class Database:
             return self.connection.execute(sql, values).fetchall()
 
     def read_rows(self, table: str, condition: str = "1", *values: Any, with_blob: bool = False) -> list[Any]:
-        """Return rows without checksums in the order of their keys, after checking each against its checksum.
+        """Return rows of a table without checksums, sorted by key; each checksum is checked.
 
-        Without a condition all rows are read, and none may be missing. `with_blob` reads the blob column too.
+        `condition` is SQL with `values` for its placeholders. Without a condition, all rows are read, and missing rows
+        raise `DamageError`. Blob columns are only read with `with_blob`.
         """
         if condition == "1":
             self.require_all_rows(table)
@@ -158,13 +160,13 @@ class Database:
     def iter_rows(
         self, table: str, condition: str = "1", *values: Any, with_blob: bool = False
     ) -> Generator[Any, None, None]:
-        """Yield rows like `rows`, one at a time to save memory; close the generator before the file."""
+        """Yield the rows that `read_rows` returns, one by one to save memory; close the generator before the file."""
         self._require_open()
         with reraise_sqlite_errors(self.path), add_path_to_damage(self.path):
             yield from read_rows(self.connection, table, condition, *values, with_blob=with_blob)
 
     def require_all_rows(self, table: str) -> None:
-        """Raise `DamageError` if the table has other rows than were written."""
+        """Raise `DamageError` if rows of a table are missing, or were added by another program."""
         version = self.write_version()
         if self._verified_versions.get(table) != version:
             with self.snapshot(), reraise_sqlite_errors(self.path), add_path_to_damage(self.path):
@@ -172,7 +174,7 @@ class Database:
             self._verified_versions[table] = version
 
     def data_version(self) -> int | None:
-        """Count writes of other connections; see `StudyFile.data_version`."""
+        """Return a counter of writes by other connections; see `StudyFile.data_version`."""
         return int(self.query("PRAGMA data_version")[0][0]) if self._sees_other_writers else None
 
     def iter_query(self, sql: str) -> Generator[Any, None, None]:
@@ -182,12 +184,12 @@ class Database:
             yield from self.connection.execute(sql)
 
     def write_version(self) -> tuple[int, int]:
-        """Count writes of other connections and of this one; unchanged as long as all queries give the same result."""
+        """Return counters of writes by other connections and by this one; both are unchanged if the content is."""
         return int(self.query("PRAGMA data_version")[0][0]), self.connection.total_changes
 
     @contextmanager
     def snapshot(self) -> Iterator[None]:
-        """Make all queries within the block see the file at one moment."""
+        """Within the block, all queries see the file as it was at one moment."""
         self._require_open()
         if self.connection.in_transaction:
             yield
@@ -202,10 +204,10 @@ class Database:
 
     @contextmanager
     def transaction(self) -> Iterator[sqlite3.Connection]:
-        """Open a transaction: what is written in the block is stored completely or not at all.
+        """Open a transaction: what the block writes is stored completely or not at all.
 
-        A killed process loses nothing that was committed. Waiting until it is on disk, so that a power cut cannot lose
-        it, happens once a second at most, since many scenarios may end within that time.
+        After a commit, killing the process loses nothing. A power cut may lose the last second: commits are synced to
+        disk at most once per second, since syncing takes longer than many scenarios.
         """
         self._require_open()
         if self._is_writing:
@@ -238,7 +240,7 @@ class Database:
             self._is_writing = False
 
     def require_unchanged_file(self) -> None:
-        """Raise `StudyLostError` if the file that is open for writing was moved, removed or overwritten."""
+        """Raise `StudyLostError` if the file was moved, removed or overwritten since it was opened for writing."""
         self._require_own_file(force=False)
 
     def _require_own_file(self, force: bool, check_name: bool = True) -> None:
@@ -261,7 +263,7 @@ class Database:
 
 
 def create_tables(connection: sqlite3.Connection, *extra_tables: str) -> None:
-    """Create the tables of an empty study, with those named in `extra` that only some studies have."""
+    """Create the tables of an empty study, and the optional tables in `extra_tables`."""
     for name in (*REQUIRED_TABLES, *extra_tables):
         connection.execute(CREATE_STATEMENTS[name])
     connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
@@ -270,9 +272,9 @@ def create_tables(connection: sqlite3.Connection, *extra_tables: str) -> None:
 
 @contextmanager
 def open_note_transaction(path: Path) -> Iterator[sqlite3.Connection]:
-    """Open a short transaction beside those of an exploration, whose lease is not needed for it.
+    """Open a short transaction that needs no lease, so that notes can be written during an exploration.
 
-    SQLite lets one of them write at a time, and each waits for the other.
+    SQLite lets only one transaction write at a time; the other one waits.
     """
     reader = Database.open(path, readonly=True)
     can_write = reader.data_version() is not None

@@ -1,8 +1,7 @@
-"""Detect that the file of an open study was moved, removed or overwritten.
+"""Detect that the file of an open study was moved, removed or overwritten by another program.
 
-Another program may have copied a file over it under the same name: SQLite does not check that, and goes on with the
-pages in its cache. So the file itself is searched for the lease of this writer, whenever it has changed and once a
-second.
+SQLite does not notice if another file is copied over the study, and goes on with the pages in its cache. So the file
+itself is searched for the lease of this writer: once a second, and whenever the file has changed.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ _RETRY_DELAY: Final = 0.02
 
 
 class StudyFileGuard:
-    """Watches the file of a study that is open for writing, and the files that SQLite keeps beside it."""
+    """Watches the file of a study that is open for writing, and SQLite's files beside it."""
 
     def __init__(self, path: Path, connection: sqlite3.Connection, lease: Lease) -> None:
         self._path, self._connection, self._lease = path, connection, lease
@@ -38,7 +37,7 @@ class StudyFileGuard:
         self._lease_was_in_file = self._is_lease_in_file() is True
 
     def require_not_moved(self) -> None:
-        """Raise `StudyLostError` and close the connection if the path leads to another file or to none."""
+        """If the path leads to another file or to none, close the connection and raise `StudyLostError`."""
         if self._is_in_place():
             return
         change = "it was replaced by another file" if self._path.exists() else "it was removed"
@@ -49,9 +48,9 @@ class StudyFileGuard:
         )
 
     def require_not_overwritten(self, force: bool) -> None:
-        """Raise `StudyLostError` and close the connection if another file was copied over the study.
+        """If another file was copied over the study, close the connection and raise `StudyLostError`.
 
-        `force` searches the file for the lease even if it seems unchanged.
+        With `force`, the check is made even if size and modification time are unchanged.
         """
         if not self._is_in_place() or not self._is_overwritten(force):
             return
@@ -81,7 +80,7 @@ class StudyFileGuard:
             return True
 
     def _is_lease_in_file(self) -> bool | None:
-        """Search the file for the lease, bypassing the cache of SQLite; None if it cannot be opened."""
+        """Search the file itself for the lease, without SQLite's cache; None if the file cannot be opened."""
         # Use SQLite, since closing a handle of another kind would release its locks.
         location = f"{self._path.resolve().as_uri()}?immutable=1"
         for attempt in range(_ATTEMPTS):
@@ -122,7 +121,7 @@ class StudyFileGuard:
 
 
 def _study_and_sqlite_files(path: Path) -> tuple[Path, ...]:
-    """The file of a study, and those that SQLite keeps beside it."""
+    """Return the paths of a study and of SQLite's files beside it."""
     resolved = path.resolve()
     return (path, *(resolved.with_name(resolved.name + ending) for ending in ("-wal", "-shm")))
 

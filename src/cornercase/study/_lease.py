@@ -1,13 +1,13 @@
-"""The lease of a study: who may write to it, stored in the file itself, so that it holds for every name of the file.
+"""The lease of a study: a row in the study file that says which process may write to the file.
 
-A lock file beside the study would belong to one name: a link, a second name of the file, or a removed lock would let
-two processes write. A lock of the operating system on the study would disturb SQLite's own lock on some platforms, and
-closing any other handle of the file releases SQLite's lock. So the writer is noted in the table ``lease``, which SQLite
-protects, on network file systems as well as it protects the study.
+A lock file beside the study would protect only one name of the study: through a link, or after the lock file was
+removed, two processes could write. A lock of the operating system on the study would disturb SQLite's own lock on some
+platforms. So the table ``lease`` names the writer, and SQLite protects that table, on network file systems as well.
 
-Each transaction first checks that the lease is still there. So two processes never write, whatever the clocks say: one
-that was believed dead ends at its next transaction. On the same machine it is known at once whether the holder is
-alive. A holder on another machine renews its lease, and counts as dead if it has not done so for two minutes.
+Each transaction first checks that its lease is still stored. So two processes never write, even if clocks differ: a
+process that was wrongly taken for dead stops at its next transaction. On the same machine, it is known at once whether
+the holder is alive. A holder on another machine renews its lease, and counts as dead if it has not done so for two
+minutes.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _held_tokens: set[tuple[int, str]] = set()
 
 @dataclass(frozen=True)
 class Lease:
-    """The right to write to a study; `token` identifies the lease, and `released` is set when it is given back."""
+    """The right to write to a study; `token` identifies the lease, and `released` is set when the lease ends."""
 
     path: Path
     token: str
@@ -80,14 +80,14 @@ class Lease:
         return connection.execute("SELECT 1 FROM lease WHERE token = ?", (self.token,)).fetchone() is not None
 
     def abandon(self) -> None:
-        """Give up the lease without writing to the file, which has been replaced."""
+        """End the lease without writing to the file, because another file has taken its place."""
         self.released.set()
         _held_tokens.discard((os.getpid(), self.token))
 
     def release(self, connection: sqlite3.Connection | None = None) -> None:
-        """Release the lease, so that another process can write.
+        """End the lease, so that another process can write.
 
-        By default it uses a connection of its own, which works from any thread.
+        Without `connection`, a new connection is used, so that any thread can call this.
         """
         self.released.set()
         if (os.getpid(), self.token) not in _held_tokens:
@@ -102,7 +102,7 @@ class Lease:
                     _delete_lease_row(own_connection, self.token)
 
     def _renew_periodically(self) -> None:
-        """Renew the lease regularly, so that other machines see that this process is alive."""
+        """Renew the lease at intervals, so that other machines see that this process is alive."""
         while not self.released.wait(_RENEWAL_INTERVAL):
             # mode=rw does not create a file that was removed.
             with suppress(sqlite3.Error, OSError):
@@ -130,7 +130,7 @@ def _delete_lease_row(connection: sqlite3.Connection, token: str) -> None:
 
 
 def _is_holder_alive(row: tuple[Any, ...]) -> bool:
-    """Tell whether the holder of a row of the table ``lease`` is alive."""
+    """Tell whether the process that a row of the table ``lease`` names is alive."""
     token, host, machine, pid, began, beat = row
     is_valid = all(isinstance(value, str) for value in (token, host, machine)) and isinstance(pid, int)
     if not is_valid or not all(isinstance(value, float) for value in (began, beat)):
@@ -145,7 +145,7 @@ def _is_holder_alive(row: tuple[Any, ...]) -> bool:
 
 @cache
 def _machine_id() -> str:
-    """Identify this boot of the machine and its process namespace."""
+    """Return a text that identifies the machine since its last boot, and the namespace of process ids."""
     try:
         boot = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
         return f"{boot} {os.readlink('/proc/self/ns/pid')}"
@@ -154,7 +154,10 @@ def _machine_id() -> str:
 
 
 def _process_start_time(pid: int) -> float | None:
-    """Start time of a process by an arbitrary clock; None if there is no such process, NaN if it is unknown."""
+    """Return the start time of a process by an arbitrary clock.
+
+    None if there is no such process; NaN if the time is unknown.
+    """
     try:
         # The fields follow the name, which may contain anything. Ticks since boot do not change with the clock.
         state, *fields = (

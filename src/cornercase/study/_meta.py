@@ -62,7 +62,7 @@ MAX_AUDIT_FRACTION: Final = 0.5
 
 
 def count_audits(audit_fraction: float, n_scenarios: int) -> int:
-    """Number of audits among the first `n_scenarios` of a study, for a given fraction of audits."""
+    """Return how many of the first `n_scenarios` of a study are audits, if `audit_fraction` of all scenarios are."""
     return math.floor(audit_fraction * n_scenarios + 1e-9)
 
 
@@ -178,7 +178,7 @@ class StudyMeta:
 
     @property
     def condition(self) -> str:
-        """Condition that defines what is critical; empty if a threshold does."""
+        """The condition for being critical, such as ``"collision"``; empty if a threshold decides."""
         return find_critical_if_condition(self.metrics)
 
     @property
@@ -188,12 +188,12 @@ class StudyMeta:
 
     @property
     def file_name(self) -> str:
-        """Name without folders of the scenario file (for a suite its first one) or of the folder of recordings."""
+        """Name of the scenario file (for a suite, of the first file) or of the folder of imported recordings."""
         return _base_name(self.files[0] if self.suite and self.files else self.scenario)
 
     @property
     def nondeterminism_text(self) -> str:
-        """How two runs of the same scenario differ, in words; empty if they are not known to differ."""
+        """Describe how two runs of the same scenario differ; empty if no difference is known."""
         if self.repeatability.get("same", True):
             return ""
         distance = self.repeatability.get("apart")
@@ -206,7 +206,7 @@ class StudyMeta:
 
     @property
     def drivers(self) -> dict[str, Any]:
-        """Drivers by entity, as specification or dict; empty if none were given."""
+        """Drivers that were given, by entity: each as text, or as dict of its settings."""
         return dict(self.settings.get(_DRIVERS_KEY, {}))
 
     @property
@@ -215,7 +215,7 @@ class StudyMeta:
         return Path(_base_name(self.scenario)).stem
 
     def to_json(self) -> dict[str, Any]:
-        """Return plain values.
+        """Return the description as values that JSON can store.
 
         Returns
         -------
@@ -247,7 +247,7 @@ class StudyMeta:
         }
 
     def is_audit(self, scenario: int) -> bool:
-        """Tell whether a scenario is an audit, which keeps the number of audits at their fraction of all.
+        """Tell whether the scenario with this id is an audit; audits are spread evenly over the ids.
 
         Parameters
         ----------
@@ -262,7 +262,7 @@ class StudyMeta:
 
     @classmethod
     def from_json(cls, description: Mapping[str, Any]) -> StudyMeta:
-        """Make it from the result of `to_json`.
+        """Make a description from the result of `to_json`.
 
         Parameters
         ----------
@@ -314,9 +314,9 @@ class StudyMeta:
         return cls(**values | {"space": ParameterSpace.from_json(description["space"])})
 
     def require_resumable(self, other: StudyMeta, path: Path, *, same_budget: bool = False) -> None:
-        """Raise `InputError` unless a study of this description can be continued with another one.
+        """Raise `InputError` unless a study with this description can be continued with the description `other`.
 
-        The budget may grow, files and simulator may be in another place, and a threshold may be added if there is none.
+        The budget may grow. Files and simulator may be in another place. A threshold may be added if there is none.
 
         Parameters
         ----------
@@ -374,7 +374,7 @@ class StudyMeta:
 
 
 def _is_repeatability_valid(values: Mapping[str, Any]) -> bool:
-    """Tell whether the values are valid as `StudyMeta.repeatability`."""
+    """Tell whether a mapping has the entries and types of `StudyMeta.repeatability`."""
     distance, scenario = values.get("apart"), values.get("scenario")
     return (
         isinstance(values.get("same"), bool)
@@ -384,7 +384,10 @@ def _is_repeatability_valid(values: Mapping[str, Any]) -> bool:
 
 
 def _fill_missing_units(parameters: tuple[Parameter, ...], reference: tuple[Parameter, ...]) -> tuple[Parameter, ...]:
-    """Fill missing units from `reference`: a range given as an option has none, and no value depends on it."""
+    """Give parameters without a unit the unit of the same parameter in `reference`.
+
+    Ranges given as options have no units. No value depends on units.
+    """
     units = {parameter.name: parameter.unit for parameter in reference}
     return tuple(replace(parameter, unit=parameter.unit or units.get(parameter.name, "")) for parameter in parameters)
 
@@ -401,7 +404,7 @@ def _base_name(path: str) -> str:
 
 
 def _require_same_driver_files(stored_settings: Mapping[str, Any], new_settings: Mapping[str, Any], path: Path) -> None:
-    """Raise `InputError` if the file of a driver has changed: a study holds runs of one version."""
+    """Raise `InputError` if the file of a driver has changed: a study must hold runs of a single version."""
     if {**stored_settings, _DRIVERS_KEY: None} != {**new_settings, _DRIVERS_KEY: None}:
         return
     changes = list(iter_driver_changes(stored_settings.get(_DRIVERS_KEY), new_settings.get(_DRIVERS_KEY)))
@@ -417,7 +420,7 @@ def _require_same_driver_files(stored_settings: Mapping[str, Any], new_settings:
 
 
 def _describe_setting_differences(stored_settings: Mapping[str, Any], new_settings: Mapping[str, Any]) -> str:
-    """Settings that differ, with both values if these are short."""
+    """Describe which settings differ; short values are included."""
     texts = []
     for name in sorted({*stored_settings, *new_settings}):
         if name == _DRIVERS_KEY:

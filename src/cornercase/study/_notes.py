@@ -1,4 +1,4 @@
-"""Notes that people write about scenarios, also while an exploration writes to the study."""
+"""Write notes about scenarios, even while an exploration writes to the study."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _MAX_ID: Final = 2**63 - 1
 def write_note(study: Path | str, scenario: int, note: str) -> None:
     """Write a note about a scenario into its study.
 
-    An exploration may be writing to the study: the note is a transaction of its own that takes milliseconds and does
+    This works while an exploration writes to the study: it is a separate transaction that takes milliseconds and does
     not need the lease.
 
     Parameters

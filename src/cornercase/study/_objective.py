@@ -1,4 +1,4 @@
-"""The score that is searched: one metric, a weighted sum of several, or the Pareto front of all."""
+"""The objective of a search: the score of one metric, a weighted sum of several, or the Pareto front of all."""
 
 from __future__ import annotations
 
@@ -17,10 +17,11 @@ if TYPE_CHECKING:
 
 
 class Objective:
-    """Converts the scores of the metrics into scores to minimize: the first metric, a weighted sum, or all for a front.
+    """Turns the scores of metrics into scores to minimize.
 
-    `weights` are per unit of a metric's score; a metric without weight does not count. Raises `InputError` without
-    metrics, for an unknown or non-positive weight, weights of a front, or a front of one metric.
+    The objective is the first metric, a weighted sum, or (for a Pareto front) all metrics. `weights` maps a metric to
+    its weight per unit of score; metrics without a weight do not count. `InputError` if there is no metric, if a weight
+    is not positive or its metric is unknown, or for a front with weights or with a single metric.
     """
 
     def __init__(
@@ -41,7 +42,7 @@ class Objective:
 
     @classmethod
     def from_study_meta(cls, meta: StudyMeta) -> Objective:
-        """Create the objective of a stored study."""
+        """Return the objective of a stored study."""
         metrics = [METRICS.create(name) for name in meta.metrics]
         return cls(metrics, meta.weights, meta.pareto)
 
@@ -54,7 +55,10 @@ class Objective:
         return np.asarray((weight_vector * signs)[:, None])
 
     def minimized(self, scores: FloatArray) -> FloatArray:
-        """Return scores to minimize, shape (m,) or (m, metrics) for a front, from raw scores of shape (m, metrics)."""
+        """Return scores to minimize, from scores in the metrics' units, shape (m, metrics).
+
+        The shape is (m,), or (m, metrics) for a Pareto front.
+        """
         # Skip unused metrics: NaN times 0 is NaN.
         has_weight = self._score_factors.any(axis=1)
         # Extreme weights may overflow.
@@ -63,12 +67,15 @@ class Objective:
         return np.asarray(values if self.pareto else values[:, 0])
 
     def minimized_scores(self, study: StudyFile) -> FloatArray:
-        """Return scores to minimize for all successful scenarios of a study, shape (n,) or (n, metrics) for a front."""
+        """Return scores to minimize of all scenarios of a study that ran without failing.
+
+        The shape is (n,), or (n, metrics) for a Pareto front.
+        """
         return self.minimized(np.stack([study.scores(metric.name) for metric in self.metrics], axis=1))
 
     @property
     def label(self) -> str:
-        """Label of the objective, such as ``2 ttc + 1 (-speed)``."""
+        """Text of the objective, such as ``2 ttc + 1 (-speed)``."""
         if self.pareto:
             return "Pareto front of " + ", ".join(metric.name for metric in self.metrics)
         if not self.weights:
@@ -81,19 +88,22 @@ class Objective:
 
     @property
     def lower_is_critical(self) -> bool:
-        """Whether lower raw values are more critical; always for a weighted sum."""
+        """Whether a lower score in the objective's unit is more critical; True for a weighted sum."""
         return bool(self.weights) or self.metrics[0].lower_is_critical
 
     @property
     def unit(self) -> str:
-        """Unit of the objective; empty for a weighted sum or a front."""
+        """Unit of the objective; empty for a weighted sum or a Pareto front."""
         return "" if self.weights or self.pareto or self.metrics[0].unit == "1" else self.metrics[0].unit
 
     def convert_orientation(self, score: float) -> float:
-        """Convert one score between raw and minimized; a weighted sum is minimized already."""
+        """Turn a score in the objective's unit into a score to minimize, or back; a weighted sum stays as it is."""
         return score if self.weights else self.metrics[0].to_minimize(score)
 
     @property
     def least_critical_scores(self) -> FloatArray:
-        """Minimized scores of a scenario in which every metric is at its cap, shape (1,) or (metrics,)."""
+        """Return the scores to minimize if every metric is at its cap (its least critical value).
+
+        The shape is (1,), or (metrics,) for a Pareto front.
+        """
         return self.minimized(np.array([[metric.cap for metric in self.metrics]])).ravel()

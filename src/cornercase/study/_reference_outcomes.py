@@ -1,4 +1,4 @@
-"""Outcomes of scenarios that were run again with a reference driver, stored beside the courses of metrics."""
+"""Store outcomes of scenarios that were run again with a reference driver, in the table of metric courses."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ _SCORE_BY_OUTCOME: Final = {collides: code for code, collides in _OUTCOME_BY_SCO
 
 
 def reference_metric_name(driver: str) -> str:
-    """Name that the outcome of a reference driver has in the column `metric`."""
+    """Return the text that the column `metric` holds for outcomes with a reference driver."""
     return f"reference:{driver}"
 
 
 def write_reference_outcomes(connection: Connection, scenario: int, outcomes: Mapping[str, ReferenceOutcome]) -> None:
-    """Store the outcomes of a scenario with reference drivers, by driver; call it within a transaction."""
+    """Store the outcomes of a scenario by reference driver; call it within a transaction."""
     insert_rows(
         connection,
         "courses",

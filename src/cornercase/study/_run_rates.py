@@ -1,4 +1,4 @@
-"""How often runs of one scenario are critical, and whether more runs are needed to decide it."""
+"""Estimate how often repeated runs of a scenario are critical, and whether more runs are needed."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ MIN_DECISIVE_RUNS: Final = 5
 
 
 def critical_run_rates(scores: Sequence[Sequence[float]], threshold: float) -> FloatArray:
-    """Fraction of critical runs of each scenario and its 90 % Clopper-Pearson interval, shape (n, 3).
+    """Return the fraction of critical runs of each scenario with its 90 % Clopper-Pearson interval, shape (n, 3).
 
-    `scores` are minimized scores of the runs of each scenario; a run is critical up to `threshold`.
+    `scores` are the minimized scores of all runs, by scenario. A run is critical if its score is at most `threshold`.
     """
     rows = []
     for run_scores in scores:
@@ -31,7 +31,7 @@ def critical_run_rates(scores: Sequence[Sequence[float]], threshold: float) -> F
 def is_criticality_undecided(scores: Sequence[float], threshold: float) -> bool:
     """Tell whether the 90 % interval of the probability that a run is critical contains 0.5.
 
-    `scores` are minimized scores of the runs of one scenario, at least one.
+    `scores` are the minimized scores of the runs of one scenario; at least one run is needed.
     """
     ((_, low, high),) = critical_run_rates([scores], threshold)
     return bool(low <= 0.5 <= high)

@@ -16,11 +16,12 @@ from cornercase.study._study_file import StudyFile
 def find_explored_scenario(
     study: StudyFile, scenario: Path | str | ScenarioFile | None = None, *, search_stored_path: bool = False
 ) -> ScenarioFile | None:
-    """Find the scenario file that was explored, and refuse any other one.
+    """Find the scenario file that a study explored; `InputError` for any other file.
 
-    By default it is looked for beside the study and in the current folder, and recognized by its fingerprint.
-    `search_stored_path` also looks at the path stored in the study; only use it if the command needs the file, since a
-    study may come from anywhere. Returns None for imported recordings, and the first file for a suite.
+    Without `scenario`, the file is searched beside the study and in the current folder, and recognized by its
+    fingerprint. `search_stored_path` also searches at the path stored in the study. Use it only if the command needs
+    the file, since a study may come from anyone. The result is None for imported recordings, and the first file of a
+    suite.
     """
     meta = study.meta
     if meta.simulator == IMPORTED_SIMULATOR:

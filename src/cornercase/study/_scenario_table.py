@@ -1,4 +1,4 @@
-"""Scenarios of a study, and their table."""
+"""Records of the scenarios of a study, and a table of them."""
 
 from __future__ import annotations
 
@@ -52,10 +52,10 @@ def build_scenario_table(
     score_sources: Mapping[str, Mapping[int, str | None]] | None = None,
     run_counts: Mapping[int, int] | None = None,
 ) -> pd.DataFrame:
-    """Build the table of `StudyFile.table`, with one row per scenario.
+    """Build the table that `StudyFile.table` returns, with one row per scenario.
 
-    `scores` has one value per scenario that ran, by column; `clusters` has ids and labels, by aspect; the others map
-    ids.
+    `scores` maps a column to its values, one for each scenario that ran. `clusters` maps an aspect to ids and labels.
+    The other mappings are by scenario id.
     """
     # Imported here, since opening a study does not need it.
     import pandas as pd

@@ -1,4 +1,4 @@
-"""The tables of a study file, and which columns their checksums cover."""
+"""Tables of a study file, and the columns that their checksums cover."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ APPLICATION_ID: Final = 0x434F524E
 
 @dataclass(frozen=True)
 class StudyTable:
-    """A table of a study, whose rows have checksums; `columns` are without these, the blob last.
+    """A table of a study; `columns` are its columns without those of checksums, a blob (bytes) last.
 
-    `n_key_columns` is the number of leading columns that identify a row, 0 if rows are identified by their order. The
-    blob has a checksum of its own, so that a row can be read without it. `float_column` is the index of the column of
-    floats. `has_totals` tables have their row count and XOR of checksums in `tallies`; `is_required` marks tables that
-    each study has.
+    The first `n_key_columns` columns identify a row; 0 means that rows are identified by their order. The blob has a
+    checksum of its own, so that the rest of a row can be read without it. `float_column` is the index of the column of
+    floats. If `has_totals`, row count and XOR of checksums are stored in the table ``tallies``. If `is_required`, every
+    study has the table.
     """
 
     create_statement: str
@@ -36,7 +36,7 @@ class StudyTable:
 
     @property
     def stored_columns(self) -> tuple[str, ...]:
-        """All columns in the order of the file: checksums come before a blob, which may fill many pages."""
+        """All columns in the order of the file; checksums come before the blob, which may fill many pages."""
         last = self.columns[-1]
         return (
             (*self.columns_without_blob, f"{last}_checksum", "checksum", last)

@@ -1,4 +1,4 @@
-"""Paths as a study stores them: relative to its folder, or the name alone if the path would reveal private folders."""
+"""Paths as a study stores them: relative to its folder, or only a name if the path would reveal private folders."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ _MAX_PARENT_STEPS: Final = 3
 
 
 def stored_path(file: Path, study: Path) -> str:
-    """Path of a file or folder as a study stores it.
+    """Return the path of a file or folder as a study stores it.
 
-    It is relative to the study's folder, with ``/`` between its parts, so that the same files in another place make the
-    same study. If it would lead up more than three folders, or down again from the root of the file system or from the
-    user's home or above, it would reveal the folders of a machine: then only the name is stored.
+    The path is relative to the folder of the study, with ``/`` between its parts. So the same files in another place
+    give the same study. Only the name is stored if the relative path would reveal folders of the machine: if it leads
+    up more than three folders, or down again from the root of the file system, the user's home or a folder above.
 
     >>> stored_path(Path("/data/acc/scenarios/cut_in.xosc"), Path("/data/acc/results/s.db"))
     '../scenarios/cut_in.xosc'
@@ -43,9 +43,9 @@ def stored_path(file: Path, study: Path) -> str:
 
 
 def resolve_stored_path(stored: str, study: Path) -> Path | None:
-    """Find the scenario file at a path that `stored_path` gave; None if there is none.
+    """Return the scenario file at a path that `stored_path` returned; None if there is none.
 
-    The study may come from anywhere: only paths that `stored_path` can give are followed, and only to OpenSCENARIO
+    A study may come from anyone. So only paths in the form of `stored_path` are followed, and only to OpenSCENARIO
     files of an accepted size.
     """
     parts = stored.split("/")

@@ -1,4 +1,4 @@
-"""A study: everything that was run, in one SQLite file, whose schema is described in ``docs/study-format.md``."""
+"""A study in one SQLite file: everything that was run. The page ``docs/study-format.md`` describes the schema."""
 
 from __future__ import annotations
 
@@ -60,9 +60,9 @@ ELAPSED_STAGES: Final = (
 
 
 class StudyFile:
-    """An open study; use it as a context manager. Make one with `create` or `open`.
+    """An open study. Make one with `create` or `open`, and use it as a context manager.
 
-    Readers work while an exploration writes.
+    Other processes can read a study while an exploration writes to it.
 
     Parameters
     ----------
@@ -153,7 +153,7 @@ class StudyFile:
 
     @property
     def writer(self) -> StudyWriter:
-        """Writes to the study, if it was not opened for reading only."""
+        """Object that writes to the study, if it was opened for writing."""
         return StudyWriter(self, self._database)
 
     @property
@@ -166,7 +166,7 @@ class StudyFile:
         self._database.close()
 
     def snapshot(self) -> AbstractContextManager[None]:
-        """Read the study at one moment, while an exploration goes on writing.
+        """Within the block, read the study as it was at one moment, while an exploration goes on writing.
 
         Returns
         -------
@@ -176,18 +176,18 @@ class StudyFile:
         return self._database.snapshot()
 
     def data_version(self) -> int | None:
-        """Count writes of other connections, so that a reader knows when to read again.
+        """Return a counter of writes by other connections, so that a reader knows when to read again.
 
         Returns
         -------
         int or None
-            It differs from the last value if another connection has written since. None if this reader cannot see what
-            others write, since nobody could write to the file when it was opened.
+            Another number than the last time if another connection has written. None if writes cannot be noticed,
+            because the file was read-only when it was opened.
         """
         return self._database.data_version()
 
     def read_meta(self) -> StudyMeta:
-        """Read the description of the study anew: an exploration that continues it may change the budget.
+        """Read the description of the study again; an exploration that continues the study may have changed the budget.
 
         Returns
         -------
@@ -297,7 +297,7 @@ class StudyFile:
         return self._read_rows_where("state = ?", "failed")
 
     def points(self) -> FloatArray:
-        """Points of the scenarios that ran.
+        """Points of the scenarios that ran without failing.
 
         Returns
         -------
@@ -307,7 +307,7 @@ class StudyFile:
         return np.array([row.point for row in self.finished_rows()]).reshape(-1, self.space.dimension)
 
     def audit_mask(self) -> BoolArray:
-        """Mask of the scenarios that ran which are audits: drawn at random, and hidden from the search.
+        """Mask of audits among the scenarios that ran: scenarios drawn at random whose results the search did not see.
 
         Returns
         -------
@@ -316,7 +316,7 @@ class StudyFile:
         return np.array([self.meta.is_audit(row.id) for row in self.finished_rows()], dtype=np.bool_)
 
     def scores(self, metric: str) -> FloatArray:
-        """Scores of the scenarios that ran.
+        """Scores of the scenarios that ran without failing.
 
         Parameters
         ----------
@@ -360,7 +360,7 @@ class StudyFile:
             return {name: float(scores[name]) for name in self.meta.metrics if name in scores}
 
     def reference_outcomes(self, driver: str) -> dict[int, ReferenceOutcome]:
-        """Outcomes of the scenarios that were run again with a reference driver in the ego.
+        """Outcomes of scenarios that were run again with a reference driver driving the ego.
 
         Parameters
         ----------
@@ -378,7 +378,7 @@ class StudyFile:
             return {scenario: decode_reference_outcome(score, packed) for scenario, _, score, packed in stored}
 
     def score_sources(self, metric: str) -> dict[int, str | None]:
-        """Name the entity that each score is against, in a study of several others.
+        """Which entity the score of each scenario is measured against, if the study has several other entities.
 
         Parameters
         ----------
@@ -413,7 +413,7 @@ class StudyFile:
             return {row.id: sources[row.id] for row in done}
 
     def scenario_score_sources(self, scenario: int) -> dict[str, str | None]:
-        """Name the entity that each score of one scenario is against, in a study of several others.
+        """Which entity each score of one scenario is measured against, if the study has several other entities.
 
         Parameters
         ----------
@@ -436,14 +436,15 @@ class StudyFile:
             return {name: sources[name] for name in self.meta.metrics if name in sources}
 
     def primary_other(self) -> str:
-        """Choose the one of several others that describes how scenarios end, and that aspects compare.
+        """Choose the most important other entity: outcomes are described for it, and aspects compare it with the ego.
 
         Returns
         -------
         str
-            The one that most scores of the first round are against, by the first metric: that round does not depend on
-            scores, and the study may grow. Without rounds, as many scenarios count. In a tie, or if no score is against
-            a single entity, it is the first of the others.
+            The other entity that most scores by the first metric are measured against, in the first round. Later
+            rounds do not count, because they depend on scores and may still grow. Without rounds, the first scenarios
+            count, as many as a round would have. In a tie, or if no score is measured against a single entity, the
+            first of the others.
         """
         others = self.meta.others
         if len(others) == 1:
@@ -456,7 +457,7 @@ class StudyFile:
         return max(others, key=counts.__getitem__)
 
     def reference_outcome(self, scenario: int, driver: str) -> ReferenceOutcome | None:
-        """Outcome of one scenario that was run again with a reference driver in the ego.
+        """Outcome of one scenario that was run again with a reference driver driving the ego.
 
         Parameters
         ----------
@@ -476,7 +477,7 @@ class StudyFile:
             return decode_reference_outcome(*stored[0][2:]) if stored else None
 
     def score_range(self, metric: str) -> FloatArray | None:
-        """Lowest and highest score among the runs of each scenario that ran.
+        """Lowest and highest score among the repeated runs of each scenario.
 
         Parameters
         ----------
@@ -499,7 +500,7 @@ class StudyFile:
             return np.array([[min(run_scores), max(run_scores)] for run_scores in scores], dtype=np.float64)
 
     def _read_run_scores(self, metric: str) -> list[Any] | None:
-        """Scores of all runs of each scenario that ran; None if each has one run."""
+        """Scores of all runs of each scenario; None if each scenario was run once."""
         with self.snapshot():
             self._database.require_all_rows("repeats")
             done = self.finished_rows()
@@ -510,7 +511,7 @@ class StudyFile:
             return [parse_json(texts[row.id]) for row in done]
 
     def course(self, scenario: int, metric: str) -> FloatArray:
-        """Course of a metric in one scenario.
+        """Course of a metric over time in one scenario.
 
         Parameters
         ----------
@@ -582,14 +583,14 @@ class StudyFile:
         return {scenario: decode_collisions(facts) for scenario, facts in self._iter_facts()}
 
     def _iter_facts(self) -> Iterator[tuple[int, dict[str, Any]]]:
-        """Yield id and facts of each digest."""
+        """Yield id and decoded facts (a dict) of the digest of each recording."""
         self._database.require_all_rows("digests")
         with reraise_as_damage(self.path), closing(self._database.iter_rows("digests")) as rows:
             for scenario, facts in rows:
                 yield scenario, decode_facts(facts)
 
     def iter_digests(self) -> Iterator[tuple[int, ScenarioDigest]]:
-        """Yield the digest of the recording of each scenario that ran.
+        """Yield, for each scenario that ran, what analysis and report need of its recording.
 
         Yields
         ------
@@ -608,7 +609,7 @@ class StudyFile:
             require_value(count == len(ids), "a scenario has no digest")
 
     def digest(self, scenario: int) -> ScenarioDigest:
-        """Read the digest of the recording of one scenario.
+        """Read what analysis and report need of the recording of one scenario.
 
         Parameters
         ----------
@@ -644,7 +645,7 @@ class StudyFile:
         return self._metrics[1]
 
     def first_lengths(self, before: int) -> list[int]:
-        """Numbers of instants of the first recordings of the study, which decide the stride of stored series.
+        """Numbers of instants of the first recordings, which decide how coarsely stored series are sampled.
 
         Parameters
         ----------
@@ -666,7 +667,7 @@ class StudyFile:
         return self._first_lengths[1]
 
     def outcomes(self) -> dict[int, str]:
-        """Describe how scenarios ended.
+        """Describe in words how each scenario ended.
 
         Returns
         -------
@@ -700,16 +701,16 @@ class StudyFile:
 
     @property
     def critical(self) -> float | None:
-        """Threshold in the unit of the objective: that of the study, or the one that it was opened with."""
+        """Threshold in the unit of the objective: the study's own, or the one that it was opened with."""
         return self.meta.critical if self._critical is None else self._critical
 
     @property
     def criterion(self) -> Criterion:
-        """When a scenario of the study is critical."""
+        """Criterion for being critical: the objective and its threshold."""
         return Criterion.from_study_meta(self.meta, self._critical)
 
     def critical_mask(self) -> BoolArray:
-        """Which of the successful scenarios are critical.
+        """Mask of critical scenarios among those that ran.
 
         Returns
         -------
@@ -720,7 +721,7 @@ class StudyFile:
         return criterion.is_critical(criterion.objective.minimized_scores(self))
 
     def with_critical(self, critical: float | None) -> StudyFile:
-        """Return the same open file with another threshold; this one stays as it is.
+        """Return another object for the same open file, with another threshold.
 
         Parameters
         ----------
@@ -764,7 +765,7 @@ class StudyFile:
         )
 
     def critical_run_rates(self) -> FloatArray | None:
-        """Probability that a run of each scenario is critical, if each was run several times.
+        """Probability that a run of each scenario is critical, estimated from repeated runs.
 
         Returns
         -------
@@ -783,7 +784,7 @@ class StudyFile:
             return critical_run_rates(scores, criterion.oriented)
 
     def warm_start_data(self) -> tuple[FloatArray, FloatArray] | None:
-        """Read the points and scores of the study that the search was warm-started from.
+        """Read the points and scores of the earlier study that the search began with.
 
         Returns
         -------
@@ -885,7 +886,7 @@ class StudyFile:
             return dict(parse_json(rows[0][1])) if rows else None
 
     def result_order(self) -> list[tuple[int, int]]:
-        """Read the order in which the results of an asynchronous search came.
+        """Read the order in which results arrived in an asynchronous search.
 
         Returns
         -------
@@ -917,7 +918,7 @@ class StudyFile:
             return [(scenario, round_number) for _, scenario, round_number in stored]
 
     def elapsed_by_stage(self) -> dict[str, float]:
-        """Time spent by stage.
+        """Time spent in each stage of the work.
 
         Returns
         -------
@@ -977,12 +978,12 @@ class StudyFile:
                 )
 
     def _count_runs(self) -> dict[int, int]:
-        """Number of runs that did not fail, by id of each scenario that ran."""
+        """Number of runs that did not fail, by scenario id."""
         runs = self._read_run_scores(self.meta.metrics[0]) or []
         return {row.id: len(scores) for row, scores in zip(self.finished_rows(), runs, strict=True)}
 
     def export(self, folder: Path | str, parquet: bool = False) -> None:
-        """Write everything as CSV: one table of scenarios, and recording and courses of each.
+        """Write the study as CSV: a table of scenarios, and the recording and metric courses of each scenario.
 
         Parameters
         ----------
@@ -1006,7 +1007,7 @@ class StudyFile:
             write_scenarios(folder, self.iter_recordings(), parquet)
 
     def read_recording_pair(self, scenario: int, other: StudyFile, other_scenario: int) -> tuple[Recording, Recording]:
-        """Recordings of a scenario and of one of another study.
+        """Read the recording of a scenario, and the recording of a scenario in another study.
 
         Parameters
         ----------
@@ -1033,7 +1034,7 @@ class StudyFile:
         return recording, recording if packed == other_packed else other._unpack_recording(other_packed)
 
     def iter_recordings(self) -> Iterator[tuple[int, Recording, dict[str, FloatArray]]]:
-        """Yield recording and courses of each scenario that ran.
+        """Yield the recording and the metric courses of each scenario that ran.
 
         Yields
         ------
@@ -1052,7 +1053,7 @@ class StudyFile:
             yield row.id, *self.recording_and_courses(row.id)
 
     def recording_and_courses(self, scenario: int) -> tuple[Recording, dict[str, FloatArray]]:
-        """Recording of one scenario, and course by metric.
+        """Read the recording and the metric courses of one scenario.
 
         Parameters
         ----------
@@ -1081,7 +1082,7 @@ class StudyFile:
         return recording, courses
 
     def require_undamaged(self) -> None:
-        """Check all checksums without unpacking anything.
+        """Check the checksums of all rows, without decoding their content.
 
         Raises
         ------
@@ -1096,7 +1097,7 @@ class StudyFile:
                     pass
 
     def checksum_totals(self) -> dict[str, tuple[int, int]]:
-        """Row counts and checksums of all tables, to compare studies by.
+        """Row count and XOR of checksums of each table; studies with equal values have equal content.
 
         Returns
         -------
@@ -1114,10 +1115,10 @@ class StudyFile:
 def open_study(
     study: StudyFile | Path | str, readonly: bool = False, critical: float | None = None
 ) -> Iterator[StudyFile]:
-    """Give an open study, or open the one at a path for as long as the block lasts.
+    """Open the study at a path within the block; if `study` is open already, yield it.
 
-    `critical` replaces the threshold of the study within the block; the file stays as it is. Raises `InputError` if an
-    open study cannot be written but should be, or if the study has no single score that a threshold could apply to.
+    `critical` replaces the threshold within the block; the file stays as it is. `InputError` if an open study is
+    read-only but has to be written, or if the study has no single score that a threshold could apply to.
     """
     threshold = None if critical is None else check_float("critical", critical)
     if isinstance(study, StudyFile):
@@ -1131,9 +1132,9 @@ def open_study(
 
 @contextmanager
 def open_or_create_study(path: Path, meta: StudyMeta) -> Iterator[StudyFile]:
-    """Open a study for writing for as long as the block lasts; create it if there is none.
+    """Within the block, open a study for writing; create it if the file does not exist.
 
-    A study that was created is removed again if the block raises `InputError` and no scenario has run.
+    A new study is removed again if the block raises `InputError` before any scenario has run.
     """
     if path.exists():
         with StudyFile.open(path, readonly=False) as study:

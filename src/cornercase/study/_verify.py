@@ -1,4 +1,4 @@
-"""Verify that everything in a study is as it was written."""
+"""Verify that the content of a study is as it was written."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def verify(study: Path | str) -> Verification:
 
 
 def _require_study(path: Path) -> None:
-    """Raise `InputError` unless the file is a study, damaged or not."""
+    """Raise `InputError` unless the file is a study, intact or damaged."""
     try:
         with closing(open_connection(path)) as connection:
             connection.execute("SELECT count(*) FROM sqlite_master").fetchone()
@@ -169,7 +169,7 @@ def _iter_table_problems(path: Path, connection: sqlite3.Connection, table: str)
 
 
 def _raise_if_unreachable(path: Path, error: BaseException | None) -> None:
-    """Raise an error that says nothing about the content: the file is locked or cannot be opened."""
+    """Raise the error again if it means that the file is locked or cannot be opened: the content may be intact."""
     if error is not None and is_unreachable_error(error):
         with reraise_sqlite_errors(path):
             raise error

@@ -22,9 +22,9 @@ if TYPE_CHECKING:
 
 
 def write_table(folder: Path, table: pd.DataFrame, parquet: bool = False) -> None:
-    """Write `scenarios.csv`, and `scenarios.parquet` if wanted, with underscores for spaces in column names.
+    """Write `scenarios.csv`, and with `parquet` also `scenarios.parquet`; column names have underscores for spaces.
 
-    In the CSV, texts that a spreadsheet would take for formulas get an apostrophe before them.
+    In the CSV, texts that a spreadsheet would take for formulas begin with an apostrophe.
     """
     columns = table.reset_index()
     renamed = columns.set_axis(replace_spaces_in_names(map(str, columns.columns)), axis="columns")
@@ -60,7 +60,7 @@ def _require_pyarrow(path: Path) -> None:
 
 
 def _escape_formulas(table: pd.DataFrame) -> pd.DataFrame:
-    """Escape texts that a spreadsheet would take for formulas."""
+    """Put an apostrophe before texts that a spreadsheet would take for formulas."""
     cells = table.copy()
     for name in table.columns:
         if any(isinstance(value, str) for value in table[name]):
@@ -71,10 +71,10 @@ def _escape_formulas(table: pd.DataFrame) -> pd.DataFrame:
 def write_scenarios(
     folder: Path, scenarios: Iterable[tuple[int, Recording, Mapping[str, FloatArray]]], parquet: bool = False
 ) -> None:
-    """Write `recordings/ID.csv` and `courses/ID.csv` for each scenario (id, recording, courses by metric).
+    """Write `recordings/ID.csv` and `courses/ID.csv` for each scenario, given as id, recording, and courses by metric.
 
-    With `parquet`, also write `recordings.parquet` and `courses.parquet` of all scenarios, with the column `scenario`
-    and one row group per scenario.
+    With `parquet`, also write `recordings.parquet` and `courses.parquet` of all scenarios. These have a column
+    `scenario`, and one row group per scenario.
     """
     if not parquet:
         for number, recording, courses in scenarios:
@@ -104,7 +104,7 @@ def _write_scenario_csv(
 
 @contextmanager
 def _open_parquet_writer(path: Path) -> Iterator[Callable[[Mapping[str, Any]], None]]:
-    """Open a Parquet file, and give a function that appends a table, so that only one at a time is in memory."""
+    """Open a Parquet file, and yield a function that appends a table; only one table at a time is in memory."""
     _require_pyarrow(path)
     import pyarrow
     from pyarrow import parquet

@@ -37,17 +37,17 @@ _MUTABLE_FIELDS: Final = ("space", "critical", "budget", "kinds", "requirements"
 
 
 class StudyWriter:
-    """Writes to an open study; each method is one transaction, which raises `InputError` if it cannot be written."""
+    """Writes to an open study; each method is one transaction, and raises `InputError` if writing is impossible."""
 
     def __init__(self, study: StudyFile, database: Database) -> None:
         self._study, self._database = study, database
 
     def resume(self, meta: StudyMeta, *, same_budget: bool = False) -> None:
-        """Check that the study matches `meta`, and update what may change; raises `InputError` if it does not.
+        """Check that the study fits `meta`, and store the fields that may change; `InputError` if it does not fit.
 
-        Budget, requirements and kinds of a suite, constraints of the space, and a missing threshold may change; with
-        `same_budget` the budget may not, because the optimizer depends on it. A study in which no scenario has ended
-        yet takes over `meta` completely.
+        These fields may change: budget, requirements and clusters of a suite, constraints of the space, and a missing
+        threshold. With `same_budget` the budget may not change, because the optimizer depends on it. A study in which
+        no scenario has ended yet takes over all of `meta`.
         """
         self._study.require_undamaged()
         try:
@@ -75,7 +75,10 @@ class StudyWriter:
         self._study.meta, self._study.space = updated, updated.space
 
     def save_warm_start(self, points: FloatArray, scores: FloatArray) -> None:
-        """Store points, shape (n, d), and minimized scores of another study for a warm start, unless they exist."""
+        """Store points, shape (n, d), and minimized scores of the earlier study for a warm start.
+
+        If some are stored already, nothing is changed.
+        """
         rows = [(point.astype("<f8").tobytes(), score) for point, score in zip(points, scores.tolist(), strict=True)]
         with self._database.transaction() as connection:
             if connection.execute("SELECT 1 FROM elsewhere LIMIT 1").fetchone() is not None:
@@ -83,19 +86,22 @@ class StudyWriter:
             insert_rows(connection, "elsewhere", rows)
 
     def save_repeatability(self, scenario: int, same: bool, max_distance: float | None) -> None:
-        """Store whether a second run of a scenario gave the same bytes, and the largest distance of an entity in m."""
+        """Store whether a second run of a scenario gave the same bytes.
+
+        `max_distance` is the largest distance in m between the positions of an entity in both runs; None if unknown.
+        """
         result = {"scenario": scenario, "same": same, "apart": max_distance}
         with self._database.transaction() as connection:
             insert_rows(connection, "meta", [("repeatability", json.dumps(result, sort_keys=True))])
         self._study.meta = replace(self._study.meta, repeatability=result)
 
     def remove_scenarios(self) -> None:
-        """Remove all scenarios, and everything about them."""
+        """Remove all scenarios and all results."""
         with self._database.transaction() as connection:
             _remove_content(connection)
 
     def _reset(self, meta: StudyMeta) -> None:
-        """Turn the study into an empty one with another description."""
+        """Empty the study and replace its description."""
         with self._database.transaction() as connection:
             _remove_content(connection)
             for name in optional_table_names(meta):
@@ -114,8 +120,8 @@ class StudyWriter:
     ) -> list[ScenarioRecord]:
         """Store a round of proposed scenarios as pending, all or none.
 
-        `ids` are those of lost scenarios, by default the next ones; `points` are in the unit cube, shape (n, d);
-        `round_number` counts from 1.
+        `round_number` counts from 1. `points` are in the unit cube, shape (n, d). By default the scenarios get the next
+        free ids; pass `ids` to restore lost scenarios.
         """
         with self._database.transaction() as connection:
             ((last,),) = connection.execute("SELECT COALESCE(MAX(id), 0) FROM scenarios")
@@ -135,11 +141,11 @@ class StudyWriter:
         repeats: Mapping[str, Sequence[float]] | None = None,
         references: Mapping[str, ReferenceOutcome] | None = None,
     ) -> None:
-        """Store the result of a scenario: its recording, and course and score of each metric.
+        """Store the result of a scenario: its recording, and the course and score of each metric.
 
-        `repeats` are the scores of all runs by metric if it was run several times, `references` the outcomes with
-        reference drivers in the ego, by driver. In a study of several others, `courses` are metric results that name
-        the other entity.
+        If the scenario was run several times, `repeats` has the scores of all runs, by metric. `references` has the
+        outcomes with reference drivers driving the ego, by driver. If the study has several other entities, `courses`
+        must be `MetricResult` objects, which say which entity counts.
         """
         with self._database.transaction() as connection:
             write_reference_outcomes(connection, scenario, references or {})
@@ -160,7 +166,7 @@ class StudyWriter:
             self._save_digest(connection, scenario, recording, {name: result[0] for name, result in courses.items()})
 
     def save_missing_digests(self) -> None:
-        """Store the digests that a damaged study has lost, made from recordings and courses again."""
+        """Compute missing digests again from recordings and courses, and store them; used to repair a damaged study."""
         with self._database.transaction() as connection:
             stored = {scenario for (scenario,) in self._database.query("SELECT scenario FROM digests")}
             for row in self._study.finished_rows():
@@ -177,7 +183,7 @@ class StudyWriter:
         insert_rows(connection, "digests", [(scenario, *encode_digest(digest))])
 
     def save_reference_outcome(self, scenario: int, driver: str, outcome: ReferenceOutcome) -> None:
-        """Store the outcome of a scenario that was run again with a reference driver in the ego."""
+        """Store the outcome of a scenario that was run again with a reference driver driving the ego."""
         with self._database.transaction() as connection:
             write_reference_outcomes(connection, scenario, {driver: outcome})
 
@@ -187,7 +193,7 @@ class StudyWriter:
             self._end_scenario(connection, scenario, "failed", remove_folders(str(error)), None)
 
     def retry_failed(self) -> int:
-        """Make failed scenarios pending again; return their number."""
+        """Make failed scenarios pending again; return how many."""
         failed = self._study.failed_rows()
         with self._database.transaction() as connection:
             insert_rows(
@@ -203,7 +209,7 @@ class StudyWriter:
     def _end_scenario(
         self, connection: Connection, scenario: int, state: str, error: str | None, recording: bytes | None
     ) -> None:
-        """Store that a scenario has ended, and in an asynchronous search that its result has come."""
+        """Store that a scenario has ended; in an asynchronous search, also store the order of results."""
         stored = self._database.read_rows("scenarios", "id = ?", scenario)
         if not stored:
             return
@@ -215,9 +221,10 @@ class StudyWriter:
             insert_rows(connection, "results", [(number + 1, scenario, last + 1)])
 
     def save_analysis(self, name: str, arrays: Mapping[str, npt.ArrayLike], info: Mapping[str, Any]) -> None:
-        """Store arrays and further facts of a result under a name, replacing an earlier one.
+        """Store arrays and facts of a result under a name, replacing an earlier result.
 
-        ``"distances"`` are those between all scenarios in ``"ids"``: square, symmetric, and 0 on the diagonal.
+        The array ``"distances"`` holds the distances between all scenarios in ``"ids"``: square, symmetric, and 0 on
+        the diagonal.
         """
         self.save_analyses({name: (arrays, info)})
 
@@ -226,9 +233,9 @@ class StudyWriter:
         results: Mapping[str, tuple[Mapping[str, npt.ArrayLike], Mapping[str, Any]] | None],
         outcomes: Mapping[int, str] | None = None,
     ) -> None:
-        """Store several results by name, all or none, as for `save_analysis`; None removes an earlier one.
+        """Store several results by name, all or none, in the form of `save_analysis`; None removes an earlier result.
 
-        `outcomes` describe how scenarios ended, by id, and are stored with them.
+        `outcomes` describe in words how scenarios ended, by id.
         """
         with self._database.transaction() as connection:
             insert_rows(connection, "outcomes", sorted((outcomes or {}).items()))
@@ -254,12 +261,12 @@ class StudyWriter:
 
 
 def _encode_pending_row(row: ScenarioRecord) -> tuple[Any, ...]:
-    """Columns of a scenario that has not ended."""
+    """Return the database row of a scenario that has not ended."""
     return row.id, row.round, row.point.astype("<f8").tobytes(), json.dumps(row.values), row.state, row.error, None
 
 
 def optional_table_names(meta: StudyMeta) -> tuple[str, ...]:
-    """Names of the optional tables that the study has."""
+    """Names of the optional tables that a study with this description has."""
     is_present = {"against": len(meta.others) > 1, "results": meta.asynchronous, "elsewhere": bool(meta.elsewhere)}
     return tuple(name for name, present in is_present.items() if present)
 

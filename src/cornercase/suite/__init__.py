@@ -1,4 +1,4 @@
-"""The few to keep, run again: verdicts, requirements, and what has changed."""
+"""Run a suite (a few selected scenarios) again: verdicts, requirements, and what has changed."""
 
 import lazy_loader as lazy
 

@@ -1,4 +1,4 @@
-"""Compare the recordings of a suite with those that it was made from."""
+"""Compare the recordings of a suite with the recordings that the suite was selected from."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ _MAX_NAME_BYTES: Final = 255
 
 
 def find_baseline_study(suite: SuiteContents, against: Path | None) -> tuple[Path | None, str]:
-    """Find the study to compare the recordings of a suite with.
+    """Find the earlier study with which the recordings of a suite are compared.
 
-    By default it is looked for by name beside the manifest and in the folder above, and recognized by its fingerprint.
-    Returns None and the reason, a sentence without a period, if there is none. Raises `InputError` if the study
-    `against` is of something else, or cannot be used.
+    Without `against`, the study is searched by name beside the manifest and in the folder above, and recognized by its
+    fingerprint. If there is none, return None and the reason, a sentence without a period. `InputError` if the study
+    `against` has other scenarios or cannot be used.
     """
     if against is not None:
         with StudyFile.open(against, readonly=True) as study, reraise_as_damage(against):
@@ -44,7 +44,10 @@ def find_baseline_study(suite: SuiteContents, against: Path | None) -> tuple[Pat
 
 
 def compare_with_baseline(suite: SuiteContents, baseline: Path, study: StudyFile) -> dict[int, RecordingDifference]:
-    """Compare the recordings of a suite with those of an earlier study, by id of each scenario that ran in both."""
+    """Compare the recordings of a suite with earlier recordings of the same scenarios.
+
+    Return the differences by scenario id in `study`, for scenarios that ran in both studies.
+    """
     with StudyFile.open(baseline, readonly=True) as earlier, reraise_as_damage(baseline):
         sources = _match_baseline_rows(suite, earlier)
         differences = {}
@@ -60,7 +63,7 @@ def compare_with_baseline(suite: SuiteContents, baseline: Path, study: StudyFile
 
 
 def _read_baseline(suite: SuiteContents, study: StudyFile) -> None:
-    """Read everything that is compared later, so that damage is reported before anything is run."""
+    """Read all that is compared later from the earlier study, so that damage is reported before the suite is run."""
     for row in _match_baseline_rows(suite, study).values():
         if row.state == "done":
             study.recording(row.id)
@@ -68,7 +71,7 @@ def _read_baseline(suite: SuiteContents, study: StudyFile) -> None:
 
 
 def _match_baseline_rows(suite: SuiteContents, study: StudyFile) -> Mapping[int, ScenarioRecord]:
-    """Scenario of the earlier study, by the id in that of the suite."""
+    """Return the scenarios of the earlier study, by the ids of the same scenarios in the suite."""
     rows = {row.id: row for row in study.rows()}
     if study.meta.suite:
         id_of = {file: k for k, file in enumerate(study.meta.files, start=1)}

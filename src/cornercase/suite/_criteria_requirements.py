@@ -1,4 +1,4 @@
-"""Requirements from the criteria for ScenarioRunner in scenario files."""
+"""Make requirements from the criteria of CARLA's ScenarioRunner in scenario files."""
 
 from __future__ import annotations
 
@@ -21,9 +21,10 @@ _REQUIREMENT_TEMPLATES: Final[dict[str, Callable[[float | None], str | None]]] =
 
 
 def requirements_from_files(suite: SuiteContents) -> list[Requirement]:
-    """Make requirements from the criteria in a suite's files; one that not all files have applies to those files.
+    """Make requirements from the criteria in the files of a suite.
 
-    Raises `InputError` if there is none; warns about criteria that a recording cannot answer.
+    A criterion that some files lack applies only to the files that have it. `InputError` if there are no criteria; a
+    warning for criteria that a recording cannot decide.
     """
     files_of: dict[str, list[str]] = {}
     ignored: dict[str, None] = {}
@@ -56,7 +57,7 @@ def requirements_from_files(suite: SuiteContents) -> list[Requirement]:
 
 
 def _describe_sources(suite: SuiteContents) -> str:
-    """Name the file or folder of the criteria."""
+    """Return the name of the file or folder that the criteria come from."""
     if len(suite.runnable_scenarios) == 1:
         return suite.runnable_scenarios[0].file_name
     return f"the scenarios of {suite.folder.resolve().name}"

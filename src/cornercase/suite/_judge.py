@@ -32,7 +32,7 @@ def judge(
     courses: Mapping[str, FloatArray] | None = None,
     references: Mapping[str, ReferenceOutcome] | None = None,
 ) -> Verdict:
-    """Judge a recording.
+    """Judge whether a recording fulfills a requirement.
 
     Parameters
     ----------
@@ -97,10 +97,11 @@ def judge(
 
 
 def compute_margin(requirement: Requirement, recording: Recording, ego: str, others: Sequence[str]) -> float | None:
-    """Margin of a recording to a requirement, negative if it is violated; None for collisions.
+    """Return by how much a recording fulfills a requirement; negative if it is violated, None for collisions.
 
-    It is the smallest robustness against the others: of a position or a distance, how much closer than required the ego
-    comes, or how much farther than required it drives, in m.
+    It is the smallest robustness value against any of the other entities, in the unit of the requirement. For a
+    required position or distance, it is how much closer the ego comes, or how much farther it drives, than required, in
+    m.
     """
     if not requirement.expression.has_margin:
         return None
@@ -109,16 +110,16 @@ def compute_margin(requirement: Requirement, recording: Recording, ego: str, oth
 
 
 def depends_on_reference(requirement: Requirement, recording: Recording, ego: str, others: Sequence[str]) -> bool:
-    """Whether the verdict on a recording is open as long as reference drivers were not run."""
+    """Tell whether the verdict on a recording cannot be decided before reference drivers have been run."""
     evaluations = evaluate_run(requirement.expression.root, recording, ego, others).values()
     return any(evaluation.is_fulfilled() is None for evaluation in evaluations)
 
 
 def judge_study(study: StudyFile) -> dict[int, list[Verdict]]:
-    """Judge the scenarios of an open study by the requirements that it holds; empty without requirements.
+    """Judge all scenarios of an open study that have ended by the requirements stored in the study.
 
-    Returns verdicts by id of each scenario that ended, one for each requirement that applies to it; inconclusive if the
-    simulator failed.
+    Return the verdicts by scenario id, one for each requirement that applies; empty without requirements. A verdict is
+    inconclusive if the simulator failed.
     """
     with reraise_as_damage(study.path):
         requirements = [Requirement.parse(text) for text in study.meta.requirements]
@@ -128,7 +129,7 @@ def judge_study(study: StudyFile) -> dict[int, list[Verdict]]:
 
 
 def judge_scenario(study: StudyFile, row: ScenarioRecord, requirements: list[Requirement]) -> list[Verdict]:
-    """Judge one scenario that has ended, by each requirement that applies to it."""
+    """Judge one scenario that has ended by each requirement that applies to it."""
     meta = study.meta
     file, kind = (_entry_of_row(row, names) if meta.suite else "" for names in (meta.files, meta.kinds))
     applicable = [requirement for requirement in requirements if requirement.applies_to(file, kind)]

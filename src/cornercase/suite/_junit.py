@@ -1,4 +1,4 @@
-"""Write verdicts as JUnit XML, which Jenkins, GitLab and others show."""
+"""Write verdicts as JUnit XML, which CI servers such as Jenkins and GitLab show."""
 
 from __future__ import annotations
 
@@ -21,10 +21,11 @@ JUNIT_START: Final = b"<?xml version='1.0' encoding='utf-8'?>\n<testsuites "
 
 
 def write_junit(result: SuiteResult, path: Path) -> None:
-    """Write a test case for each scenario, in a test suite of its own, since only test suites can have properties.
+    """Write a JUnit test case for each scenario.
 
-    A violated requirement is a failure, an inconclusive verdict is skipped, and a failed simulation is an error. Times
-    are those in the scenario, so that the same results give the same bytes.
+    Each case is in a test suite of its own, since only test suites can have properties. A violated requirement is a
+    failure, an inconclusive verdict a skipped test, and a failed simulation an error. Times are those within the
+    scenario, so the same results give the same bytes.
     """
     path_ = result.suite.resolve()
     name = _escape_xml(path_.parent.name if path_.is_file() else path_.name) or "suite"
@@ -95,5 +96,5 @@ def _format_value(value: float | str) -> str:
 
 
 def _escape_xml(text: str) -> str:
-    """Replace what XML cannot hold."""
+    """Replace characters that XML cannot contain."""
     return "".join(c if c not in "\ufffe\uffff" else "\ufffd" for c in escape_control_characters(text))

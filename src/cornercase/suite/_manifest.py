@@ -1,4 +1,4 @@
-"""Read the reduced set of a folder from the manifest that `reduce` wrote."""
+"""Read a reduced set from the manifest that `reduce` wrote into its folder."""
 
 from __future__ import annotations
 
@@ -32,9 +32,10 @@ _DEFAULT_SETTINGS: Final[dict[str, Any]] = {"time_step": 0.05, "duration": 60.0,
 
 
 def read_manifest(path: Path) -> SuiteContents:
-    """Read a manifest and the files that it names, after completing a `reduce` that was interrupted.
+    """Read a manifest and the scenario files that it lists.
 
-    Raises `InputError` if it is not a manifest or of another format, or if a file is missing or has changed since.
+    A `reduce` that was interrupted is completed first. `InputError` if it is not a manifest, has another format, or if
+    a listed file is missing or has changed.
     """
     if path.name == MANIFEST:
         complete_replacement(path.parent)
@@ -156,7 +157,7 @@ def _require_unchanged_file(path: Path, relative_path: str, digest: str) -> None
 
 
 def _require_valid_values(path: Path, space: ParameterSpace, scenarios: Sequence[SuiteScenario]) -> None:
-    """Raise `InputError` if values do not fit the parameters in the manifest, or differ from those of the file."""
+    """Raise `InputError` if parameter values in the manifest are out of range, or differ from those in the files."""
     for scenario in scenarios:
         try:
             points = space.points([scenario.values])

@@ -1,4 +1,4 @@
-"""Write verdicts as a Markdown table, which GitHub shows on the page of a job."""
+"""Write verdicts as a Markdown table, which GitHub shows on the summary page of a job."""
 
 from __future__ import annotations
 

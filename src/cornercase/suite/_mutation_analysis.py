@@ -57,7 +57,8 @@ def analyze_mutants(
 ) -> KillMatrix:
     """Find which scenarios of a study kill which mutants of the ego's driver.
 
-    If there are more than 2,000 scenarios, 2,000 of them are run with the mutants, at equal intervals.
+    A mutant is a driver with small faults; a scenario kills it if the mutant violates a requirement that the original
+    driver fulfills. Of more than 2,000 scenarios, only 2,000 at equal intervals are run.
 
     Parameters
     ----------
@@ -145,10 +146,10 @@ def draw_mutants(
     count: int,
     seed: int,
 ) -> tuple[str, tuple[Mutant, ...]]:
-    """Draw mutants of the ego's driver in a suite; `drivers` override those in the files, by entity.
+    """Draw mutants of the ego's driver in a suite; return the name of the driver and its mutants.
 
-    Returns the name of the driver and its mutants. Raises `InputError` if the ego has no driver that can be mutated, or
-    not the same in all files, or if a requirement needs a reference driver.
+    `drivers` override the drivers in the files, by entity. `InputError` if the ego has no driver, if the files name
+    different ones, if the driver cannot be mutated, or if a requirement needs a reference driver.
     """
     _require_no_reference(requirements)
     driver = find_ego_driver(ego, drivers, [scenario.scenario for scenario in suite.runnable_scenarios])
@@ -167,9 +168,8 @@ def analyze_suite_mutants(
 ) -> KillMatrix:
     """Find which scenarios of a suite kill which mutants of the ego's driver.
 
-    `who` are the names of the ego and the others, `drivers` the ego's driver and its mutants; `options` are those of
-    the builtin simulator. Without requirements it is ``"no collision"``. Ids are numbers of scenarios in the suite,
-    from 1 on.
+    `entities` are the names of the ego and of the others. `options` are those of the builtin simulator. Without
+    requirements, ``"no collision"`` is required. Scenario ids in the result are positions in the suite, from 1 on.
     """
     parsed = list(requirements) or _parse_requirements(())
     failed, killed = run_mutants(
@@ -191,15 +191,15 @@ def analyze_suite_mutants(
 
 
 def require_builtin_simulator(simulator: str) -> None:
-    """Raise `InputError` unless it is the builtin simulator: others do not run drivers of cornercase."""
+    """Raise `InputError` unless the simulator is the builtin one; other simulators cannot run cornercase's drivers."""
     if simulator.partition(":")[0] != _BUILTIN:
         raise InputError(f"Mutants need the builtin simulator, not '{simulator}'.")
 
 
 def find_ego_driver(ego: str, drivers: Mapping[str, Any], scenarios: Sequence[ScenarioFile]) -> str:
-    """Name of the ego's driver, which can be mutated; `drivers` override those in the files, by entity.
+    """Return the name of the ego's driver; `drivers` override the drivers in the files, by entity.
 
-    Raises `InputError` if there is none, if the files have different ones, or if it cannot be mutated.
+    `InputError` if there is none, if the files name different ones, or if the driver cannot be mutated.
     """
     if ego in drivers:
         return nearest_preset_name(drivers[ego])
@@ -228,8 +228,9 @@ def run_mutants(
 ) -> tuple[BoolArray, BoolArray]:
     """Run n scenarios with the ego's driver and with its m mutants.
 
-    `requirements` are those of each scenario. Returns a mask (n,) of scenarios in which the original violates a
-    requirement or could not run, and a mask (n, m) of those in which it does not and the mutant violates one.
+    `requirements` has the requirements of each scenario. Return two masks. The first, shape (n,), marks scenarios that
+    the original driver fails (it violates a requirement, or the run failed). The second, shape (n, m), marks scenarios
+    that the original passes and the mutant fails by violating a requirement.
     """
     original, mutants = driver_and_mutants
     names = [original, *(mutant.driver for mutant in mutants)]
@@ -259,7 +260,7 @@ def _iter_violations(
     entities: tuple[str, Sequence[str]],
     requirements: Sequence[Sequence[Requirement]],
 ) -> Iterator[bool | None]:
-    """Yield whether each scenario violates a requirement; None if it could not be run."""
+    """Yield for each scenario whether it violates a requirement; None if the run failed."""
     for applicable, outcome in zip(requirements, run_scenarios(simulator, scenarios), strict=True):
         if not isinstance(outcome, Recording):
             yield None

@@ -84,7 +84,10 @@ def _is_not_scenario(scenario: ScenarioFile) -> bool:
 def _find_varied_parameters(
     scenarios: Sequence[ScenarioFile], unreadable: Container[Path]
 ) -> tuple[list[dict[str, Value]], ParameterSpace]:
-    """Parameters that all files declare and that differ; the file name too if these do not distinguish all files."""
+    """Return the values, by file, of parameters that all files declare and that differ, and a space of them.
+
+    If these values do not distinguish all files, the file name is added as a parameter.
+    """
     declarations = [
         {}
         if scenario.path in unreadable

@@ -43,7 +43,7 @@ class RecordingDifference:
 
     @property
     def text(self) -> str:
-        """The difference in a few words."""
+        """Describe the difference in a few words."""
         if self.same:
             return "the same"
         if self.distance is None:
@@ -55,7 +55,10 @@ class RecordingDifference:
 def compare_recording_pair(
     earlier: Recording, later: Recording, ego: str, scores: Mapping[str, tuple[float, float]] | None = None
 ) -> RecordingDifference:
-    """Compare two recordings of one scenario; the earlier path of the ego is interpolated if the times differ."""
+    """Compare two recordings of the same scenario.
+
+    If their time steps differ, the earlier path of the ego is interpolated at the later times.
+    """
     distances = _ego_distances(earlier, later, ego)
     is_known = np.isfinite(distances)
     exceeding = np.flatnonzero(is_known & (distances > DISTANCE_TOLERANCE))
@@ -69,7 +72,10 @@ def compare_recording_pair(
 
 
 def _ego_distances(earlier: Recording, later: Recording, ego: str) -> FloatArray:
-    """Distances of the ego in m at the times of the second recording, NaN if it is absent in one, shape (T,)."""
+    """Return the distance in m between the two positions of the ego, at the times of the later recording, shape (T,).
+
+    It is NaN while the ego is absent in one of the recordings.
+    """
     i, j = earlier.entity_index(ego), later.entity_index(ego)
     # NaN beyond its ends, and between a time with the ego and one without.
     x, y = (

@@ -1,4 +1,4 @@
-"""Run scenarios of a suite again with reference drivers, if a requirement compares the ego with one."""
+"""Run scenarios of a suite again with reference drivers, if a requirement compares the ego with a reference driver."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ def run_reference_drivers(
     requirements: Sequence[Requirement],
     simulators_by_driver: Mapping[str, Simulator],
 ) -> None:
-    """Run each scenario whose verdict depends on reference drivers again with them, and store the outcomes.
+    """Run scenarios again whose verdict depends on reference drivers, and store the outcomes.
 
-    `study` is open for writing; outcomes that it holds already are not run again. `references` are simulators with the
-    driver of that name in the ego.
+    `study` has to be open for writing; outcomes that are stored already are not computed again. `simulators_by_driver`
+    maps the name of a reference driver to a simulator in which it drives the ego.
     """
     ego, others = study.meta.ego, study.meta.others
     for name, simulator in simulators_by_driver.items():

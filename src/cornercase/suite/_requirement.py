@@ -91,7 +91,7 @@ class Requirement:
         return cls(text, expression, pattern, by_kind)
 
     def applies_to(self, file: str, kind: str = "") -> bool:
-        """Tell whether it applies to a scenario.
+        """Tell whether the requirement applies to a scenario.
 
         Parameters
         ----------
@@ -109,7 +109,7 @@ class Requirement:
 
 
 def requirement_prefix(pattern: str, *, is_for_clusters: bool = False) -> str:
-    """Prefix that limits a requirement to files, or clusters, whose name matches a pattern."""
+    """Return the text before a requirement that limits it to files, or clusters, whose name matches a pattern."""
     if is_for_clusters or not _UNQUOTED_PATTERN.fullmatch(pattern):
         return f"for {'kind ' if is_for_clusters else ''}{json.dumps(pattern, ensure_ascii=False)}: "
     return f"for {pattern}: "

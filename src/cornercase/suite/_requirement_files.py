@@ -17,10 +17,10 @@ _MAX_FILE_BYTES: Final = 1_000_000
 
 
 def read_requirements(path: Path) -> list[Requirement]:
-    """Read requirements from a TOML file, or from a YAML file if it ends in ``.yaml`` or ``.yml``.
+    """Read requirements from a TOML file, or from a YAML file if the name ends in ``.yaml`` or ``.yml``.
 
-    It has a list ``require``, and tables ``for`` and ``kind`` of further lists by the pattern of file names, or of
-    names of clusters, that they apply to. Raises `InputError` if the file cannot be used.
+    The list ``require`` applies to all files. The tables ``for`` and ``kind`` hold further lists; their keys are
+    patterns of file names (``for``) or cluster names (``kind``). `InputError` if the file cannot be used.
     """
     content = _load_file(path)
     if not isinstance(content, dict):

@@ -1,4 +1,4 @@
-"""Run, measure and store the scenarios of a suite."""
+"""Run the scenarios of a suite, measure them and store the results."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _NONDETERMINISM_ADVICE: Final = (
 
 
 def mark_unsupported(suite: SuiteContents, simulator: Simulator) -> SuiteContents:
-    """Mark the scenarios of a suite that a simulator cannot run; raises `InputError` if these are all."""
+    """Mark the scenarios of a suite that the simulator cannot run; `InputError` if it can run none."""
     usable = suite.runnable_scenarios
     refused = find_refusals(simulator, [scenario.concrete_scenario for scenario in usable])
     reasons = {usable[k].file_name: reason for k, reason in refused.items()}
@@ -46,11 +46,11 @@ def mark_unsupported(suite: SuiteContents, simulator: Simulator) -> SuiteContent
 def run_pending_scenarios(
     suite: SuiteContents, meta: StudyMeta, simulator: Simulator, study_path: Path, workers: int | None, progress: bool
 ) -> int:
-    """Run the scenarios that a study does not hold yet, and store each one when it has ended.
+    """Run the scenarios that the study does not hold yet, and store each result as soon as a scenario has ended.
 
-    `workers` is the number of parallel simulators, None for as many as a cluster has. Returns the number of scenarios
-    that had ended before. Raises `InputError` if no scenario can be run, or the study is of something else, and leaves
-    it as it was.
+    `workers` is the number of parallel simulators; None means as many as a cluster has. Return the number of scenarios
+    that had ended before. `InputError` if no scenario can be run, or if the study has other scenarios or settings; the
+    study then stays as it was.
     """
     _warn_about_files(suite, simulator, meta.ego)
     metrics = [METRICS.create(name) for name in meta.metrics]
@@ -87,7 +87,7 @@ def _run_again(suite: SuiteContents, simulator: Simulator, row: ScenarioRecord) 
 
 
 def _warn_about_files(suite: SuiteContents, simulator: Simulator, ego: str) -> None:
-    """Warn about everything in the files that has no effect, each once, and if no driver drives the ego."""
+    """Warn once about everything in the files that has no effect, and if no driver drives the ego."""
     warn_notices(
         deduplicate_notices(
             notice
@@ -107,7 +107,7 @@ def _run_pending(
     workers: int | None,
     notices: RunNotices,
 ) -> Iterator[int]:
-    """Run the pending scenarios, and yield the number of those that have ended."""
+    """Run pending scenarios, and yield the number that have ended so far."""
     pending = [row for row in rows if row.state == "pending"]
     done = len(rows) - len(pending)
     yield done

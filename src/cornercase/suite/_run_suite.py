@@ -55,7 +55,7 @@ _RAN_REQUIREMENT: Final = "runs"
 
 
 class SuiteKeywords(RunKeywords, total=False):
-    """What a suite has, but for a run may be given otherwise, and how it is run."""
+    """Optional settings of a run that override those of the suite, and options of how to run."""
 
     ego: str | None
     other: str | Sequence[str] | None
@@ -88,10 +88,10 @@ def run_suite(
     progress: bool = False,
     **options: Unpack[SuiteKeywords],
 ) -> SuiteResult:
-    """Run the scenarios of a suite again, judge them, and compare them with those that they were selected from.
+    """Run the scenarios of a suite again, judge them, and compare them with the earlier recordings.
 
-    Each scenario is stored when it has ended. The same call again resumes an interrupted run; with other requirements
-    it judges what has run.
+    Each scenario is stored as soon as it has ended. The same call again resumes an interrupted run. With other
+    requirements, it judges the stored runs.
 
     Parameters
     ----------
@@ -220,7 +220,7 @@ def _start_with_reference(
 def _prepare_outputs(
     junit: Path | str | None, summary: Path | str | None, study: Path, inputs: Sequence[Path]
 ) -> list[tuple[Callable[[SuiteResult, Path], None], Path]]:
-    """Writers and paths of the outputs besides the study, after removing those of an earlier run."""
+    """Return writer and path of each output besides the study; outputs of an earlier run are removed."""
     targets: list[tuple[Callable[[SuiteResult, Path], None], Path]] = []
     outputs = (("junit", junit, write_junit, JUNIT_START), ("summary", summary, write_markdown_summary, HEADING_START))
     for name, target, write, first_bytes in outputs:
@@ -242,7 +242,7 @@ def _prepare_outputs(
 
 
 def _require_own_output(name: str, path: Path, first_bytes: bytes) -> None:
-    """Raise `InputError` if the file is not from an earlier run, as it may be the only copy of something."""
+    """Raise `InputError` if a file exists that no earlier run wrote: it could be the only copy of something."""
     if path.exists():
         with path.open("rb") as file:
             content = file.read(len(first_bytes))
@@ -258,7 +258,7 @@ def _parse_requirements(require: Sequence[str], requirements: Path | str | None)
 
 
 def _remove_duplicates(requirements: Sequence[Requirement]) -> list[Requirement]:
-    """Requirements without duplicates."""
+    """Return the requirements without duplicates."""
     return list({requirement.text: requirement for requirement in requirements}.values())
 
 
@@ -269,7 +269,10 @@ def _resolve_entities(
     requirements: Sequence[Requirement],
     drivers: Mapping[str, object],
 ) -> tuple[SuiteContents, tuple[str, tuple[str, ...]]]:
-    """Resolve the names of the ego and the others; mark files that lack an entity, unless all do."""
+    """Return the names of the ego and the others, and the suite with scenarios marked that lack one of these entities.
+
+    `InputError` if all scenarios lack one.
+    """
     for role, given, own in (("ego", ego, suite.ego), ("other", other, suite.other)):
         if given is None and not own:
             raise InputError(f"`{role}`: {suite.path} does not define it; name an entity.")
@@ -293,7 +296,7 @@ def _resolve_entities(
 
 
 def _mark_lacking_entity(suite: SuiteContents, role_by_entity: Mapping[str, str]) -> SuiteContents:
-    """Mark the scenarios that lack an entity (name to role); raises `InputError` if all do."""
+    """Mark scenarios that lack an entity; `InputError` if all do. `role_by_entity` maps each name to its role."""
     lacking: dict[str, InputError] = {}
     for scenario in suite.runnable_scenarios:
         try:

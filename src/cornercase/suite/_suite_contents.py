@@ -1,4 +1,4 @@
-"""A suite: scenarios that run by themselves, and the settings they were run with."""
+"""Contents of a suite: concrete scenarios, and the settings that they were run with."""
 
 from __future__ import annotations
 
@@ -16,10 +16,11 @@ from cornercase.scenario._file import ScenarioFile
 
 @dataclass(frozen=True)
 class SuiteScenario:
-    """A scenario of a suite; `values` distinguish it from the others.
+    """A scenario of a suite; `values` distinguish it from the other scenarios.
 
-    `kind` (its cluster), `role` and `why` (it was selected) are texts from the manifest, empty if unknown; `origin` is
-    the id in the study it was selected from. `wrong` says why its file cannot be run, empty if it can.
+    `cluster_name`, `role` and `selection_reason` come from the manifest; they are empty if unknown. `source_id` is the
+    id in the study that the scenario was selected from. `error` says why the file cannot be run; it is empty if the
+    file can be run.
     """
 
     file_name: str
@@ -33,12 +34,12 @@ class SuiteScenario:
 
     @property
     def concrete_scenario(self) -> ConcreteScenario:
-        """The scenario for a simulator: the file without changes."""
+        """The scenario as a simulator takes it: the file without changes."""
         return ConcreteScenario(self.scenario.path, {}, self.scenario)
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """The file and all files that it uses; only itself if it cannot be read."""
+        """The scenario file and all files that it uses; only the scenario file if it cannot be read."""
         try:
             return self.scenario.all_paths()
         except InputError:
@@ -46,7 +47,7 @@ class SuiteScenario:
 
     @property
     def fingerprint(self) -> str:
-        """SHA-256 of all files."""
+        """SHA-256 of the scenario file and all files that it uses."""
         try:
             return self.scenario.fingerprint()
         except InputError:
@@ -57,11 +58,11 @@ class SuiteScenario:
 
 @dataclass(frozen=True)
 class SuiteContents:
-    """The scenarios of a suite and the settings they were run with; settings are empty if unknown.
+    """Scenarios of a suite, and the settings they were run with; settings are empty if unknown.
 
-    `place` is the manifest or the folder; `study` and `fingerprint` identify the study that the scenarios were selected
-    from. `custom_drivers` maps entities that a custom driver drove to the name of that driver in a command, since no
-    file can make such a driver drive.
+    `path` is the manifest or the folder. `study` and `fingerprint` identify the study that the scenarios were selected
+    from. `custom_drivers` maps an entity to the name that its driver had in the command, if the driver was the user's
+    own code. A file cannot make such a driver drive.
     """
 
     path: Path
@@ -84,18 +85,18 @@ class SuiteContents:
 
     @property
     def folder(self) -> Path:
-        """Folder of the files."""
+        """Folder of the scenario files."""
         return self.path if self.path.is_dir() else self.path.parent
 
     @property
     def files(self) -> list[Path]:
-        """The manifest, if there is one, and all files of the scenarios."""
+        """The manifest, if there is one, the scenario files, and all files that they use."""
         scenario_files = [file for scenario in self.scenarios for file in scenario.files]
         return scenario_files if self.path.is_dir() else [self.path, *scenario_files]
 
     @property
     def content_hash(self) -> str:
-        """SHA-256 of all files, and of those that they use."""
+        """SHA-256 of the names and contents of the scenario files, and of all files that they use."""
         digest = hashlib.sha256()
         for scenario in self.scenarios:
             digest.update(f"{scenario.file_name}\0{scenario.fingerprint}\0".encode())

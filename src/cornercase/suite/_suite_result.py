@@ -136,7 +136,7 @@ class SuiteResult:
 
     @property
     def summary(self) -> str:
-        """Summary in a sentence without a period."""
+        """Summarize the result in a sentence without a period."""
         names = {"error": "not run"}
         counts = Counter(scenario.state for scenario in self.scenarios)
         parts = [
@@ -148,7 +148,7 @@ class SuiteResult:
 
     @property
     def comparison_summary(self) -> str:
-        """How the recordings compare with the earlier ones, in a sentence without a period."""
+        """Say in a sentence without a period how the recordings differ from the earlier ones."""
         if self.against is None:
             return f"Not compared: {self.no_comparison_reason}"
         compared = [item.difference for item in self.scenarios if item.difference is not None]

@@ -39,5 +39,8 @@ class Verdict:
 
 
 def worst_state(verdicts: Iterable[Verdict]) -> VerdictState:
-    """The worst state of several verdicts: failed, inconclusive (also without verdicts), or passed."""
+    """Return the worst state of several verdicts; inconclusive if there are no verdicts.
+
+    From worst to best, the states are failed, inconclusive and passed.
+    """
     return max((verdict.state for verdict in verdicts), key=_STATES_BEST_FIRST.index, default="inconclusive")

@@ -1,1 +1,1 @@
-"""Page of a comparison between two versions."""
+"""Page that compares two versions."""

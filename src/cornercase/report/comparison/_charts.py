@@ -1,4 +1,4 @@
-"""Charts of a comparison: old over new scores, and where in the space criticality changed."""
+"""Charts of a comparison: old against new scores, and where in the parameter space criticality changed."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _MAX_UNCHANGED_POINTS: Final = 3000
 
 @dataclass(frozen=True)
 class Chart:
-    """A chart; coordinates in pixels."""
+    """A chart; coordinates are in pixels."""
 
     title: str
     caption: str
@@ -38,7 +38,7 @@ class Chart:
 
     @property
     def frame(self) -> dict[str, float]:
-        """Sizes of the picture and edges of the axes."""
+        """Size of the picture and edges of the axes, in pixels."""
         right, bottom = CHART_WIDTH - _RIGHT, CHART_HEIGHT - _BOTTOM
         return {
             "width": CHART_WIDTH,
@@ -51,7 +51,10 @@ class Chart:
 
 
 def draw_charts(comparison: Comparison, parameters: Sequence[Parameter]) -> Iterator[Chart]:
-    """Yield a chart for each metric whose scores changed, and one of the first two numeric parameters."""
+    """Yield a chart of old against new scores for each metric that changed, and a chart of the parameter space.
+
+    The chart of the space shows the first two numeric parameters.
+    """
     ran = [pair for pair in comparison.pairs if pair.both_ran]
     for score in comparison.scores:
         if score.moved:
@@ -146,7 +149,10 @@ def _y_pixels(values: FloatArray, low: float, high: float) -> FloatArray:
 
 
 def _ticks(low: float, high: float, *, is_horizontal: bool) -> tuple[tuple[float, str], ...]:
-    """Return round numbers between two ends, 1, 2 or 5 times a power of ten apart, with their positions."""
+    """Return round numbers between `low` and `high` with their positions as text.
+
+    They are 1, 2 or 5 times a power of ten apart.
+    """
     if not high > low:
         return ()
     min_step = (high - low) / _MAX_TICKS
@@ -160,7 +166,10 @@ def _ticks(low: float, high: float, *, is_horizontal: bool) -> tuple[tuple[float
 
 
 def _thin_unchanged(points: FloatArray, classes: Sequence[str], texts: Sequence[str]) -> tuple[tuple[Any, ...], ...]:
-    """Return points with class and text; changed ones last, so that they are on top."""
+    """Return points with their class and text; unchanged points are thinned out.
+
+    Changed points come last, so that they are drawn on top.
+    """
     unchanged = [k for k, point_class in enumerate(classes) if point_class == "both"]
     changed = [k for k, point_class in enumerate(classes) if point_class != "both"]
     stride = max(1, math.ceil(len(unchanged) / _MAX_UNCHANGED_POINTS))

@@ -1,4 +1,4 @@
-"""Page of a comparison: one HTML file without external references."""
+"""Page of a comparison: one HTML file that loads nothing from elsewhere."""
 
 from __future__ import annotations
 
@@ -135,7 +135,7 @@ def _findings_by_direction(comparison: Comparison) -> tuple[tuple[str, tuple[Fin
 
 
 def _findings_payload(findings: Sequence[Finding], comparison: Comparison) -> list[dict[str, Any]]:
-    """Return the texts of findings, with the page's numbers of their scenarios if they can be replayed."""
+    """Return the texts of findings, with the page's numbers of the example scenarios that show them."""
     page_numbers = {example.pair.ids: (2 * k + 1, 2 * k + 2) for k, example in enumerate(comparison.examples)}
     return [
         {
@@ -154,7 +154,7 @@ def _findings_payload(findings: Sequence[Finding], comparison: Comparison) -> li
 def _scenarios_of_example(
     index: int, example: Example, old: StudyFile, new: StudyFile
 ) -> tuple[tuple[int, StudyFile, int], ...]:
-    """Return the page's number, study and scenario id of each scenario of example `index`."""
+    """Return old and new scenario of example `index`, each as its number on the page, its study and its id."""
     return (2 * index + 1, old, example.pair.ids[0]), (2 * index + 2, new, example.pair.ids[1])
 
 
@@ -169,7 +169,7 @@ def _read_courses(study: StudyFile, scenario: int, comparison: Comparison) -> di
 
 
 def _replay_payload(comparison: Comparison, old: StudyFile, new: StudyFile) -> dict[str, Any]:
-    """Return the contents of the replays; the two scenarios of each pair have numbers of the page's own."""
+    """Return the contents of the replays; both scenarios of each example have numbers of their own on the page."""
     rows = [{row.id: row for row in study.rows()} for study in (old, new)]
     pairs = [example.pair for example in comparison.examples]
     outcomes = sorted({outcome for pair in pairs for outcome in pair.outcomes if outcome})

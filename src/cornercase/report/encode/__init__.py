@@ -1,1 +1,1 @@
-"""Data of the page, as its scripts read them."""
+"""Encode data for the scripts of the page."""

@@ -1,4 +1,4 @@
-"""Select and pack the recordings that a page contains."""
+"""Select and compress the recordings that a page contains."""
 
 from __future__ import annotations
 
@@ -28,7 +28,10 @@ class PackedRecordings:
 
 
 def encode_recordings(study: StudyFile, ids: Sequence[int], *, max_characters: int | None = None) -> PackedRecordings:
-    """Pack recordings in the order of `ids`, up to about `max_characters`; neighbours are viewed together."""
+    """Compress recordings in the order of `ids`, up to about `max_characters` of text.
+
+    Recordings that are likely to be viewed together should be neighbours: they share a block.
+    """
     blocks: list[str] = []
     index: dict[str, list[int]] = {}
     size = 0
@@ -51,10 +54,11 @@ def encode_important_recordings(
     sample_characters: int = 8_000_000,
     n_most_critical: int = 100,
 ) -> PackedRecordings:
-    """Pack all recordings, or if they exceed `max_characters`, about `sample_characters` of the most important ones.
+    """Compress all recordings of a study, or only the most important ones if all exceed `max_characters`.
 
-    The reduced set, cluster examples, Pareto front and most critical scenarios by each metric come first, then an even
-    sample. With the defaults, a page of 20,000 scenarios stays below 30 MB.
+    The important ones take about `sample_characters`: first the reduced set, examples of clusters, the Pareto front and
+    the most critical scenarios by each metric, then an even sample of the others. With the defaults, a page of 20,000
+    scenarios stays below 30 MB.
     """
     ids = [row.id for row in data.rows]
     first = list(dict.fromkeys(_important_ids(data, n_most_critical)))
@@ -68,7 +72,7 @@ def encode_important_recordings(
 
 
 def describe_left_out_recordings(data: ReportData, recordings: PackedRecordings) -> str:
-    """Describe which recordings the page does not contain; empty if it contains all."""
+    """Describe which recordings the page lacks; empty if it contains all of them."""
     n_contained, run = len(recordings.index), len(data.rows)
     if n_contained == run:
         return ""
@@ -80,7 +84,7 @@ def describe_left_out_recordings(data: ReportData, recordings: PackedRecordings)
 
 
 def _important_ids(data: ReportData, n_most_critical: int) -> Iterator[int]:
-    """Yield the ids that users look at first."""
+    """Yield ids of the scenarios that users look at first."""
     summary = data.summary
     if summary.reduced_set is not None:
         yield from summary.reduced_set.ids
@@ -93,7 +97,7 @@ def _important_ids(data: ReportData, n_most_critical: int) -> Iterator[int]:
 
 
 def _van_der_corput_order(count: int) -> list[int]:
-    """Return 0 to `count` - 1 in van der Corput order: every prefix is evenly spread."""
+    """Return 0 to `count` - 1 in van der Corput order: any number of first values is evenly spread."""
     bits = max(count - 1, 1).bit_length()
     mirrored = (int(f"{k:0{bits}b}"[::-1], 2) for k in range(1 << bits))
     return [k for k in mirrored if k < count]

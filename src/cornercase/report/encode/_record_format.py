@@ -1,4 +1,4 @@
-"""Binary format of recordings in a page: compressed blocks that the browser unpacks on demand."""
+"""Binary format of recordings in a page: compressed blocks that the browser unpacks when they are needed."""
 
 from __future__ import annotations
 
@@ -20,11 +20,12 @@ _MAX_NUMBER: Final = 2**29
 
 
 def encode_recording(scenario_id: int, recording: Recording, courses: Mapping[str, FloatArray]) -> bytes:
-    """Encode a recording and its courses as an uncompressed record for the page.
+    """Encode a recording and its metric courses as one uncompressed record for the page.
 
-    A record is the length of its head (uint32), the head (JSON), and the rows of the arrays that ``fields`` in the head
-    lists (name, number of rows, step): first one byte per row and instant, 1 where there is a value, then per row the
-    second differences as int32 in units of the step. All numbers are little-endian.
+    A record has three parts: the length of the head (uint32), the head (JSON), and the arrays. ``fields`` in the head
+    lists name, number of rows and step of each array. An array begins with one byte per row and instant, 1 if there is
+    a value. Then follow, row by row, the second differences in units of the step, as int32. All numbers are
+    little-endian.
     """
     # Coordinates may be those of a national grid, millions of metres from its origin.
     origin = {name: _first_finite_rounded(getattr(recording, name)) for name in ("x", "y")}
@@ -66,7 +67,10 @@ def _first_finite_rounded(values: FloatArray) -> float:
 
 
 def compress_records(records: list[bytes]) -> tuple[bytes, list[int]]:
-    """Compress records together; return the block (zlib) and the offset of each record in the unpacked block."""
+    """Compress several records together with zlib.
+
+    Return the compressed block, and the offset of each record in the uncompressed block.
+    """
     starts = np.cumsum([0, *map(len, records)])[:-1].tolist()
     # Level 9 takes three times as long and saves almost nothing.
     return zlib.compress(b"".join(records), 6), starts

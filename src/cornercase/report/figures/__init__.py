@@ -1,1 +1,1 @@
-"""Figures of the report, drawn without any display."""
+"""Figures of the report, drawn without a display."""

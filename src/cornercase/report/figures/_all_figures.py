@@ -37,7 +37,7 @@ class CaptionedFigure:
 
 
 def draw_all_figures(data: ReportData) -> Iterator[CaptionedFigure]:
-    """Draw every figure the study has data for, one at a time to save memory."""
+    """Yield every figure for which the study has data, one at a time to save memory."""
     for metric in data.metrics:
         figure = draw_scores_over_parameters(data.values, data.parameters, data.scores[metric.name], metric)
         yield CaptionedFigure(f"criticality-{metric.name}", figure, captions.describe_most_critical(data, metric))

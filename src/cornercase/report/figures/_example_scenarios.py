@@ -1,4 +1,4 @@
-"""Figure of single scenarios: paths from above and speeds over time."""
+"""Figures of single scenarios: paths from above, and speeds over time."""
 
 from __future__ import annotations
 
@@ -34,7 +34,10 @@ _MARK_INTERVAL: Final = 1.0
 
 
 def draw_example_scenarios(recordings: Mapping[str, Recording], ego: str, other: str) -> Figure:
-    """Draw scenarios (by title) from above with time marks, and their speeds below: two panels each."""
+    """Draw two panels for each scenario: its paths from above with time marks, and below its speeds over time.
+
+    `recordings` maps titles to recordings.
+    """
     columns = _COLUMNS_BY_COUNT[len(recordings) - 1]
     rows = -(-len(recordings) // columns)
     figure = Figure(figsize=(4.4 * columns, 6.2 * rows), layout="constrained")
@@ -111,7 +114,7 @@ def _draw_paths(axis: Axes, recording: Recording, ego: str, other: str, closest_
 
 
 def _indices_of_full_seconds(time: FloatArray, is_shown: BoolArray) -> IntArray:
-    """Return the indices of the instants next to full seconds."""
+    """Return the indices of the instants nearest to full seconds, among those that are shown."""
     seconds = np.arange(np.ceil(time[is_shown][0]), time[is_shown][-1] + 1e-9, _MARK_INTERVAL)
     marked: IntArray = np.unique(np.abs(time[:, None] - seconds).argmin(axis=0))
     return marked
@@ -128,7 +131,7 @@ def _draw_box(axis: Axes, recording: Recording, entity: int, instant: int, colou
 def _label_times(
     axis: Axes, points: FloatArray, times: FloatArray, colour: str, is_above: bool, min_distance: float
 ) -> None:
-    """Label marks with their times, skipping marks closer than `least` m to the last label."""
+    """Write times beside marks; a mark closer than `min_distance` m to the last labelled mark gets no label."""
     last = np.full(2, np.nan)
     for point, time in zip(points, times, strict=True):
         if np.isfinite(point).all() and not np.hypot(*(point - last)) < min_distance:

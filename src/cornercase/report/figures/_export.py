@@ -33,7 +33,7 @@ _CAPTIONS_FILE: Final = "captions.txt"
 
 
 def write_figures(data: ReportData, folder: Path) -> None:
-    """Write all figures of a study into `folder`, and ``captions.txt``, which describes each."""
+    """Write all figures of a study into `folder`, and a file ``captions.txt`` with their captions."""
     captions: list[str] = []
     taken: set[str] = set()
     with matplotlib_defaults():
@@ -48,7 +48,7 @@ def write_figures(data: ReportData, folder: Path) -> None:
 
 
 def _make_unique_name(name: str, taken: set[str]) -> str:
-    """Make a file name unique in `taken`: portable names of different formulas may be equal."""
+    """Return a file name that is not in `taken`; different formulas may have the same portable name."""
     candidates = (name if n == 1 else f"{name}-{n}" for n in count(1))
     free = next(candidate for candidate in candidates if candidate.lower() not in taken)
     taken.add(free.lower())
@@ -56,7 +56,7 @@ def _make_unique_name(name: str, taken: set[str]) -> str:
 
 
 def render_figure(figure: Figure) -> dict[str, bytes]:
-    """Render a figure as PNG and SVG, as bytes by file ending; the same figure gives the same bytes."""
+    """Render a figure as PNG and SVG; return the bytes by file ending. The same figure gives the same bytes."""
     FigureCanvasAgg(figure)
     for text in figure.findobj(Text):
         # A dollar sign in a name from a file must not start a formula.

@@ -1,4 +1,4 @@
-"""Figures of scenarios in the parameter space and in kernel space."""
+"""Figures of scenarios in the parameter space, and in the kernel space that clusters were found in."""
 
 from __future__ import annotations
 
@@ -22,7 +22,10 @@ _ROLE_MARKERS: Final = (("archetype", "o", 42), ("prototype", "*", 190), ("gap",
 def draw_scores_over_parameters(
     values: FloatArray, parameters: Sequence[Parameter], scores: FloatArray, metric: Metric
 ) -> Figure:
-    """Draw the scores (n,) over up to six pairs of parameters, values (n, d); critical ones dark."""
+    """Draw scores, shape (n,), over up to six pairs of parameters; critical scenarios are dark.
+
+    `values` has shape (n, d).
+    """
     # Numeric parameters first; parameters with a single value are left out.
     varied = [i for i, parameter in enumerate(parameters) if parameter.size != 1] or [0]
     varied.sort(key=lambda i: bool(parameters[i].choices))
@@ -57,7 +60,11 @@ def draw_kernel_and_parameter_space(
     parameter_indices: Sequence[int],
     name_by_cluster: Mapping[int, str] | None = None,
 ) -> Figure:
-    """Draw kernel space, embedding (n, k), and two parameters side by side, coloured by cluster label (-1: noise)."""
+    """Draw scenarios in kernel space and over two parameters, side by side, coloured by cluster.
+
+    `embedding`, shape (n, k), are coordinates in kernel space; `values`, shape (n, d), are parameters. The label -1
+    means noise.
+    """
     figure = Figure(figsize=(12.5, 5.0))
     # A wide gap, as the tick labels of 3D axes extend beyond the axes.
     grid = figure.add_gridspec(1, 2, wspace=0.28, left=0.02, right=0.84, bottom=0.12, top=0.92)
@@ -90,7 +97,7 @@ def draw_hulls_and_reduced_set(
     reduced: ReducedSet,
     parameter_indices: Sequence[int],
 ) -> Figure:
-    """Draw the hull of each cluster in the parameter space (3D if possible) with the reduced set."""
+    """Draw the reduced set and the hull of each cluster in the parameter space, in 3D if it has enough parameters."""
     row_by_id = {scenario: k for k, scenario in enumerate(ids)}
     is_3d = len(parameter_indices) >= 3
     parameter_indices = list(parameter_indices[: 3 if is_3d else 2])

@@ -22,7 +22,7 @@ def draw_courses_by_cluster(
     metric: Metric,
     name_by_cluster: Mapping[int, str] | None = None,
 ) -> Figure:
-    """Draw a metric's course over time per cluster: median, and the band from the 10th to the 90th percentile."""
+    """Draw the course of a metric over time for each cluster: the median, and the 10th to 90th percentile as a band."""
     figure = Figure(figsize=(11.0, 3.8), layout="constrained")
     axis = figure.add_subplot()
     longest = max(time, key=len)
@@ -49,9 +49,10 @@ def draw_courses_by_cluster(
 def draw_coverage_curves(
     gaps_and_critical: Mapping[str, tuple[NearestDistances, BoolArray]], units: Sequence[str]
 ) -> Figure:
-    """Draw the share of scenarios within a distance of the reduced set, one panel per aspect.
+    """Draw the fraction of scenarios within a distance of the reduced set, in one panel for each aspect.
 
-    `gaps_and_critical` holds the gaps and the mask of critical scenarios by aspect, `units` the units of distances.
+    `gaps_and_critical` maps an aspect to the distances from scenarios to the reduced set and the mask of critical
+    scenarios. `units` are the units of these distances.
     """
     columns = min(3, len(gaps_and_critical))
     rows = -(-len(gaps_and_critical) // columns)
@@ -93,7 +94,7 @@ def draw_coverage_curves(
 
 
 def draw_sensitivities(sensitivity: Sensitivity) -> Figure:
-    """Draw the share of the score's variance per parameter, alone and in total, with intervals."""
+    """Draw the fraction of the score's variance due to each parameter, alone and in total, with intervals."""
     figure = Figure(figsize=(8.0, 1.2 + 0.5 * len(sensitivity.names)), layout="constrained")
     axis = figure.add_subplot()
     positions = np.arange(len(sensitivity.names))
@@ -121,7 +122,7 @@ def draw_sensitivities(sensitivity: Sensitivity) -> Figure:
 
 
 def draw_pareto_front(scores: Sequence[FloatArray], metrics: Sequence[Metric], front_rows: IntArray) -> Figure:
-    """Draw the scores of up to six pairs of metrics with the Pareto front, whose rows are `front_rows`."""
+    """Draw the Pareto front in up to six pairs of metrics; `front_rows` are the rows of the front in `scores`."""
     pairs = list(combinations(range(len(metrics)), 2))[:6]
     figure = Figure(figsize=(5.0 * min(3, len(pairs)) + 1.6, 4.2 * -(-len(pairs) // 3)), layout="constrained")
     for axis, (i, j) in zip(figure.subplots(-(-len(pairs) // 3), min(3, len(pairs)), squeeze=False).ravel(), pairs,

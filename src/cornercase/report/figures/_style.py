@@ -24,14 +24,14 @@ _MAX_LINE_LENGTH, _MAX_LINES = 32, 8
 
 
 def matplotlib_defaults() -> AbstractContextManager[None]:
-    """Return a context in which matplotlib uses its default style, whatever the user has configured."""
+    """Return a context in which matplotlib uses its default style instead of the user's settings."""
     from matplotlib import style
 
     return style.context("default")
 
 
 def cluster_style(cluster: int, name_by_cluster: Mapping[int, str] | None = None) -> tuple[str, str, str]:
-    """Return matplotlib colour, marker and legend name of a cluster (-1: noise)."""
+    """Return colour, marker and legend name of a cluster for matplotlib; -1 is noise."""
     if cluster < 0:
         return GREY, "x", format_cluster_name(cluster)
     name = (name_by_cluster or {}).get(cluster, format_cluster_name(cluster))
@@ -44,12 +44,12 @@ def wrap_name(text: str) -> str:
 
 
 def format_score_label(metric: Metric) -> str:
-    """Return the axis label of a metric's score, as ``"wttc score [s], low is critical"``."""
+    """Return the axis label of a metric's score, such as ``"wttc score [s], low is critical"``."""
     return f"{metric.name} score [{metric.unit}], {'low' if metric.lower_is_critical else 'high'} is critical"
 
 
 def label_axis(axis: Axis, parameter: Parameter) -> None:
-    """Label an axis with the name of a parameter, and its choices if it has some."""
+    """Label an axis with the name of a parameter, and mark its choices if it has choices."""
     axis.set_label_text(format_axis_label(parameter))
     if parameter.choices:
         axis.set_ticks(range(len(parameter.choices)), [shorten_tick_label(choice) for choice in parameter.choices])

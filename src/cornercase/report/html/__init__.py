@@ -1,1 +1,1 @@
-"""Details of the report in tables, one module for each stage."""
+"""Detail sections of the report, one module for each stage of the work."""

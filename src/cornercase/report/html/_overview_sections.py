@@ -30,7 +30,7 @@ _STAGE_NAMES: Final = {"files": "read the scenario"}
 
 
 def render_scores(data: ReportData) -> Iterator[Section]:
-    """Render the scores by each metric."""
+    """Yield the section with the scores by each metric."""
     rows = []
     for summary in data.summary.metrics.values():
         spread = (
@@ -68,13 +68,13 @@ def render_scores(data: ReportData) -> Iterator[Section]:
 
 
 def render_failures(data: ReportData) -> Iterator[Section]:
-    """Render why scenarios failed; nothing if none did."""
+    """Yield the section on why scenarios failed; nothing if none failed."""
     if data.failed:
         yield make_section("failures", "Scenarios that could not be run", [render_failure_reasons(data.failed)])
 
 
 def render_failure_reasons(failed: Sequence[ScenarioRecord]) -> str:
-    """Render the reasons of failed scenarios, with their ids."""
+    """Render the reasons why scenarios failed, with the ids of the scenarios."""
     rows = [[str(len(ids)), why, format_scenario_ids(ids)] for why, ids in group_failures_by_reason(failed).items()]
     return render_table(["scenarios", "why", "which"], rows, left_aligned=(1, 2))
 
@@ -114,7 +114,7 @@ def _format_seconds(seconds: float) -> str:
 
 
 def _format_setting(value: Any) -> str:
-    """Format a setting without Python syntax."""
+    """Format the value of a setting for readers who do not know Python."""
     if isinstance(value, dict):
         return ", ".join(f"{name}: {_format_setting(item)}" for name, item in value.items())
     if isinstance(value, list | tuple):

@@ -13,7 +13,7 @@ from cornercase.report.text._phrases import describe_selection_threshold, format
 
 
 def render_reduced_set(data: ReportData) -> Iterator[Section]:
-    """Render the sections on the reduced set; nothing before the study was reduced."""
+    """Yield the sections on the reduced set; nothing if the study was not reduced."""
     reduced = data.summary.reduced_set
     if reduced is None or not reduced.scenarios:
         return

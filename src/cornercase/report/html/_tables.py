@@ -26,7 +26,7 @@ _ARCHETYPE_METHODS: Final = {
 
 @dataclass(frozen=True)
 class Section:
-    """Section of the page's details that opens when its title is clicked."""
+    """A section of the page's details; a click on the title opens it."""
 
     name: str  # for addresses and tests
     title: str  # plain text
@@ -34,12 +34,12 @@ class Section:
 
 
 def make_section(name: str, title: str, html_lines: Iterable[str]) -> Section:
-    """Join lines of HTML (texts already escaped) into a section."""
+    """Join lines of HTML into a section; the lines must be escaped."""
     return Section(name, title, Markup("\n".join(html_lines)))
 
 
 def render_table(column_names: Sequence[str], rows: Sequence[Sequence[str]], left_aligned: Sequence[int] = (0,)) -> str:
-    """Render an HTML table of plain texts; columns in `left_aligned` are left-aligned (-1: the last)."""
+    """Render an HTML table of plain texts; the columns in `left_aligned` are left-aligned (-1 is the last column)."""
     left = {k % len(column_names) for k in left_aligned}
 
     # A control character for the writing direction would affect all text after it.
@@ -90,7 +90,7 @@ def render_profiles(profiles: Sequence[Profile]) -> str:
 
 
 def render_cluster_names(profiles: Sequence[Profile]) -> str:
-    """Render the name of each cluster and how many scenarios it is true of."""
+    """Render the name of each cluster, and the number of scenarios that the name is true of."""
     return render_table(
         ["cluster", "name", "scenarios", "collide", "true of", "of all others", "example"],
         [
@@ -106,7 +106,7 @@ def render_cluster_names(profiles: Sequence[Profile]) -> str:
 
 
 def render_mutual_information(information_by_aspect: Mapping[str, Mapping[str, float]]) -> str:
-    """Render how much each clustering says about facts: adjusted mutual information by aspect and fact."""
+    """Render how much each clustering says about facts, such as the outcome: adjusted mutual information."""
     facts = list(dict.fromkeys(fact for information in information_by_aspect.values() for fact in information))
 
     def format_number(value: float) -> str:
@@ -121,7 +121,7 @@ def render_mutual_information(information_by_aspect: Mapping[str, Mapping[str, f
 
 
 def render_settings(clustering: Clustering) -> str:
-    """Render the best setting for each number of clusters; empty if there are fewer than two numbers."""
+    """Render the best setting for each number of clusters; empty if only one number was found."""
 
     def format_number(value: float) -> str:
         # A single cluster has no separation from others.
@@ -164,7 +164,7 @@ def render_settings(clustering: Clustering) -> str:
 
 
 def render_shapes(shapes: Sequence[ClusterShape]) -> str:
-    """Render the convexity of each cluster and the method that found its archetypes."""
+    """Render the convexity of each cluster, and the method that found its archetypes."""
     return render_table(
         ["cluster", "convexity of the parameters", "in kernel space", "archetypes"],
         [
@@ -181,7 +181,7 @@ def render_shapes(shapes: Sequence[ClusterShape]) -> str:
 
 
 def render_coverage(coverage: Mapping[str, Coverage]) -> str:
-    """Render the distances from the run scenarios to the reduced set, by aspect."""
+    """Render the distances from all scenarios to the reduced set, by aspect."""
     return render_table(
         ["compared by", "largest distance", "of all", "mean distance", "of all"],
         [
@@ -198,7 +198,10 @@ def render_coverage(coverage: Mapping[str, Coverage]) -> str:
 
 
 def render_held_out_coverage(coverage: Mapping[str, Coverage]) -> str:
-    """Render held-out distances of reduced sets, compared with random sets and k-medoids; empty if not measured."""
+    """Render distances from held-out scenarios to the reduced set, to random sets and to k-medoids.
+
+    Held-out scenarios took no part in the selection. Empty if they were not measured.
+    """
     rows = [
         [
             name, str(held_out.scenarios), f"{held_out.largest:.4g}", f"{100 * held_out.better_largest:.0f} of 100",

@@ -14,7 +14,10 @@ if TYPE_CHECKING:
 
 
 def render_template(name: str, styles: Iterable[str], scripts: Iterable[str], **parts: Any) -> str:
-    """Render template `name` with the given style and script files; escape `parts` unless they are `Markup`."""
+    """Render the page template `name` with these style and script files.
+
+    `parts` are escaped unless they are `Markup`.
+    """
     page: str = (
         _template_environment()
         .get_template(name)

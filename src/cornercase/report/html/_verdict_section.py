@@ -9,7 +9,7 @@ from cornercase.report.html._tables import Section, make_section, render_table
 
 
 def render_verdicts(data: ReportData) -> Iterator[Section]:
-    """Render all verdicts, scenario by scenario; nothing without requirements."""
+    """Yield the section with all verdicts, scenario by scenario; nothing without requirements."""
     if not data.verdicts:
         return
     meta, rows = data.summary.meta, []

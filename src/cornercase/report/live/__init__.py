@@ -1,1 +1,1 @@
-"""The page of a study while it grows."""
+"""Live page of a study that is still growing."""

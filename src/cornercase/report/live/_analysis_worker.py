@@ -1,4 +1,4 @@
-"""Background worker that recomputes the analysis part of the live page."""
+"""Background thread that computes the analysis part of the live page again when the study changes."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _EXTRA_MARGIN: Final = 60.0
 
 @dataclass(frozen=True)
 class PageAnalysis:
-    """Analysis part of the page at one moment."""
+    """Analysis part of the live page at one moment."""
 
     epoch: str = ""  # study, as `StudyFollower.epoch`; empty for none
     revision: int = 0  # grows with each change
@@ -45,12 +45,12 @@ class PageAnalysis:
     outcomes: dict[int, str] = field(default_factory=dict)  # endings by id
 
     def for_epoch(self, epoch: str) -> PageAnalysis:
-        """Return this analysis if it belongs to `epoch`, else an empty one."""
+        """Return this analysis if it belongs to `epoch` (identifier of the followed study), else an empty analysis."""
         return self if self.epoch == epoch else PageAnalysis(epoch, self.revision, self.layout_revision)
 
 
 class RoadAndRerunCache:
-    """Caches the road drawing and redraws it only if scenarios leave the drawn region."""
+    """Caches the drawing of the road, and draws it again only when scenarios leave the drawn region."""
 
     def __init__(self, scenario: Path | None) -> None:
         self._scenario = scenario
@@ -60,7 +60,7 @@ class RoadAndRerunCache:
         self._warned: set[str] = set()
 
     def payload(self, study: StudyFile, data: ReportData) -> dict[str, Any]:
-        """Return ``roads``, ``roads_missing`` and ``rerun`` of the page's contents."""
+        """Return the parts ``roads``, ``roads_missing`` and ``rerun`` of the page's contents."""
         new, old = data.region, self._region
         is_known = study.meta.fingerprint == self._fingerprint and bool(self._roads.get("roads"))
         if not is_known or not _contains_region(old, new):
@@ -85,9 +85,9 @@ def _contains_region(outer: Region | None, inner: Region | None) -> bool:
 
 
 class AnalysisWorker:
-    """Recomputes the analysis in a thread whenever the study changes, but never most of the time.
+    """Computes the analysis in a thread whenever the study changes, with pauses between computations.
 
-    `latest` holds the last result, which never covers more scenarios than the follower has read.
+    `latest` is the last result. It never covers more scenarios than the follower has read.
     """
 
     def __init__(self, follower: StudyFollower, scenario: Path | None = None) -> None:
@@ -121,7 +121,7 @@ class AnalysisWorker:
             self._stop_event.wait(max(_MIN_INTERVAL, _INTERVAL_FACTOR * (time.monotonic() - start)))
 
     def _wait_for_follower(self, epoch: str, n_scenarios: int) -> bool:
-        """Wait until the follower has read `n_scenarios`; False if it never will."""
+        """Wait until the follower has read `n_scenarios` scenarios; False if study or worker ended meanwhile."""
         while self._follower.epoch == epoch and not self._stop_event.is_set():
             if self._follower.state.ended >= n_scenarios:
                 return True
@@ -142,7 +142,7 @@ class AnalysisWorker:
 
 
 def _key_by_id(clusters: dict[str, Any], ids: list[int]) -> dict[str, Any]:
-    """Key the clusters by scenario id, as rows may have been added when the page asks."""
+    """Key the clusters by scenario id instead of row, because rows may be added before the page asks."""
     assigned = [k for k, label in enumerate(clusters["labels"]) if label is not None]
     return clusters | {
         "labels": {ids[k]: clusters["labels"][k] for k in assigned},

@@ -25,7 +25,7 @@ _SECURITY_HEADERS: Final = (
 
 
 class TokenAuth:
-    """ASGI middleware that only passes requests with the token and an address of this machine as host.
+    """ASGI middleware: only requests with the token, and with an address of this machine as host, pass.
 
     `policy` is the content security policy sent with every response.
     """

@@ -22,7 +22,7 @@ _SEPARATE_KEYS: Final = ("kinds", "outcomes", "kept", "notes", "roads", "rerun")
 
 @dataclass(frozen=True)
 class Cursor:
-    """How much of the study a page has received."""
+    """How much of the study a page has received so far."""
 
     epoch: str = ""  # study, as `StudyFollower.epoch`
     n_scenarios: int = 0  # number of scenarios, in read order
@@ -34,7 +34,7 @@ class Cursor:
 
     @classmethod
     def parse(cls, text: str) -> Cursor:
-        """Parse the output of `str`; an empty cursor for any other text."""
+        """Parse a text that `str` returned for a cursor; any other text gives an empty cursor."""
         parts = text[:100].split(".")
         if len(parts) != 4 or not all(number.isascii() and number.isdecimal() for number in parts[1:]):
             return cls()
@@ -42,16 +42,16 @@ class Cursor:
 
 
 class EventStream:
-    """Creates the contents and events of live pages from the follower and the analysis worker."""
+    """Makes the contents and events of live pages from the data of the follower and the analysis worker."""
 
     def __init__(self, follower: StudyFollower, analysis_worker: AnalysisWorker) -> None:
         self.follower = follower
         self._analysis_worker = analysis_worker
 
     def contents(self) -> dict[str, Any]:
-        """Return all contents of the page except recordings, with the progress in ``live``.
+        """Return the contents of the page except recordings; ``live`` holds the progress.
 
-        Only ``live`` while no scenario has ended.
+        Before the first scenario has ended, ``live`` is the only key.
         """
         # In this order, so that the analysis never covers scenarios that are not in the contents.
         analysis = self._analysis_worker.latest
@@ -68,10 +68,11 @@ class EventStream:
         return contents | {"recordings": {}, "live": live}
 
     def next_event(self, cursor: Cursor, last_state: Mapping[str, Any] | None = None) -> tuple[Cursor, str, Any] | None:
-        """Return the next event for a page: new cursor, event name, data; None if there is nothing new.
+        """Return the next event for a page: new cursor, event name and data; None if nothing is new.
 
-        ``contents``: reload everything; ``scenarios``: new digests, with ``state`` if complete; ``knowledge``: new
-        analysis; ``state``: progress that differs from `last_state`, the last one sent.
+        ``contents`` tells the page to reload everything. ``scenarios`` brings new scenarios, and ``state`` if these are
+        all. ``knowledge`` brings a new analysis. ``state`` brings progress that differs from `last_state`, the state
+        sent last.
         """
         analysis = self._analysis_worker.latest
         epoch, meta, digests, _ = self.follower.snapshot()
@@ -100,7 +101,7 @@ class EventStream:
         return None
 
     def event_writer(self, cursor: Cursor) -> Callable[[], Iterator[str]]:
-        """Return a function that yields the server-sent events since its last call."""
+        """Return a function that yields the server-sent events that are new since its last call."""
         shown_state: dict[str, Any] | None = None
         shown_notes: dict[int, str] | None = None
 
@@ -128,7 +129,7 @@ def _round_course(course: Any) -> list[float] | None:
 
 
 def _initial_contents(meta: StudyMeta, path: Path) -> dict[str, Any]:
-    """Return the contents that are known before any analysis."""
+    """Return the page contents that are known before any analysis."""
     objective = Objective.from_study_meta(meta)
     critical = None
     if meta.critical is not None and not meta.pareto:
@@ -143,7 +144,7 @@ def _initial_contents(meta: StudyMeta, path: Path) -> dict[str, Any]:
 
 
 def _add_analysis(contents: dict[str, Any], analysis: PageAnalysis) -> None:
-    """Fill the columns that depend on an analysis or a reduction."""
+    """Fill in the columns that depend on an analysis or a reduced set."""
     columns, outcomes = contents["scenarios"], contents["outcomes"]
     ids = columns["id"]
     indices = {outcome: k for k, outcome in enumerate(outcomes)}

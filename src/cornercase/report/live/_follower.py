@@ -1,4 +1,4 @@
-"""Follow a study that another process writes; each scenario that has ended is read once."""
+"""Follow a study that another process writes: read each scenario once, when it has ended."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _BATCH_SIZE: Final = 100
 
 @dataclass(frozen=True)
 class StudyProgress:
-    """Progress of the study."""
+    """Progress of a study: numbers of scenarios, and the time of the last new one."""
 
     name: Literal["waiting", "live"] = "waiting"
     why: str = ""  # what is waited for, as a sentence
@@ -40,9 +40,9 @@ class StudyProgress:
 
 
 class StudyFollower:
-    """Follows a study in a background thread, even if it appears later, is replaced, or its writer restarts.
+    """Follows a study in a background thread, even if the study appears later or is replaced, or its writer restarts.
 
-    Attributes: `state`; `n_changes`, a counter of changes to the study; `notes` by scenario id.
+    Attributes: `state` is the progress; `n_changes` counts changes to the study; `notes` are by scenario id.
     """
 
     def __init__(self, path: Path) -> None:
@@ -71,20 +71,23 @@ class StudyFollower:
 
     @property
     def epoch(self) -> str:
-        """Identifier of the followed study; changes when the study is replaced or starts again."""
+        """Identifier of the followed study; it changes when the study is replaced or begins again."""
         return f"{self._server}-{self._generation}"
 
     def snapshot(self) -> tuple[str, StudyMeta | None, list[LiveScenario], StudyProgress]:
-        """Return epoch, meta (None without a study), digests in read order, and the state that counts them."""
+        """Return epoch, meta (None without a study), scenarios in the order in which they were read, and progress.
+
+        All four belong to the same moment.
+        """
         with self._lock:
             return self.epoch, self._meta, list(self._digests), self.state
 
     def digests_since(
         self, epoch: str, n_known: int, max_digests: int = _BATCH_SIZE
     ) -> tuple[Sequence[LiveScenario], StudyProgress | None] | None:
-        """Return up to `max_digests` after the first `n_known`, with the state if these are all.
+        """Return up to `max_digests` scenarios after the first `n_known`; None if `epoch` is over.
 
-        None if `epoch` is over.
+        The progress is included if no more scenarios follow.
         """
         with self._lock:
             if epoch != self.epoch:
@@ -127,7 +130,7 @@ class StudyFollower:
             self.state = StudyProgress(why=why)
 
     def _poll(self, study: StudyFile | None) -> StudyFile | None:
-        """Read what is new in the study and return it; None if it must be opened again."""
+        """Read what is new in the study, and return the study; None if the file must be opened again."""
         stamp = _file_stamp(self.path)
         if stamp is None:
             self._drop_study(study, f"{self.path.name} is not there yet.")
@@ -157,7 +160,7 @@ class StudyFollower:
         return study
 
     def _read_new(self, study: StudyFile) -> bool:
-        """Read new scenarios; return False if the study has become a different one."""
+        """Read new scenarios; return False if the file holds another study now."""
         with study.snapshot():
             is_same_meta = study.read_meta() == study.meta
             rows = study.rows_from_id(min(self._pending_ids, default=self._next_id))
@@ -189,7 +192,7 @@ class StudyFollower:
         return True
 
     def _add_digests(self, digests: Sequence[LiveScenario], n_pending: int, last_time: float | None) -> None:
-        """Add digests and update the state under one lock."""
+        """Add scenarios and update the progress under one lock."""
         self._failed_errors |= {digest.row.id: digest.row.error for digest in digests if digest.row.state == "failed"}
         failed = len(self._failed_errors)
         with self._lock:

@@ -1,4 +1,4 @@
-"""Digest of one scenario for the live page, read as soon as it has ended."""
+"""Read what the live page shows of a scenario, as soon as the scenario has ended."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from cornercase.study._criterion import Criterion
 
 @dataclass(frozen=True, eq=False)
 class LiveScenario:
-    """What the live page shows of one scenario."""
+    """Everything that the live page shows of one scenario."""
 
     row: ScenarioRecord
     scores: dict[str, float]  # by metric; empty if the scenario failed
@@ -30,14 +30,14 @@ class LiveScenario:
 
 
 class LivePageReader:
-    """Reads digests from an open study."""
+    """Reads what the live page shows of scenarios from an open study."""
 
     def __init__(self, study: StudyFile) -> None:
         self._study = study
         self._criterion = Criterion.from_study_meta(study.meta)
 
     def read(self, row: ScenarioRecord) -> LiveScenario:
-        """Read the digest of a scenario that has ended."""
+        """Read a scenario that has ended."""
         if row.state == "failed":
             return LiveScenario(row, {}, False, False, (0.0, 0.0), {})
         study, meta = self._study, self._study.meta
@@ -58,7 +58,7 @@ class LivePageReader:
 
 
 def scenario_columns(meta: StudyMeta, digests: Sequence[LiveScenario]) -> dict[str, Any]:
-    """Return digests as the columns ``scenarios`` and ``errors`` of the page, without results of an analysis."""
+    """Return scenarios as the columns ``scenarios`` and ``errors`` of the page, without results of an analysis."""
     rows = [digest.row for digest in digests]
 
     def score_column(name: str) -> list[float | None]:
@@ -89,7 +89,7 @@ def scenario_columns(meta: StudyMeta, digests: Sequence[LiveScenario]) -> dict[s
 
 
 def course_columns(meta: StudyMeta, digests: Sequence[LiveScenario]) -> dict[str, Any]:
-    """Return the courses of digests, by metric, in the form of the page."""
+    """Return the courses of scenarios in the page's format, by metric."""
     return {
         name: encode_courses([digest.courses.get(name) for digest in digests], [digest.time_span for digest in digests])
         for name in meta.metrics

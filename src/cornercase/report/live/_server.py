@@ -123,7 +123,7 @@ def create_app(
 ) -> Any:
     """Return the ASGI application that serves the live page of the study at `path`.
 
-    Every request must contain `token`; `is_ending` returns whether the server shuts down.
+    Every request must contain `token`. `is_ending` returns whether the server is shutting down.
     """
     answers = _Endpoints(path, event_stream, scenario, is_ending)
     app = Starlette(

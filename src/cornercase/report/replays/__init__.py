@@ -1,1 +1,1 @@
-"""Replays of single scenarios, as films and as pages."""
+"""Replays of single scenarios, as films or as pages."""

@@ -1,4 +1,4 @@
-"""Write replay films as GIF and MP4 files."""
+"""Write replays as GIF and MP4 files."""
 
 from __future__ import annotations
 
@@ -23,12 +23,15 @@ _FINAL_PAUSE: Final = 1.5
 
 
 def nearest_gif_rate(fps: float) -> float:
-    """Return the nearest frame rate a GIF supports (at most 50): frames last whole hundredths of a second."""
+    """Return the nearest frame rate (at most 50) that a GIF supports: frames last whole hundredths of a second."""
     return 100.0 / max(2, round(100.0 / fps))
 
 
 def write_gif(frames: Iterator[Frame], path: Path, fps: float) -> None:
-    """Write frames, shape (height, width, 3), as a GIF at a rate of `nearest_gif_rate`; same frames, same bytes."""
+    """Write frames, shape (height, width, 3), as a GIF; `fps` must be a rate that `nearest_gif_rate` returns.
+
+    The same frames give the same bytes.
+    """
     first = Image.fromarray(next(frames)).copy()
     # One palette for all frames, so that static parts keep their colour.
     palette = first.quantize(_N_COLOURS, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
@@ -61,7 +64,10 @@ def find_ffmpeg() -> str:
 
 
 def write_mp4(frames: Iterator[Frame], path: Path, fps: float) -> None:
-    """Write frames of even width and height as an MP4 that all browsers play; InputError if ffmpeg fails."""
+    """Write frames as an MP4 that all browsers play; InputError if ffmpeg fails.
+
+    Width and height of the frames must be even.
+    """
     program = find_ffmpeg()
     first = next(frames)
     height, width, _ = first.shape

@@ -1,4 +1,4 @@
-"""Render the frames of a replay film: scenes from above and the metric's course below."""
+"""Render the frames of a replay film: scenes from above, and below them the course of the metric."""
 
 from __future__ import annotations
 
@@ -46,7 +46,10 @@ Frame = npt.NDArray[np.uint8]
 
 
 class FrameRenderer:
-    """Renders the frames of a replay; a frame of one scenario is 9.6 by 7.2 inches with `dpi` pixels per inch."""
+    """Renders the frames of a replay film.
+
+    With one scenario, a frame is 9.6 by 7.2 inches at `dpi` pixels per inch.
+    """
 
     def __init__(self, data: ReplayData, *, dpi: int = 100) -> None:
         self._data = data
@@ -111,7 +114,7 @@ class FrameRenderer:
         return axes, moving
 
     def _visible_positions(self, item: ReplayItem) -> FloatArray:
-        """Return the positions of ego and other while they are in view, in m, shape (P, 2)."""
+        """Return the positions of ego and other entity in m, shape (P, 2), at the times when they are in view."""
         recording, meta = item.recording, self._data.meta
         names = (meta.ego, self._data.main_other(item))
         paths = [recording.box_center(name) for name in names if name in recording.names]
@@ -130,7 +133,7 @@ class FrameRenderer:
         return positions
 
     def render_frames(self, times: FloatArray) -> Iterator[Frame]:
-        """Yield a frame, (height, width, 3) uint8, for each time in s."""
+        """Yield a frame for each time in s, as uint8 array of shape (height, width, 3)."""
         metric = self._data.metrics[0].name
         takes = self._data.items
         motions = [

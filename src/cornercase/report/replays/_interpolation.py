@@ -1,4 +1,4 @@
-"""Interpolate motion between instants, and compute what the ego sees."""
+"""Interpolate motion between recorded instants, and compute what the ego sees."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Motion(NamedTuple):
 
 
 def interpolate_motion(recording: Recording, times: FloatArray) -> Motion:
-    """Interpolate all boxes linearly at times in s, shape (F,); they stand still outside the recording."""
+    """Interpolate all boxes linearly at times in s, shape (F,); outside the recording, boxes stand still."""
     instants = recording.time
     first = np.clip(np.searchsorted(instants, times + _TIME_TOLERANCE, "right") - 1, 0, len(instants) - 1)
     second = np.minimum(first + 1, len(instants) - 1)
@@ -73,7 +73,7 @@ def interpolate_motion(recording: Recording, times: FloatArray) -> Motion:
 
 
 def is_visible(motion: Motion, driver: int, target: int, time_index: int) -> bool:
-    """Return whether a driver sees an entity at `time_index`, by the same rule as the drivers."""
+    """Return whether a driver sees an entity at `time_index`; the simulated drivers use the same rule."""
     obstacles = [entity for entity in motion.existing_entities(time_index) if entity not in (driver, target)]
     watched = [target, *obstacles]
     poses = np.stack((motion.x[:, time_index], motion.y[:, time_index], motion.heading[:, time_index]))
@@ -84,7 +84,7 @@ def is_visible(motion: Motion, driver: int, target: int, time_index: int) -> boo
 
 
 def hidden_area(motion: Motion, driver: int, obstacle: int, time_index: int) -> FloatArray | None:
-    """Return the area a box hides from a driver, corners in m, shape (4, 2); None if the box surrounds the eye."""
+    """Return the area that a box hides from a driver: corners in m, shape (4, 2); None if the eye is in the box."""
     eye = motion.eye_position(driver, time_index)
     corners = motion.corners(obstacle, time_index) - eye
     direction = np.array([motion.x[obstacle, time_index], motion.y[obstacle, time_index]]) - eye
@@ -97,7 +97,10 @@ def hidden_area(motion: Motion, driver: int, obstacle: int, time_index: int) -> 
 
 
 def contact_point(recording: Recording, time: float, first: int, second: int) -> FloatArray:
-    """Return where two boxes touch, in m, shape (2,): midway between the points nearest to the other's centre."""
+    """Return the point in m, shape (2,), where two boxes touch.
+
+    It is midway between the point of each box that is nearest to the centre of the other box.
+    """
     motion = interpolate_motion(recording, np.array([time]))
     return 0.5 * (_nearest_point_of_box(motion, first, second) + _nearest_point_of_box(motion, second, first))
 

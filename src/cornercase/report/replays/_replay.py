@@ -144,7 +144,7 @@ def _write_film(data: ReplayData, path: Path, ending: str, fps: float, speed: fl
 
 
 def _frame_times(data: ReplayData, step: float) -> FloatArray:
-    """Return the frame times from begin to end, including the end, in s."""
+    """Return the times of frames in s, from the begin to the end of the replay, both included."""
     span = data.end_time - data.start_time
     if span / step > _MAX_FRAMES:
         raise InputError(

@@ -1,4 +1,4 @@
-"""Data of a replay: scenarios of a study and their road."""
+"""Data of a replay: scenarios of a study, and their road."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from cornercase.study import ScenarioRecord, StudyFile, StudyMeta
 
 @dataclass(frozen=True, eq=False)
 class ReplayItem:
-    """One scenario of a replay, with T instants."""
+    """One scenario of a replay; its recording has T instants."""
 
     row: ScenarioRecord
     recording: Recording
@@ -32,9 +32,9 @@ class ReplayItem:
     score_sources: Mapping[str, str | None] = field(default_factory=dict)
 
     def most_critical_time(self, metric: Metric) -> float:
-        """Return the first most critical time of a metric in s.
+        """Return the first time in s at which a metric is most critical.
 
-        If its course is constant: the first collision, or the start.
+        If the course of the metric is constant: the time of the first collision, or else the start.
         """
         course = metric.to_minimize(self.courses[metric.name])
         finite = course[np.isfinite(course)]
@@ -61,7 +61,7 @@ class ReplayData:
         return self.meta.space.parameters
 
     def main_other(self, item: ReplayItem) -> str:
-        """Return the other that the score by the first metric belongs to, or the first other."""
+        """Return the other entity that the score by the first metric is measured against, or else the first one."""
         return item.score_sources.get(self.metrics[0].name) or self.meta.others[0]
 
     @property
@@ -78,7 +78,10 @@ class ReplayData:
 def read_replay_data(
     study: StudyFile, ids: Sequence[int], scenario: Path | str | ScenarioFile | None = None
 ) -> ReplayData:
-    """Read scenarios and their road for a replay; InputError if a scenario was not run or `scenario` does not match."""
+    """Read scenarios and their road for a replay.
+
+    InputError if a scenario was not run, or if `scenario` is not the file that was explored.
+    """
     meta = study.meta
     metrics = tuple(METRICS.create(name) for name in meta.metrics)
     criterion = study.criterion

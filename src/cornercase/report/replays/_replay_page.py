@@ -1,4 +1,4 @@
-"""Page of a replay: one HTML file without external references."""
+"""Page of a replay: one HTML file that loads nothing from elsewhere."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def render_replay_page(data: ReplayData) -> str:
 
 
 def _replay_payload(data: ReplayData) -> dict[str, Any]:
-    """Return the contents of the page, limited to the replayed scenarios."""
+    """Return the contents of the page for the replayed scenarios only."""
     meta, metrics = data.meta, data.metrics
     items = sorted({take.row.id: take for take in data.items}.values(), key=lambda take: take.row.id)
     outcomes = sorted({take.outcome for take in items} - {""})

@@ -1,4 +1,4 @@
-"""One scene of a replay film: the road and the entities on it."""
+"""Draw one scene of a replay film: the road and the entities on it."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ _MIN_RADIUS: Final = 0.009
 
 
 class Scene:
-    """Draws the entities of a recording onto axes whose limits are set.
+    """Draws the entities of a recording onto axes; set the limits of the axes before.
 
-    `other` is the entity whose visibility from the ego is shown.
+    `other` is the entity for which the scene shows whether the ego sees it.
     """
 
     def __init__(self, axes: Axes, recording: Recording, data: ReplayData, other: str) -> None:
@@ -80,7 +80,7 @@ class Scene:
         return EGO if entity == self._ego else OTHER if entity in self._others else _NEUTRAL
 
     def draw_moving(self, motion: Motion, time_index: int, time: float) -> None:
-        """Draw the moving parts at `time_index`, which is `time` in s."""
+        """Draw the moving parts; `time`, in s, belongs to `time_index`."""
         existing = motion.existing_entities(time_index)
         if self._ego in existing:
             for other in existing:
@@ -150,7 +150,7 @@ class Scene:
         self._axes.draw_artist(self._label)
 
     def _draw_once(self, artist: Artist) -> None:
-        """Draw an artist for one frame."""
+        """Draw an artist that is removed before the next frame."""
         self._axes.add_artist(artist)
         self._axes.draw_artist(artist)
         artist.remove()

@@ -45,7 +45,7 @@ _ROLE_NAMES: Final[dict[str, tuple[str, str]]] = {
 
 @dataclass(frozen=True)
 class Answer:
-    """Answer to a question that is asked of every study."""
+    """Answer to one of the questions that every report asks."""
 
     name: str  # for addresses and tests
     question: str
@@ -63,7 +63,10 @@ class Answer:
 
 
 def page_answers(data: ReportData) -> Iterator[Answer]:
-    """Answer all questions in the order of the page; every number also appears in `summary_to_dict`."""
+    """Yield the answers to all questions in the order of the page.
+
+    `summary_to_dict` contains all numbers in them, too.
+    """
     summary = data.summary
     estimates = summary.estimates
     if data.verdicts:
@@ -83,7 +86,10 @@ def page_answers(data: ReportData) -> Iterator[Answer]:
 
 
 def describe_study(data: ReportData, *, include_counts: bool = True) -> str:
-    """Describe the study: roles, search and, unless the page counts itself (`include_counts`), numbers of scenarios."""
+    """Describe a study: roles of the entities, search, and numbers of scenarios.
+
+    Without `include_counts` the numbers are left out, because the page shows its own counts.
+    """
     summary, meta = data.summary, data.summary.meta
     sentences = [describe_roles(meta)]
     begin = f"{_scenarios_were(summary.n_run)} " if include_counts else "Scenarios "
@@ -202,7 +208,7 @@ def _answer_missed(critical: CriticalEstimates) -> Answer:
 
 
 def find_default_aspect(data: ReportData) -> str | None:
-    """Return the aspect whose clusters say most about how scenarios end; None before the study was analyzed."""
+    """Return the aspect whose clusters say most about how scenarios end; None without clusters."""
     highest, aspect = -1.0, None
     for by, analysis in data.summary.analyses.items():
         # If tied, the later aspect wins: aspects are ordered by how much they say about what happens.
@@ -329,7 +335,7 @@ def _answer_front(data: ReportData) -> Answer:
 
 
 def describe_front_ends(data: ReportData) -> Iterator[str]:
-    """Describe for each metric which scenario of the Pareto front is the most critical."""
+    """Yield a text for each metric: which scenario of the Pareto front is the most critical by it."""
     front = data.summary.estimates.pareto_front or {}
     for metric in data.metrics:
         ids = sorted(front, key=lambda scenario: (metric.to_minimize(front[scenario][metric.name]), scenario))

@@ -25,9 +25,9 @@ from cornercase.report.text._phrases import (
 
 
 def describe_views(data: ReportData) -> dict[str, Any]:
-    """Return the captions of the page's views by name: a text, or texts by metric or aspect.
+    """Return the captions of the page's views by name: a text, or a mapping from metric or aspect to text.
 
-    Views that are missing have the same caption in every study.
+    A view without an entry has the same caption in every study.
     """
     summary = data.summary
     estimates, analyses = summary.estimates, summary.analyses
@@ -60,7 +60,7 @@ def describe_cluster_count(analysis: Analysis) -> str:
 
 
 def describe_most_influential(sensitivity: Sensitivity) -> str:
-    """Describe which parameter matters most."""
+    """Describe which parameter influences the score most."""
     if not sensitivity.is_meaningful:
         return describe_missing_sensitivity()
     little = (
@@ -91,7 +91,7 @@ def describe_score_distribution(data: ReportData, metric: Metric) -> str:
 
 
 def describe_search_progress(data: ReportData) -> str:
-    """Describe when the search found the most critical scenario of each metric."""
+    """Describe when the search found the most critical scenario by each metric."""
     sentences = []
     for name, summary in data.summary.metrics.items():
         round_number = next(row.round for row in data.rows if row.id == summary.most_critical_id)
@@ -127,12 +127,12 @@ def describe_most_critical(data: ReportData, metric: Metric) -> str:
 
 
 def caption_front(n_scenarios: int) -> str:
-    """Caption of the figure of a Pareto front with `n_scenarios`."""
+    """Return the caption of the figure of a Pareto front with `n_scenarios` scenarios."""
     return f"The scores of each scenario that was run. {describe_front(n_scenarios)}"
 
 
 def caption_sensitivity(sensitivity: Sensitivity, objective: str) -> str:
-    """Caption of the figure of sensitivities."""
+    """Return the caption of the figure of sensitivities."""
     text = (
         f"How much of the variance of {objective} comes from each parameter, by a Gaussian process with a"
         f" cross-validated R² of {max(sensitivity.predicted, 0.0):.2f}; the lines are 90 % intervals."
@@ -147,7 +147,7 @@ def caption_sensitivity(sensitivity: Sensitivity, objective: str) -> str:
 
 
 def caption_examples(n_not_drawn: int) -> str:
-    """Caption of the figure of one scenario per cluster; `n_not_drawn` are left out."""
+    """Return the caption of the figure with one scenario per cluster; `n_not_drawn` clusters are left out."""
     return (
         "One scenario of each kind: the one with the smallest sum of distances to the others of its kind. Seen from"
         " above, with times in s along the trajectories and the boxes where they are closest; and speeds over time."

@@ -33,12 +33,12 @@ def format_cluster_name(cluster: int) -> str:
 
 
 def format_cluster_title(profile: Profile) -> str:
-    """Return the cluster with its name, as ``"cluster 0: Ego yields to Pedestrian; 3 of 120 collide"``."""
+    """Return number, name and collisions of a cluster: ``"cluster 0: Ego yields to Pedestrian; 3 of 120 collide"``."""
     return ": ".join(filter(None, (format_cluster_name(profile.cluster), profile.label)))
 
 
 def describe_roles(meta: StudyMeta) -> str:
-    """Describe which entity is the ego and against which others it is measured."""
+    """Describe which entity is the ego, and which other entities it is measured against."""
     others = meta.others
     if len(others) == 1:
         return f"Under test: {meta.ego}, against {others[0]}."
@@ -46,13 +46,13 @@ def describe_roles(meta: StudyMeta) -> str:
 
 
 def describe_warm_start(meta: StudyMeta) -> str:
-    """Describe the study that a search was warm-started from, as part of a sentence."""
+    """Describe, as part of a sentence, the earlier study whose results the search began with."""
     source = meta.elsewhere
     return f"{source.get('scenarios', 'some')} scenarios of {source['study']} (simulator {source['simulator']})"
 
 
 def describe_unmeasured_collisions(summary: Summary, *, counts: bool = True) -> str:
-    """Describe collisions of the ego with entities it is not measured against; empty without any."""
+    """Describe collisions of the ego with entities that it is not measured against; empty without such collisions."""
     touched = [f"{name} in {count}" if counts else name for name, count in summary.unmeasured_collisions.items()]
     if not touched:
         return ""
@@ -65,7 +65,7 @@ def describe_unmeasured_collisions(summary: Summary, *, counts: bool = True) -> 
 
 
 def describe_aspect(aspect: str) -> str:
-    """Describe what an aspect compares, as ``"the direction in which the ego sees the other"``; empty if unknown."""
+    """Describe what an aspect compares: ``"the direction in which the ego sees the other"``; empty if unknown."""
     if aspect not in ASPECTS:
         return f"the course of {aspect}" if aspect.partition(":")[0] in METRICS else ""
     summary = docstring_summary(ASPECTS.create(aspect)).partition(":")[0].rstrip(".")
@@ -73,7 +73,7 @@ def describe_aspect(aspect: str) -> str:
 
 
 def describe_informativeness(analysis: Analysis) -> str:
-    """Describe how much the clusters say about what happened; empty for studies of early versions."""
+    """Describe how much the clusters say about outcomes; empty for studies of early versions."""
     by, clustering = analysis.by, analysis.clustering
     if clustering.n_clusters < 2:
         noise = int((clustering.labels < 0).sum())
@@ -101,12 +101,12 @@ def describe_informativeness(analysis: Analysis) -> str:
 
 
 def format_assign_command(analysis: Analysis) -> str:
-    """Return the command that assigns new scenarios to the clusters."""
+    """Return the command that assigns new scenarios to existing clusters."""
     return f"cornercase analyze STUDY.db --by {analysis.by} --keep-clusters"
 
 
 def format_criterion(critical: CriticalEstimates, objective: str) -> str:
-    """Return the condition for being critical as it is typed: ``"wttc <= 1 s"``."""
+    """Return the condition for being critical as users type it: ``"wttc <= 1 s"``."""
     if condition := find_critical_if_condition([objective]):
         return condition
     return f"{objective} {'<=' if critical.lower_is_critical else '>='} {critical.threshold:g} {critical.unit}".rstrip()
@@ -118,7 +118,7 @@ def format_criterion_with_signs(critical: CriticalEstimates, objective: str) -> 
 
 
 def describe_threshold_override(summary: Summary) -> str:
-    """Describe a threshold that differs from the study's own; empty if it is the study's own."""
+    """Describe a threshold that replaces that of the study; empty if none does."""
     critical, own = summary.estimates.critical, summary.meta.critical
     if critical is None or critical.threshold == own:
         return ""
@@ -129,7 +129,7 @@ def describe_threshold_override(summary: Summary) -> str:
 
 
 def describe_selection_threshold(summary: Summary) -> str:
-    """Describe the threshold used for the reduced set if it differs from the current one; else empty."""
+    """Describe the threshold that the reduced set was selected with, if the current one differs; else empty."""
     critical, reduced = summary.estimates.critical, summary.reduced_set
     if critical is None or reduced is None or reduced.threshold == critical.threshold:
         return ""
@@ -145,7 +145,7 @@ def use_math_signs(criterion: str) -> str:
 
 
 def format_range(parameter: Parameter) -> str:
-    """Return the range of a parameter, as ``"20 to 80 m"``, or its choices."""
+    """Return the range of a parameter, such as ``"20 to 80 m"``, or its choices."""
     if parameter.choices:
         return ", ".join(parameter.choices)
     low = high = ""
@@ -158,7 +158,7 @@ def format_range(parameter: Parameter) -> str:
 
 
 def format_axis_label(parameter: Parameter) -> str:
-    """Return the name of a parameter with its unit, as ``"ego_start [m]"``."""
+    """Return the name of a parameter with its unit, such as ``"ego_start [m]"``."""
     return f"{parameter.name} [{parameter.unit}]" if parameter.unit else parameter.name
 
 
@@ -188,19 +188,19 @@ def describe_clustering_method(analysis: Analysis) -> str:
 
 
 def format_value(value: Value, digits: int = 6) -> str:
-    """Format the value of a parameter with at most `digits` significant digits; a choice stays as it is."""
+    """Format a parameter value with at most `digits` significant digits; a choice stays as it is."""
     return value if isinstance(value, str) else f"{value:.{digits}g}"
 
 
 def append_unit(number: str, unit: str) -> str:
-    """Append a unit to a number, as ``"0.2 s"``; no unit if it is empty or ``"1"``."""
+    """Append a unit to a number: ``"0.2 s"``. The units empty and ``"1"`` are left out."""
     return number if unit in ("", "1") else f"{number} {unit}"
 
 
 def format_percent(share: float) -> str:
-    """Format a share (0 to 1) in percent with two significant digits: ``"0.34 %"``, ``"12 %"``.
+    """Format a fraction (0 to 1) in percent with two significant digits: ``"0.34 %"``, ``"12 %"``.
 
-    Nearly all is not rounded to 100 %, and tiny shares are ``"below 0.01 %"``.
+    Values below 1 are never rounded to 100 %; tiny values become ``"below 0.01 %"``.
     """
     value = 100.0 * share
     if 0.0 < value < _SMALLEST_PERCENT:
@@ -211,28 +211,28 @@ def format_percent(share: float) -> str:
 
 
 def format_scenario_ids(ids: Sequence[int]) -> str:
-    """Format at most twelve scenario ids."""
+    """Format the first twelve of these scenario ids; an ellipsis stands for the rest."""
     return ", ".join(map(str, ids[:_MAX_LISTED])) + (" …" if len(ids) > _MAX_LISTED else "")
 
 
 def group_failures_by_reason(failed: Sequence[ScenarioRecord]) -> dict[str, list[int]]:
-    """Group failed scenarios by reason, the most frequent first; values are ids."""
+    """Group ids of failed scenarios by reason, the most frequent reason first."""
     groups = group_failure_messages(row.error or "" for row in failed)
     return {reason: [failed[k].id for k in members] for reason, members in groups.items()}
 
 
 def describe_front(n_scenarios: int) -> str:
-    """Describe a Pareto front with `n_scenarios`."""
+    """Describe a Pareto front with `n_scenarios` scenarios."""
     if n_scenarios == 1:
         return "One scenario is as critical as any other in every metric."
     return f"{n_scenarios} scenarios: no other is at least as critical in every metric and more critical in one."
 
 
 def describe_too_few_scores() -> str:
-    """Explain that too few scores are known to estimate anything."""
+    """Explain that there are too few scores for estimates."""
     return "There are too few different scores to say anything about all other scenarios."
 
 
 def describe_missing_sensitivity() -> str:
-    """Explain that the model predicts too little to estimate sensitivities."""
+    """Explain that the model predicts too poorly to estimate sensitivities."""
     return "The model predicts almost nothing of the scores, so it is unknown which parameter matters."

@@ -1,4 +1,4 @@
-"""The summary of a study as plain values, under identifiers or words, as `show` prints it."""
+"""The summary of a study as plain values; keys are identifiers or words."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ _HELD_OUT_CRITICAL_KEYS: Final = {
 
 
 def summary_to_dict(summary: Summary) -> dict[str, Any]:
-    """Return a summary as plain values under identifiers, as ``cornercase show --json`` prints it."""
+    """Return a summary as plain values with identifiers as keys, as ``cornercase show --json`` prints it."""
     meta = summary.meta
     plain: dict[str, Any] = {
         "scenario": meta.scenario,
@@ -134,7 +134,7 @@ def summary_to_dict(summary: Summary) -> dict[str, Any]:
 
 
 def estimate_to_dict(stored: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a stored estimate, whose keys are words, under identifiers."""
+    """Return a stored estimate with identifiers as keys, instead of the words that are stored."""
     return {
         _KEYS_BY_WORDS.get(words, words.replace(" ", "_")): estimate_to_dict(value)
         if isinstance(value, dict)
@@ -144,7 +144,7 @@ def estimate_to_dict(stored: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def replace_keys_by_words(values: Mapping[str, Any], name_levels: int = 0) -> dict[str, Any]:
-    """Replace identifiers by words, except names in the first `name_levels` levels."""
+    """Replace identifiers by words; keys in the first `name_levels` levels are names and stay."""
     renamed = {}
     for key, value in values.items():
         below = name_levels - 1 if name_levels else NAME_LEVELS_BELOW_KEY.get(key, 0)
@@ -322,7 +322,7 @@ def _shape_to_dict(shape: ClusterShape) -> dict[str, Any]:
 def _fields_to_dict(
     values: Coverage | CriticalCoverage | HeldOut | HeldOutCritical, key_by_field: Mapping[str, str]
 ) -> dict[str, Any]:
-    """Return the known numbers of `values` under their labels."""
+    """Return the fields of `values` that are not None, with keys from `key_by_field`."""
     plain: dict[str, Any] = {}
     for key, label in key_by_field.items():
         value = getattr(values, key)

@@ -1,1 +1,1 @@
-"""Recovery of damaged studies: read intact rows, and rebuild the study from them."""
+"""Recover damaged studies: read the intact rows, and rebuild the study from them."""

@@ -1,8 +1,8 @@
-"""Lock a damaged study while it is replaced, and make sure that it is still the file that was read.
+"""Lock a damaged study until it has been replaced, and check that it is still the file that was read.
 
-Nothing is written into a damaged file, not even a lease: if its pages are mixed up, that could destroy what is left.
-Taking a lease and writing a note need SQLite's write lock, so that lock is held instead; it ends with the process.
-Copying or renaming a file over the study needs no lock, so its files are compared with what was read.
+Nothing is written into the damaged file, not even a lease: if its pages are mixed up, writing could destroy the rest.
+Processes that take a lease or write a note need SQLite's write lock, so that lock is held; it ends with this process.
+Programs that copy or rename a file over the study need no lock, so the file is compared with the one that was read.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _LOCK_TIMEOUT: Final = 5.0
 
 @dataclass(frozen=True)
 class _FileState:
-    """Identity, size in bytes and modification time in ns of a file, which are known without reading it."""
+    """Identity, size in bytes and modification time in ns of a file."""
 
     identity: tuple[int, int]
     size: int
@@ -43,7 +43,7 @@ class _FileState:
 
 
 class DamagedFileLock:
-    """The file of a damaged study, from before it is read until it has been replaced; `path` is no link."""
+    """Lock of a damaged study, held from before the file is read until it has been replaced; `path` is not a link."""
 
     def __init__(self, path: Path) -> None:
         self._path, self._log_path = path, path.with_name(path.name + "-wal")
@@ -66,7 +66,7 @@ class DamagedFileLock:
         self.release()
 
     def lock(self) -> None:
-        """Keep out all writers through SQLite's write lock."""
+        """Acquire SQLite's write lock, so that no other process can write."""
         try:
             # The last connection that closes a file removes the log of that name, which may belong to another file
             # by then. A read-only connection cannot, so it is closed last.
@@ -95,16 +95,16 @@ class DamagedFileLock:
         self._require_unchanged(self._read_file_states() == self._initial_states)
 
     def set_path(self, path: Path) -> None:
-        """Set the new name of the file, and of the files that SQLite keeps beside it."""
+        """Follow the file to its new name, along with SQLite's files beside it."""
         self._path = path
 
     def release_before_rename(self) -> None:
-        """Release the file if the platform cannot rename open files."""
+        """Release the lock if the platform cannot rename files that are open."""
         if not can_rename_open_files():
             self.release()
 
     def release(self) -> None:
-        """Let others write."""
+        """Release the lock, so that other processes can write."""
         if not self._is_locked:
             self._open_handles.close()
             return
@@ -128,12 +128,15 @@ class DamagedFileLock:
             connection.execute("SELECT count(*) FROM sqlite_master").fetchall()
 
     def _read_file_states(self) -> tuple[_FileState | None, _FileState | None]:
-        """States of the file and its log; an empty log counts as none, since SQLite adds and removes it freely."""
+        """Return the states of the file and SQLite's log.
+
+        An empty log counts as no log, since SQLite adds and removes it at any time.
+        """
         log = _FileState.from_path(self._log_path)
         return _FileState.from_path(self._path), log if log is not None and log.size else None
 
     def _hash_files(self, handles: ExitStack) -> list[bytes]:
-        """SHA-256 of the file and its log."""
+        """Return the SHA-256 of the file and SQLite's log."""
         digests = []
         for path, state in zip((self._path, self._log_path), self._initial_states, strict=True):
             if state is not None:

@@ -28,11 +28,11 @@ _SCENARIO_TABLES = ("courses", "repeats", "against")
 
 @dataclass(frozen=True)
 class RecoveredStudy:
-    """What is left of a damaged study, and what has to be run again.
+    """What was recovered of a damaged study, and what is lost.
 
-    `rounds` are by scenario id, 0 if unknown; `to_rerun` are ids of scenarios to run again; `lost` describes what
-    cannot be restored by running scenarios. `checksum_totals` are known row counts and XORs of checksums by table;
-    `is_count_known` tells whether the original number of scenarios is known.
+    `rounds` maps scenario ids to rounds, 0 if unknown. `to_rerun` are the ids of scenarios that have to be run again.
+    `lost` describes in words what running scenarios cannot restore. `checksum_totals` maps tables to their known row
+    count and XOR of checksums. `is_count_known` says whether the original number of scenarios is known.
     """
 
     meta: StudyMeta
@@ -44,9 +44,10 @@ class RecoveredStudy:
 
 
 def rebuild_study(damaged: Path, output: Path) -> RecoveredStudy:
-    """Create a study at `output` from the intact rows of a damaged one; scenarios to run again are pending in it.
+    """Create a study at `output` from the intact rows of a damaged one, which is only read.
 
-    Raises `InputError` if the description of the study is lost. The damaged file is only read.
+    Scenarios that have to be run again are pending in the new study. `InputError` if the description of the study is
+    lost.
     """
     require_single_link(damaged)
     rows = recover_rows(damaged)
@@ -95,9 +96,10 @@ def rebuild_study(damaged: Path, output: Path) -> RecoveredStudy:
 
 
 def _recover_checksum_totals(damaged: Path, rows_by_table: dict[str, RowsByKey]) -> dict[str, tuple[int, int]]:
-    """Row count and XOR of checksums by table: as stored, or as counted if the pages of the table are intact.
+    """Return row count and XOR of checksums by table, for tables for which they are known.
 
-    For an intact table, rows that had been deleted before are removed from `rows_by_table`.
+    They were stored, or are counted if all pages of the table are intact. In an intact table, recovered rows that are
+    not part of the table had been deleted; they are removed from `rows_by_table`.
     """
     tallies = {str(name): (int(rows), int(sums)) for name, rows, sums in rows_by_table["tallies"].values()}
     intact = set()
@@ -114,7 +116,7 @@ def _recover_checksum_totals(damaged: Path, rows_by_table: dict[str, RowsByKey])
 
 
 def _has_optional_table(meta: StudyMeta, table: str) -> bool:
-    """Tell whether the study has an optional table."""
+    """Tell whether a study with this description has an optional table."""
     return {"against": len(meta.others) > 1, "results": meta.asynchronous, "elsewhere": bool(meta.elsewhere)}[table]
 
 
@@ -125,7 +127,7 @@ def _checksum_totals(table: str, rows: RowsByKey) -> tuple[int, int]:
 
 
 def _recover_rounds(rows_by_table: dict[str, RowsByKey], checksum_totals: dict[str, tuple[int, int]]) -> dict[int, int]:
-    """Rounds of all scenarios that the study had, by id."""
+    """Return the round of each scenario that the study had, by id."""
     rounds = {int(row[0]): int(row[1]) for row in rows_by_table["scenarios"].values()}
     last = checksum_totals["scenarios"][0] if "scenarios" in checksum_totals else 0
     last = max([last, *rounds, *(int(row[0]) for name in _SCENARIO_TABLES for row in rows_by_table[name].values())])
@@ -135,7 +137,7 @@ def _recover_rounds(rows_by_table: dict[str, RowsByKey], checksum_totals: dict[s
 def _make_incomplete_pending(
     rows_by_table: dict[str, RowsByKey], meta: StudyMeta, rounds: dict[int, int]
 ) -> tuple[int, ...]:
-    """Make incomplete scenarios pending; return their ids."""
+    """Make scenarios pending if a part of their results is lost; return their ids."""
     metrics: dict[str, dict[int, set[str]]] = {name: defaultdict(set) for name in _SCENARIO_TABLES}
     for name in _SCENARIO_TABLES:
         for stored in rows_by_table[name].values():

@@ -1,7 +1,7 @@
 """Recover intact rows from a damaged study file.
 
-SQLite reads what it can. The rest is searched page by page: the checksum of a row proves that it is complete, and to
-which table it belongs, so neither the pages that lead to it nor the schema are needed.
+SQLite reads what it can. The remaining pages are searched one by one. The checksum of a row proves that the row is
+complete, and shows which table it belongs to. So neither the schema nor the index pages are needed.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _PAGE_CACHE_SIZE: Final = 256
 
 
 class PageReader:
-    """Pages of an SQLite file; `size` is the number of bytes of a page, `length` that of the file."""
+    """Reads the pages of an SQLite file; `size` is the size of a page and `length` the size of the file, in bytes."""
 
     def __init__(self, file: BinaryIO) -> None:
         self._file = file
@@ -55,7 +55,7 @@ class PageReader:
         return -(-self.file_size // self.page_size)
 
     def _read_page(self, number: int) -> bytes:
-        """Read a page, numbered from 1; it is shorter if the file ends within it."""
+        """Read a page, numbered from 1; the last page may be cut off by the end of the file."""
         if number < 1:
             raise ValueError("a page before the first")
         self._file.seek((number - 1) * self.page_size)
@@ -64,25 +64,25 @@ class PageReader:
 
 @contextmanager
 def open_pages(path: Path) -> Iterator[PageReader]:
-    """Open the pages of a study for as long as the block lasts."""
+    """Open the pages of a study within the block."""
     with path.open("rb") as file:
         yield PageReader(file)
 
 
 def recover_rows(path: Path) -> dict[str, RowsByKey]:
-    """Recover the intact rows of a study, by table and key, in the order of the table."""
+    """Return the intact rows of a study by table and key, in the order of each table."""
     # Rows that SQLite reads override others, which may be remains of deleted rows.
     tables, order = _group_rows_by_key(chain(_scan_pages(path), _read_with_sqlite(path)))
     return {name: dict(sorted(rows.items(), key=lambda item: order[name][item[0]])) for name, rows in tables.items()}
 
 
 def has_intact_rows(path: Path) -> bool:
-    """Tell whether any row in a file has a valid checksum, so that cornercase wrote it."""
+    """Tell whether any row in a file has a valid checksum, which proves that cornercase wrote the file."""
     return any(True for _ in _scan_pages(path))
 
 
 def iter_intact_tables(path: Path) -> Iterator[tuple[str, RowsByKey]]:
-    """Yield name and rows of each table whose pages and rows are all intact."""
+    """Yield name and rows of each table all of whose pages and rows are intact."""
     with suppress(sqlite3.Error, UnicodeDecodeError), closing(open_connection(path)) as connection:
         connection.execute("PRAGMA trusted_schema = OFF")
         for name in TABLES:
@@ -115,7 +115,7 @@ def _iter_table_rows(
 
 
 def _group_rows_by_key(stored_rows: Iterable[StoredRow]) -> tuple[dict[str, RowsByKey], dict[str, dict[Any, Any]]]:
-    """Group rows by table and key; also return what each table is ordered by."""
+    """Group rows by table and key; also return the sort key of each table."""
     tables: dict[str, RowsByKey] = {name: {} for name in TABLES}
     order: dict[str, dict[Any, Any]] = {name: {} for name in TABLES}
     for table, number, values in stored_rows:
@@ -131,7 +131,7 @@ def _group_rows_by_key(stored_rows: Iterable[StoredRow]) -> tuple[dict[str, Rows
 
 
 def _read_with_sqlite(path: Path) -> Iterator[StoredRow]:
-    """Read what SQLite can, from both ends of each table."""
+    """Yield the rows that SQLite can read, from the beginning and from the end of each table."""
     with suppress(sqlite3.Error, UnicodeDecodeError), closing(open_connection(path)) as connection:
         connection.execute("PRAGMA trusted_schema = OFF")
         for table in TABLES:
@@ -152,7 +152,7 @@ def _scan_pages(path: Path) -> Iterator[StoredRow]:
 
 
 def _match_record_to_tables(rowid_and_record: tuple[int | None, list[Any]]) -> Iterator[StoredRow]:
-    """Yield a record for each table that it fits with a valid checksum."""
+    """Yield the record for each table in which it has a valid checksum."""
     number, record = rowid_and_record
     for table, definition in TABLES.items():
         if len(record) != len(definition.stored_columns):
@@ -168,7 +168,7 @@ def _match_record_to_tables(rowid_and_record: tuple[int | None, list[Any]]) -> I
 
 
 def _iter_page_records(pages: PageReader, page_number: int) -> Iterator[tuple[int | None, list[Any]]]:
-    """Yield row numbers and values of the rows of a page."""
+    """Yield row numbers and values of the rows on a page."""
     page = pages.read_page(page_number)
     header_size = _FILE_HEADER_SIZE if page_number == 1 else 0
     page_type = page[header_size]
@@ -190,7 +190,7 @@ def _iter_page_records(pages: PageReader, page_number: int) -> Iterator[tuple[in
 
 
 def _read_payload(pages: PageReader, page: bytes, offset: int, length: int, is_table_leaf: bool) -> bytes:
-    """Bytes of a row, which may continue on overflow pages."""
+    """Read the bytes of a row, which may continue on overflow pages."""
     size = pages.page_size
     if length > pages.file_size:
         raise ValueError("a row that is longer than the file")

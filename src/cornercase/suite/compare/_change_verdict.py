@@ -1,4 +1,4 @@
-"""Decide whether a new version is better or worse than the old one, within tolerances."""
+"""Decide whether the new version is better or worse than the old one, if changes within tolerances do not count."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _KIND_OF_TEST: Final[Mapping[str, _FindingKind]] = MappingProxyType(
 
 @dataclass(frozen=True)
 class PairChange:
-    """One change of a pair for the worse or the better; `size` is the change of a score, in its unit."""
+    """One change of a pair of scenarios, better or worse; `size` is the change of a score, in its unit."""
 
     kind: _FindingKind
     about: str
@@ -53,9 +53,9 @@ class PairChange:
 def resolve_tolerances(
     metrics: Iterable[str], requirements: Iterable[str], overrides: Mapping[str, float] | None
 ) -> dict[str, float]:
-    """Tolerance of each compared metric and of the metrics in the requirements of both studies.
+    """Return the tolerance of each compared metric, and of each metric in the requirements of both studies.
 
-    `given` overrides the defaults by metric; raises `InputError` if one is negative or for a metric that is not
+    `overrides` replace the defaults by metric. `InputError` for a negative tolerance, or for a metric that is not
     compared.
     """
     required = [name for item in requirements for name in Requirement.parse(item).expression.metrics]
@@ -79,11 +79,11 @@ def _default_tolerance(unit: str) -> float:
 def find_findings(
     pairs: Sequence[ScenarioPair], tests: Sequence[ChangeTest], tolerances: Mapping[str, float], deterministic: bool
 ) -> tuple[tuple[Finding, ...], tuple[Finding, ...], tuple[Finding, ...]]:
-    """Find what is worse and better with the new version, and what was crossed within the tolerances only.
+    """Return what is worse with the new version, what is better, and what changed within the tolerances only.
 
-    If both simulators are deterministic, each pair is evidence. Otherwise a single pair is not: then only significant
-    tests count, each of them if more scenarios changed in its direction, by more than the tolerances, than in the
-    other. Tests of unpaired scenarios always count. The most important findings come first.
+    If both simulators are deterministic, each pair of runs that differs shows a change. Otherwise only significant
+    tests count. A test counts if more scenarios changed in its direction than in the other, by more than the tolerance.
+    Tests of unpaired scenarios always count. The most important findings come first.
     """
     steps = [
         step
@@ -106,7 +106,7 @@ def find_findings(
 
 
 def _iter_pair_changes(pair: ScenarioPair, tolerances: Mapping[str, float]) -> Iterator[PairChange]:
-    """Yield the changes of a pair for the worse and the better."""
+    """Yield each change of a pair of scenarios, whether it is better or worse."""
     if pair.run == "not in one":
         yield PairChange("run", "", "worse" if pair.errors[0] is None else "better", pair.ids)
     # Rounding may still cross a bound; that is listed but does not count.
@@ -134,7 +134,7 @@ def _iter_pair_changes(pair: ScenarioPair, tolerances: Mapping[str, float]) -> I
 
 
 def _exceeds_tolerance(before: float, after: float, tolerance: float) -> bool:
-    """Tell whether a number changed by more than a tolerance and more than rounding."""
+    """Tell whether a number changed by more than a tolerance and more than rounding errors."""
     if not (np.isfinite(before) and np.isfinite(after)):
         return before != after
     size = abs(float(score_difference(np.array([before]), np.array([after]))[0]))
@@ -143,13 +143,13 @@ def _exceeds_tolerance(before: float, after: float, tolerance: float) -> bool:
 
 
 def _margin_tolerance(requirement: str, tolerances: Mapping[str, float]) -> float:
-    """Tolerance of the margin of a requirement: the smallest one of its signals."""
+    """Return the tolerance for the margin of a requirement: the smallest tolerance of the metrics in it."""
     units = Requirement.parse(requirement).expression.compared_units
     return min(tolerances[name] if name in tolerances else _default_tolerance(unit) for name, unit in units)
 
 
 def _group_into_findings(changes: Iterable[PairChange], metrics: Iterable[str]) -> Iterator[Finding]:
-    """Combine the changes of one kind and direction into findings; scores in the order of the metrics."""
+    """Combine the changes of the same kind and direction into one finding; scores are in the order of `metrics`."""
     order = {name: k for k, name in enumerate(metrics)}
     groups: dict[tuple[_FindingKind, str, ChangeDirection], list[PairChange]] = {}
     for step in changes:
@@ -180,7 +180,7 @@ def _build_finding(
 def _finding_of_test(
     test: ChangeTest, direction: ChangeDirection, changes: Sequence[PairChange], tolerances: Mapping[str, float]
 ) -> Iterator[Finding]:
-    """Yield the finding of a significant test, unless it is within the tolerances."""
+    """Yield the finding of a significant test; nothing if the change is within the tolerances."""
     kind = _KIND_OF_TEST.get(test.about, "score")
     about = test.about if kind == "score" else ""
     if test.differ is None:
@@ -204,9 +204,9 @@ def decide_verdict(
     changed: tuple[bool, str],
     deterministic: bool,
 ) -> tuple[ComparisonVerdict, str]:
-    """Return the verdict on the new version, and its reason without a final full stop.
+    """Return the verdict on the new version, and the reason without a final full stop.
 
-    `findings` are the changes for the worse and for the better; `changed` says whether the versions differ at all,
+    `findings` are two sequences: what is worse, and what is better. `changed` says whether the versions differ at all,
     and why.
     """
     worse, better = (describe_findings(item) for item in findings)
@@ -232,6 +232,6 @@ def decide_verdict(
 
 
 def _can_be_significant(test: ChangeTest, n_tests: int) -> bool:
-    """Tell whether a test could be significant among `n_tests` tests if all scenarios changed in one direction."""
+    """Tell whether the test would be significant among `n_tests` tests if all scenarios changed in one direction."""
     # Unpaired samples have at least 20 scenarios, enough for any number of tests.
     return test.differ is None or n_tests * 2.0 * 0.5**test.old <= ALPHA

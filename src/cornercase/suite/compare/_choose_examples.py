@@ -26,13 +26,13 @@ _ChangeTier: TypeAlias = tuple[int, bool]
 def choose_examples(
     pairs: Sequence[ScenarioPair], metrics: Sequence[str], objective_metric: str = ""
 ) -> tuple[Example, ...]:
-    """Choose at most `MAX_EXAMPLES` scenarios that show what changed, spread over the space.
+    """Choose at most `MAX_EXAMPLES` scenarios that show what changed, spread over the parameter space.
 
-    In this order: another verdict, or a run that failed with one version only; a collision with one version only;
-    another outcome; critical or not; a score, in units of the spread of its old scores. Within each of these, changes
-    for the worse come first. Among equal changes, the largest one is chosen first, then the one farthest from all
-    chosen so far, among those at least half as large. `searched` is the metric that defines criticality; empty if
-    several do.
+    Changes are ranked by kind: first verdicts and runs that failed with one version only, then collisions, outcomes,
+    criticality, and scores. Within a kind, changes for the worse come first. Among changes of equal rank, the largest
+    is chosen first. After that, only changes at least half as large count, and the farthest from the chosen examples
+    comes next. The size of a score's change is relative to the spread of the old scores. `objective_metric` is the
+    metric that defines criticality; it is empty if several do.
     """
     spreads = _score_spreads(pairs, metrics)
     tiers: dict[_ChangeTier, list[tuple[float, ScenarioPair, str]]] = {}
@@ -66,13 +66,13 @@ def choose_examples(
 def _is_first_of_tier(
     tier: _ChangeTier, tiers: Mapping[_ChangeTier, list[tuple[float, ScenarioPair, str]]], chosen: Sequence[Example]
 ) -> bool:
-    """Tell whether no example of this tier was chosen yet."""
+    """Tell whether no example of this tier (kind and direction of a change) was chosen yet."""
     of_tier = {id(pair) for _, pair, _ in tiers[tier]}
     return not any(id(example.pair) in of_tier for example in chosen)
 
 
 def _distance_to_chosen(pair: ScenarioPair, chosen: Sequence[Example]) -> float:
-    """RMS difference of parameters, in the unit cube, to the nearest chosen example."""
+    """Return the RMS difference of parameters, in the unit cube, to the nearest chosen example; inf without one."""
     point = np.array(pair.point)
     return min(
         (float(np.sqrt(np.mean((point - np.array(example.pair.point)) ** 2))) for example in chosen), default=np.inf
@@ -80,7 +80,7 @@ def _distance_to_chosen(pair: ScenarioPair, chosen: Sequence[Example]) -> float:
 
 
 def _score_spreads(pairs: Sequence[ScenarioPair], metrics: Sequence[str]) -> dict[str, float]:
-    """Half the range of the middle 90 % of the old scores; their whole range if that is 0."""
+    """Return half the range of the middle 90 % of the old scores, by metric; if that is 0, the full range."""
     both_ran = [pair for pair in pairs if pair.both_ran]
     spreads = {}
     for name in metrics if both_ran else ():
@@ -94,7 +94,7 @@ def _score_spreads(pairs: Sequence[ScenarioPair], metrics: Sequence[str]) -> dic
 def _classify_change(
     pair: ScenarioPair, spreads: Mapping[str, float], objective_metric: str
 ) -> tuple[_ChangeTier, float, str]:
-    """Tier, size and description of the change of a pair; no description if nothing changed."""
+    """Return the tier, the size and a description of a pair's change; the description is empty if nothing changed."""
     if pair.run == "not in one":
         failing = "old" if pair.errors[0] is not None else "new"
         return (0, failing == "old"), 0.0, f"failed with the {failing} version"
@@ -125,7 +125,7 @@ def _classify_change(
 
 
 def _largest_score_change(pair: ScenarioPair, spreads: Mapping[str, float]) -> tuple[float, str, bool]:
-    """Largest change of a score in units of its spread, its description, and whether it is for the worse."""
+    """Return a pair's largest score change: size in units of its spread, description, and whether it is worse."""
     largest, description, worse = 0.0, "", False
     for name, spread in spreads.items():
         old, new = pair.scores[name]

@@ -59,9 +59,10 @@ def compare(
 ) -> Comparison:
     """Compare two versions of the system under test, and tell whether the new one is better or worse.
 
-    Each version was run into a study. Scenarios with the same parameters are compared one by one; if both studies were
-    explored, their critical sets are compared too. Only scenarios chosen independently of scores are used in the tests,
-    unless both simulators are deterministic: then any two recordings that differ show a change.
+    Each version has to be run into a study of its own. Scenarios with the same parameters are compared one by one. If
+    both studies were explored, their critical sets are compared too. If both simulators are deterministic, any two
+    recordings that differ show a change. Otherwise statistical tests decide; they use only scenarios that were chosen
+    independently of scores.
 
     Parameters
     ----------
@@ -153,7 +154,7 @@ def compare(
 
 
 def _require_complete_suite(study: StudyFile) -> None:
-    """Raise `InputError` if a suite was interrupted: its few unchanged scenarios would look like no change."""
+    """Raise `InputError` if the run of a suite is incomplete: the few scenarios it holds could look like no change."""
     n_pending = sum(row.state == "pending" for row in study.rows())
     if study.meta.suite and n_pending:
         raise InputError(
@@ -163,12 +164,18 @@ def _require_complete_suite(study: StudyFile) -> None:
 
 
 def _objective_metric(meta: StudyMeta, metrics: Sequence[str]) -> str:
-    """The metric that defines criticality; empty for a weighted sum, a Pareto front, or if it is not compared."""
+    """Return the metric that defines criticality.
+
+    It is empty for a weighted sum or a Pareto front, and if the metric is not compared.
+    """
     return "" if meta.weights or meta.pareto or meta.metrics[0] not in metrics else meta.metrics[0]
 
 
 def _is_deterministic(meta: StudyMeta) -> bool:
-    """Tell whether runs of a study are deterministic: as was tried, or as cornercase's own parts declare."""
+    """Tell whether runs of a study are deterministic.
+
+    This is known if a scenario was run twice, or if all parts of the simulation are cornercase's own and declare it.
+    """
     declared: bool | None = None
     is_own_code = False
     with suppress(InputError):
@@ -184,7 +191,10 @@ def _is_deterministic(meta: StudyMeta) -> bool:
 def _run_tests(
     old: StudySide, new: StudySide, pairs: Sequence[ScenarioPair], metrics: Sequence[str], deterministic: bool
 ) -> tuple[ChangeTest, ...]:
-    """Test the pairs that were chosen independently of scores, or both initial designs if these pairs are too few."""
+    """Test the pairs of scenarios that were chosen independently of scores.
+
+    If there are too few such pairs, the initial designs of both studies are tested as unpaired samples.
+    """
     tested = [pair for pair in pairs if deterministic or pair.is_score_independent]
     tests_ = test_pairs(tested, metrics) if any(pair.run != "in neither" for pair in tested) else []
     n_filling = len(old.space_filling_ids()), len(new.space_filling_ids())
@@ -257,7 +267,7 @@ def _compute_score_change(pairs: Sequence[ScenarioPair], metric_name: str) -> Sc
 
 
 def _describe_setting_differences(old: StudyMeta, new: StudyMeta) -> Iterator[str]:
-    """Yield differences between the settings of both studies, in words."""
+    """Yield a text for each setting that differs between the studies."""
     if bool(old.suite) != bool(new.suite):
         yield f"scenarios: {' → '.join('of a suite' if meta.suite else 'explored' for meta in (old, new))}"
     for name, label in _SETTING_LABELS.items():
@@ -267,14 +277,14 @@ def _describe_setting_differences(old: StudyMeta, new: StudyMeta) -> Iterator[st
 
 
 def _describe_nondeterminism(*studies: StudyFile) -> Iterator[str]:
-    """Yield which of the studies are not deterministic, in words."""
+    """Yield a text for each study whose runs are not deterministic."""
     for study in studies:
         if study.meta.nondeterminism_text:
             yield f"runs of {study.path.name} differ: {study.meta.nondeterminism_text}"
 
 
 def _describe_value_difference(name: str, old: Any, new: Any) -> Iterator[str]:
-    """Yield differences between two values of a setting, in words."""
+    """Yield texts that describe how two values of a setting differ."""
     if old == new:
         return
     if name.startswith(_DRIVER_PREFIX) and (_is_custom_driver(old) or _is_custom_driver(new)):
@@ -292,14 +302,14 @@ def _describe_value_difference(name: str, old: Any, new: Any) -> Iterator[str]:
 
 
 def _is_custom_driver(driver: Any) -> bool:
-    """Tell whether a driver is neither registered nor described by parameters alone."""
+    """Tell whether a driver is the user's code: neither registered nor described by parameters alone."""
     if not isinstance(driver, Mapping):
         return False
     return driver_command_option(driver) is None or not {"options", "sha256", "settings"}.isdisjoint(driver)
 
 
 def _expand_driver_name(driver: Any) -> Any:
-    """Settings of a driver that is stored by its name."""
+    """Return the settings of a driver; a registered name is replaced by what it stands for."""
     return DRIVERS.create(driver).settings if isinstance(driver, str) and driver in DRIVERS else driver
 
 
@@ -312,7 +322,10 @@ def _format_setting(value: Any) -> str:
 def _count_cluster_changes(
     old: StudyFile, new: StudyFile, pairs: Sequence[ScenarioPair]
 ) -> dict[str, tuple[ClusterChange, ...]]:
-    """Count the pairs in each cluster of the old study, with each version; new scenarios are assigned to them."""
+    """Count how many pairs belong to each cluster of the old study, with the old and with the new version.
+
+    Recordings of the new version are assigned to the clusters of the old study.
+    """
     clusters = {}
     for by, analysis in read_analyses(old).items():
         if by in old.meta.metrics and by not in new.meta.metrics:

@@ -82,12 +82,12 @@ class ScenarioPair:
 
     @property
     def both_ran(self) -> bool:
-        """Whether it ran in both studies."""
+        """Whether the scenario ran without failing in both studies."""
         return bool(self.scores)
 
     @property
     def changed_verdicts(self) -> tuple[tuple[Verdict, Verdict], ...]:
-        """Verdicts whose state changed, old and new."""
+        """Old and new verdict on each requirement whose state changed."""
         return tuple(
             (before, after) for before, after in zip(*self.verdicts, strict=True) if before.state != after.state
         )
@@ -190,7 +190,7 @@ class Finding:
 
     @property
     def change_text(self) -> str:
-        """The change in words, with the number of scenarios."""
+        """Describe the change, with the number of scenarios."""
         count, worse = len(self.ids), self.direction == "worse"
         if self.test is not None and not self.ids:
             return f"{self._describe_trend(worse)} among the space-filling scenarios"
@@ -216,7 +216,7 @@ class Finding:
         return f"{'more' if is_worse else 'fewer'} {subject}"
 
     def format_scenario_ids(self, limit: int = _MAX_NAMED_SCENARIOS) -> str:
-        """Name the scenarios.
+        """List the ids of the scenarios, at most `limit`.
 
         Parameters
         ----------
@@ -232,7 +232,7 @@ class Finding:
         return ", ".join(map(format_pair_ids, self.ids[:limit])) + (f" and {n_more} more" if n_more > 0 else "")
 
     def describe_test(self) -> str:
-        """Describe the test that found it, and how many scenarios have the opposite change.
+        """Describe the significance test that found the change, and how many scenarios changed the other way.
 
         Returns
         -------
@@ -246,7 +246,7 @@ class Finding:
 
     @property
     def text(self) -> str:
-        """The change in words, with the ids of the first scenarios."""
+        """Describe the change, with the ids of the first scenarios."""
         details = "; ".join(filter(None, (self.format_scenario_ids(), self.describe_test())))
         return f"{self.change_text} ({details})" if details else self.change_text
 
@@ -418,7 +418,7 @@ class Comparison:
         return pd.DataFrame(rows).set_index(["old", "new"]) if rows else pd.DataFrame()
 
     def _repr_html_(self) -> str:
-        """The verdict, and the pairs that are not the same, for notebooks."""
+        """The verdict, and a table of the pairs that differ, for notebooks."""
         table = self.table()
         return render_html_table(repr(self), table[table["run"] != "the same"] if len(table) else table)
 
@@ -431,7 +431,7 @@ class Comparison:
         return f"{self.verdict.capitalize()}{'.' if self.verdict == 'mixed' else ':'} {self.verdict_reason}"
 
     def count_pairs(self, run_comparison: RunComparison) -> int:
-        """Count pairs by `Pair.run`.
+        """Count the pairs with this value of `ScenarioPair.run`.
 
         Parameters
         ----------
@@ -494,12 +494,12 @@ class Comparison:
 
 
 def format_pair_ids(ids: tuple[int, int]) -> str:
-    """Name a scenario by its ids in both studies: `"4"`, or `"4→7"` if they differ."""
+    """Return the ids of a scenario in both studies as text: `"4"`, or `"4→7"` if they differ."""
     return str(ids[0]) if ids[0] == ids[1] else f"{ids[0]}→{ids[1]}"
 
 
 def describe_findings(findings: Sequence[Finding]) -> str:
-    """Describe the first four findings in one line; the others are counted."""
+    """Describe the first four findings in one line, and say how many more there are."""
     n_more = len(findings) - _MAX_LISTED_FINDINGS
     return ", ".join(finding.text for finding in findings[:_MAX_LISTED_FINDINGS]) + (
         f", and {n_more} more" if n_more > 0 else ""

@@ -17,7 +17,7 @@ MAX_TABLE_SCENARIOS: Final = 40
 
 @dataclass(frozen=True)
 class ComparisonSection:
-    """A section of a comparison report; `header` is empty without a table.
+    """A section of a comparison report; `header` is the first row of its table, empty without a table.
 
     `key` is ``"answer"``, ``"findings"``, ``"pairs"``, ``"scores"``, ``"outcomes"``, ``"verdicts"``, ``"tests"``,
     ``"space"``, ``"kinds"`` or ``"telling"``.
@@ -31,7 +31,7 @@ class ComparisonSection:
 
 
 def describe_comparison(comparison: Comparison) -> tuple[ComparisonSection, ...]:
-    """Describe a comparison in sections, the answer first; empty sections are left out."""
+    """Describe a comparison in sections; the answer comes first, and empty sections are left out."""
     return tuple(_iter_sections(comparison))
 
 

@@ -26,11 +26,11 @@ _ROUNDING_TOLERANCE = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class StudySide:
-    """One of the two studies of a comparison; mappings are by id.
+    """One of the two studies of a comparison; mappings are by scenario id.
 
-    `rows` have ended, the first of those with the same values. `fills` tells whether a scenario fills the space
-    independently of scores; `searched` whether an optimizer chose scenarios. `scores` are those of the compared metrics
-    and of those that define criticality; `critical` is empty without a threshold.
+    `rows` are scenarios that have ended; of several with the same parameter values, only the first. `fills_space` tells
+    whether a scenario is part of a sample of the space that does not depend on scores. `is_explored` tells whether an
+    optimizer chose scenarios. `scores` are by metric. `is_critical` is empty without a threshold.
     """
 
     study: StudyFile
@@ -45,7 +45,7 @@ class StudySide:
     def from_study(
         cls, study: StudyFile, metrics: Sequence[str], verdicts: Mapping[int, Sequence[Verdict]]
     ) -> StudySide:
-        """Read everything about the scenarios of an open study except their recordings."""
+        """Read all results of an open study except recordings."""
         rows, done = study.rows(), [row.id for row in study.finished_rows()]
         first_rows: dict[tuple[object, ...], ScenarioRecord] = {}
         for row in rows:
@@ -72,17 +72,20 @@ class StudySide:
         return not self.is_explored or self.fills_space[scenario]
 
     def space_filling_ids(self) -> list[int]:
-        """Ids of the scenarios that ran and fill the space independently of scores."""
+        """Return ids of scenarios that ran and are part of a sample of the space that does not depend on scores."""
         return [row.id for row in self.rows if row.state == "done" and self.fills_space[row.id]]
 
 
 def has_threshold(study: StudyFile) -> bool:
-    """Tell whether the study has a threshold of a single score."""
+    """Tell whether the study has a threshold for a single score."""
     return study.critical is not None and not study.meta.pareto
 
 
 def scenario_key(study: StudyFile, row: ScenarioRecord) -> tuple[object, ...]:
-    """Parameter values of a scenario, by which its partner is found: a number, or the text of a choice, for each."""
+    """Return the parameter values of a scenario, to find the same scenario in the other study.
+
+    A choice is given as text, any other value as float.
+    """
     return tuple(
         str(value) if parameter.choices else float(value)
         for parameter in study.space.parameters
@@ -91,14 +94,17 @@ def scenario_key(study: StudyFile, row: ScenarioRecord) -> tuple[object, ...]:
 
 
 def criticality_metrics(study: StudyFile) -> tuple[str, ...]:
-    """Names of the metrics whose scores define criticality in a study; empty without a threshold."""
+    """Return the metrics whose scores define which scenarios are critical in a study; empty without a threshold."""
     if not has_threshold(study):
         return ()
     return tuple(study.meta.weights) or study.meta.metrics[:1]
 
 
 def match_pairs(old: StudySide, new: StudySide, metrics: Sequence[str]) -> tuple[ScenarioPair, ...]:
-    """Match the scenarios that ended in both studies, and compare their results, in the order of the old study."""
+    """Pair the scenarios that ended in both studies with the same parameters, and compare their results.
+
+    Pairs are in the order of the old study.
+    """
     other = old.study.primary_other()
     partners = {scenario_key(new.study, row): row for row in new.rows}
     pairs = []
@@ -159,7 +165,7 @@ def _changed_margins(
     ego: str,
     others: Sequence[str],
 ) -> dict[str, tuple[float, float]]:
-    """Margins of requirements that changed between passed and failed, if they have a margin."""
+    """Return old and new margin of each requirement that changed between passed and failed, if it has a margin."""
     margins = {}
     for before, after in zip(*verdicts, strict=True):
         if {before.state, after.state} == {"passed", "failed"}:
@@ -183,14 +189,14 @@ def compare_recordings(old: Recording, new: Recording) -> RunComparison:
 
 
 def _match_verdicts(old: Sequence[Verdict], new: Sequence[Verdict]) -> tuple[tuple[Verdict, ...], tuple[Verdict, ...]]:
-    """Verdicts on the requirements that both have, in the order of the old ones."""
+    """Return old and new verdicts on the requirements that both studies have, in the order of the old study."""
     new_by_text = {verdict.requirement: verdict for verdict in new}
     matched = [(verdict, new_by_text[verdict.requirement]) for verdict in old if verdict.requirement in new_by_text]
     return tuple(verdict for verdict, _ in matched), tuple(other for _, other in matched)
 
 
 def choose_compared_metrics(old: StudyFile, new: StudyFile, metrics: Sequence[str] | None) -> tuple[str, ...]:
-    """Choose the metrics to compare; raise `InputError` if the studies are not comparable."""
+    """Return the metrics to compare; `InputError` if the studies cannot be compared."""
     pair = f"{old.path} and {new.path}"
     a, b = old.meta, new.meta
     # The fingerprint of an import is that of its recordings.
@@ -234,7 +240,7 @@ def choose_compared_metrics(old: StudyFile, new: StudyFile, metrics: Sequence[st
 
 
 def _have_same_scenarios(old: StudyMeta, new: StudyMeta) -> bool:
-    """Tell whether two studies have the same files, or one is of a suite reduced from what the other explored."""
+    """Tell whether two studies have the same scenario files, or one is of a suite that was reduced from the other."""
     if bool(old.suite) == bool(new.suite):
         return (old.fingerprint, old.suite) == (new.fingerprint, new.suite)
     suite, explored = (old, new) if old.suite else (new, old)
@@ -247,9 +253,10 @@ def _criticality_key(study: StudyFile) -> tuple[object, ...]:
 
 
 def space_filling_scores(side: StudySide, metrics: Sequence[str]) -> tuple[dict[str, FloatArray], dict[str, BoolArray]]:
-    """Scores by metric, and facts (`"collision"`, `"critical"` if known), of the scenarios that fill the space.
+    """Return scores and facts of the scenarios of one study that fill the space, as arrays of shape (n,).
 
-    Used if these are not the same scenarios in both studies; arrays have shape (n,).
+    Scores are by metric; facts are ``"collision"`` and, if known, ``"critical"``. They serve for tests of studies that
+    have too few scenarios in common.
     """
     ids, meta = side.space_filling_ids(), side.study.meta
     scores = {name: np.array([side.scores[scenario][name] for scenario in ids]) for name in metrics}

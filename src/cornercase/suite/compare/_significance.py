@@ -1,4 +1,4 @@
-"""Significance tests of whether two versions differ, for scores with caps and ties, and for yes/no facts."""
+"""Significance tests for differences between two versions: for scores with caps and ties, and for yes/no facts."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ _RELATIVE_ROUNDING: Final = 1e-9
 
 
 def score_difference(before: FloatArray, after: FloatArray) -> FloatArray:
-    """Differences of finite scores, shape (n,); 0 if they are equal up to rounding."""
+    """Return the differences of finite scores, shape (n,); scores that are equal up to rounding differ by 0."""
     change = after - before
     size = np.maximum(np.maximum(np.abs(before), np.abs(after)), 1.0)
     return np.where(np.abs(change) <= _RELATIVE_ROUNDING * size, 0.0, change)
 
 
 def wilcoxon_p_value(differences: FloatArray) -> float:
-    """Two-sided p of Wilcoxon's signed-rank test of whether differences of pairs, shape (n,), are centered on 0.
+    """Return the two-sided p-value of Wilcoxon's signed-rank test that differences, shape (n,), are centered on 0.
 
-    Pairs that did not change are left out, as Wilcoxon did: scores that stay at a cap or at 0 say nothing about which
-    version scores lower. Ties get their mean rank. A cap makes a difference smaller and keeps its sign. p is 1 if no
-    pair changed.
+    Differences of 0 are left out, as in Wilcoxon's paper: if a score stays at its cap or at 0, it is unknown which
+    version scores lower. Ties get their mean rank. A cap can shrink a difference, but never changes its sign. p is 1 if
+    all differences are 0.
 
-    F. Wilcoxon, "Individual comparisons by ranking methods", Biometrics Bulletin 1 (1945); `scipy.stats.wilcoxon` is
-    exact for few pairs, by enumerating all signs if there are ties.
+    F. Wilcoxon, "Individual comparisons by ranking methods", Biometrics Bulletin 1 (1945). For few pairs the test is
+    exact: `scipy.stats.wilcoxon` enumerates all signs if there are ties.
     """
     moved = differences[differences != 0.0]
     if not len(moved):
@@ -46,7 +46,7 @@ def wilcoxon_p_value(differences: FloatArray) -> float:
 
 
 def mcnemar_p_value(before: BoolArray, after: BoolArray) -> float:
-    """Two-sided p of McNemar's exact test of paired facts, shape (n,); 1 if no pair changed.
+    """Return the two-sided p-value of McNemar's exact test of paired yes/no facts, shape (n,); 1 if no pair changed.
 
     Q. McNemar, "Note on the sampling error of the difference between correlated proportions or percentages",
     Psychometrika 12 (1947), with the binomial distribution instead of its limit.
@@ -58,7 +58,7 @@ def mcnemar_p_value(before: BoolArray, after: BoolArray) -> float:
 
 
 def holm_correct(tests: Sequence[ChangeTest]) -> tuple[ChangeTest, ...]:
-    """Correct the p-values for the number of tests by Holm's method, in the same order.
+    """Correct the p-values of several tests by Holm's method; the order of the tests stays.
 
     S. Holm, "A simple sequentially rejective multiple test procedure", Scandinavian Journal of Statistics 6 (1979).
     """
@@ -71,7 +71,10 @@ def holm_correct(tests: Sequence[ChangeTest]) -> tuple[ChangeTest, ...]:
 
 
 def test_pairs(pairs: Sequence[ScenarioPair], metrics: Sequence[str]) -> list[ChangeTest]:
-    """Test at least one pair of scenarios; p-values are not corrected yet."""
+    """Test whether scores and facts of paired scenarios differ between the versions; p-values are not corrected.
+
+    At least one pair is needed.
+    """
     both_ran = [pair for pair in pairs if pair.both_ran]
     results = []
     for name in metrics if both_ran else ():
@@ -98,7 +101,7 @@ def test_pairs(pairs: Sequence[ScenarioPair], metrics: Sequence[str]) -> list[Ch
 
 
 def _signed_rank_sum(differences: FloatArray) -> float:
-    """Sum of the ranks of increases minus that of decreases, the statistic of Wilcoxon's test."""
+    """Return the statistic of Wilcoxon's test: the rank sum of increases minus the rank sum of decreases."""
     from scipy.stats import rankdata
 
     moved = differences[differences != 0.0]
@@ -106,7 +109,7 @@ def _signed_rank_sum(differences: FloatArray) -> float:
 
 
 def _change_direction(metric: str, change: float) -> ChangeDirection | None:
-    """Tell whether a change of scores is for the worse; without a metric, a decrease is worse."""
+    """Tell whether a change of scores is better or worse; None for no change. Without a metric, a decrease is worse."""
     oriented = METRICS.create(metric).to_minimize(change) if metric else change
     return "worse" if oriented < 0.0 else "better" if oriented > 0.0 else None
 
@@ -119,10 +122,10 @@ def test_unpaired_samples(
     scores: tuple[dict[str, FloatArray], dict[str, FloatArray]],
     facts: tuple[dict[str, BoolArray], dict[str, BoolArray]],
 ) -> list[ChangeTest]:
-    """Test unpaired scenarios of each study that fill the space: scores by metric and facts by name, shape (n,).
+    """Test whether scores and facts differ between two samples of the space, one per study, without pairs.
 
-    Points of a Sobol' sequence are more even than random ones, so the tests are conservative. p-values are not
-    corrected yet.
+    `scores` maps metrics, and `facts` names, to arrays of shape (n,). Points of a Sobol' sequence are more even than
+    random points, so the tests are conservative. p-values are not corrected.
 
     H. B. Mann, D. R. Whitney, "On a test of whether one of two random variables is stochastically larger than the
     other", Annals of Mathematical Statistics 18 (1947); R. A. Fisher, "The design of experiments" (1935).

@@ -19,11 +19,11 @@ _DRAW_SEED = 0
 
 
 def estimate_space_change(old: StudySide, new: StudySide, pairs: tuple[ScenarioPair, ...]) -> SpaceChange | None:
-    """Estimate how the critical part of the space changed; None without a threshold or if a study was not explored.
+    """Estimate how the critical part of the space changed; None without a threshold, or if a study was not explored.
 
-    Scenarios that an optimizer chose by scores lie where it expected critical ones, so they say nothing about fractions
-    of the space. Pairs of both initial designs and audits do, without any model: the number of those that are critical
-    with one version only gives the Clopper-Pearson interval of that part of the space.
+    An optimizer chooses scenarios where it expects critical ones, so they say nothing about fractions of the space.
+    Pairs of scenarios from initial designs and audits do. The number of these pairs that are critical with one version
+    only gives the Clopper-Pearson interval of that part of the space. This needs no model.
     """
     if not (old.is_critical and new.is_critical and old.is_explored and new.is_explored):
         return None
