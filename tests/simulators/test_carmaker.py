@@ -471,7 +471,7 @@ def test_refuses_in_one_sentence(tmp_path, options, words):
     with pytest.raises(InputError, match=words):
         CarMaker(**({"testrun": "a", "project": str(tmp_path)} | options))
     # Only the refused option is wrong: the rest can be used.
-    assert CarMaker(testrun="a", project=str(tmp_path)).name == "carmaker"
+    assert str(CarMaker(testrun="a", project=str(tmp_path))) == f"carmaker:testrun=a,project={tmp_path}"
 
 
 @pytest.mark.skipif(not SAMPLE.is_file(), reason="the real sample is not beside the checkout")
