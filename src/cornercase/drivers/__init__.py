@@ -1,4 +1,4 @@
-"""Drivers by name, and the base class of your own."""
+"""Drivers by name, and the base class for your own drivers."""
 
 import lazy_loader as lazy
 

@@ -1,4 +1,4 @@
-"""The base class of drivers, and what they are given."""
+"""Base class of drivers, and the information that drivers get."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from cornercase._common.typing import BoolArray, FloatArray
 class DrivenPath:
     """Path that the reference point of the driven entity follows.
 
-    A lane is shared by all scenarios of a batch: arrays of shape (P,). A trajectory may differ between scenarios:
-    arrays of shape (N, P).
+    A path along a lane is the same in all scenarios of a batch, and has arrays of shape (P,). A trajectory may differ
+    between scenarios, and has arrays of shape (N, P).
 
     Attributes
     ----------
     distance : ndarray of float64, shape (P,) or (N, P)
         Distance along the path in m, increasing from 0, with steps of at most about 0.5 m in curves.
     x, y : ndarray of float64, shape (P,) or (N, P)
-        In m.
+        Position in m.
     heading : ndarray of float64, shape (P,) or (N, P)
-        In rad, unwrapped.
+        Heading in rad, unwrapped.
     curvature : ndarray of float64, shape (P,) or (N, P)
-        In 1/m, positive to the left.
+        Curvature in 1/m, positive to the left.
 
     Raises
     ------
@@ -54,14 +54,14 @@ class DrivenPath:
 
 @dataclass(frozen=True, eq=False)
 class Situation:
-    """What a driver is given in one time step, for N concrete scenarios and A other entities.
+    """State of the traffic that a driver gets in a time step, for N concrete scenarios and A other entities.
 
-    It is the true state, not what can be seen: the driver has to model its own perception.
+    This is the true state, including what the driver cannot see: a driver has to model its own perception.
 
     Attributes
     ----------
     time, time_step : float
-        In s.
+        Time since the start of the scenarios, and duration of the coming time step, in s.
     path : DrivenPath
         The path ahead and behind.
     distance : ndarray of float64, shape (N,)
@@ -69,15 +69,15 @@ class Situation:
     x, y, heading, speed, acceleration : ndarray of float64, shape (N,)
         State of the driven entity's reference point in m, rad, m/s, m/s².
     length, width, center_x : float
-        Its bounding box in m, as in a recording.
+        Bounding box of the driven entity in m, as in a recording.
     target_speed : ndarray of float64, shape (N,)
-        Speed set by the scenario's speed actions, in m/s; infinite or NaN if there is none.
+        Speed in m/s that the scenario's speed actions have set; infinite or NaN if none has set a speed.
     others_x, others_y, others_heading, others_speed : ndarray of float64, shape (N, A)
-        State of the other entities; NaN if one does not exist.
+        State of the other entities in m, rad and m/s; NaN while an entity does not exist.
     others_length, others_width, others_center_x : ndarray of float64, shape (A,)
-        Their bounding boxes in m.
+        Bounding boxes of the other entities in m.
     others_object_type : tuple of str, length A
-        Vehicle category, ``"pedestrian"`` or ``"misc"``.
+        Vehicle category of each other entity, ``"pedestrian"`` or ``"misc"``.
     active : ndarray of bool, shape (N,)
         Scenarios in which the entity is driven along this path in this step.
     """
@@ -107,7 +107,7 @@ class Situation:
 
 
 class Driver(Configurable, ABC):
-    """Decide the speed of one entity along its path, for all concrete scenarios of a batch in lock-step.
+    """Decides the speed of an entity along its path, for all concrete scenarios of a batch at the same time.
 
     A decision may only depend on the past of its own scenario: no random numbers, no clock, nothing from other
     scenarios. Derive your own driver from this class and implement `acceleration`; if it has state, also override
@@ -144,8 +144,9 @@ class Driver(Configurable, ABC):
     def acceleration(self, situation: Situation) -> FloatArray:
         """Return the acceleration along the path for the coming time step.
 
-        It is called once per path in each time step, with disjoint masks ``active``. The result is ignored for
-        scenarios that are not active, whose values may be of a later time; their state must not change.
+        In each time step, the method is called once per path, with the mask ``active`` of the scenarios on this path.
+        In all other scenarios, the result is ignored, the situation may be that of a later time, and the state of the
+        driver must not change.
 
         Parameters
         ----------
@@ -155,5 +156,5 @@ class Driver(Configurable, ABC):
         Returns
         -------
         ndarray of float64, shape (N,)
-            In m/s².
+            Acceleration in m/s².
         """

@@ -21,8 +21,8 @@ _ALLOWED_ZERO: Final = frozenset(
 class BehaviourDriver(CompiledDriver):
     """Driver with the parameters of a `Behaviour`.
 
-    It takes the lowest of the accelerations allowed by its own speed plan, by each entity that it follows and by each
-    entity that it yields to; see ``docs/drivers.md``.
+    The driver chooses the lowest of several accelerations: that of its own speed plan, and those that each entity
+    allows which it follows or yields to. See ``docs/drivers.md``.
 
     Parameters
     ----------
@@ -51,12 +51,12 @@ class BehaviourDriver(CompiledDriver):
 
     @property
     def known_mask(self) -> BoolArray:
-        """Entities that the driver knows of, ndarray of bool, shape (N, A)."""
+        """Entities that the driver is aware of, ndarray of bool, shape (N, A)."""
         return self._fleet.awareness[0, :, KNOWN]
 
     @property
     def yielding_mask(self) -> BoolArray:
-        """Entities that the driver yields to, ndarray of bool, shape (N, A)."""
+        """Entities that the driver currently yields to, ndarray of bool, shape (N, A)."""
         return self._fleet.awareness[0, :, YIELDING]
 
 

@@ -1,4 +1,4 @@
-"""Drivers with compiled decisions, alone or gathered in a fleet for the simulator's kernels."""
+"""Drivers with compiled decisions, and fleets: their common state, which the simulator's kernels use."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _ROUTE_CACHE: WeakKeyDictionary[DrivenPath, dict[tuple[float, float], tuple[Floa
 
 
 class CompiledDriver(Driver):
-    """A driver with compiled decisions: a fleet of one, or a row of a larger fleet."""
+    """A driver with compiled decisions; its state is a fleet of one, or a row of a larger fleet."""
 
     kind: ClassVar[int]
     """Kind of driver, as in `Fleet.kind`."""
@@ -57,7 +57,7 @@ class CompiledDriver(Driver):
         self._routes: dict[int, tuple[DrivenPath, int]] = {}
 
     def attach_to_fleet(self, fleet: Fleet, row: int) -> None:
-        """Move the driver's state into a row of a fleet, and keep a view of it.
+        """Move the driver's state into a row of a fleet; the driver keeps a view of this row.
 
         Parameters
         ----------
@@ -95,7 +95,7 @@ class CompiledDriver(Driver):
         return result
 
     def _plan_route_index(self, path: DrivenPath) -> int:
-        """Index of the route along a path among the driver's own routes; plans it if needed."""
+        """Return the index of the route along a path among the driver's own routes; plan the route if it is new."""
         if self.kind != BEHAVIOUR:
             return 0
         if id(path) not in self._routes:
@@ -105,17 +105,17 @@ class CompiledDriver(Driver):
 
 
 def is_compiled(driver: Driver) -> TypeGuard[CompiledDriver]:
-    """Check whether compiled code decides for a driver: a derived class may override `acceleration`."""
+    """Check whether compiled code makes a driver's decisions; not so if a derived class overrides `acceleration`."""
     return isinstance(driver, CompiledDriver) and type(driver).acceleration is CompiledDriver.acceleration
 
 
 def limit_driver_acceleration(
     driver: CompiledDriver, max_acceleration: float, max_deceleration: float
 ) -> dict[str, float]:
-    """Limit a started driver to what its vehicle can do (m/s²), until it is started again.
+    """Limit a started driver to the accelerations in m/s² that its vehicle can reach, until it is started again.
 
-    Returns the driver's own value for each limit that it exceeds: ``"acceleration"``, ``"deceleration"``. The driver
-    must not be in a fleet yet.
+    Returns the driver's own value of each limit that it exceeded, as ``"acceleration"`` and ``"deceleration"``. Call it
+    before the driver joins a fleet.
     """
     fields = Behaviour._fields if driver.kind == BEHAVIOUR else FollowParameters._fields
     parameters, exceeded = driver._fleet.parameters[0], dict[str, float]()
@@ -140,10 +140,11 @@ def build_fleet(
     center_x: FloatArray,
     object_types: Sequence[str],
 ) -> Fleet:
-    """Gather started drivers, so that kernels and `Driver.acceleration` share one state.
+    """Create a fleet of started drivers, so that kernels and `Driver.acceleration` use the same state.
 
-    The drivers' state moves into the fleet's arrays, of which they keep views. `driven_rows` is the row of the entity
-    of each driver; the boxes of all E entities are in m. The fleet has no routes yet.
+    The state of the drivers moves into the arrays of the fleet, and the drivers keep views. `driven_rows` has, for each
+    driver, the row of its entity. `length`, `width` and `center_x` are the boxes of all E entities in m. The new fleet
+    has no routes.
     """
     fleet = _empty_fleet(len(drivers), scenarios, max(len(object_types) - 1, 0))
     boxes = np.stack((0.5 * length, 0.5 * width, center_x, _is_vulnerable(object_types)))
@@ -156,10 +157,10 @@ def build_fleet(
 
 
 def set_route(fleet: Fleet, driver: int, track: int, path: DrivenPath, changed: BoolArray | None = None) -> Fleet:
-    """Plan a driver's route along a track, replacing the previous one for that track.
+    """Plan a driver's route along a track, and return the fleet with it; an earlier route along this track is replaced.
 
-    `changed`: scenarios (N,) in which a path that differs between scenarios has changed; all by default. Returns a
-    fleet with the route, in new arrays or in those of the given fleet.
+    If the path differs between scenarios, `changed` (N,) marks the scenarios in which it has changed; by default all.
+    The arrays of the returned fleet may be new ones.
     """
     samples, rows = count_route_samples(path), len(np.atleast_2d(path.distance))
     routes, chosen = fleet.routes, np.arange(rows)
@@ -180,7 +181,7 @@ def set_route(fleet: Fleet, driver: int, track: int, path: DrivenPath, changed: 
 
 
 def _plan_route_points(path: DrivenPath, behaviour: Behaviour, rows: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Points and measures of rows of a path, as in `Routes`; cached across batches for lanes."""
+    """Return points and measures of the rows of a path, as in `Routes`; cached for lanes, which all batches share."""
     lateral, braking = behaviour.lateral_acceleration, behaviour.comfortable_deceleration
     cache = _ROUTE_CACHE.setdefault(path, {}) if path.distance.ndim == 1 else {}
     if (lateral, braking) not in cache:
@@ -192,7 +193,7 @@ def _plan_route_points(path: DrivenPath, behaviour: Behaviour, rows: IntArray) -
 
 
 def _append_empty_route(routes: Routes, driver: int, track: int, rows: int, samples: int) -> Routes:
-    """Append empty rows of `samples` points each as the route of a driver along a track."""
+    """Append empty rows of `samples` points each, for the route of a driver along a track."""
     padding = ((0, 0), (0, max(track + 1 - routes.row.shape[1], 0)))
     row, counts = np.pad(routes.row, padding, constant_values=-1), np.pad(routes.rows, padding)
     row[driver, track], counts[driver, track] = len(routes.begin), rows

@@ -1,4 +1,4 @@
-"""Describe drivers: as stored in studies, as text, and as a command line option."""
+"""Describe drivers: for studies, as text, and as a command line option."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ _checksums: Final[WeakKeyDictionary[type, str]] = WeakKeyDictionary()
 
 
 def record_driver_spec(driver: Driver, name: str, options: Mapping[str, object]) -> None:
-    """Store on a driver the name and the options it was created with.
+    """Store on a driver the name and the options that it was created with.
 
-    Raises `InputError` if the driver has options but no `__dict__` to store them.
+    Raises `InputError` if there are options and the driver has no ``__dict__`` to store them.
     """
     try:
         vars(driver)[_SPEC_ATTRIBUTE] = (name, dict(sorted(options.items())))
@@ -40,11 +40,12 @@ def record_driver_spec(driver: Driver, name: str, options: Mapping[str, object])
 
 
 def serialize_driver(driver: str | Driver) -> str | dict[str, Any]:
-    """Return a driver as plain JSON values.
+    """Return plain JSON values that describe a driver.
 
-    A registered driver is its name; an object of cornercase's own classes is its settings. Any other driver is a dict:
-    ``driver``, the class as ``"package.module:Class"``; ``options``, if it was created by name; ``sha256`` of the file
-    that defines the class, if there is one; ``settings``, if the class defines them.
+    For a registered driver this is its name, and for an object of cornercase's own classes its settings. For any other
+    driver it is a dict: ``driver`` is the class as ``"package.module:Class"``; ``options`` are its options, if it was
+    created by name; ``sha256`` is the checksum of the file that defines the class, if any; ``settings`` are its
+    settings, if the class defines them.
     """
     if isinstance(driver, str):
         return driver
@@ -65,7 +66,7 @@ def serialize_driver(driver: str | Driver) -> str | dict[str, Any]:
 
 
 def _source_file_checksum(cls: type) -> str:
-    """SHA-256 of the file that defines a class, as of when the class was first seen; empty without a file."""
+    """SHA-256 of the file that defines a class, from when the class was first seen; empty if there is no file."""
     # A module edited in the meantime is not reloaded.
     if cls not in _checksums:
         file = getattr(sys.modules.get(cls.__module__), "__file__", None)
@@ -77,9 +78,10 @@ def _source_file_checksum(cls: type) -> str:
 
 
 def driver_command_option(description: object) -> str | None:
-    """Command line option that creates a driver again, such as ``"my_aeb:Aeb:reaction=0.3"``; None if unknown.
+    """Return the command line option that creates a driver again, such as ``"my_aeb:Aeb:reaction=0.3"``.
 
-    `description` comes from a study, so it may hold anything. Objects created in Python code have no such option.
+    None if unknown. `description` comes from a study, so its content is not trusted. An object that was created in
+    Python has no option.
     """
     if isinstance(description, str):
         return description
@@ -102,9 +104,9 @@ def driver_command_option(description: object) -> str | None:
 
 
 def user_driver_spec(driver: str | Driver) -> str | None:
-    """Name and options by which the user chose a driver that is not part of cornercase.
+    """Return name and options of a driver that a user chose by name.
 
-    None for a driver of cornercase and for an object created in Python code.
+    None for cornercase's own drivers and for objects.
     """
     if isinstance(driver, str):
         factory = DRIVERS.get_factory(driver.partition(":")[0])
@@ -141,10 +143,10 @@ def format_driver(description: object) -> str:
 
 
 def iter_driver_changes(stored: object, current: object) -> Iterator[tuple[str, str, str, bool]]:
-    """Yield (entity, before, now, only_the_file) for each entity whose driver differs.
+    """Yield (entity, before, now, only_file_changed) for each entity whose driver has changed.
 
-    `stored` and `current` are serialized drivers by entity. `only_the_file`: same class and options, but its file has
-    changed.
+    `stored` and `current` are serialized drivers by entity. The last item is True if class and options are the same,
+    and only the file with the class has changed.
     """
     old, new = (dict(drivers) if isinstance(drivers, Mapping) else {} for drivers in (stored, current))
     for entity in sorted({*old, *new}):

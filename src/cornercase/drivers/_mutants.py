@@ -1,4 +1,4 @@
-"""Mutants of a driver: the same driver, worse in one respect."""
+"""Mutants of a driver, for mutation testing: the same driver, but worse in one respect."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ _GOLDEN_RATIO: Final = (math.sqrt(5.0) - 1.0) / 2.0
 
 @dataclass(frozen=True)
 class Mutation:
-    """What makes a driver worse: one parameter is multiplied by a factor, or increased by an amount if `is_offset`.
+    """A change that makes a driver worse: one parameter is multiplied by a factor, or increased if `is_offset`.
 
-    `description` is as in tables; `mild` and `severe` are the range of the factor, or of the amount in the parameter's
-    unit.
+    `mild` and `severe` bound the factor, or the increase in the unit of the parameter. `description` is the text for
+    tables.
     """
 
     description: str

@@ -18,31 +18,31 @@ class Behaviour(NamedTuple):
     target_share : float
         Fraction of the scenario's target speed that the driver wants.
     lateral_acceleration : float
-        In m/s²; limits the speed in curves.
+        Highest lateral acceleration in m/s², which limits the speed in curves.
     acceleration, comfortable_deceleration, max_deceleration : float
-        In m/s².
+        Highest acceleration, usual deceleration and highest deceleration in m/s².
     time_headway : float
         Time gap in s to the leader.
     min_gap : float
         Gap in m to the leader at rest.
     safety_time : float
-        Time in s between its own box and another box at the same position, whoever comes first.
+        Smallest time in s between the passage of the driver's box and of another box at the same position.
     braking_distance : float
-        Distance in m ahead of a crossing corridor at which it wants to stop to yield.
+        Distance in m from the corridor of a crossing entity at which the driver wants to stop when it yields.
     lateral_margin : float
-        Width in m by which its own corridor exceeds its box on either side.
+        Width in m by which the driver's own corridor exceeds its box on either side.
     standing_caution : float
-        Fraction of the wanted speed for passing a pedestrian or cyclist who stands beside the corridor.
+        Fraction of the wanted speed at which the driver passes a pedestrian or cyclist who stands beside the corridor.
     reaction_time : float
-        Time in s for which it has to see an entity, and a conflict with it, before it reacts.
+        Time in s for which the driver must see an entity, and a conflict with it, before it reacts.
     memory : float
-        Time in s for which it remembers an entity that is out of sight.
+        Time in s for which the driver remembers an entity that is out of sight.
     field_of_view : float
-        Full angle in rad.
+        Full angle of the field of view in rad.
     sight_range : float
-        In m.
+        Distance in m up to which the driver sees.
     horizon : float
-        Time in s for which it predicts the motion of others.
+        Time in s for which the driver predicts the motion of others.
     """
 
     max_speed: float

@@ -20,5 +20,5 @@ for _reference in ("cc-human", "fsm", "rss", "reg157"):
 
 
 def is_registered_driver(name: str) -> bool:
-    """Check whether a name, with or without options, is that of a registered driver."""
+    """Check whether a name (with or without options) belongs to a registered driver."""
     return name.partition(":")[0] in DRIVERS

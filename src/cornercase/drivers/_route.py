@@ -1,4 +1,4 @@
-"""The path resampled for the driver's speed planning."""
+"""Routes: paths that are resampled for the speed planning of a driver."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ _STRAIGHT_TOLERANCE = 1e-10
 
 
 class Route(NamedTuple):
-    """A path sampled at equal distances, in one row for all scenarios or one row for each.
+    """A path sampled at equal distances, with one row for all scenarios or one row per scenario.
 
-    `step` (N,) is the sample distance in m. Arrays of shape (N, R): `x` and `y` in m, `cos` and `sin` of the heading,
-    `max_speed_squared`, the square of the highest speed in m²/s² that the curves ahead allow (the lowest within one
-    step), and `straight_count`, the number of following samples on a straight line. Of shape (N,): `max_spacing`, the
-    largest distance in m between consecutive samples, and `max_turn`, the largest one between their directions as unit
-    vectors.
+    `step` (N,): distance between samples in m. `x`, `y` (N, R) in m. `cos`, `sin` (N, R): of the heading.
+    `max_speed_squared` (N, R): square of the highest speed that the curves ahead allow, in m²/s², the lowest value
+    within a step. `straight_count` (N, R): number of samples that follow on a straight line. `max_spacing` (N,):
+    largest distance between consecutive samples in m. `max_turn` (N,): largest difference between the direction vectors
+    of consecutive samples.
     """
 
     step: FloatArray
@@ -42,10 +42,10 @@ class Route(NamedTuple):
 def plan_route(
     path: DrivenPath, *, lateral_acceleration: float, deceleration: float, rows: IntArray | None = None
 ) -> Route:
-    """Resample a path and compute the speed that its curves allow; only the given `rows` of it, if any.
+    """Resample a path, or some `rows` of it, and compute the highest speed that its curves allow.
 
-    The speed v satisfies v² |κ| ≤ a_lat, and v² ≤ v_c² + 2 b d for each sample at distance d ahead whose own limit is
-    v_c, with the lateral acceleration a_lat and the deceleration b in m/s².
+    The speed v satisfies v² |κ| ≤ a_lat for the curvature κ. It also satisfies v² ≤ v_c² + 2 b d for each sample at
+    distance d ahead with highest speed v_c. Here a_lat is `lateral_acceleration` and b is `deceleration`, in m/s².
     """
     arrays = [np.atleast_2d(array) for array in (path.distance, path.x, path.y, path.heading, path.curvature)]
     if rows is not None:
@@ -62,12 +62,12 @@ def plan_route(
 
 
 def count_route_samples(path: DrivenPath) -> int:
-    """Number of samples in a row of the path's `Route`."""
+    """Return the number of samples in each row of the `Route` of a path."""
     return max(2, int(np.ceil(path.distance.max() / ROUTE_STEP)) + 1)
 
 
 def _count_straight_samples(step: float, x: FloatArray, y: FloatArray, cos: FloatArray, sin: FloatArray) -> FloatArray:
-    """Number of samples that follow each sample of a row on a straight line in its direction."""
+    """Return, for each sample of a row, how many of the following samples lie on a straight line in its direction."""
     position_error = np.hypot(np.diff(x) - step * cos[:-1], np.diff(y) - step * sin[:-1])
     direction_change = np.hypot(np.diff(cos), np.diff(sin))
     ends = np.append(

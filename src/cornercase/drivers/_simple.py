@@ -8,23 +8,23 @@ from cornercase.drivers._presets import FollowParameters, check_parameter
 
 
 class SimpleDriver(CompiledDriver):
-    """Drive at the scenario's target speed, and brake for what is straight ahead in the own lane.
+    """Drive at the scenario's target speed, and brake for anything straight ahead in the driver's lane.
 
-    It is inattentive and looks neither left nor right, like the traffic that a test puts in an ego's way. It keeps its
-    distance with the Intelligent Driver Model (Treiber, Hennecke and Helbing 2000).
+    The driver is inattentive and looks neither left nor right, like the traffic that a test puts in the ego's path. It
+    keeps its distance by the Intelligent Driver Model (Treiber, Hennecke and Helbing 2000).
 
     Parameters
     ----------
     acceleration, comfortable_deceleration, max_deceleration : float
-        In m/s².
+        Highest acceleration, usual deceleration and highest deceleration in m/s².
     time_headway : float
-        In s.
+        Time gap in s to the leader.
     min_gap : float
-        In m.
+        Gap in m to the leader at rest.
     reaction_time : float
-        Time in s for which something has to be ahead before it reacts.
+        Time in s for which something has to be ahead before the driver reacts.
     sight_range : float
-        In m.
+        Distance in m up to which the driver looks ahead.
 
     Raises
     ------

@@ -1,6 +1,6 @@
-"""Times and positions at which the driven entity's box would touch another box.
+"""Times and distances at which the box of the driven entity would touch another box.
 
-The driven entity is tested at samples of its path; the other one moves along straight legs.
+The driven entity is tested at the samples of its path ahead. The other entity moves along its predicted legs.
 """
 
 # Compiled functions have no static types.
@@ -19,11 +19,11 @@ _TOLERANCE = 1e-6
 
 @plain_kernel
 def contact_interval(samples, row, ego, margin, other, horizon):
-    """First and last contact in s, and the leg of the first, if the driven entity were at a path sample.
+    """Return first and last contact in s, and the leg of the first, if the driven entity were at a path sample.
 
-    Separating axes: the projections overlap during one interval on each of four axes; the boxes overlap during the
-    intersection. `ego` is (half length, half width) in m, widened by `margin` on either side; `other` is
-    (legs, half length, half width, speed). With horizon 0 the other stays where it is. Without contact: (inf, -inf, 0).
+    `ego` is (half length, half width) in m, and `margin` is added on either side. `other` is (legs, half length, half
+    width, speed). With horizon 0, the other entity stands still. Without contact, the result is (inf, -inf, 0). By the
+    separating axis theorem, the boxes overlap while their projections on all four axes overlap.
     """
     legs = other[0]
     own_length, own_width = ego[0], ego[1] + margin
@@ -45,10 +45,10 @@ def contact_interval(samples, row, ego, margin, other, horizon):
 
 @inline_kernel
 def last_contact_ending_after(samples, row, ego, margin, other, horizon, min_end, time_offset):
-    """Leg and interval of the last contact at a path sample, if its end + `time_offset` is later than `min_end`.
+    """Return leg and interval of the last contact at a path sample, if its end + `time_offset` is later than `min_end`.
 
-    The interval is counted from the start of the leg, in s; the leg is -1 if there is no such contact. The horizon is
-    above 0. Skips the computation if contact ends too early.
+    The interval is in s from the start of the leg. The leg is -1 if there is no such contact. The horizon must be above
+    0.
     """
     legs = other[0]
     own_length, own_width = ego[0], ego[1] + margin
@@ -67,9 +67,9 @@ def last_contact_ending_after(samples, row, ego, margin, other, horizon, min_end
 
 @inline_kernel
 def is_first_contact_before(samples, row, ego, margin, other, horizon, known_contact, max_start, time_offset):
-    """Check that the first contact at a path sample, plus `time_offset`, begins earlier than `max_start`.
+    """Check whether the first contact at a path sample begins earlier than `max_start` - `time_offset`.
 
-    `known_contact` is the result of `last_contact_ending_after`, with a leg.
+    `known_contact` is the result of `last_contact_ending_after`, and must have a leg.
     """
     legs = other[0]
     for early in range(known_contact[0]):
@@ -88,7 +88,7 @@ def _leg_duration(legs, leg, horizon):
 
 @plain_kernel
 def _contact_interval_on_leg(samples, row, own_length, own_width, other, leg, horizon):
-    """First and last contact in s from the start of a leg; first > last if there is none."""
+    """Return first and last contact on a leg, in s from its start; first > last if there is no contact."""
     legs, half_length, half_width, speed = other
     first, last = 0.0, _leg_duration(legs, leg, horizon)
     dx, dy = legs[leg, 0] - samples[row, 1], legs[leg, 1] - samples[row, 2]
@@ -118,7 +118,10 @@ def _contact_interval_on_leg(samples, row, own_length, own_width, other, leg, ho
 
 @inline_kernel
 def _clip_to_overlap(first, last, offset, radius, rate):
-    """Clip a time interval to when a point at offset `offset`, moving at `rate`, is within `radius`."""
+    """Clip a time interval to the times at which a point is within `radius` of 0.
+
+    It starts at `offset` and moves at `rate`.
+    """
     first_crossing, second_crossing = (-radius - offset) / rate, (radius - offset) / rate
     is_still = abs(rate) < 1e-9
     begin, end = max(first, min(first_crossing, second_crossing)), min(last, max(first_crossing, second_crossing))
@@ -128,7 +131,7 @@ def _clip_to_overlap(first, last, offset, radius, rate):
 
 @inline_kernel
 def _boxes_overlap_now(samples, row, own_length, own_width, other):
-    """Check whether the boxes overlap with the other at the start of its first leg."""
+    """Check whether the boxes overlap if the other entity is at the start of its first leg."""
     legs, half_length, half_width, _ = other
     dx, dy = legs[0, 0] - samples[row, 1], legs[0, 1] - samples[row, 2]
     reach = own_length + own_width + half_length + half_width
@@ -149,10 +152,10 @@ def _boxes_overlap_now(samples, row, own_length, own_width, other):
 
 @plain_kernel
 def find_first_contact_row(samples, max_spacing, ego, margin, other, horizon, lookahead=None):
-    """Row of the first path sample ahead with contact; -1 if there is none.
+    """Return the row of the first path sample ahead at which the boxes touch; -1 if there is none.
 
-    Row 0 is skipped. `max_spacing` is the largest distance in m between centres at consecutive samples. Samples are
-    computed on demand if `lookahead` is given.
+    Row 0 is skipped. `max_spacing` is the largest distance in m between the centres at consecutive samples. If
+    `lookahead` is given, samples are computed when they are needed.
     """
     k, count, until = 0, len(samples), -1
     if lookahead is not None:
@@ -175,9 +178,10 @@ def find_first_contact_row(samples, max_spacing, ego, margin, other, horizon, lo
 
 @inline_kernel
 def next_candidate_rows(lookahead, first_row, margin, other, min_time, horizon):
-    """First and last row of the next consecutive samples with possible contact; computes the first.
+    """Return first and last row of the next samples at which contact is possible, and compute the first of them.
 
-    Contacts that end before `min_time` (s) are ignored. The first row may be past the end of the path.
+    Contacts that end before `min_time` (s) are ignored. If the first row is past the end of the path, there is no
+    contact.
     """
     straight = int(lookahead.points[lookahead.first_point + first_row, 5])
     compute_sample(lookahead, first_row)
@@ -202,9 +206,9 @@ def next_candidate_rows(lookahead, first_row, margin, other, min_time, horizon):
 
 @inline_kernel
 def _straight_contact_range(samples, row, ego, margin, other, min_time, horizon, length):
-    """First range in m from sample `row` of a straight line in which the ego may touch the other's swept box.
+    """Return the first range of distances on a straight line in which the ego may touch the other's moving box.
 
-    (inf, inf) if there is none within `length`. Separating axes: the projections overlap in one range on each of four.
+    Distances are in m from sample `row`; (inf, inf) if there is no contact within `length`.
     """
     legs, half_length, half_width, speed = other
     own_length, own_width = ego[0], ego[1] + margin
@@ -250,14 +254,17 @@ def _straight_contact_range(samples, row, ego, margin, other, min_time, horizon,
 
 @inline_kernel
 def _swept_distance(legs, leg, speed, start, end):
-    """Distance that the other has covered on a leg at time `start`, and half of what it covers afterwards, in m."""
+    """Return the distance in m that the other covers on a leg until `start`, and half of that until `end`.
+
+    The second distance is counted from `start`.
+    """
     from_then = max(legs[leg, 4], start)
     return speed * (from_then - legs[leg, 4]), 0.5 * speed * max(end - from_then, 0.0)
 
 
 @inline_kernel
 def _clip_range(first, last, rate, center, radius):
-    """Clip a range to where a projection that grows by `rate` per metre is within `radius` of `center`."""
+    """Clip a range of distances to where a projection is within `radius` of `center`; it grows by `rate` per metre."""
     if abs(rate) < 1e-9:
         # Hardly any motion on this axis: add a tolerance.
         return (first, last) if abs(center) <= radius + _TOLERANCE else (math.inf, -math.inf)
@@ -267,7 +274,7 @@ def _clip_range(first, last, rate, center, radius):
 
 @inline_kernel
 def count_rows_without_contact(samples, max_spacing, first_row, ego, margin, other, min_time, horizon):
-    """Number of samples from `first_row` on that are too far from the other for contact."""
+    """Return how many samples from `first_row` on are surely too far from the other entity for contact."""
     legs, half_length, half_width, speed = other
     width = ego[1] + margin
     radius, min_gap, leg = math.sqrt(ego[0] * ego[0] + width * width), math.inf, legs.shape[0]

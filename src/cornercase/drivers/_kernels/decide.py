@@ -1,4 +1,4 @@
-"""Compiled decision of one driver in one scenario."""
+"""Compiled decision of a driver in a scenario."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, no-untyped-call, untyped-decorator"
@@ -29,9 +29,9 @@ from cornercase.drivers._presets import Behaviour, FollowParameters
 
 @inline_kernel
 def compute_acceleration(fleet, driver, scenario, route, time, time_step, driven, others, buffers):
-    """Acceleration in m/s² that a driver chooses in one scenario; updates what the driver remembers.
+    """Return the acceleration in m/s² that a driver chooses in one scenario, and update the driver's memory.
 
-    `driver` is not `NOT_COMPILED`; `route` comes from `find_route_row`; `others` has shape (4, A): x, y, heading and
+    `driver` is the row of a compiled driver; `route` comes from `find_route_row`. `others` (4, A) is x, y, heading and
     speed, NaN if an entity does not exist or is not visible.
     """
     cos, sin = math.cos(driven.heading), math.sin(driven.heading)
@@ -65,7 +65,7 @@ def compute_acceleration(fleet, driver, scenario, route, time, time_step, driven
 
 @plain_kernel
 def find_route_row(fleet, driver, track, scenario):
-    """Row of the route of a driver along a track in one scenario; -1 if `set_route` has to plan it first."""
+    """Return the row of a driver's route along a track in a scenario; -1 if `set_route` has not planned it."""
     if fleet.kind[driver] != BEHAVIOUR:
         return 0
     routes = fleet.routes
@@ -76,7 +76,7 @@ def find_route_row(fleet, driver, track, scenario):
 
 @kernel(error_model="numpy")
 def make_workspace(n_others):
-    """Allocate the buffers for the decisions of one thread among `n_others` other entities."""
+    """Allocate the `Workspace` in which one thread makes decisions among `n_others` other entities."""
     return Workspace(
         np.full((n_others, 5), np.nan),
         np.empty(n_others, dtype=np.bool_),
@@ -89,9 +89,9 @@ def make_workspace(n_others):
 
 @kernel(error_model="numpy")
 def compute_accelerations(fleet, track, time, time_step, driven, others, active):
-    """Acceleration in m/s² of the first driver of a fleet in each scenario, shape (N,); 0 if not active.
+    """Return the acceleration in m/s² of the first driver of a fleet in each scenario, shape (N,); 0 if not active.
 
-    `driven` has shape (N, 6), the fields of `DrivenState`; `others` has shape (N, 4, A).
+    `driven` (N, 6) has the fields of `DrivenState`. `others` has shape (N, 4, A), as in `compute_acceleration`.
     """
     result, work = np.zeros(len(active)), make_workspace(others.shape[2])
     for n in range(len(active)):

@@ -1,7 +1,6 @@
 """Decisions of the built-in driver: target speed, following, yielding.
 
-All distances are from the driven entity's own box at samples of its route to contact with another box, so they are
-bumper to bumper, also in curves.
+Distances are measured along the route until the boxes touch: they are bumper-to-bumper gaps, also in curves.
 """
 
 # Compiled functions have no static types.
@@ -76,9 +75,9 @@ _TOLERANCE = 1e-9
 
 @inline_kernel
 def plan_acceleration(behaviour, routes, route, scene, buffers):
-    """Acceleration in m/s² in one scenario, before it is limited to what the vehicle can do.
+    """Return the acceleration in m/s² that the built-in driver wants in one scenario, before vehicle limits.
 
-    Updates in the scene which entities conflict, and which ones the driver yields to.
+    Also updates in the scene which entities are in conflict with the driver, and which ones it yields to.
     """
     driven, boxes, memory, awareness = scene.driven, scene.boxes, scene.memory, scene.awareness
     v = max(driven.speed, 0.0)
@@ -115,7 +114,7 @@ def plan_acceleration(behaviour, routes, route, scene, buffers):
 
 @inline_kernel
 def _free_acceleration(behaviour, routes, route, scene, speed, target_speed):
-    """Acceleration towards the wanted speed, limited by the curves ahead."""
+    """Return the acceleration towards the wanted speed, limited by the curves ahead."""
     samples, points, time_step = routes.samples[route], routes.points, scene.time_step
     next_place = scene.driven.distance + (speed + behaviour.acceleration * time_step) * time_step
     at = min(max(next_place / routes.measures[route, 0], 0.0), samples - 1.0)
@@ -130,10 +129,10 @@ def _free_acceleration(behaviour, routes, route, scene, speed, target_speed):
 
 @inline_kernel
 def _react_to_other(behaviour, time_step, lookahead, other, is_vulnerable, is_yielding, lowest_so_far):
-    """Acceleration that one other entity allows, and whether there is a conflict.
+    """Return the acceleration that one other entity allows, and whether the driver must yield to it.
 
-    ``(inf, False)`` if the other does not matter; without a conflict, any limit of at least `lowest_so_far` is
-    equivalent.
+    The result is ``(inf, False)`` if the other entity does not matter. If the limit does not lower `lowest_so_far`, its
+    exact value may be skipped.
     """
     legs, half_length, half_width, speed = other
     samples, ego = lookahead.samples, lookahead.ego
@@ -169,7 +168,7 @@ def _react_to_other(behaviour, time_step, lookahead, other, is_vulnerable, is_yi
 
 @inline_kernel
 def _is_longer_than(dx, dy, distance):
-    """Check whether a vector is longer than a distance; computes the root only in borderline cases."""
+    """Check whether a vector is longer than a distance; the square root is computed only in borderline cases."""
     squared, square = dx * dx + dy * dy, distance * distance
     if squared > square * (1.0 + _TOLERANCE):
         return True
@@ -178,7 +177,7 @@ def _is_longer_than(dx, dy, distance):
 
 @plain_kernel
 def _yield_acceleration(behaviour, time_step, lookahead, margin, other, is_in_corridor, is_yielding):
-    """Acceleration that yields to a crossing entity, and whether that is needed."""
+    """Return the acceleration that yields to a crossing entity (inf if not needed), and whether the driver yields."""
     samples, ego, v = lookahead.samples, lookahead.ego, lookahead.speed
     enters, _, leg = contact_interval(samples, 0, ego, margin, other, behaviour.horizon)
     in_its_way = enters < math.inf
@@ -225,9 +224,11 @@ def _yield_acceleration(behaviour, time_step, lookahead, margin, other, is_in_co
 
 @plain_kernel
 def _find_conflict(behaviour, lookahead, margin, other, gap_if_first, gap_if_after, is_too_late):
-    """Row where the conflict zone begins, and row of the first sample that both reach within the gaps; -1 if none.
+    """Find the first path sample that both entities reach within the time gaps.
 
-    With `is_too_late` (too late to decide), the driver expects entities behind it in the same direction to brake.
+    Returns the row where the conflict zone begins, and the row of the sample; both -1 without conflict. `gap_if_first`
+    and `gap_if_after` are the required gaps in s if the driver passes first or second. If `is_too_late` to decide, the
+    driver expects entities that come from behind in its own direction to brake.
     """
     k, until, samples, ego, horizon, earliest = 0, -1, lookahead.samples, lookahead.ego, behaviour.horizon, 0.0
     while k + 1 < lookahead.rows:
@@ -267,7 +268,7 @@ def _find_conflict(behaviour, lookahead, margin, other, gap_if_first, gap_if_aft
 
 @inline_kernel
 def _first_row_of_conflict_zone(lookahead, row, margin, other, horizon):
-    """First row of the conflict zone that contains row `row`."""
+    """Return the first row of the conflict zone that contains a row."""
     while row > 1:
         compute_sample(lookahead, row - 1)
         if contact_interval(lookahead.samples, row - 1, lookahead.ego, margin, other, horizon)[0] == math.inf:
@@ -297,7 +298,7 @@ def _acceleration_past_standing_person(behaviour, time_step, lookahead, other):
 
 @inline_kernel
 def _idm_interaction(behaviour, speed, gap, leader_speed):
-    """Interaction term of the Intelligent Driver Model (Treiber, Hennecke, Helbing 2000, eq. 3 and 4)."""
+    """Return the interaction term of the Intelligent Driver Model (Treiber, Hennecke, Helbing 2000, eq. 3 and 4)."""
     deceleration = math.sqrt(behaviour.acceleration * behaviour.comfortable_deceleration)
     dynamic = speed * behaviour.time_headway + speed * (speed - leader_speed) / (2.0 * deceleration)
     wanted_gap = behaviour.min_gap + max(dynamic, 0.0)
@@ -306,7 +307,7 @@ def _idm_interaction(behaviour, speed, gap, leader_speed):
 
 @inline_kernel
 def _stopping_deceleration(speed, distance):
-    """Deceleration that stops within `distance` m."""
+    """Return the deceleration that stops within a distance in m."""
     if speed <= 0.0:
         return 0.0
     return speed * speed / (2.0 * distance) if distance > 0.0 else math.inf
@@ -314,20 +315,20 @@ def _stopping_deceleration(speed, distance):
 
 @inline_kernel
 def _direction_cosine(samples, row, other, leg):
-    """Cosine between the route and the other's direction of motion on a leg."""
+    """Return the cosine of the angle between the route and the motion of the other entity on a leg."""
     cosine = samples[row, 3] * other[0][leg, 2] + samples[row, 4] * other[0][leg, 3]
     return cosine if other[3] >= 0.0 else -cosine
 
 
 @inline_kernel
 def _speed_along_route(samples, row, other):
-    """Current speed of the other along the route."""
+    """Return the component of the other entity's present speed along the route."""
     return abs(other[3]) * _direction_cosine(samples, row, other, 0)
 
 
 @plain_kernel
 def _refine_contact_distance(lookahead, row, margin, other, horizon):
-    """Distance in m at which contact begins, by bisection between row `row` (contact) and the previous row."""
+    """Return the distance in m at which contact begins, between a row with contact and the row before."""
     samples, ego, between = lookahead.samples, lookahead.ego, lookahead.interpolated
     compute_sample(lookahead, row - 1)
     low, high = 0.0, 1.0

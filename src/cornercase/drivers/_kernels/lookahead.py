@@ -1,4 +1,4 @@
-"""Path of the driven entity ahead, as samples and arrival times that are computed on demand."""
+"""Path of the driven entity ahead; samples and arrival times are computed on demand."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, untyped-decorator"
@@ -25,12 +25,15 @@ _TOLERANCE: Final = 1e-9
 class LookaheadPath(NamedTuple):
     """The path ahead of a driven entity.
 
-    Row 0 of `samples` is the entity itself, the others are the route's samples ahead; each is valid after
-    `compute_sample`. `arrivals` and `interpolated` are as in `Workspace`, `points` as in `Routes`. `rows`: number of
-    samples. `max_spacing`: largest distance in m between centres at consecutive samples. `first_point`: the point
-    before row 1, `first_index`: its index along the route. `step`: point distance in m. `distance`: position along the
-    route in m. `offset`: m to the left of the route. `center_x`: centre of the box in m. `ego`: half length and half
-    width in m. `speed`, `target_speed`: current and wanted, m/s.
+    Row 0 of `samples` is the entity itself; the other rows are the next samples of the route. Call `compute_sample`
+    before you read a row. `rows` is the number of rows. `max_spacing` is the largest distance in m between the centres
+    of consecutive samples.
+
+    `points` are the points of all routes, as in `Routes`. `first_point` is the point before row 1, and `first_index`
+    its index within the route. `step` is the distance between points in m. `distance` is the position of the entity
+    along the route in m, and `offset` its offset to the left in m. `center_x` is the centre of its box in m, and `ego`
+    its half length and half width. `speed` and `target_speed` are the present and the wanted speed in m/s. `arrivals`
+    and `interpolated` are buffers, see `Workspace`.
     """
 
     samples: FloatArray
@@ -52,7 +55,7 @@ class LookaheadPath(NamedTuple):
 
 @inline_kernel
 def build_lookahead(behaviour, routes, route, scene, speed, target_speed, buffers):
-    """Build the path ahead as far as it matters, for the current speed and `target_speed` speed in m/s."""
+    """Build the path ahead, up to where it matters for the present speed and the wanted `target_speed` in m/s."""
     driven, cos, sin, center_x = scene.driven, scene.cos, scene.sin, scene.own[CENTER_X]
     samples_ahead, points, distance = buffers.samples, routes.points, driven.distance
     begin, samples, step = routes.begin[route], routes.samples[route], routes.measures[route, 0]
@@ -86,7 +89,7 @@ def build_lookahead(behaviour, routes, route, scene, speed, target_speed, buffer
 
 @inline_kernel
 def compute_sample(lookahead, row):
-    """Compute the sample of a row, except for its arrival time."""
+    """Compute a row of the samples, except for the arrival time."""
     if row == 0:
         return
     samples, points, at = lookahead.samples, lookahead.points, lookahead.first_point + row
@@ -99,13 +102,13 @@ def compute_sample(lookahead, row):
 
 @inline_kernel
 def distance_to(lookahead, row):
-    """Distance in m from the driven entity to a sample."""
+    """Return the distance in m along the route from the driven entity to a sample."""
     return (lookahead.first_index + row) * lookahead.step - lookahead.distance if row > 0 else 0.0
 
 
 @plain_kernel
 def arrival_time(behaviour, lookahead, row):
-    """Planned arrival time at a sample in s from now; computed up to `row` on demand."""
+    """Return the planned arrival time at a sample, in s from now; earlier arrival times are computed if necessary."""
     known_row = int(lookahead.arrivals[0])
     if row > known_row:
         squared, root, when, distance = (
@@ -134,7 +137,7 @@ def arrival_time(behaviour, lookahead, row):
 
 @inline_kernel
 def earliest_arrival_time(behaviour, lookahead, row):
-    """Lower bound of the arrival time at a sample in s, ignoring curves; never more than `arrival_time`."""
+    """Return a lower bound of the arrival time at a sample in s, as if there were no curves."""
     v, target_speed, a, distance = (
         lookahead.speed,
         lookahead.target_speed,

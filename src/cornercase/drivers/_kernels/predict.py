@@ -1,4 +1,4 @@
-"""Predicted motion of other entities, as straight legs."""
+"""Prediction of the motion of other entities, as a sequence of straight legs."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, untyped-decorator"
@@ -25,10 +25,10 @@ MAX_STRAIGHT_TURN_RATE: Final = 0.05
 
 @inline_kernel
 def predict_legs(memory, other, cos, sin, center_x, horizon, legs):
-    """Fill `legs` with the predicted motion of another entity up to `horizon` (s); return their number.
+    """Predict the motion of another entity for `horizon` s; fill `legs`, and return the number of legs.
 
-    The entity keeps its turn rate for some time, then goes straight. `cos` and `sin` are of its heading; `center_x` is
-    the centre of its box in m.
+    The entity is assumed to keep its turn rate for a while, and then to go straight. `cos` and `sin` are those of its
+    heading; `center_x` is the centre of its box in m.
     """
     x, y, heading, speed, turn = (
         memory[X, other],

@@ -1,6 +1,6 @@
-"""State of drivers as arrays over drivers, scenarios and others, for their kernels.
+"""State of drivers as arrays over drivers, scenarios and other entities, for kernels.
 
-The types of these tuples depend neither on the numbers of drivers, scenarios and others, nor on the roads.
+The types of these tuples do not depend on the numbers of drivers, scenarios and entities, or on the roads.
 """
 
 from __future__ import annotations
@@ -35,13 +35,13 @@ HALF_LENGTH, HALF_WIDTH, CENTER_X, VULNERABLE = range(4)
 
 
 class Routes(NamedTuple):
-    """Planned routes, one after the other.
+    """Planned routes of D drivers along G tracks: Q rows with M points in all.
 
-    `row` (D, G): row of the route of a driver along a track, in scenario 0 if it differs between scenarios; -1 if not
-    planned. `rows` (D, G): its number of rows, 1 or N. `begin`, `samples` (Q,): first point of each row, and number of
-    points. `measures` (Q, 3): point distance in m, and `longest` and `sharpest` of `Route`. `points` (M, 6): x and y in
-    m, cosine and sine of the heading, square of the highest speed in m²/s², number of following points on a straight
-    line.
+    `row` (D, G): row of a driver's route along a track; -1 if not planned. If the route differs between scenarios, this
+    is the row of scenario 0, and the rows of the others follow. `rows` (D, G): number of these rows, 1 or N. `begin`,
+    `samples` (Q,): first point of a row, and number of its points. `measures` (Q, 3): distance between points in m, and
+    `max_spacing` and `max_turn` of `Route`. `points` (M, 6): x and y in m, cosine and sine of the heading, square of
+    the highest speed in m²/s², and number of following points on a straight line.
     """
 
     row: IntArray
@@ -53,14 +53,15 @@ class Routes(NamedTuple):
 
 
 class Fleet(NamedTuple):
-    """D drivers in N scenarios, each among A others: all entities but its own, in their order.
+    """D drivers in N scenarios. For each driver, the A others are all other entities, in order.
 
-    `kind` (D,): `BEHAVIOUR`, `SIMPLE` or `NOT_COMPILED`. `parameters` (D, P): fields of a `Behaviour` or
-    `FollowParameters`. `own` (D, 3): half length, half width and centre of the driven box in m. `boxes` (D, 4, A): the
-    same of the others, and 1 for pedestrians and cyclists. `memory` (D, N, 9, A): what drivers remember of the others:
-    x, y, heading and speed as perceived, running mean of the turn rate in rad/s, times in s of the first and last
-    sighting and of the start of the conflict, and how long in s they have been ahead. `awareness` (D, N, 3, A):
-    noticed, known, yielded to.
+    `kind` (D,): `BEHAVIOUR`, `SIMPLE` or `NOT_COMPILED`. `parameters` (D, P): fields of a `Behaviour` or of
+    `FollowParameters`. `own` (D, 3): half length, half width and centre of the driven box in m. `boxes` (D, 4, A): half
+    length, half width and centre of the others' boxes in m, and 1 for pedestrians and cyclists (else 0).
+
+    `memory` (D, N, 9, A): perceived x, y, heading and speed of the others; running mean of their turn rate in rad/s;
+    times in s of the first and the last sighting, and of the start of the conflict; how long in s they have been ahead.
+    `awareness` (D, N, 3, A): whether each other entity is noticed, known, and yielded to.
     """
 
     kind: IntArray
@@ -73,9 +74,10 @@ class Fleet(NamedTuple):
 
 
 class DrivenState(NamedTuple):
-    """State of the driven entity in one scenario: m along its path; m, rad and m/s of its reference point.
+    """State of the driven entity in one scenario, in m, rad and m/s.
 
-    `target_speed` is in m/s; infinite or NaN if the scenario sets none.
+    `distance` is its position along the path; `x`, `y` and `heading` are those of its reference point. `target_speed`
+    is infinite or NaN if the scenario sets none.
     """
 
     distance: float
@@ -87,11 +89,11 @@ class DrivenState(NamedTuple):
 
 
 class DriverScene(NamedTuple):
-    """One driver in one scenario at one instant.
+    """A driver in a scenario at one instant.
 
-    `cos` and `sin` are of the driven entity's heading; `own` (3,), `boxes` (4, A), `memory` (9, A) and `awareness` (3,
-    A) are as in `Fleet`, and decisions update the last two. `others` (4, A): true x, y, heading and speed in m, rad and
-    m/s; NaN if an entity does not exist or is not visible.
+    `cos` and `sin` are those of the driven entity's heading. `own` (3,), `boxes` (4, A), `memory` (9, A) and
+    `awareness` (3, A) are slices of the arrays in `Fleet`; decisions update `memory` and `awareness`. `others` (4, A):
+    true x, y, heading and speed in m, rad and m/s, NaN if an entity does not exist or is not visible.
     """
 
     time: float
@@ -107,14 +109,14 @@ class DriverScene(NamedTuple):
 
 
 class Workspace(NamedTuple):
-    """Buffers of a decision; their previous content does not affect decisions.
+    """Buffers for decisions; their previous content has no effect on decisions.
 
-    `boxes` (A, 5): centre in m, cosine and sine of the heading of the others' true boxes, and the heading, by which
-    cosine and sine are cached. `seen` (A,). `samples` (K, 6): future samples of the driven entity: distance in m,
-    centre of the box in m, cosine and sine of its heading, arrival time in s. `legs` (L, 6): predicted straight legs of
-    another entity: centre of the box in m, cosine and sine of its heading, start and end in s. `arrivals` (3,): row up
-    to which arrival times are known, squared speed there in m²/s², speed in m/s. `interpolated` (1, 6): a sample
-    between two others.
+    `boxes` (A, 5): centres of the others' true boxes in m, cosine and sine of their headings, and the headings for
+    which these were computed. `seen` (A,): which others are seen. `samples` (K, 6): samples of the path ahead: distance
+    in m, centre of the box in m, cosine and sine of the heading, arrival time in s. `legs` (L, 6): predicted legs of
+    another entity: centre of the box in m, cosine and sine of the heading, start and end in s. `arrivals` (3,): last
+    row with known arrival time, squared speed there in m²/s², speed in m/s. `interpolated` (1, 6): a sample between two
+    others.
     """
 
     boxes: FloatArray

@@ -1,4 +1,4 @@
-"""What a driver sees, and what it remembers."""
+"""Which entities a driver sees, and what it remembers of them."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, no-untyped-call, untyped-decorator"
@@ -47,13 +47,15 @@ def find_visible_others(
     field_of_view: float = 2.0 * math.pi,
     sight_range: float = math.inf,
 ) -> BoolArray:
-    """Which of A others a driver sees in each of N scenes; ndarray of bool, shape (N, A).
+    """Return which of A other entities a driver sees in each of N scenes; ndarray of bool, shape (N, A).
 
-    The eye is a quarter of the box's length ahead of its centre. An entity is seen if at least one of five points of
-    its box (centre and corners) is within range and field of view and no third box blocks the line to it. Boxes have no
-    height: every entity hides what is behind it. `pose` (N, 3): x and y in m, heading in rad of the reference point.
-    `box` (3,): length, width and centre in m. `others` (N, 3, A): x, y, heading; NaN if missing. `boxes` (3, A). Angle
-    in rad.
+    The eye is ahead of the centre of the driver's box, by a quarter of its length. An entity is seen if at least one of
+    five points of its box (centre and corners) is in range and in the field of view, and no third box blocks the line
+    of sight. Boxes have no height, so every entity hides what is behind it.
+
+    `pose` (N, 3): x and y in m and heading in rad of the driver's reference point. `box` (3,): length, width and centre
+    of its box in m. `others` (N, 3, A): x, y and heading, NaN if an entity does not exist. `boxes` (3, A): the others'
+    boxes, like `box`. `field_of_view` is in rad, `sight_range` in m.
     """
     half = np.array([0.5, 0.5, 1.0])
     # Contiguous arrays, so that the kernel is compiled only once.
@@ -74,7 +76,7 @@ def _find_visible_in_scenes(field_of_view, sight_range, own, boxes, pose, others
 
 @inline_kernel
 def eye_pose(own, x, y, cos, sin):
-    """Position and direction (x, y, cosine, sine) of a driver's eye; `own` is its box as in `Fleet`."""
+    """Return position and direction (x, y, cosine, sine) of a driver's eye; `own` is its box as in `Fleet`."""
     offset = own[CENTER_X] + EYE_AHEAD * (2.0 * own[HALF_LENGTH])
     return x + offset * cos, y + offset * sin, cos, sin
 
@@ -83,8 +85,9 @@ def eye_pose(own, x, y, cos, sin):
 def update_visible_others(field_of_view, sight_range, eye, boxes, others, placed_boxes, seen):
     """Fill `seen` (A,) with the others that a driver sees in one scenario, and `placed_boxes` (A, 5) with their boxes.
 
-    `eye` comes from `eye_pose`, `boxes` and `others` are as in `DriverScene`, `placed_boxes` is as in
-    `Workspace.boxes`: its centre is NaN if out of range, and its headings are those of the previous call, NaN at first.
+    `eye` comes from `eye_pose`. `boxes` and `others` are as in `DriverScene`. `placed_boxes` is as in
+    `Workspace.boxes`; a box out of range has a centre of NaN. Pass the same array in each step, filled with NaN at
+    first.
     """
     eye_x, eye_y, cos, sin = eye
     count = others.shape[1]
@@ -132,7 +135,7 @@ def update_visible_others(field_of_view, sight_range, eye, boxes, others, placed
 
 @inline_kernel
 def _is_in_view(along, across, to_x, to_y, sight_range, half_view, edge):
-    """Check range and field of view; computes root and angle only in borderline cases."""
+    """Check range and field of view; square root and angle are computed only in borderline cases."""
     squared = to_x * to_x + to_y * to_y
     if squared > sight_range * sight_range * (1.0 + _TOLERANCE):
         return False
@@ -147,7 +150,10 @@ def _is_in_view(along, across, to_x, to_y, sight_range, half_view, edge):
 
 @plain_kernel
 def _ray_hits_box(eye_x, eye_y, to_x, to_y, placed_boxes, box, half_length, half_width):
-    """Check whether the line from the eye hits a box (slab method); a box around the eye itself hides nothing."""
+    """Check whether the line of sight from the eye hits a box (slab method).
+
+    A box that contains the eye hides nothing.
+    """
     if math.isnan(placed_boxes[box, 0]):
         return False
     from_x, from_y = eye_x - placed_boxes[box, 0], eye_y - placed_boxes[box, 1]
@@ -180,10 +186,11 @@ def _ray_hits_box(eye_x, eye_y, to_x, to_y, placed_boxes, box, half_length, half
 
 @inline_kernel
 def update_perception(behaviour, scene, seen):
-    """Update what a driver remembers and is aware of in one scenario, from the others in sight.
+    """Update the memory and the awareness of a driver in one scenario, from the entities in sight.
 
-    An entity is known once it has been seen for the reaction time. Out of sight it is assumed to go straight at its
-    last speed for the memory time, and is then forgotten; a shorter loss of sight does not restart the reaction time.
+    An entity is known once it has been seen for the reaction time. While it is out of sight, the driver assumes that it
+    goes straight at its last speed, and forgets it after the memory time. If it is seen again before, the reaction time
+    does not start again.
     """
     time, time_step, others, memory, awareness = (
         scene.time, scene.time_step, scene.others, scene.memory, scene.awareness,

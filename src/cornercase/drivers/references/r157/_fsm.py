@@ -1,4 +1,4 @@
-"""Fuzzy surrogate safety metrics of Mattas et al. (2020), used by the fuzzy safety model."""
+"""Fuzzy surrogate safety metrics of Mattas et al. (2020), for the fuzzy safety model."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ _LATERAL_RESERVE = 0.1
 
 
 def proactive_metric(gap: FloatArray, speed: FloatArray, other_speed: FloatArray) -> FloatArray:
-    """Proactive fuzzy surrogate safety metric (PFS), for a leader that brakes hard.
+    """Proactive fuzzy surrogate safety metric (PFS): how unsafe the gap is if the leader brakes hard.
 
-    0 if comfortable braking is enough, 1 if hard braking is not. Bumper-to-bumper gap in m, speeds in m/s. Mattas et
-    al., Fuzzy Surrogate Safety Metrics for real-time assessment of rear-end collision risk, Accident Analysis &
-    Prevention 148 (2020) 105794.
+    It is 0 if comfortable braking is enough, and 1 if hard braking is not. `gap` is the bumper-to-bumper gap in m,
+    speeds are in m/s. Mattas et al., Fuzzy Surrogate Safety Metrics for real-time assessment of rear-end collision
+    risk, Accident Analysis & Prevention 148 (2020) 105794.
     """
     room = gap - SAFETY_MARGIN
     lead = other_speed**2 / (2.0 * OTHER_DECELERATION)
@@ -37,10 +37,11 @@ def proactive_metric(gap: FloatArray, speed: FloatArray, other_speed: FloatArray
 def critical_metric(
     gap: FloatArray, speed: FloatArray, other_speed: FloatArray, acceleration: FloatArray
 ) -> FloatArray:
-    """Critical fuzzy surrogate safety metric (CFS) of Mattas et al. (2020), for a leader that keeps its speed.
+    """Critical fuzzy surrogate safety metric (CFS): how unsafe the gap is if the leader keeps its speed.
 
-    0 if comfortable braking after the reaction time is enough, 1 if hard braking is not. The driver keeps its
-    acceleration in m/s², but at least -4, during its reaction time.
+    It is 0 if comfortable braking after the reaction time is enough, and 1 if hard braking is not. During the reaction
+    time the driver keeps its acceleration, but not less than -4 m/s². See Mattas et al. (2020), as in
+    `proactive_metric`.
     """
     a = np.maximum(acceleration, -COMFORTABLE_DECELERATION)
     closing, remaining = speed - other_speed, speed + a * REACTION_TIME - other_speed
@@ -62,11 +63,11 @@ def is_laterally_safe(
     closing_speed: FloatArray,
     total_length: FloatArray,
 ) -> BoolArray:
-    """Lateral safety check: the other is beside, and does not come in before the driver has passed it by 0.1 s.
+    """Lateral safety check: the other vehicle is beside, and comes in only after the driver has passed it by 0.1 s.
 
-    Gaps between the boxes in m, negative if they overlap; `approach_speed` and `closing_speed` speeds in m/s;
-    `total_length` of both boxes. UN Regulation No. 157, 01 series of amendments, Annex 3, Appendix 3: performance model
-    2.
+    `gap` and `lateral_gap` are the gaps between the boxes in m, negative if they overlap. `approach_speed` (towards the
+    path) and `closing_speed` are in m/s. `total_length` is the length of both boxes in m. UN Regulation No. 157, 01
+    series of amendments, Annex 3, Appendix 3: performance model 2.
     """
     is_beside = lateral_gap > 0.0
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -75,7 +76,7 @@ def is_laterally_safe(
 
 
 def _linear_membership(value: FloatArray, safe: FloatArray, unsafe: FloatArray) -> FloatArray:
-    """0 from `safe` upwards, 1 below `unsafe`, linear in between."""
+    """Fuzzy membership: 0 from `safe` upwards, 1 below `unsafe`, linear in between."""
     with np.errstate(divide="ignore", invalid="ignore"):
         share = (value - safe) / (unsafe - safe)
     return np.where(value >= safe, 0.0, np.where(value < unsafe, 1.0, share))

@@ -1,6 +1,6 @@
 """The reference drivers of UN Regulation No. 157: what they consider unsafe, and how they react.
 
-They depend only on the relative motion along and across the path, whatever scenario or simulator it comes from.
+They depend only on the relative motion along and across the path, not on the scenario or the simulator.
 """
 
 from __future__ import annotations
@@ -53,13 +53,13 @@ _TOLERANCE = 1e-9
 
 
 class RelativeMotion(NamedTuple):
-    """Motion of others relative to the path of a driver; arrays of equal shape.
+    """Motion of other entities relative to the path of a driver; arrays of equal shape.
 
-    `gap` and `lateral_gap`: m between the boxes along and across the path; `gap` is negative if the other is beside or
-    behind, `lateral_gap` if they overlap. `approach_speed`: speed of the other towards the path in m/s. `speed`,
-    `other_speed`: m/s along the path. `acceleration`: of the driver in m/s². `total_length`: both box lengths together
-    in m. `was_ahead`: the other has been in the corridor since it was first seen, or entered it early enough not to be
-    a cut-in.
+    `gap` and `lateral_gap`: gap in m between the boxes along and across the path. `gap` is negative if the other is
+    beside or behind, `lateral_gap` if the boxes overlap laterally. `approach_speed`: speed of the other towards the
+    path in m/s. `speed` and `other_speed`: of driver and other along the path in m/s. `acceleration`: of the driver in
+    m/s². `total_length`: length of both boxes in m. `was_ahead`: whether the other has been in the corridor since it
+    was first seen, or entered it too early to count as a cut-in.
     """
 
     gap: FloatArray
@@ -75,8 +75,8 @@ class RelativeMotion(NamedTuple):
 class SafetyAssessment(NamedTuple):
     """Assessment of a `RelativeMotion` by a reference driver; arrays of the same shape.
 
-    `deceleration`: wanted once it brakes, in m/s². `proactive`, `critical`: fuzzy metrics; 0 for other models than
-    `fsm`.
+    `deceleration`: deceleration in m/s² that the driver wants when it brakes. `proactive` and `critical`: fuzzy
+    metrics; 0 unless the driver is ``fsm``.
     """
 
     unsafe: BoolArray
@@ -87,10 +87,11 @@ class SafetyAssessment(NamedTuple):
 
 @dataclass(frozen=True)
 class ReferenceModel:
-    """A reference driver.
+    """Model of a reference driver.
 
-    `assess` assesses a `RelativeMotion`. `following_gap` gives the gap in m at which it follows a leader of equal speed
-    in m/s. `delay`: s from the first unsafe instant to braking; `delayed_deceleration`: m/s² meanwhile; `jerk`: m/s³.
+    `assess` assesses a `RelativeMotion`. `following_gap` returns the gap in m to a leader with equal speed in m/s.
+    `delay` is the time in s from the first unsafe instant to braking, and `delayed_deceleration` the deceleration in
+    m/s² during the delay. `jerk` in m/s³ limits how fast the deceleration builds up.
     """
 
     title: str
@@ -102,10 +103,10 @@ class ReferenceModel:
 
 
 class BrakingReaction:
-    """Progress of a reference driver's reaction in a number of runs.
+    """State of a reference driver's reaction in N runs.
 
-    The delay starts at the first unsafe instant, elapses in unsafe instants only, and never restarts. While it is safe
-    again, the speed is kept. `reacted`: whether it ever was unsafe, shape (N,).
+    The delay begins at the first unsafe instant. Its time passes only at unsafe instants, and it never restarts. When
+    the situation is safe again, the driver keeps its speed. `reacted` (N,) says whether any instant so far was unsafe.
     """
 
     def __init__(self, reference: ReferenceModel, runs: int) -> None:
@@ -115,9 +116,10 @@ class BrakingReaction:
         self.reacted = np.zeros(runs, dtype=np.bool_)
 
     def acceleration(self, unsafe: BoolArray, deceleration: FloatArray, time_step: float) -> FloatArray:
-        """Advance by a time step; return the acceleration in m/s², 0 if it is safe.
+        """Advance by a time step; return the acceleration in m/s², which is 0 in safe runs.
 
-        `deceleration` in m/s² is what the driver wants once it brakes. Safe runs do not change.
+        `deceleration` is the deceleration in m/s² that the driver wants when it brakes. The state of safe runs does not
+        change.
         """
         model = self._reference
         brakes = unsafe & (self._delay <= _TOLERANCE)
@@ -130,10 +132,10 @@ class BrakingReaction:
 
 
 def rss_longitudinal_distance(speed: FloatArray, other_speed: FloatArray) -> FloatArray:
-    """Safe longitudinal distance in m of Responsibility-Sensitive Safety, for the same direction.
+    """Safe longitudinal distance in m of Responsibility-Sensitive Safety, for two vehicles in the same direction.
 
-    v τ + a τ²/2 + (v + a τ)²/(2 b) - v_other²/(2 b), with τ 0.75 s, a 3 m/s² and b 6 m/s². Shalev-Shwartz, Shammah,
-    Shashua, On a Formal Model of Safe and Scalable Self-driving Cars, 2017, Definition 1.
+    v τ + a τ²/2 + (v + a τ)²/(2 b) - v_other²/(2 b), with τ = 0.75 s, a = 3 m/s² and b = 6 m/s². Shalev-Shwartz,
+    Shammah, Shashua, On a Formal Model of Safe and Scalable Self-driving Cars, 2017, Definition 1.
     """
     risen = speed + RSS_ACCELERATION * RSS_TIME
     meanwhile = speed * RSS_TIME + RSS_ACCELERATION * RSS_TIME**2 / 2.0
@@ -143,7 +145,7 @@ def rss_longitudinal_distance(speed: FloatArray, other_speed: FloatArray) -> Flo
 def rss_lateral_distance(approach_speed: FloatArray) -> FloatArray:
     """Safe lateral distance in m of Responsibility-Sensitive Safety, for a driver that keeps its path.
 
-    0.3 + (2 u + a τ) τ/2 + (u + a τ)²/(2 a), with the other's speed towards the path u, τ 0.75 s and a 1 m/s².
+    0.3 + (2 u + a τ) τ/2 + (u + a τ)²/(2 a), where u is the other's speed towards the path, τ = 0.75 s and a = 1 m/s².
     Shalev-Shwartz, Shammah, Shashua (2017), Definition 6.
     """
     risen = approach_speed + _RSS_LATERAL_ACCELERATION * RSS_TIME
@@ -151,7 +153,7 @@ def rss_lateral_distance(approach_speed: FloatArray) -> FloatArray:
 
 
 def time_to_collision(motion: RelativeMotion) -> FloatArray:
-    """Time in s until the gap closes at constant speeds; infinite if it does not."""
+    """Time in s until the gap closes at constant speeds; infinite if it does not close."""
     closing = motion.speed - motion.other_speed
     closes = (closing > 0.0) & (motion.gap > 0.0)
     return np.where(closes, motion.gap / np.where(closes, closing, 1.0), np.inf)
@@ -205,13 +207,13 @@ def _cc_human_following_gap(speed: FloatArray) -> FloatArray:
 
 
 def _fsm_following_gap(speed: FloatArray) -> FloatArray:
-    """Gap that is just safe if the leader brakes as hard as it can, with both margins."""
+    """Smallest gap that is safe, with both margins, if the leader brakes as hard as it can."""
     stops, other_stops = speed**2 / (2.0 * COMFORTABLE_DECELERATION), speed**2 / (2.0 * OTHER_DECELERATION)
     return np.asarray(speed * REACTION_TIME + stops - other_stops + 2.0 * SAFETY_MARGIN)
 
 
 def _rss_following_gap(speed: FloatArray) -> FloatArray:
-    """Gap that is still safe if the leader brakes during the response time."""
+    """Smallest gap that is safe if the leader brakes during the response time."""
     braked = np.maximum(speed - RSS_BRAKING * RSS_TIME, 0.0)
     return RSS_BRAKING * RSS_TIME**2 / 2.0 + rss_longitudinal_distance(speed, braked)
 

@@ -1,4 +1,4 @@
-"""Perception of the reference drivers: motion of others along and across the path."""
+"""Perception of the reference drivers: motion of other entities along and across the path."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _GAP_TOLERANCE, _MIN_CLOSING_SPEED = 1e-3, 0.1
 
 
 class ReferencePerception:
-    """Track of N scenarios with A others from one time step to the next."""
+    """Tracks A other entities in N scenarios from one time step to the next."""
 
     def __init__(self, scenarios: int, others: int) -> None:
         self._time = np.full(scenarios, np.nan)
@@ -29,10 +29,10 @@ class ReferencePerception:
         self._was_seen, self._was_beside, self._was_ahead = np.zeros((3, scenarios, others), dtype=np.bool_)
 
     def relative_motion(self, situation: Situation, acceleration: FloatArray) -> RelativeMotion:
-        """Compute the relative motion, shape (N, A), and remember it for active scenarios.
+        """Return the relative motion in this time step, shape (N, A), and remember it in active scenarios.
 
-        NaN if another does not exist, or is hidden behind a vehicle in the middle of the corridor. `acceleration` (N,)
-        is that of the driver in m/s².
+        It is NaN if another entity does not exist, or is hidden behind a vehicle in the middle of the corridor.
+        `acceleration` (N,) is the acceleration of the driver in m/s².
         """
         s = situation
         line = _sampled_path(s.path)
@@ -65,7 +65,10 @@ class ReferencePerception:
     def _velocity(
         self, situation: Situation, x: FloatArray, y: FloatArray, direction: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Speeds along and across the path in m/s, from the previous step if known, else from heading and speed."""
+        """Return the speeds along and across the path in m/s.
+
+        They follow from the previous positions, or from heading and speed if these are unknown.
+        """
         has_previous = np.isclose(
             self._time, situation.time - situation.time_step, rtol=0.0, atol=1e-3 * situation.time_step
         )[:, None]
@@ -93,7 +96,7 @@ class ReferencePerception:
 
 
 class _SampledPath:
-    """A finely sampled path, onto which points are projected."""
+    """A finely sampled path, for projecting points onto it."""
 
     def __init__(self, path: DrivenPath) -> None:
         columns = (path.distance, path.x, path.y, path.heading)
@@ -107,7 +110,10 @@ class _SampledPath:
             self._tree = None
 
     def project(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Distance along the path and to its left in m, and its direction in rad, each of shape (N,) or (N, A)."""
+        """Return distance along the path and distance to its left in m, and its direction in rad.
+
+        Shape (N,) or (N, A).
+        """
         is_present = np.isfinite(x) & np.isfinite(y)
         known_x, known_y = np.where(is_present, x, 0.0), np.where(is_present, y, 0.0)
         if self._tree is not None:
@@ -147,12 +153,12 @@ def _sampled_path(path: DrivenPath) -> _SampledPath:
 def _box_center(
     x: FloatArray, y: FloatArray, heading: FloatArray, center_x: FloatArray | float
 ) -> tuple[FloatArray, FloatArray]:
-    """Centre of a box whose reference point is at (x, y)."""
+    """Return the centre of a box whose reference point is at (x, y)."""
     return x + center_x * np.cos(heading), y + center_x * np.sin(heading)
 
 
 def _find_hidden(gap: FloatArray, lateral_distance: FloatArray, in_corridor: BoolArray) -> BoolArray:
-    """Entities in the corridor behind a nearer one in the middle of it, bool (N, A)."""
+    """Return which entities in the corridor are behind a nearer entity in the middle of it, bool (N, A)."""
     gaps = np.where((lateral_distance <= WANDERING) & (gap > 0.0), gap, np.inf)
     nearest = gaps.min(axis=1, keepdims=True, initial=np.inf)
     return np.asarray(in_corridor & (gap > nearest))

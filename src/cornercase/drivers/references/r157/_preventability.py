@@ -30,14 +30,15 @@ _TIME_TOLERANCE: Final = 1e-9
 class ReferenceOutcome:
     """Outcome of a scenario with a reference driver in control of the ego.
 
-    `collides` is None if the reference does not cover such a scenario; `time` is that of its collision in s.
+    `collides` is None if the regulation does not define the reference driver for this scenario. `time` is the time of
+    the collision in s.
     """
 
     collides: bool | None
     time: float | None = None
 
     def describe(self, driver: str) -> str:
-        """Describe the outcome of the named reference driver as part of a sentence."""
+        """Describe the outcome as part of a sentence; `driver` is the name of the reference driver."""
         if self.collides is None:
             return f"{driver} does not cover this scenario, only vehicles ahead that move in about its own direction"
         if not self.collides:
@@ -49,16 +50,18 @@ class ReferenceOutcome:
 def assess_preventability(
     driver: str, run: Recording, original: Recording, ego: str, other: str | Sequence[str]
 ) -> ReferenceOutcome:
-    """Assess a scenario that was run again with a reference driver in control of the ego.
+    """Assess whether a reference driver in control of the ego avoids the collision.
 
-    A reference of UN Regulation No. 157 is not defined if the entity that the ego meets, or that the reference collides
-    with, is not a motorway vehicle, comes from behind, or moves in a direction more than 45° from the ego's within the
-    last 3 s before they meet. It comes from behind if its whole box is behind the ego just before contact. For
-    `cc-human` the encounter is over, without danger, after a cut-in with a time to collision above 2 s at the
-    intrusion; later collisions with that vehicle do not count (Annex 4, Appendix 3).
+    `run` is the recording with the reference driver, and `original` the recording with the original driver. `other` is
+    the entity that the ego meets; if there are several candidates and no collision, the nearest one counts.
 
-    `run` is the recording with the reference, `original` the one with the original driver; `other` is the entity that
-    it is measured against. If the ego collides with nobody, the nearest one of several counts.
+    A reference driver of UN Regulation No. 157 is not defined for every encounter, neither with the entity that the ego
+    meets nor with the entity that the reference driver collides with. The entity must be a motorway vehicle, must not
+    come from behind (with its whole box behind the ego just before contact), and must not move in a direction more than
+    45° from the ego's within the last 3 s before they meet.
+
+    For `cc-human`, an encounter ends without danger after a cut-in with a time to collision above 2 s at the intrusion.
+    Later collisions with that vehicle do not count (Annex 4, Appendix 3).
     """
     name = driver.partition(":")[0]
     collision = _first_collision(run, ego)
@@ -91,14 +94,17 @@ def _collision_partner(collision: Collision, ego: str) -> str:
 
 
 def _nearest_other(recording: Recording, ego: str, others: Sequence[str]) -> tuple[str, float]:
-    """Name of the nearest entity and the time in s of the smallest distance; the first ones if none coexists."""
+    """Return the name of the nearest entity, and the time in s of the smallest distance.
+
+    The first ones if none exists.
+    """
     distances = np.stack([np.hypot(*(recording.box_center(name) - recording.box_center(ego)).T) for name in others])
     row, column = np.unravel_index(np.where(np.isnan(distances), np.inf, distances).argmin(), distances.shape)
     return others[int(row)], float(recording.time[int(column)])
 
 
 def _is_covered_by_regulation(recording: Recording, ego: str, other: str, time: float) -> bool:
-    """Check whether the encounter of two entities is one that the regulation's models cover."""
+    """Check whether the regulation's models cover the encounter of two entities."""
     i, j = recording.entity_index(ego), recording.entity_index(other)
     if recording.object_types[j] in _NON_MOTORWAY_TYPES:
         return False
@@ -117,7 +123,7 @@ def _is_covered_by_regulation(recording: Recording, ego: str, other: str, time: 
 
 
 def _is_cut_in_over_before(run: Recording, ego: str, hit_collision: Collision) -> bool:
-    """Check whether the vehicle that is hit had cut in earlier, with time to spare."""
+    """Check whether the vehicle in a collision cut in earlier without danger; such a collision does not count."""
     i, other_rows = run.entity_index(ego), [k for k, name in enumerate(run.names) if name != ego]
     valid = np.isfinite(run.x[i]) & (run.time <= hit_collision.time + _TIME_TOLERANCE)
     situation = _situations_over_time(run, i, other_rows, valid)
@@ -131,7 +137,7 @@ def _is_cut_in_over_before(run: Recording, ego: str, hit_collision: Collision) -
 
 
 def _situations_over_time(run: Recording, ego_row: int, other_rows: list[int], is_present: BoolArray) -> Situation:
-    """The situation at each instant, as parallel scenarios; the path is the driven one."""
+    """Return the situation at each instant of a recording, as parallel scenarios; the path is the driven one."""
     x, y, heading = run.x[ego_row, is_present], run.y[ego_row, is_present], run.heading[ego_row, is_present]
     zeros = np.zeros(len(x))
     return Situation(

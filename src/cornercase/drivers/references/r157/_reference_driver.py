@@ -59,7 +59,7 @@ class ReferenceDriver(Driver):
         return self._text
 
     def start(self, scenarios: int, others: int) -> None:
-        """Reset all state for a batch of N `scenarios` with A `others` in each."""
+        """Reset all state for a batch of N scenarios with A other entities in each."""
         self._reaction = BrakingReaction(self._reference, scenarios)
         self._surroundings = ReferencePerception(scenarios, others)
         self._acceleration = np.zeros(scenarios)

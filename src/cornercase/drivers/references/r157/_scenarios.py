@@ -1,4 +1,4 @@
-"""Reference drivers in the three scenarios of the regulation, at 10 Hz, without a scenario file."""
+"""Reference drivers in the three scenarios of the regulation, simulated at 10 Hz without a scenario file."""
 
 from __future__ import annotations
 
@@ -227,7 +227,7 @@ def drive_deceleration(name: str, speed: FloatArray, deceleration: FloatArray) -
 
 
 def _lateral_ramp(lateral_speed: FloatArray) -> tuple[BoolArray, FloatArray]:
-    """Time steps in which the lateral speed rises, bool (steps, N), and the lateral distance covered in m, (N,)."""
+    """Return when the lateral speed still rises, bool (steps, N), and the lateral distance covered by then, (N,)."""
     steps = np.ceil(lateral_speed / _LATERAL_SPEED_STEP)
     instants = np.arange(max(int(steps.max(initial=0.0)), 1))[:, None]
     rising = instants < steps
@@ -235,6 +235,6 @@ def _lateral_ramp(lateral_speed: FloatArray) -> tuple[BoolArray, FloatArray]:
 
 
 def _speed_after_step(speed: FloatArray, acceleration: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Speed after a time step, not below 0, and the resulting acceleration."""
+    """Return the speed after a time step, at least 0, and the acceleration that leads to it."""
     risen = np.maximum(speed + acceleration * TIME_STEP, 0.0)
     return risen, (risen - speed) / TIME_STEP
