@@ -1,4 +1,4 @@
-"""Search a logical scenario for critical concrete scenarios: the loop of the paper's figure."""
+"""Exploration: search a logical scenario for critical concrete scenarios, with the loop of the paper's figure."""
 
 import lazy_loader as lazy
 

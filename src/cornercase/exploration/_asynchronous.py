@@ -1,4 +1,4 @@
-"""Search without rounds: the optimizer is asked for the next scenario as soon as one has ended."""
+"""Search without rounds: as soon as a scenario has ended, the optimizer proposes the next one."""
 
 from __future__ import annotations
 
@@ -26,9 +26,10 @@ from cornercase.study._criterion import Criterion
 
 
 def max_pending_scenarios(n_parallel: int) -> int:
-    """Number of scenarios in progress for `places` parallel simulators.
+    """Number of scenarios in progress for `n_parallel` parallel simulators.
 
-    One simulator: one, so that each proposal knows all results. Otherwise half as many again, so that none has to wait.
+    With one simulator it is one, so that each proposal is based on all results. Otherwise it is half as many again, so
+    that no simulator has to wait.
     """
     return n_parallel if n_parallel == 1 else n_parallel + -(-n_parallel // 2)
 
@@ -36,9 +37,9 @@ def max_pending_scenarios(n_parallel: int) -> int:
 class AsynchronousExplorer(ScenarioExplorer):
     """Searches a logical scenario without rounds.
 
-    As soon as a scenario has ended, the optimizer is told its result, and all that arrived meanwhile, and asked for
-    another. The study holds the order of the results, so a search that was killed is resumed identically: the optimizer
-    is told in that order, and pending scenarios run first. Parameters as for `ScenarioExplorer`.
+    When a scenario has ended, the optimizer observes all results that have arrived, and proposes another scenario. The
+    study stores the order of the results. A killed search is resumed identically: the optimizer observes the results in
+    this order, and pending scenarios run first. Parameters as for `ScenarioExplorer`.
     """
 
     def __init__(
@@ -63,13 +64,13 @@ class AsynchronousExplorer(ScenarioExplorer):
         self._n_results = self._rounds_checked = 0
 
     def _run_until_stop(self, bar: ProgressBar | None, check_interrupt: Callable[[], None]) -> str:
-        """Run scenarios in parallel; once nothing else runs, check if runs are deterministic."""
+        """Run scenarios in parallel; when nothing else runs, check if runs are deterministic."""
         reason = self._run_without_rounds(bar, check_interrupt)
         self._runner.check_repeatability()
         return reason
 
     def _run_without_rounds(self, bar: ProgressBar | None, check_interrupt: Callable[[], None]) -> str:
-        """Keep scenarios in progress until a criterion holds and all have ended; return the criterion."""
+        """Run scenarios until a termination criterion holds and all have ended; return the criterion."""
         start, reason = time.monotonic(), None
         with closing(SimulatorStream(self._simulators)) as stream:
             proposed, number = self._resume_without_rounds(stream)
@@ -98,7 +99,7 @@ class AsynchronousExplorer(ScenarioExplorer):
                 self._clock.save_times()
 
     def _resume_without_rounds(self, stream: SimulatorStream) -> tuple[int, int]:
-        """Tell the optimizer the stored results in their order, and submit pending scenarios."""
+        """Pass the stored results to the optimizer in their order, and submit pending scenarios."""
         rows = self._study.rows()
         minimized = self._objective.minimized_scores(self._study)
         scores = dict(zip((row.id for row in rows if row.state == "done"), minimized, strict=True))
@@ -138,11 +139,11 @@ class AsynchronousExplorer(ScenarioExplorer):
         )
 
     def _simulate_in_thread(self, concretes: Sequence[ConcreteScenario], simulator: Simulator) -> list[Any]:
-        """Run in a worker thread; must not touch other state of the search."""
+        """Run scenarios in a worker thread; must not access other state of the search."""
         return list(self._runner.simulate(simulator, concretes))
 
     def _wait_for_result(self, stream: SimulatorStream, check_interrupt: Callable[[], None]) -> None:
-        """Wait for the next result, and store it or submit another run of the scenario."""
+        """Wait for the next result; store it, or submit another run of the same scenario."""
         with self._clock("simulate"):
             key, outcomes = stream.wait_for_result(check_interrupt)
         row = self._pending[key]
@@ -172,7 +173,7 @@ class AsynchronousExplorer(ScenarioExplorer):
         self._runner.require_any_result()
 
     def _tell_new_results(self) -> None:
-        """Tell the optimizer the new results in the order of their arrival."""
+        """Pass new results to the optimizer in the order of their arrival."""
         if self._new_results:
             self._tell_round(self._new_results, self._new_scores)
         self._new_results, self._new_scores = [], {}
@@ -183,7 +184,7 @@ class AsynchronousExplorer(ScenarioExplorer):
             self._n_without_improvement = 0 if self._incumbent.update(score[None]) else self._n_without_improvement + 1
 
     def _stop_criteria_reason(self) -> str | None:
-        """Check stop criteria no more often than a search in rounds does."""
+        """Return which stop criteria hold; they are checked as rarely as in a search with rounds."""
         rounds = self._n_results // self._config.batch
         if rounds == self._rounds_checked:
             return None
@@ -191,5 +192,5 @@ class AsynchronousExplorer(ScenarioExplorer):
         return super()._stop_criteria_reason()
 
     def _points_without_audits(self, rows: Sequence[ScenarioRecord]) -> FloatArray:
-        """Points of the rows that are not audits, shape (p, d)."""
+        """Points of the rows that are not audits (random scenarios for assessment only), shape (p, d)."""
         return np.array([row.point for row in self._without_audits(rows)]).reshape(-1, self._space.dimension)

@@ -1,4 +1,4 @@
-"""Run scenarios again with a reference driver if the condition depends on it."""
+"""Runs of a scenario with a reference driver, if the condition for critical scenarios depends on it."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ SimulateScenarios = Callable[[Simulator, Sequence[ConcreteScenario]], Iterator[R
 
 @dataclass(eq=False)
 class PendingCondition:
-    """A finished scenario whose condition may depend on references.
+    """A finished scenario whose condition may depend on runs with reference drivers.
 
-    `courses` are the results by metric, `looked` is the condition evaluated without references, `outcomes` are the
-    reference runs by name, `error` says why one of them failed.
+    `results` are by metric. `condition_state` is the condition evaluated without reference drivers.
+    `reference_outcomes` are the outcomes of the runs by driver. `error` says why one of these runs failed.
     """
 
     row: ScenarioRecord
@@ -36,7 +36,7 @@ class PendingCondition:
 
     @property
     def next_reference(self) -> str | None:
-        """Name of the reference to run next; None if none is needed."""
+        """Name of the reference driver to run next; None if none is needed."""
         return (
             None
             if self.error is not None
@@ -48,7 +48,7 @@ class PendingCondition:
         return {name: outcome.collides for name, outcome in self.reference_outcomes.items()}
 
     def decided_results(self) -> dict[str, MetricResult]:
-        """Results by metric, with the score of the condition according to the references."""
+        """Results by metric, with the score that the condition has according to the reference drivers."""
         metric = self.condition_state.metric
         result, score = self.results[metric.name], self.condition_state.score(self._collisions_by_reference)
         against = result.against if score < metric.cap else None
@@ -56,7 +56,7 @@ class PendingCondition:
 
 
 class ReferenceRuns:
-    """Runs scenarios again with reference drivers in the ego."""
+    """Runs scenarios again, with a reference driver in place of the ego's driver."""
 
     def __init__(
         self,
@@ -70,13 +70,13 @@ class ReferenceRuns:
     def evaluate_condition(
         self, row: ScenarioRecord, recording: Recording, results: dict[str, MetricResult]
     ) -> PendingCondition:
-        """Evaluate the condition without references."""
+        """Evaluate the condition of a scenario without reference drivers."""
         return PendingCondition(
             row, recording, results, self._condition.evaluate(recording, self._config.ego, self._config.others)
         )
 
     def decide_conditions(self, scenarios: Sequence[PendingCondition]) -> Iterator[PendingCondition]:
-        """Run references until every condition is decided; yield each scenario when it is."""
+        """Run reference drivers until every condition is decided; yield each scenario as soon as its condition is."""
         remaining = list(scenarios)
         while remaining:
             for name in dict.fromkeys(item.next_reference for item in remaining):
@@ -95,7 +95,7 @@ class ReferenceRuns:
     def record_reference_run(
         self, scenario: PendingCondition, reference: str, outcome: Recording | SimulationError
     ) -> None:
-        """Record the run of a scenario with reference `name`."""
+        """Record the outcome of a run with the driver `reference`."""
         if isinstance(outcome, SimulationError):
             scenario.error = SimulationError(f"run again with reference:{reference}: {outcome}")
         else:

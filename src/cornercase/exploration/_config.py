@@ -1,4 +1,4 @@
-"""Settings of an exploration, also as a stored study was explored with."""
+"""Settings of an exploration: from the options of `explore`, or from a stored study."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from typing import Any
 
 from cornercase._common.errors import InputError
 from cornercase._common.text.sanitize import remove_folders
-from cornercase._common.validation import check_mapping, repr_short
+from cornercase._common.validation import check_mapping
 from cornercase.drivers import Driver
 from cornercase.drivers._description import driver_command_option, format_driver, iter_driver_changes
-from cornercase.drivers._resolve import create_driver_named_in_file, is_driver
+from cornercase.drivers._resolve import check_driver, create_driver_named_in_file
 from cornercase.exploration._explore_options import (
     CONFIG_OPTIONS,
     SEARCH_SETTINGS,
@@ -38,12 +38,13 @@ from cornercase.study._stored_paths import stored_path
 
 @dataclass(frozen=True)
 class ExplorationConfig(ExplorationOptions):
-    """Validated settings of an exploration; the fields are options of `explore`.
+    """Validated settings of an exploration; the fields are the options of `explore`.
 
-    `other` becomes a tuple if it has several names, and ``"*"`` becomes the names of all others. `max_repeats` becomes
-    None if it equals `repeats`. Without rounds, `patience` and the stop criteria are evaluated after every `batch`
-    results. `patience` counts rounds without a score at least as critical as the best so far; a score at the metric's
-    cap is an improvement only once. Raises `InputError` for a wrong type, a value out of range or an invalid criterion.
+    Some fields are normalized. `other` becomes a tuple if it has several names, and ``"*"`` becomes the names of all
+    other entities. `max_repeats` becomes None if it equals `repeats`. `patience` counts rounds without a score at least
+    as critical as the best so far. A score at the metric's cap is an improvement only once. Without rounds, `patience`
+    and the stop criteria are evaluated after every `batch` results. Raises `InputError` for a wrong type, a value out
+    of range or an invalid criterion.
     """
 
     logical: LogicalScenario
@@ -72,7 +73,7 @@ class ExplorationConfig(ExplorationOptions):
         if self.audit > MAX_AUDIT_FRACTION:
             raise InputError(f"`audit` {self.audit:g}: give a fraction of the scenarios up to {MAX_AUDIT_FRACTION:g}.")
         for entity, driver in self.drivers.items():
-            _check_driver(entity, driver)
+            check_driver(entity, driver)
         object.__setattr__(self, "max_repeats", self._decisive_max_repeats())
 
     @property
@@ -81,7 +82,7 @@ class ExplorationConfig(ExplorationOptions):
         return (self.other,) if isinstance(self.other, str) else tuple(self.other)
 
     def _refuse_conflicts_with_condition(self) -> None:
-        """Refuse arguments that contradict `critical_if`."""
+        """Raise `InputError` for arguments that contradict `critical_if`."""
         conflicts = {"critical": self.critical is not None, "weights": self.weights, "pareto": self.pareto}
         for name in filter(conflicts.get, conflicts):
             raise InputError(f"`critical_if` already defines what is critical and searched; leave `{name}` out.")
@@ -113,7 +114,7 @@ class ExplorationConfig(ExplorationOptions):
         return limit
 
     def require_entities(self) -> None:
-        """Raise `InputError` if the ego, another or a driven entity is not in the scenario."""
+        """Raise `InputError` if the ego, another entity or an entity with a driver is not in the scenario."""
         self.logical.scenario_file.require_entity(self.ego, "ego")
         for other in self.others:
             self.logical.scenario_file.require_entity(other, "other")
@@ -121,7 +122,10 @@ class ExplorationConfig(ExplorationOptions):
             self.logical.scenario_file.require_entity(entity, "driven entity")
 
     def make_objective(self) -> Objective:
-        """Create the objective; `InputError` if a metric is unknown or unavailable, or weights and front do not fit."""
+        """Create the objective, from metrics, weights and Pareto front.
+
+        Raises `InputError` if a metric is unknown or cannot be used, or the options contradict each other.
+        """
         metrics = [METRICS.create(name) for name in dict.fromkeys(self.metrics)]
         for metric in metrics:
             metric.check_installed()
@@ -141,9 +145,10 @@ class ExplorationConfig(ExplorationOptions):
         return resolve_stop_rules(self.stop_when)[0]
 
     def make_criterion(self, objective: Objective | None = None) -> Criterion:
-        """Create the objective, unless it is given, and its threshold.
+        """Create the criterion: the objective, unless it is given, with its threshold.
 
-        Raises `InputError` if there is no threshold but the optimizer, a stop criterion or `max_repeats` needs it.
+        Raises `InputError` if there is no threshold although the optimizer, a stop criterion or `max_repeats` needs
+        one.
         """
         is_required = bool(self.stop_when) or self.max_repeats is not None
         is_required |= "threshold" in OPTIMIZERS.get_class(self.optimizer).requires
@@ -157,9 +162,9 @@ class ExplorationConfig(ExplorationOptions):
         *,
         study: Path = Path("study.db"),
     ) -> StudyMeta:
-        """Create the metadata of a study of this exploration.
+        """Create the metadata of a new study of this exploration.
 
-        `study` is the path of the study, from which the scenario file is named.
+        The stored path of the scenario file is relative to `study`, the path of the study.
         """
         fields_of_study: dict[str, Any] = {
             str(option.stored): getattr(self, name)
@@ -182,17 +187,12 @@ class ExplorationConfig(ExplorationOptions):
         )
 
     def _stored_settings(self) -> dict[str, object]:
-        """Return the settings that the study stores although they are none of the simulator, unless default."""
+        """Return the settings that the study stores besides those of the simulator, without default values."""
         return {
             name: getattr(self, name)
             for name, option in CONFIG_OPTIONS.items()
             if option.stored == "settings" and getattr(self, name) != option.default
         }
-
-
-def _check_driver(entity: str, driver: object) -> None:
-    if not (driver and isinstance(driver, str)) and not is_driver(driver):
-        raise InputError(f"`drivers` {entity}={repr_short(driver)}: give the name of a driver, or an instance.")
 
 
 def config_from_study(
@@ -201,12 +201,14 @@ def config_from_study(
     scenario: Path | str | ScenarioFile | None,
     simulator: str | Simulator | None,
     drivers: Mapping[str, str | Driver],
+    *,
+    driver_hint: str = "give it again with `drivers` {entity}={driver}",
 ) -> ExplorationConfig:
-    """Rebuild the configuration that a study was explored with.
+    """Rebuild the configuration with which a study was explored.
 
-    `file` is the study in messages, `scenario` the explored file (None: search for it), `simulator` None for the
-    study's own without options, `drivers` the user's own drivers by entity. Raises `InputError` if a file or driver is
-    missing.
+    `file` is the path of the study, for messages. `scenario` is the explored file; by default it is searched. Without
+    `simulator` the study's own is used, without options. `drivers` are the user's own drivers by entity. Raises
+    `InputError` if a file or driver is missing.
     """
     meta, settings = study.meta, study.meta.settings
     source = find_explored_scenario(study, scenario, search_stored_path=True)
@@ -219,7 +221,7 @@ def config_from_study(
             resolved_drivers.setdefault(entity, driver)
         elif entity not in resolved_drivers:
             command = driver_command_option(driver)
-            hint = "give it again" if command is None else f"give it again with `drivers` {entity}={command}"
+            hint = "give it again" if command is None else driver_hint.format(entity=entity, driver=command)
             raise InputError(
                 f"{file}: {format_driver(driver)} drove {entity}; code that a study names is not run, so {hint}."
             )
@@ -236,7 +238,7 @@ def config_from_study(
 
 
 def _is_safe_driver_name(driver: str) -> bool:
-    """Return whether a stored driver name may be resolved without running foreign code."""
+    """Whether the driver can be created from its stored name without running code that the study names."""
     try:
         create_driver_named_in_file(driver)
     except InputError:
@@ -245,7 +247,7 @@ def _is_safe_driver_name(driver: str) -> bool:
 
 
 def require_same_settings(study: Path, meta: StudyMeta, simulator: Simulator) -> None:
-    """Raise `InputError` if the settings of a simulator differ from those stored in the study."""
+    """Raise `InputError` if simulator settings differ from those stored in the study."""
     own_settings: dict[str, Any] = dict(simulator.settings)
     different = [
         name
@@ -256,6 +258,6 @@ def require_same_settings(study: Path, meta: StudyMeta, simulator: Simulator) ->
         changes = iter_driver_changes(meta.settings.get("drivers"), own_settings.get("drivers"))
         drivers = "".join(f"; {stored} drove {entity}, not {current}" for entity, stored, current, _ in changes)
         raise InputError(
-            f"{study}: was explored with another {', '.join(different)}{drivers}; give the same `simulator` and"
-            " `drivers` as to `explore`."
+            f"{study}: was explored with another {', '.join(different)}{drivers}; give the same `simulator`, with"
+            " the same drivers, as to `explore`."
         )

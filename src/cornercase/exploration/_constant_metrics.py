@@ -16,9 +16,9 @@ MIN_SCENARIOS_TO_COMPARE: Final = 10
 
 
 def describe_constant_metrics(study: StudyFile) -> dict[str, str]:
-    """Describe each metric that has the same score in all scenarios of a study; empty before 10 have finished.
+    """Describe each metric that has the same score in all scenarios of a study; empty for fewer than 10 scenarios.
 
-    If the metric is searched, the search had no gradient to follow; if not, this may be fine.
+    If such a metric is searched, the search has no gradient to follow. For other metrics this may be fine.
     """
     sentences: dict[str, str] = {}
     if len(study.finished_rows()) < MIN_SCENARIOS_TO_COMPARE:

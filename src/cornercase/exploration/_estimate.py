@@ -57,9 +57,10 @@ def estimate(
 ) -> Estimation:
     """Estimate the probability of critical scenarios and collisions under the distributions of a study's space.
 
-    New scenarios are run with the study's simulator and settings, and stored in a study of their own. The sampling
-    distribution is learned first, from the study and in rounds; the independent draws after that give an unbiased
-    estimate. If you call it again, it resumes where it stopped; with a larger `budget` it continues from there.
+    New scenarios are run with the study's simulator and settings, and stored in a separate study. First, the sampling
+    distribution is learned, in rounds that begin with what the explored study knows. The independent draws after that
+    give an unbiased estimate. If you call it again, it resumes where it stopped; with a larger `budget` it continues
+    from there.
 
     Parameters
     ----------
@@ -172,7 +173,10 @@ def _estimate_config(
 
 
 def _stored_sample_sizes(output: Path, n_learn: int) -> tuple[int, int | None]:
-    """Return the numbers of scenarios for learning and of the study; a resumed output keeps its own."""
+    """Return how many scenarios are for learning, and how many scenarios of the explored study are used.
+
+    For a resumed estimate both numbers are those stored in the output. For a new one, the second is None.
+    """
     if output.exists():
         with suppress(InputError), StudyFile.open(output, readonly=True) as existing:
             if (match := _ESTIMATE_OPTIMIZER_NAME.fullmatch(existing.meta.optimizer)) is not None:

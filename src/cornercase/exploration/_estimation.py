@@ -23,10 +23,10 @@ _MAX_SINGLE_SHARE: Final = 0.2
 
 @dataclass(frozen=True, eq=False)
 class EventOutcomes:
-    """Outcomes of the scenarios of an estimate.
+    """Outcomes of n scenarios of an estimate.
 
-    `scores`, shape (n,), are minimized, NaN if failed; `critical`, `collision` and `encounter`, shape (n,), are False
-    if failed.
+    `scores`, shape (n,), are lower where more critical, and NaN if the scenario failed. `is_critical`, `has_collision`
+    and `has_encounter`, shape (n,), say whether the event occurred; False if the scenario failed.
     """
 
     scores: FloatArray
@@ -36,7 +36,7 @@ class EventOutcomes:
 
     @property
     def event_columns(self) -> BoolArray:
-        """Critical and collision as columns, shape (n, 2)."""
+        """The events critical and collision as two columns, shape (n, 2)."""
         return np.stack([self.is_critical, self.has_collision], axis=1)
 
     @property
@@ -46,7 +46,7 @@ class EventOutcomes:
 
     @classmethod
     def concatenate(cls, parts: list[EventOutcomes]) -> EventOutcomes:
-        """Concatenate outcomes."""
+        """Concatenate the outcomes of several groups of scenarios."""
         names = ("scores", "is_critical", "has_collision", "has_encounter")
         dtypes = (np.float64, np.bool_, np.bool_, np.bool_)
         return cls(
@@ -59,7 +59,7 @@ class EventOutcomes:
 
 @dataclass(frozen=True, repr=False)
 class Estimation:
-    """Probabilities under the distributions of a space.
+    """Probabilities of events under the distributions of a space.
 
     Attributes
     ----------
@@ -128,11 +128,11 @@ class Estimation:
         return pd.DataFrame.from_dict(rows, orient="index", columns=columns, dtype="float64").rename_axis("event")
 
     def _repr_html_(self) -> str:
-        """Table of the probabilities, for notebooks."""
+        """HTML table of the probabilities, for notebooks."""
         return render_html_table(repr(self), self.table())
 
     def to_json(self) -> dict[str, Any]:
-        """Return the result as plain values.
+        """Return the result as plain values, for JSON.
 
         Returns
         -------
@@ -161,9 +161,9 @@ class Estimation:
 
 
 def describe_doubts(event: str, estimate: Probability, direct_estimate: Probability) -> list[str]:
-    """Describe why a probability may be wrong, in sentences.
+    """Describe, in sentences, why the estimated probability of `event` may be wrong.
 
-    `found` is the probability of the event `name`, `plain` the one from the draws of the space's own distributions
+    `estimate` is the probability from all draws, `direct_estimate` that from draws of the space's own distributions
     only.
     """
     if estimate.error == 0.0:
@@ -196,5 +196,5 @@ def describe_doubts(event: str, estimate: Probability, direct_estimate: Probabil
 
 
 def probability_from_direct_draws(occurred: BoolArray) -> Probability:
-    """Probability of an event from draws of the space's own distributions, `met` of shape (n,)."""
+    """Probability of an event from draws of the space's own distributions; `occurred` has shape (n,)."""
     return probability_from_counts(int(occurred.sum()), len(occurred))

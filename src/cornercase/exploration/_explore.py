@@ -47,7 +47,7 @@ def explore(
     progress: bool = False,
     **options: Unpack[ExploreOptions],
 ) -> ExplorationResult:
-    """Search a logical scenario for its critical concrete scenarios.
+    """Search a logical scenario for critical concrete scenarios, and store the results in a study.
 
     Each scenario is stored as soon as it has ended. If you call it again with the same arguments, it resumes where it
     stopped; with a larger `budget` it continues from there.
@@ -118,7 +118,7 @@ def _verify_proposals_of_study(config: ExplorationConfig, study: Path) -> Explor
 
 
 def _make_criterion_and_optimizer(config: ExplorationConfig) -> tuple[Criterion, Optimizer]:
-    """Create the criterion and a fresh optimizer for it."""
+    """Create the criterion (objective and threshold), and a fresh optimizer for it."""
     criterion = config.make_criterion()
     optimizer = OPTIMIZERS.resolve(config.optimizer, "optimizer").start(
         config.logical.space, config.seed, threshold=criterion.oriented, budget=config.budget
@@ -131,7 +131,7 @@ def _make_criterion_and_optimizer(config: ExplorationConfig) -> tuple[Criterion,
 def _load_warm_start(
     config: ExplorationConfig, study: Path, objective: Objective, optimizer: Optimizer
 ) -> WarmStart | None:
-    """Load the study that warm-starts the search; None without one."""
+    """Load the scores of the study from which the search is warm-started; None without such a study."""
     if config.warm_start is None:
         return None
     check_output_differs_from_source(study, config.warm_start, "study")
@@ -143,7 +143,7 @@ def _load_warm_start(
 def explore_config(
     config: ExplorationConfig, study: Path | str, progress: bool = False, *, retry_failed: bool = False
 ) -> ExplorationResult:
-    """Explore into a new or existing study, like `explore`."""
+    """Run the exploration of a configuration, in a new or existing study; otherwise like `explore`."""
     file = check_path("study", study)
     check_bool("progress", progress)
     check_bool("retry_failed", retry_failed)
@@ -202,26 +202,32 @@ def _run_exploration(
 
 
 def _notices_at_center(config: ExplorationConfig, simulator: Simulator) -> tuple[Notice, ...]:
-    """List what has no effect in the simulator, for a scenario in the middle of the space."""
+    """List what has no effect in the simulator, for the scenario at the centre of the space."""
     middle_values = config.logical.space.values(config.logical.space.center_point())
     return list_ignored_content(simulator, config.logical.scenario_file, middle_values[0] if middle_values else None)
 
 
 def simulator_from_config(config: ExplorationConfig) -> Simulator:
-    """Create the configured simulator; the caller closes it."""
+    """Create the configured simulator; the caller has to close it."""
     return _create_simulator(config, config.drivers)
 
 
 @contextmanager
 def _share_cluster_connection(config: ExplorationConfig) -> Iterator[ExplorationConfig]:
-    """Connect to the Dask cluster once, for the simulator and all reference simulators."""
+    """Connect to the Dask cluster once, for the simulator and all reference simulators.
+
+    Yields the configuration with this connection.
+    """
     with open_connection(config.cluster, config.workers) as client:
         yield config if client is None else replace(config, cluster=client, workers=1)
 
 
 @contextmanager
 def reference_simulators(config: ExplorationConfig) -> Iterator[dict[str, Simulator]]:
-    """Create one simulator per reference driver of the condition, with that driver in the ego; by reference name."""
+    """Create a simulator for each reference driver in the condition, with this driver in the ego.
+
+    Yields the simulators by name of the reference driver.
+    """
     condition = config.make_condition()
     with ExitStack() as stack:
         simulators = {}

@@ -1,4 +1,4 @@
-"""The options of an exploration: the one table that Python, the command line, study files and pages are made of.
+"""Table of the options of an exploration, from which Python, the command line, study files and pages are generated.
 
 A new option is one entry here, one line in `ExploreOptions` for type checkers, and the code that uses it.
 """
@@ -28,7 +28,7 @@ _study = partial(option, panel="Study", in_file=False)
 # fmt: off
 @dataclass(frozen=True, kw_only=True)
 class SpaceOptions:
-    """What varies, where the logical scenario is a file."""
+    """Options that say what varies, if the logical scenario is a file."""
 
     space: Path | str | None = _problem(
         None, "ParameterValueDistribution file.", metavar="FILE.xosc",
@@ -47,7 +47,7 @@ class SpaceOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class ExplorationOptions(SimulationOptions, RunOptions):
-    """What is tested, how it is searched, and how scenarios are run."""
+    """Options that say what is tested, how it is searched, and how scenarios are run."""
 
     ego: str = field(metadata={"option": Option(
         "Entity under test.", panel=_PROBLEM, metavar="NAME", stored="ego")})
@@ -122,7 +122,7 @@ class ExplorationOptions(SimulationOptions, RunOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class CallOptions:
-    """What one call does with the study, besides searching."""
+    """Options of a single call that do not change the search."""
 
     check_proposals: bool = _study(False, "Simulate nothing; test whether the stored results give the same proposals.")
     retry_failed: bool = _study(
@@ -131,7 +131,7 @@ class CallOptions:
 
 
 class ExploreOptions(SimulationKeywords, total=False):
-    """The options of `cornercase.explore` as keyword arguments, besides `ego`, `other` and `metrics`."""
+    """Types of the keyword arguments of `cornercase.explore`, except `ego`, `other` and `metrics`."""
 
     space: Path | str | None
     ranges: Sequence[str]
@@ -173,7 +173,7 @@ SEARCH_SETTINGS: Final = {name for name, item in OPTIONS.items() if item.stored 
 
 
 def stored_values(meta: StudyMeta) -> dict[str, Any]:
-    """Return the options that a study was explored with, as far as it holds them; None where there is no value."""
+    """Return the options that a study was explored with, as far as they are stored; None if one has no value."""
     fields_of_study = meta.to_json()
     values = {}
     for name, item in OPTIONS.items():

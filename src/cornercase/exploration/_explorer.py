@@ -1,4 +1,4 @@
-"""The exploration loop: the paper's figure "scenario exploration workflow"."""
+"""The exploration loop in rounds: the paper's figure "scenario exploration workflow"."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from cornercase._common.plugin_errors import group_failure_messages
 from cornercase._common.process.signals import collect_interrupts
 from cornercase._common.progress import ProgressBar
 from cornercase._common.row_keys import row_keys
+from cornercase._common.text.html import render_html
 from cornercase._common.typing import FloatArray
 from cornercase.exploration._config import ExplorationConfig
 from cornercase.exploration._constant_metrics import MIN_SCENARIOS_TO_COMPARE, describe_constant_metrics
@@ -36,7 +37,7 @@ _MAX_COUNTED_SPACE: Final = 1 << 18
 
 @dataclass(frozen=True)
 class ExplorationResult:
-    """How an exploration ended.
+    """Result of an exploration: how many scenarios were run, and why it ended.
 
     Attributes
     ----------
@@ -116,13 +117,20 @@ class ExplorationResult:
         failed = f", {self.failed} failed" if self.failed else ""
         return f"<ExplorationResult: {self.done} scenarios done{failed} in {self.study}; {self.reason}>"
 
+    def _repr_html_(self) -> str:
+        """How it ended, what never varies, and why scenarios failed, for notebooks."""
+        failures = [f"{count} failed: {reason}" for reason, count in self.failure_counts.items()]
+        lines = [*self.constant_metrics, *self.new_constant_metrics, *failures]
+        return render_html(repr(self), "".join(map(render_html, lines)))
+
 
 class ScenarioExplorer:
     """Searches a logical scenario in rounds, steps (1) to (6) of the paper's activity diagram.
 
-    The optimizer chooses parameters, the simulator runs them, the metrics evaluate them, until a termination criterion
-    holds. Each scenario is stored as soon as it has ended; an existing study is resumed. `optimizer` has to be a fresh
-    one: it is told what the study contains. `references` are simulators with a reference driver in the ego, by name.
+    In each round the optimizer chooses parameters, the simulator runs the scenarios, and the metrics evaluate them.
+    This is repeated until a termination criterion holds. Each scenario is stored as soon as it has ended. An existing
+    study is resumed. `optimizer` must not have observed anything, since it first observes the content of the study.
+    `references` are simulators with a reference driver in the ego, by name of the driver.
     """
 
     def __init__(
@@ -176,7 +184,7 @@ class ScenarioExplorer:
         return ExplorationResult.from_study(self._study, reason, n_done_before=before)
 
     def _run_until_stop(self, bar: ProgressBar | None, check_interrupt: Callable[[], None]) -> str:
-        """Run rounds and return why the search ended."""
+        """Run rounds, and return why the search ended."""
         start = time.monotonic()
         done, number = self._resume_study(bar)
         while True:
@@ -195,7 +203,7 @@ class ScenarioExplorer:
             self._clock.save_times()
 
     def _propose_round(self, round_number: int, n_done: int, n_wanted: int) -> list[ScenarioRecord]:
-        """Propose and store one round; empty if the search has no more proposals."""
+        """Propose and store the scenarios of a round; empty if the search has no more proposals."""
         with self._clock("optimize"):
             points = self._proposal_source.propose(n_done, n_wanted)
         if len(points) == 0:
@@ -215,7 +223,7 @@ class ScenarioExplorer:
         return self._stop_criteria_reason()
 
     def _exhausted_reason(self, n_done: int) -> str:
-        """Return why the search proposes nothing more: the space is exhausted, or the constraints leave nothing."""
+        """Return why the search has no more proposals: the space is exhausted, or the constraints exclude the rest."""
         size = self._space.size
         # An audit may be the same scenario as a proposal of the search.
         points = np.array([row.point for row in self._study.rows()]).reshape(-1, self._space.dimension)
@@ -227,14 +235,14 @@ class ScenarioExplorer:
         return f"the search has no proposals after these {n_done} scenarios"
 
     def _stop_criteria_reason(self) -> str | None:
-        """Return which stop criteria on the critical set hold; None unless all do."""
+        """Return a description if all stop criteria on the critical set hold, else None."""
         if not self._stopping.is_ready:
             return None
         with self._clock("judge"):
             return self._stopping.describe_reached()
 
     def _resume_study(self, bar: ProgressBar | None) -> tuple[int, int]:
-        """Run pending scenarios and tell the optimizer all results; return the numbers of scenarios and rounds."""
+        """Run pending scenarios and pass all results to the optimizer; return numbers of scenarios and of rounds."""
         rows = self._study.rows()
         minimized = self._objective.minimized_scores(self._study)
         scores = dict(zip((row.id for row in rows if row.state == "done"), minimized, strict=True))
@@ -245,7 +253,7 @@ class ScenarioExplorer:
         return len(rows), rows[-1].round if rows else 0
 
     def _simulate_rows(self, rows: list[ScenarioRecord], bar: ProgressBar | None) -> dict[int, Any]:
-        """Run scenarios; return the minimized scores of the successful ones by id."""
+        """Run scenarios; return the scores of the successful ones by id, lower where more critical."""
         scores: dict[int, Any] = {}
         best, farthest = copy(self._incumbent), 0
         for number, score in self._runner.run_rows(rows):
@@ -258,7 +266,7 @@ class ScenarioExplorer:
         return scores
 
     def _tell_round(self, rows: list[ScenarioRecord], scores_by_id: Mapping[int, Any]) -> None:
-        """Pass the scores of one round to the optimizer and the stop criteria; audits only to the latter."""
+        """Pass the scores of one round to the optimizer and the stop criteria; the optimizer does not get audits."""
         failed = np.full_like(self._objective.least_critical_scores, np.nan)
         missing = failed if self._objective.pareto else np.nan
         scores = np.array([scores_by_id.get(row.id, missing) for row in rows])
@@ -279,7 +287,7 @@ class ScenarioExplorer:
         self._update_patience(scores)
 
     def _update_patience(self, scores: FloatArray) -> None:
-        """Count the rounds without an improvement."""
+        """Count the rounds in a row without an improvement."""
         self._n_without_improvement = 0 if self._incumbent.update(scores) else self._n_without_improvement + 1
 
     def _read_features(self, rows: list[ScenarioRecord], scores_by_id: Mapping[int, Any]) -> FloatArray:

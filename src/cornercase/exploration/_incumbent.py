@@ -1,4 +1,4 @@
-"""The most critical result so far."""
+"""The most critical result so far (incumbent)."""
 
 from __future__ import annotations
 
@@ -9,7 +9,9 @@ from cornercase.study._objective import Objective
 
 
 def is_on_pareto_front(values: FloatArray) -> BoolArray:
-    """Return which rows are on the Pareto front (not dominated, lower is better), shape (m,); never rows with NaN.
+    """Return which rows are on the Pareto front, shape (m,): not dominated, with lower as better.
+
+    A row with NaN is never on the front.
 
     Source: H. T. Kung, F. Luccio, F. P. Preparata, "On finding the maxima of a set of vectors", Journal of the ACM 22
     (1975); implemented in moocore.
@@ -29,16 +31,17 @@ def is_on_pareto_front(values: FloatArray) -> BoolArray:
 
 
 class Incumbent:
-    """The most critical result so far: a score, or a Pareto front."""
+    """The most critical result so far: the best score, or the Pareto front."""
 
     def __init__(self, objective: Objective) -> None:
         self._objective = objective
         self._front = np.zeros((0, 1))
 
     def update(self, scores: FloatArray) -> bool:
-        """Add minimized scores, shape (m,) or (m, k), NaN if failed; return whether any is an improvement.
+        """Add scores, shape (m,) or (m, k), and return whether any of them is an improvement.
 
-        An improvement is dominated by no earlier score. A score with every metric at its cap counts only once.
+        Scores are lower where more critical, and NaN if the scenario failed. A score is an improvement if no earlier
+        score dominates it. A score at the cap of every metric is an improvement only once.
         """
         values = scores.reshape(len(scores), -1)
         values = values[np.isfinite(values).all(axis=1)]
@@ -56,7 +59,7 @@ class Incumbent:
         return bool(is_new.any())
 
     def _update_single(self, values: FloatArray) -> bool:
-        """Like `add` for single scores; faster, since it is called for every scenario."""
+        """Like `update`, for a single metric. It is faster, since it is called for every scenario."""
         best = float(self._front[0, 0]) if len(self._front) else np.inf
         is_new = (values <= best) & ~((values == best) & (values >= self._objective.least_critical_scores))
         self._front = np.full((1, 1), min(best, float(values.min())))

@@ -1,4 +1,4 @@
-"""The paper's two experiments at their size."""
+"""The two experiments of the paper, at their original size."""
 
 from __future__ import annotations
 
@@ -44,8 +44,8 @@ def paper_experiment_config(
 ) -> ExplorationConfig:
     """Return the configuration of one of the paper's experiments.
 
-    `driver` replaces the file's driver of the ego. `folder`: copy the example's files there and explore those. Raises
-    `InputError` for an unknown name, or if a file cannot be written or was changed.
+    `driver` replaces the driver of the ego in the file. If a `folder` is given, the example's files are copied there
+    and explored there. Raises `InputError` if the name is unknown, or a file cannot be written or was changed.
     """
     if name not in _EXPERIMENT_SETTINGS:
         raise InputError(f"There is no example '{name}'; {suggest_name(name, _EXPERIMENT_SETTINGS)}")
@@ -64,7 +64,7 @@ def paper_experiment_config(
 
 
 def _copy_example_files(example: Path, folder: Path) -> Path:
-    """Copy the files of an example; existing files must be identical."""
+    """Copy the files of an example into a folder; files that exist there must be identical."""
     for source in sorted(example.iterdir()):
         content, copy = source.read_bytes(), folder / source.name
         if not copy.exists():
@@ -76,7 +76,7 @@ def _copy_example_files(example: Path, folder: Path) -> Path:
 
 
 def paper_experiment_mutant_count(name: str) -> int | None:
-    """Return how many driver mutants select the regression suite of a demonstration; None if it keeps none."""
+    """Return the number of driver mutants that select the regression suite of a demonstration; None without a suite."""
     return _MUTANT_COUNTS.get(name)
 
 

@@ -1,4 +1,4 @@
-"""Draw, run and count the scenarios of a probability estimate."""
+"""Run the scenarios of a probability estimate: draw them, simulate them and count events."""
 
 from __future__ import annotations
 
@@ -37,8 +37,9 @@ _MAX_ENUMERATED_SPACE: Final = 100_000
 class ProbabilityEstimator:
     """Draws and runs scenarios until the budget is used up, and estimates probabilities of events.
 
-    Each scenario is stored as soon as it has ended; an existing study is resumed. `sampling` has to be a fresh one: it
-    is told what the study contains. `within` is the gap in m up to which two entities have an encounter.
+    Each scenario is stored as soon as it has ended. An existing study is resumed. `sampling` must not have observed
+    anything, since it first observes the content of the study. Two entities have an encounter if their gap is at most
+    `encounter_gap` in m.
     """
 
     def __init__(
@@ -63,7 +64,7 @@ class ProbabilityEstimator:
         self._progress_label = ""
 
     def _plan_exhaustive_run(self) -> bool:
-        """Return whether the budget covers all scenarios of a small space; the result is then exact."""
+        """Whether all scenarios of a small space are run, within the budget; the result is then exact."""
         rows, budget, size = self._study.rows(), self._config.budget, self._space.size
         if size is None or size > max(budget, _MAX_ENUMERATED_SPACE):
             return False
@@ -86,7 +87,7 @@ class ProbabilityEstimator:
         return row_keys(self._space.snap(np.array([row.point for row in rows]).reshape(-1, self._space.dimension)))
 
     def run(self, progress: bool = False) -> Estimation:
-        """Draw and run scenarios until the budget is used up; `progress` shows the probability so far."""
+        """Draw and run scenarios until the budget is used up; `progress` shows the estimated probability so far."""
         bar = ProgressBar(self._config.budget, "estimating", "scenarios") if progress else None
         interrupted = False
         try:
@@ -104,7 +105,7 @@ class ProbabilityEstimator:
         return result
 
     def _save_estimation(self, estimation: Estimation) -> None:
-        """Store the result and the weights of its scenarios."""
+        """Store the result, and the importance weights of the scenarios."""
         stage_name = "whole" if self._is_exhaustive else "estimate"
         rows = [row for stage, members, _ in self._finished_rounds if stage == stage_name for row in members]
         points, _ = self._outcomes_of_stages(stage_name)
@@ -119,7 +120,10 @@ class ProbabilityEstimator:
             self._study.writer.save_analysis("estimate", {"ids": ids, "weights": weights}, estimation.to_json())
 
     def _first_occurrences(self, rows: Sequence[ScenarioRecord]) -> IntArray:
-        """Indices of the first occurrence of each scenario; draws from before all were run may repeat."""
+        """Indices of the first occurrence of each scenario.
+
+        Scenarios that were drawn before the exhaustive run may repeat.
+        """
         return np.sort(np.unique(np.array(self._row_keys(rows)), return_index=True)[1])
 
     def _run_rounds(self, bar: ProgressBar | None, check_interrupt: Callable[[], None]) -> None:
@@ -143,7 +147,7 @@ class ProbabilityEstimator:
             self._clock.save_times()
 
     def _next_points(self, n_done: int) -> FloatArray:
-        """Points of the next round; empty when done."""
+        """Points of the next round; empty if there is none."""
         if self._is_exhaustive:
             points, self._remaining_points = self._remaining_points[:_ROUND_SIZE], self._remaining_points[_ROUND_SIZE:]
             return points
@@ -151,7 +155,7 @@ class ProbabilityEstimator:
         return self._sampling.draw_round(count) if count > 0 else np.zeros((0, self._space.dimension))
 
     def _run_round(self, rows: Sequence[ScenarioRecord], bar: ProgressBar | None) -> None:
-        """Run the pending scenarios of a round, and learn from all of it."""
+        """Run the pending scenarios of a round, and learn from all scenarios of the round."""
         for number, _ in self._runner.run_rows([row for row in rows if row.state == "pending"]):
             if bar is not None:
                 bar.update(number, self._progress_label)
@@ -193,7 +197,7 @@ class ProbabilityEstimator:
         return EventOutcomes(scores, self._criterion.is_critical(scores), collision, encounter)
 
     def _outcomes_of_stages(self, *stages: str) -> tuple[FloatArray, EventOutcomes]:
-        """Points and outcomes of all rounds of some stages."""
+        """Points and outcomes of all rounds in the given stages."""
         selected = [(rows, outcomes) for stage, rows, outcomes in self._finished_rounds if stage in stages]
         points = [row.point for rows, _ in selected for row in rows]
         return np.array(points).reshape(-1, self._space.dimension), EventOutcomes.concatenate(

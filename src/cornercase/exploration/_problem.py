@@ -1,4 +1,4 @@
-"""What is searched: a logical scenario, the entity under test, and what counts as critical."""
+"""The search problem: a logical scenario, the entity under test, and what counts as critical."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from cornercase._common.errors import InputError
 from cornercase._common.text.html import render_html
-from cornercase._common.validation import check_str_sequence, repr_short
+from cornercase._common.validation import check_str_sequence, not_an_object, repr_short
 from cornercase.exploration._config import ExplorationConfig
 from cornercase.metrics import Metric
 from cornercase.scenario import LogicalScenario
@@ -28,7 +28,7 @@ _NAME_IN_OBJECTS: Final = {
 
 @dataclass(frozen=True, repr=False)
 class Problem:
-    """What is searched: a logical scenario, the entity under test, and what counts as critical.
+    """A search problem: a logical scenario, the entity under test, and what counts as critical.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ class Problem:
         return f"<Problem {self.scenario.path.stem!r}: {self.ego} and {others}, {self._criterion()}>"
 
     def _criterion(self) -> str:
-        """What is searched, in a few words."""
+        """What counts as critical, or what is searched, in a few words."""
         if self.condition is not None:
             return f"critical if {self.condition}"
         criterion = config_from_problem(self).make_criterion()
@@ -104,7 +104,7 @@ class Problem:
         return f"critical if {objective.label} {sign} {criterion.raw:g} {objective.unit}".rstrip()
 
     def _repr_html_(self) -> str:
-        """Description and table of the parameters, for notebooks."""
+        """HTML description with a table of the parameters, for notebooks."""
         return render_html(repr(self), self.scenario.space._repr_html_())
 
 
@@ -123,9 +123,9 @@ def problem_from_config(config: ExplorationConfig) -> Problem:
 
 
 def config_from_problem(problem: Problem, **settings: Any) -> ExplorationConfig:
-    """Create the configuration of an exploration; `settings` are its fields that do not belong to the problem."""
-    given = [problem.metrics] if isinstance(problem.metrics, Metric | str) else problem.metrics
-    metrics = [str(metric) if isinstance(metric, Metric) else metric for metric in given]
+    """Create the configuration of an exploration of a problem; `settings` are all other options."""
+    several = isinstance(problem.metrics, Sequence) and not isinstance(problem.metrics, str)
+    metrics = [_name_of_metric(metric) for metric in (problem.metrics if several else [problem.metrics])]
     return ExplorationConfig(
         logical=problem.scenario,
         ego=problem.ego,
@@ -139,9 +139,18 @@ def config_from_problem(problem: Problem, **settings: Any) -> ExplorationConfig:
     )
 
 
+def _name_of_metric(metric: object) -> object:
+    """Return the text of a metric; other values as they are, unless they can be no metric at all."""
+    if isinstance(metric, Metric):
+        return str(metric)
+    if isinstance(metric, str):
+        return metric
+    raise not_an_object("metrics", metric)
+
+
 @contextmanager
 def name_arguments_of_objects() -> Iterator[None]:
-    """Name arguments in messages as `Problem` and the verbs do: `` `critical` `` becomes `` `threshold` ``."""
+    """Make error messages name the arguments of `Problem`: `` `threshold` `` instead of `` `critical` ``."""
     try:
         yield
     except InputError as error:

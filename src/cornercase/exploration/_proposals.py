@@ -1,4 +1,4 @@
-"""Propose the next scenarios, and repeat the rounds of a stored study."""
+"""Proposals of the next scenarios, and the rounds of a stored study."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from cornercase.study._meta import count_audits
 
 
 class AskTell:
-    """An optimizer behind one interface for rounds and for asynchronous search.
+    """Interface to an optimizer that is the same for rounds and for a search without rounds.
 
-    `pending`, shape (p, d), are the points that are running while an asynchronous search is asked.
+    In a search without rounds, `pending`, shape (p, d), are the points that are running during `ask`.
     """
 
     def __init__(self, optimizer: Optimizer, asynchronous: bool) -> None:
@@ -38,7 +38,7 @@ class AskTell:
             return self._optimizer.ask_async(n, points, *self._pseudo_results(len(points)))
 
     def tell(self, points: FloatArray, *results: FloatArray) -> None:
-        """Pass scores, shape (m,) or (m, k), and features, shape (m, f), of points, shape (m, d)."""
+        """Pass points, shape (m, d), scores, shape (m,) or (m, k), and features, shape (m, f), to the optimizer."""
         tell: Any = self._optimizer.tell
         with convert_plugin_errors(self._name, self._optimizer, "in tell"):
             tell(points, *results)
@@ -51,20 +51,23 @@ class AskTell:
             self._result_sums = [[a + n, b + c] for (a, b), n, c in zip(before, new, counts, strict=True)]
 
     def _pseudo_results(self, count: int) -> list[FloatArray]:
-        """Pseudo-results of a constant liar for `count` points: the mean of all results, NaN if there are none."""
+        """Results that a constant liar assumes for `count` points: the mean of all results, NaN if there are none."""
         with np.errstate(invalid="ignore"):
             return [np.repeat((total / number)[None], count, axis=0) for total, number in self._result_sums]
 
 
 class ProposalSource:
-    """Chooses the scenarios to run: proposals of a search, with random audits among them."""
+    """Chooses the scenarios to run: the proposals of a search, and random audits among them."""
 
     def __init__(self, ask_tell: AskTell, study: StudyFile) -> None:
         self._ask_tell, self._study = ask_tell, study
         self._audit_sampler = audit_sampler(study.space, study.meta.seed)
 
     def propose(self, n_done: int, n_wanted: int) -> FloatArray:
-        """Choose `wanted` scenarios after the first `done`: snapped points, shape (m, d); m < `wanted` if exhausted."""
+        """Choose the next `n_wanted` scenarios after `n_done`: snapped points, shape (m, d).
+
+        There are fewer if the search is exhausted.
+        """
         meta, space = self._study.meta, self._study.space
         audits = [meta.is_audit(n_done + k + 1) for k in range(n_wanted)]
         proposals = iter(self._ask_tell.ask(n_wanted - sum(audits)) if not all(audits) else ())
@@ -83,8 +86,9 @@ class ProposalSource:
 class Round:
     """A round of a study, and what was known when it was proposed.
 
-    `ended`: rows whose results came since the round before, in that order; `pending`: rows that were running;
-    `proposed`: rows of the round, empty if no round was proposed after these results.
+    `finished` are the scenarios whose results came since the previous round, in order of arrival. `pending` are the
+    scenarios that were running. `proposed` are the scenarios of the round; empty if no round was proposed after these
+    results.
     """
 
     finished: tuple[ScenarioRecord, ...]
@@ -93,10 +97,7 @@ class Round:
 
 
 def iter_rounds(study: StudyFile) -> Iterator[Round]:
-    """Iterate over the rounds of a study.
-
-    The results that came before each, what was pending then, and its proposals.
-    """
+    """Iterate over the rounds of a study, in the order in which they were proposed."""
     rows = study.rows()
     rounds = {number: tuple(members) for number, members in groupby(rows, key=lambda row: row.round)}
     if not study.meta.asynchronous:

@@ -69,11 +69,11 @@ def repair(
     workers: int = 1,
     memory: str | float = DEFAULT_MEMORY,
 ) -> RepairResult:
-    """Repair a damaged study.
+    """Repair a damaged study: lost scenarios are run again.
 
-    Intact content is kept. Scenarios that lost content are run again with the study's simulator and settings. If their
+    Intact content stays. Scenarios that lost content are run again with the study's simulator and settings. If their
     parameters are lost, the optimizer proposes them again. If their number is lost, the exploration continues up to its
-    budget. The damaged file is kept under another name. The study is locked for other writers until it is replaced.
+    budget. The damaged file stays under another name. The study is locked for other writers until it is replaced.
 
     Parameters
     ----------
@@ -148,7 +148,7 @@ def repair(
 
 @contextmanager
 def _reword_file_errors(file: Path) -> Iterator[None]:
-    """Turn file system and SQLite errors into one sentence."""
+    """Convert file system and SQLite errors to one-sentence `InputError`."""
     try:
         yield
     except (OSError, sqlite3.Error) as error:
@@ -158,7 +158,7 @@ def _reword_file_errors(file: Path) -> Iterator[None]:
 
 @contextmanager
 def _reword_file_name(temporary: Path, file: Path) -> Iterator[None]:
-    """Replace the name of the temporary file in errors by the user's."""
+    """Replace the name of the temporary file in errors by that of the user's file."""
     try:
         yield
     except InputError as error:
@@ -168,7 +168,7 @@ def _reword_file_name(temporary: Path, file: Path) -> Iterator[None]:
 
 @contextmanager
 def _restore_name_on_error(file: Path) -> Iterator[None]:
-    """Remove the backup link to the damaged file if replacing the study fails."""
+    """Remove the second name of the damaged file if replacing the study fails."""
     try:
         yield
     except BaseException:
@@ -178,7 +178,7 @@ def _restore_name_on_error(file: Path) -> Iterator[None]:
 
 
 def _keep_damaged_file(file: Path) -> Path:
-    """Give the damaged file a second name, so that its own name always exists."""
+    """Give the damaged file a second name, so that its own name exists at all times; return it."""
     damaged_copy = _unused_damaged_name(file)
     try:
         os.link(file, damaged_copy)
@@ -194,7 +194,7 @@ def _keep_damaged_file(file: Path) -> Path:
 
 
 def _undo_keep_damaged_file(file: Path) -> None:
-    """Undo `_keep_damaged_file` if a killed repair left the damaged file with two names."""
+    """Remove the second name of a damaged file if a killed repair left the file with two names."""
     for damaged_copy in takewhile(Path.exists, _damaged_file_names(file)):
         if not damaged_copy.samefile(file):
             continue
@@ -213,7 +213,7 @@ def _unused_damaged_name(file: Path) -> Path:
 
 
 def _damaged_file_names(file: Path) -> Iterator[Path]:
-    """Names for damaged files, in order."""
+    """Yield names for damaged files, in the order in which they are tried."""
     yield file.with_name(file.name + _DAMAGED_SUFFIX)
     yield from (file.with_name(f"{file.name}{_DAMAGED_SUFFIX}-{number}") for number in count(2))
 
@@ -238,7 +238,7 @@ def _require_repeatable_search(file: Path, recovered: RecoveredStudy) -> None:
 
 
 def _describe_changed_tables(repaired_file: Path, recovered: RecoveredStudy) -> list[str]:
-    """Name tables that differ from their stored row counts and checksums."""
+    """Describe tables whose row count or checksum differs from the stored one."""
     with StudyFile.open(repaired_file) as opened:
         totals = opened.checksum_totals()
     skipped = ("notes", "outcomes", "analyses", "arrays")
@@ -278,13 +278,13 @@ def _rerun_lost_scenarios(
 
 
 class _RepairExplorer(ScenarioExplorer):
-    """Runs the pending scenarios of a study, and asks its optimizer for lost ones."""
+    """Runs the pending scenarios of a study, and asks its optimizer to propose lost scenarios again."""
 
     def restore_rounds(self, rounds: Mapping[int, int], is_count_known: bool) -> None:
         """Restore the study round by round.
 
-        `rounds` maps scenario ids to rounds, 0 if unknown. If not `counted`, the number of scenarios is lost and the
-        search continues up to its budget.
+        `rounds` maps scenario ids to rounds, 0 if unknown. Without `is_count_known`, the number of scenarios is lost,
+        and the search continues up to its budget.
         """
         self._is_count_known = is_count_known
         if not is_count_known:
@@ -341,7 +341,7 @@ class _RepairExplorer(ScenarioExplorer):
 
 
 def _fill_unknown_rounds(rounds: Mapping[int, int], batch: int) -> dict[int, int]:
-    """Fill in unknown rounds: that of the scenario before, until the round is full."""
+    """Fill in unknown rounds: a scenario gets the round of the scenario before, until this round is full."""
     next_round, last = {}, math.inf
     for scenario in sorted(rounds, reverse=True):
         next_round[scenario] = last = rounds[scenario] or last

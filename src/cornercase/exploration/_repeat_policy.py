@@ -1,4 +1,4 @@
-"""Repeated runs of a scenario, and extra runs while it is undecided whether it is critical."""
+"""Repeated runs of a scenario; there are extra runs while it is undecided whether the scenario is critical."""
 
 from __future__ import annotations
 
@@ -21,8 +21,9 @@ from cornercase.study._run_rates import is_criticality_undecided
 class RepeatedRun:
     """A scenario and its runs so far.
 
-    `wanted`: runs to do next, 0 for none; `ran`: runs done, including failed ones; `runs`: recording and results by
-    metric of each successful run; `error`: error of the first failed run.
+    `n_requested` is the number of runs to do next, 0 for none. `n_done` is the number of runs done, including failed
+    ones. `runs` has the recording and the results by metric of each successful run. `error` is the error of the first
+    failed run.
     """
 
     row: ScenarioRecord
@@ -33,18 +34,18 @@ class RepeatedRun:
 
 
 class RepeatPolicy:
-    """Decides how often scenarios are run.
+    """Decides how often a scenario is run.
 
-    Each is run `repeats` times. With `max_repeats`, a scenario gets `repeats` further runs, up to `max_repeats`,
-    while its runs do not tell on which side of the threshold it is (`is_criticality_undecided`). If all runs failed,
-    there are no more. Raises `InputError` if `max_repeats` needs a threshold and there is none.
+    Each scenario is run `repeats` times. With `max_repeats` it gets `repeats` further runs at a time, up to
+    `max_repeats`, while its runs do not show on which side of the threshold it is (`is_criticality_undecided`). If all
+    runs failed, there are no further ones.
     """
 
     def __init__(self, config: ExplorationConfig, criterion: Criterion) -> None:
         self._config, self._objective, self._threshold = config, criterion.objective, criterion.oriented
 
     def start_scenario(self, row: ScenarioRecord) -> RepeatedRun:
-        """Create the state of a scenario without runs."""
+        """Return a scenario without runs so far."""
         return RepeatedRun(row, self._config.repeats)
 
     def record_outcomes(self, repeated_run: RepeatedRun, outcomes: Sequence[Recording | SimulationError]) -> None:
@@ -63,7 +64,7 @@ class RepeatPolicy:
         repeated_run.n_requested = self._count_further_runs(repeated_run)
 
     def minimized_scores(self, repeated_run: RepeatedRun) -> FloatArray:
-        """Minimized scores of the successful runs, shape (n,) or (n, metrics) for a front."""
+        """Scores of the successful runs, lower where more critical, shape (n,) or (n, metrics) for a front."""
         return self._objective.minimized(
             np.array([[result.score for result in run.values()] for _, run in repeated_run.runs])
         )

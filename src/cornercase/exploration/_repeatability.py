@@ -1,4 +1,4 @@
-"""Check if runs are deterministic: run the first scenario of a study twice."""
+"""Check if runs are deterministic, by running the first scenario of a study twice."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from cornercase.study import ScenarioRecord, StudyFile
 def check_repeatability(
     study: StudyFile, run_scenario: Callable[[ScenarioRecord], Recording | SimulationError], advice: str
 ) -> bool:
-    """Run the first finished scenario again by `again`, and store whether the recording is identical.
+    """Run the first finished scenario again by `run_scenario`, and store whether the recording is identical.
 
-    Done once per study, and only for simulators that claim to be deterministic. One check proves nothing, but finds
-    random numbers and state that is kept between runs. `advice` is appended to the warning if runs differ; empty for no
-    warning. Returns False as long as no scenario has finished.
+    It is done once per study, and only for simulators that claim to be deterministic. One check proves nothing, but
+    finds random numbers and state that persists between runs. If runs differ, a warning ends with `advice`; if `advice`
+    is empty, there is no warning. Returns False as long as no scenario has finished.
     """
     row = next((row for row in study.rows() if row.state == "done"), None)
     if row is None:

@@ -26,7 +26,7 @@ from cornercase.study._criterion import Criterion
 
 
 class StageTimer:
-    """Adds up how long the stages of an exploration take, and stores the sums in the study."""
+    """Measures how long the stages of an exploration take, and adds the times to those in the study."""
 
     def __init__(self, study: StudyFile) -> None:
         self._study = study
@@ -34,7 +34,7 @@ class StageTimer:
 
     @contextmanager
     def __call__(self, stage: str) -> Iterator[None]:
-        """Measure the time of a stage."""
+        """Measure the time that the `with` block takes, for a stage."""
         start = time.monotonic()
         try:
             yield
@@ -42,7 +42,7 @@ class StageTimer:
             self._seconds_by_stage[stage] = self._seconds_by_stage.get(stage, 0.0) + time.monotonic() - start
 
     def save_times(self) -> None:
-        """Store and reset the measured times."""
+        """Store the measured times in the study, and reset them."""
         if self._seconds_by_stage:
             self._study.writer.add_elapsed_times(self._seconds_by_stage)
         self._seconds_by_stage.clear()
@@ -51,10 +51,11 @@ class StageTimer:
 class ScenarioRunner:
     """Runs and measures scenarios, and stores each as soon as it has ended.
 
-    Of repeated runs, the run with the median score is stored (for an even number, the more critical of the middle two),
-    and the scores of all runs. Failed runs are ignored unless all failed. Extra repeats are run after all scenarios of
-    the round have had their first repeats. If the condition depends on references (simulators with a reference driver
-    in the ego, by name), scenarios are stored once all of the round and their reference runs have ended.
+    If a scenario is run several times, the run with the median score is stored (of two middle runs, the more critical
+    one), together with the scores of all runs. Failed runs are ignored unless all failed. Extra repeats are run after
+    all scenarios of the round have had their first repeats. If the condition depends on reference drivers, the
+    scenarios of a round are stored when all of them and their reference runs have ended. `references` are simulators
+    with a reference driver in the ego, by name.
     """
 
     def __init__(
@@ -80,9 +81,10 @@ class ScenarioRunner:
                 raise InputError(f"`references`: there is no simulator in which {missing[0]} drives the ego.")
 
     def run_rows(self, rows: Sequence[ScenarioRecord]) -> Iterator[tuple[int, Any]]:
-        """Run scenarios; yield id and minimized score (float, or shape (metrics,) for a front) of each successful one.
+        """Run scenarios; yield the id and the score of each successful one, lower where more critical.
 
-        Raises `InputError` if none of them can be run, or the simulator itself failed.
+        The score is a float, or has shape (metrics,) for a front. Raises `InputError` if no scenario can be run, or the
+        simulator itself failed.
         """
         if not rows:
             return
@@ -127,7 +129,10 @@ class ScenarioRunner:
     def _run_batch(
         self, scenarios: deque[RepeatedRun]
     ) -> Iterator[tuple[RepeatedRun, list[Recording | SimulationError]]]:
-        """Run all requested runs in one batch; scenarios are removed from the deque as their results come."""
+        """Run all requested runs of the scenarios in one batch; yield each scenario with its outcomes.
+
+        A scenario is removed from the deque when its results arrive.
+        """
         results = self.simulate(
             self._simulator,
             [concrete for scenario in scenarios for concrete in self.requested_concrete_scenarios(scenario)],
@@ -142,11 +147,11 @@ class ScenarioRunner:
             pass
 
     def start_scenario(self, row: ScenarioRecord) -> RepeatedRun:
-        """Create the state of a scenario without runs."""
+        """Return a scenario without runs so far."""
         return self._repeat_policy.start_scenario(row)
 
     def requested_concrete_scenarios(self, repeated_run: RepeatedRun) -> list[ConcreteScenario]:
-        """Create the concrete scenario once per requested run."""
+        """Return the concrete scenario, once for each requested run."""
         return [
             self._config.logical.concrete_scenario(repeated_run.row.values) for _ in range(repeated_run.n_requested)
         ]
@@ -154,8 +159,8 @@ class ScenarioRunner:
     def record_outcomes(self, repeated_run: RepeatedRun, outcomes: Sequence[Recording | SimulationError]) -> Any:
         """Measure finished runs, and store the scenario if it needs no further run.
 
-        Returns its minimized score or scores, `RepeatedRun` or `PendingCondition` if more runs are needed, None if it
-        failed.
+        Returns the minimized score or scores; None if the scenario failed. If further runs are needed, it returns a
+        `RepeatedRun`, or for runs with reference drivers a `PendingCondition`.
         """
         row = repeated_run.row
         with self._clock("measure"):
@@ -207,7 +212,7 @@ class ScenarioRunner:
             self._n_exceptions, self._last_error = self._n_exceptions + 1, error
 
     def require_any_result(self) -> None:
-        """Raise `InputError` if `max_failures` scenarios failed by exceptions before any gave a result."""
+        """Raise `InputError` if the first `max_failures` scenarios all failed by exceptions."""
         if 0 < self._config.max_failures <= self._n_exceptions and not self._study.finished_rows():
             raise InputError(
                 f"None of {self._n_exceptions} scenarios gave a result (`max_failures`); in the"
@@ -218,7 +223,7 @@ class ScenarioRunner:
     def simulate(
         self, simulator: Simulator, concretes: Sequence[ConcreteScenario]
     ) -> Iterator[Recording | SimulationError]:
-        """Run scenarios; yield one recording or error each. A crash of the simulator itself raises `InputError`."""
+        """Run scenarios; yield a recording or an error for each. Raises `InputError` if the simulator itself fails."""
         try:
             yield from run_scenarios(simulator, concretes)
         except InputError:
@@ -232,7 +237,7 @@ class ScenarioRunner:
 
 
 def _median_index(scores: FloatArray) -> int:
-    """Index of the median of scores, shape (n,) or (n, k); of several scores the first counts."""
+    """Index of the median of scores, shape (n,) or (n, k); if there are several metrics, the first one counts."""
     first = scores.reshape(len(scores), -1)[:, 0].tolist()
     order = sorted(range(len(first)), key=first.__getitem__)
     return order[(len(order) - 1) // 2]

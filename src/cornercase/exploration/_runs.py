@@ -1,4 +1,4 @@
-"""How scenarios are run."""
+"""Options of how scenarios are run."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Any, Final
 
 from cornercase._common.errors import InputError
 from cornercase._common.option import document_options
+from cornercase._common.validation import not_an_object
 from cornercase.exploration._explore_options import CONFIG_OPTIONS
 from cornercase.simulators._run_options import RUN_OPTIONS, RunOptions
 
@@ -16,7 +17,7 @@ _OPTIONS: Final = {name: CONFIG_OPTIONS[name] for name in (*RUN_OPTIONS, "repeat
 @document_options(_OPTIONS)
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Runs(RunOptions):
-    """How scenarios are run: where, how often, and what happens if a simulator dies or hangs.
+    """Options of how scenarios are run: where, how often, and what happens if a simulator dies or hangs.
 
     Parameters
     ----------
@@ -46,9 +47,21 @@ class Runs(RunOptions):
         return f"Runs({', '.join(changed)})"
 
 
+def run_settings(runs: Runs | None) -> dict[str, Any]:
+    """Return the settings of `runs` by name; none of None. `InputError` for anything else."""
+    if runs is None:
+        return {}
+    if not isinstance(runs, Runs):
+        raise not_an_object("runs", runs, "give them as in Runs(workers=4)")
+    return dict(vars(runs))
+
+
 def single_run_settings(runs: Runs | None, user: str) -> dict[str, Any]:
-    """Return the settings of `runs` by name for `user`, which runs each scenario once."""
-    runs = Runs() if runs is None else runs
-    if runs.repeats != 1 or runs.max_repeats not in (None, 1):
+    """Return the settings of `runs` by name, for a function that runs each scenario once.
+
+    Raises `InputError`, which names the function by `user`, if runs are to be repeated.
+    """
+    settings = run_settings(Runs() if runs is None else runs)
+    if settings.pop("repeats") != 1 or settings.pop("max_repeats") not in (None, 1):
         raise InputError(f"`runs`: {user} runs each scenario once; leave out `repeats` and `max_repeats`.")
-    return {name: value for name, value in vars(runs).items() if name not in ("repeats", "max_repeats")}
+    return settings

@@ -21,9 +21,9 @@ _MIN_SCENARIOS: Final = 40
 
 
 class StopCriteria:
-    """Collects results and checks if all stop criteria hold.
+    """Collects results, and checks if all stop criteria hold.
 
-    `threshold` is a minimized score, `optimizer` the search (it determines which points are independent of scores).
+    `threshold` is a score, lower where more critical. `optimizer` determines which points are independent of scores.
     Raises `InputError` if there are criteria without a threshold, or ``audited-missed`` without audits.
     """
 
@@ -48,14 +48,17 @@ class StopCriteria:
         self._features: list[FloatArray] = []
 
     def add_results(self, points: FloatArray, scores: FloatArray, features: FloatArray | None = None) -> None:
-        """Add points (m, d), minimized scores (m,), NaN if failed, and features (m, f) if the search uses them."""
+        """Add points (m, d) and scores (m,), lower where more critical, NaN if failed.
+
+        `features` (m, f) are added if the search uses features.
+        """
         if self._criteria:
             self._features += [] if features is None else [features]
             self._points = np.concatenate([self._points, points])
             self._scores = np.concatenate([self._scores, scores])
 
     def add_audits(self, points: FloatArray, scores: FloatArray) -> None:
-        """Add audits as in `add_results`."""
+        """Add the points and scores of audits, like `add_results`."""
         if self._criteria:
             self._audit_points = np.concatenate([self._audit_points, points])
             self._audit_scores = np.concatenate([self._audit_scores, scores])

@@ -20,18 +20,19 @@ _AUDIT_SEED_SALT = 0xA0D17
 
 
 def audit_sampler(space: ParameterSpace, seed: int) -> Random:
-    """Create the sampler of a study's audits: independent random points, each once.
+    """Create the sampler of a study's audits: independent random points, none twice.
 
-    It is never told anything, so its draws depend on nothing else.
+    It never observes results, so its draws depend on the space and the seed only.
     """
     return Random().start(space, int(np.random.SeedSequence([seed, _AUDIT_SEED_SALT]).generate_state(1)[0]))
 
 
 def is_score_independent(optimizer: str, space: ParameterSpace, seed: int, points: FloatArray) -> BoolArray:
-    """Return which points were chosen independently of scores, shape (n,): the initial design, or all of a grid.
+    """Return which points were chosen independently of scores, shape (n,): the initial design, or all points of a grid.
 
-    `points`, shape (n, d), are all points that the search was told. The initial design is the longest completely run
-    prefix of the search's space-filling sequence; a point counts even if the search also proposed it because of scores.
+    `points`, shape (n, d), are all points that the search observed. The initial design is the longest beginning of the
+    search's space-filling sequence that was run completely. A point counts even if the search also proposed it because
+    of scores.
     """
     name = optimizer.partition(":")[0]
     if name == Grid.name:
@@ -47,7 +48,7 @@ def is_score_independent(optimizer: str, space: ParameterSpace, seed: int, point
 
 
 def uses_features(optimizer: str) -> bool:
-    """Return whether a search uses recording features; False if it is unknown here."""
+    """Whether a search uses features of recordings; False if the optimizer is not registered."""
     try:
         return "features" in OPTIMIZERS.get_class(optimizer).requires
     except InputError:
@@ -57,7 +58,7 @@ def uses_features(optimizer: str) -> bool:
 def source_study_model(study: StudyFile, threshold: float) -> SourceStudyModel | None:
     """Model of the study that warm-started a study's search; None without one, or if all its scores are equal.
 
-    `threshold` is a minimized score.
+    `threshold` is a score, lower where more critical.
     """
     warm_start = study.warm_start_data()
     if warm_start is None or np.ptp(warm_start[1]) == 0.0:
@@ -68,11 +69,11 @@ def source_study_model(study: StudyFile, threshold: float) -> SourceStudyModel |
 def estimate_critical_set(
     study: StudyFile, scores: FloatArray, threshold: float, *, last_id: int | None = None, seed: int | None = None
 ) -> CriticalSet:
-    """Estimate the critical set of a study; audits only assess it.
+    """Estimate the critical set of a study; audits do not influence the estimate, but assess it.
 
-    `scores`, shape (n,), are minimized and of all successful scenarios including audits. `last` is the id of the last
-    scenario that counts. `seed` replaces the study's (two sets are compared with the same one). Raises ValueError for
-    fewer than 10 scores without audits, or equal scores.
+    `scores`, shape (n,), are those of all successful scenarios including audits, lower where more critical. `last_id`
+    is the id of the last scenario that counts. `seed` replaces the seed of the study; two sets are compared with the
+    same seed. Raises ValueError for fewer than 10 scores without audits, or equal scores.
     """
     meta = study.meta
     candidates = [row for row in study.rows() if last_id is None or row.id <= last_id]

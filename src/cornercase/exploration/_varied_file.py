@@ -1,4 +1,4 @@
-"""The scenario file to explore, also if numbers in it that are no parameters are varied."""
+"""The scenario file to explore, with new parameters if numbers in the file are varied (option `vary`)."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ def open_logical_scenario(
     vary: Sequence[str] = (),
     continuous: bool = False,
 ) -> Iterator[LogicalScenario]:
-    """Read the logical scenario of `explore`; with `vary`, write and read a copy with parameters next to the study.
+    """Read the logical scenario of `explore`.
 
-    The copy is removed if no study is created. Raises `InputError` if an argument cannot be used, or the study belongs
-    to another scenario.
+    With `vary`, a copy of the file with the new parameters is written next to the study and read. The copy is removed
+    if no study is created. Raises `InputError` if an argument cannot be used, or the study belongs to another scenario.
     """
     if isinstance(scenario, LogicalScenario):
         if space is not None or ranges or vary or continuous:
@@ -69,7 +69,7 @@ def open_logical_scenario(
 
 
 def _write_varied_scenario(varied: VariedScenario, extra_files: Mapping[Path, bytes], file: Path, study: Path) -> None:
-    """Write the copy; an existing study requires an identical one."""
+    """Write the copy of the scenario; if the study exists, the existing copy has to be identical."""
     for source_file in varied.file.all_paths():
         check_output_differs_from_source(file, source_file, "study")
     content = varied.scenario_content(file.parent)
@@ -90,7 +90,7 @@ def _format_range(parameter: Parameter) -> str:
 
 
 def _require_same_folder_for_roads(logical: LogicalScenario, varied: VariedScenario, file: Path) -> None:
-    """Refuse a space that names road files relative to a folder other than that of the study."""
+    """Raise `InputError` if a parameter names road files relative to a folder other than that of the study."""
     roads = set(logical.space.assigned_names) & varied.file.path_parameters
     if roads and file.parent.resolve() != varied.file.path.parent.resolve():
         raise InputError(

@@ -1,4 +1,4 @@
-"""Verify that the results in a study lead to the same proposals."""
+"""Check that an optimizer proposes the scenarios of a study again, from the stored results."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from cornercase.study._objective import Objective
 def verify_proposals(path: Path, meta: StudyMeta, objective: Objective, optimizer: Optimizer) -> ExplorationResult:
     """Ask a fresh optimizer for all scenarios of a study again, with the stored results; nothing is simulated.
 
-    `meta` is what the study has to match, except for the simulator's settings. The result's `same` is True if all
-    proposals agree; otherwise `reason` names the first that differs. Raises `InputError` if the study belongs to
+    The study has to match `meta`, except for the settings of the simulator. `reproducible` of the result is True if all
+    proposals agree; otherwise `reason` names the first one that differs. Raises `InputError` if the study belongs to
     another exploration or is being written.
     """
     with StudyFile.open(path, readonly=True) as study, study.snapshot():
@@ -37,7 +37,7 @@ def verify_proposals(path: Path, meta: StudyMeta, objective: Objective, optimize
 
 
 def _find_first_difference(study: StudyFile, objective: Objective, optimizer: Optimizer) -> int | None:
-    """Id of the first scenario that is proposed differently; None if all agree."""
+    """Id of the first scenario that is proposed differently; None if all proposals agree."""
     results = _StoredResults(study, objective, "features" in optimizer.requires)
     if (warm_start := study.warm_start_data()) is not None:
         optimizer.warm_start(*warm_start)
@@ -65,7 +65,7 @@ def _find_first_difference(study: StudyFile, objective: Objective, optimizer: Op
 
 
 class _StoredResults:
-    """The stored results, as a search receives them."""
+    """Stored results of a study, in the form in which a search observes them."""
 
     def __init__(self, study: StudyFile, objective: Objective, with_features: bool) -> None:
         self._study, self._with_features = study, with_features
@@ -75,7 +75,7 @@ class _StoredResults:
         self._failed_score: Any = missing if objective.pareto else np.nan
 
     def for_rows(self, rows: Sequence[ScenarioRecord]) -> list[Any]:
-        """Points, scores and features of scenarios."""
+        """Points, scores, and if the search uses them features, of scenarios."""
         if pending := next((row.id for row in rows if row.state == "pending"), None):
             raise InputError(f"{self._study.path}: scenario {pending} has not ended; finish the exploration first.")
         points = np.array([row.point for row in rows])

@@ -23,10 +23,10 @@ _MIN_SCORES: Final = 10
 
 @dataclass(frozen=True, eq=False)
 class WarmStart:
-    """Scores of another study in the space of a new one.
+    """Scores of another study, in the space of a new study.
 
-    `points`, shape (n, d), are in the unit cube of the new space, `scores`, shape (n,), are minimized; `about` is the
-    content of `StudyMeta.elsewhere`.
+    `points`, shape (n, d), are in the unit cube of the new space. `scores`, shape (n,), are lower where more critical.
+    `study_info` describes the other study, for the metadata of the new one.
     """
 
     points: FloatArray
@@ -37,11 +37,11 @@ class WarmStart:
 def read_warm_start(
     path: Path, space: ParameterSpace, objective: Objective, ego: str, others: Sequence[str]
 ) -> WarmStart:
-    """Read points and minimized scores of another study, to warm-start a search.
+    """Read points and scores of another study, to warm-start a search; scores are lower where more critical.
 
     Failed scenarios and those with values outside the new space are skipped. Metrics that the other study lacks, or
     measured for other entities, are measured from its recordings. Raises `InputError` if the parameters differ, the
-    recordings cannot be measured, or fewer than 10 different scores remain.
+    recordings cannot be measured, fewer than 10 scores remain, or all are equal.
     """
     # A snapshot, since another process may be writing to it.
     with StudyFile.open(path, readonly=True) as study, study.snapshot():
@@ -80,7 +80,7 @@ def _require_same_parameters(path: Path, source_space: ParameterSpace, own_space
 
 
 def _contains_values(space: ParameterSpace, values: Mapping[str, Value]) -> bool:
-    """Return whether a space contains these values."""
+    """Whether a space contains these values of its parameters."""
     for parameter in space.parameters:
         try:
             value = parameter.extract_value(values)
@@ -97,7 +97,7 @@ def _contains_values(space: ParameterSpace, values: Mapping[str, Value]) -> bool
 def _minimized_scores(
     study: StudyFile, objective: Objective, rows: Sequence[ScenarioRecord], ego: str, others: tuple[str, ...]
 ) -> FloatArray:
-    """Minimized scores of scenarios of a study, shape (n,); measured if they are not stored."""
+    """Scores of scenarios of a study, shape (n,), lower where more critical; measured if they are not stored."""
     meta = study.meta
     names = [metric.name for metric in objective.metrics]
     # Metrics without weight are not needed.

@@ -21,14 +21,13 @@ OptimizerInput = Literal["threshold", "budget", "features"]
 class Optimizer(Configurable, ABC):
     """Proposes scenarios to run, as points of the unit cube.
 
-    The constructor takes options only. `start` gives a copy that searches a space, with `ask` and `tell`. Its proposals
-    depend only on its space, its seed and the observed scores, in the order of the calls: another one with the same
-    seed that observes the same rounds proposes the same points. So a killed study is resumed by telling it the results
-    again.
+    The constructor takes options only. `start` returns a copy that searches a space, with `ask` and `tell`. The
+    proposals depend only on the space, the seed, and the observed scores in the order of the calls. So a killed study
+    is resumed by giving a fresh copy the same results again: it proposes the same points.
 
-    A subclass defines `prepare`, `ask` and `tell`. The arguments of its constructor are its options and have defaults;
-    on the command line they follow a colon, as in ``bayes:filling=0``, which is also the `str` of the object. Two
-    optimizers are equal if class and options are.
+    A subclass defines `prepare`, `ask` and `tell`. The arguments of its constructor are its options and have defaults.
+    On the command line options follow a colon, as in ``bayes:filling=0``, which is also the text (`str`) of the object.
+    Two optimizers are equal if their class and options are.
 
     Attributes
     ----------
@@ -173,10 +172,10 @@ class Optimizer(Configurable, ABC):
         """
 
     def ask_async(self, n: int, pending: FloatArray, *pseudo_results: Any) -> FloatArray:
-        """Propose points while others are running, in a search without rounds.
+        """Propose points while other scenarios are running, in a search without rounds.
 
-        By default a copy of the optimizer observes the mean of all scores for each pending point (constant liar), and
-        then proposes points.
+        By default a copy of the optimizer proposes them. Before, the copy observes the mean of all scores for each
+        pending point (constant liar).
 
         Parameters
         ----------
@@ -202,7 +201,7 @@ class Optimizer(Configurable, ABC):
         return optimizer.ask(n)
 
     def warm_start(self, points: FloatArray, scores: FloatArray) -> None:
-        """Observe another study, before the first `tell`. Refused by default.
+        """Observe the scores of another study, before the first `tell`. The base class refuses this.
 
         Parameters
         ----------

@@ -26,15 +26,15 @@ class Bayes(CandidateOptimizer):
     """Bayesian optimization with Thompson sampling.
 
     The setting is that of Schütt, Otten and Sax (2023), section "Optimization Workflow": automatic hyperparameters,
-    Thompson sampling, random feature maps; PHYSBO is the maintained successor of their COMBO. The first 20 points are a
-    Sobol' sequence. Hyperparameters are learned and feature maps drawn anew for every ten new scores, or every tenth
-    more if that is more; the process is conditioned on the scores in between.
+    Thompson sampling, random feature maps. PHYSBO is the maintained successor of the package COMBO that they used. The
+    first 20 points are a Sobol' sequence. Hyperparameters are learned and feature maps drawn again after every ten new
+    scores, or after a tenth more scores if that is more. In between, the process is only conditioned on the new scores.
 
-    The points of a round come from as many samples of one process. Each sample chooses among its own candidates, so
-    that a round contains no scenario twice and does not crowd at one end of a critical region.
+    Each point of a round comes from another sample of the process. Each sample chooses among its own candidates, so a
+    round contains no scenario twice and does not crowd at one end of a critical region.
 
-    Samples of the process crowd where it is lowest. To find other critical regions, and to have less critical scenarios
-    to compare with, a fraction of all points continues the Sobol' sequence.
+    Samples of the process crowd where the scores are lowest. So a fraction of all points continues the Sobol' sequence,
+    to find other critical regions and to have less critical scenarios for comparison.
 
     Parameters
     ----------
@@ -84,17 +84,17 @@ class Bayes(CandidateOptimizer):
             )
 
     def _process_coordinates(self, points: FloatArray) -> FloatArray:
-        """Coordinates of points for the process, (n, e); choices are equidistant."""
+        """Coordinates of points for the process, (n, e); any two choices of a parameter are equidistant."""
         return 2.0 * encode_points(self._space, points) - 1.0
 
     def _standardized_negative_scores(self, scores: FloatArray) -> FloatArray:
-        """Standardized negative scores, which PHYSBO maximizes, (n,)."""
+        """Negative scores, standardized, (n,): PHYSBO maximizes."""
         mean, deviation = self._score_mean_and_deviation
         return -(scores - mean) / deviation
 
 
 def _fit_feature_process(points: FloatArray, values: FloatArray, features: int) -> RandomFeatureProcess:
-    """Process with the hyperparameters that PHYSBO learns by Adam, started at the best of five length scales."""
+    """Fit the process to values; PHYSBO learns the hyperparameters by Adam, from the best of five length scales."""
     import physbo
 
     gp = physbo.gp
@@ -122,9 +122,10 @@ def _fit_feature_process(points: FloatArray, values: FloatArray, features: int) 
 
 @contextlib.contextmanager
 def _isolate_physbo(seed: int) -> Iterator[None]:
-    """Silence PHYSBO, run it on one thread, and restore NumPy's global generator, which it draws from.
+    """Run PHYSBO without output and on one thread, and restore NumPy's global random generator afterwards.
 
-    Its matrices are small, so more threads would not be faster, and sums in another order would give other points.
+    PHYSBO draws from this generator. Its matrices are small, so more threads would not be faster. Sums in another order
+    would give other points.
     """
     state: Any = np.random.get_state()  # noqa: NPY002
     try:

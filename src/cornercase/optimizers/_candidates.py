@@ -19,17 +19,18 @@ _MIN_SCORES: Final = 3  # number of scores from which the model is learned
 
 
 class CandidateOptimizer(Optimizer):
-    """Starts with a Sobol' sequence, then chooses among points of another one by a model of the scores.
+    """Base class of optimizers that choose points among candidates by a model of the scores.
 
-    A fraction of all points continues the first sequence, to find critical regions that the model does not predict.
+    The first points are a Sobol' sequence. Candidates come from another sequence. A fraction of all points continues
+    the first sequence, to find critical regions that the model does not predict.
 
-    Costly parts of the model, such as the kernel of a Gaussian process, are learned anew for every ten new scenarios,
-    also failed ones, or every tenth more if that is more: from the first 20, the first 30, and so on to 100, 110, 121.
-    The model is conditioned on the scores in between. So proposals depend on the observed results only, not on the size
-    of rounds.
+    Costly parts of the model, such as the kernel of a Gaussian process, are learned again after every ten new
+    scenarios, or after a tenth more scenarios if that is more: from the first 20, the first 30, and so on to 100, 110,
+    121. Failed scenarios count. In between, the model is only conditioned on the new scores. So proposals depend on the
+    observed results only, not on the size of rounds.
 
-    Pending points, in a search without rounds, count towards the space-filling fraction. To choose others, the model is
-    conditioned on them without a score, as on the space-filling points of the same round.
+    In a search without rounds, pending points count towards the space-filling fraction. The model is conditioned on
+    pending points without a score, and on the space-filling points of the same round too.
 
     A subclass sets `initial`, the number of points before anything is learned, and `_filling`, the fraction of all
     points that fills the space.
@@ -43,7 +44,7 @@ class CandidateOptimizer(Optimizer):
     _filling: float
 
     def prepare(self, space: ParameterSpace, seed: int, *further: Any, **required: Any) -> None:
-        """Begin with the Sobol' sequence of the space."""
+        """Start the Sobol' sequence of the space."""
         self._space, self._seed = space, seed
         self._sequence = Sobol().start(space, seed)
         self._points, self._scores = np.zeros((0, space.dimension)), np.zeros(0)
@@ -54,7 +55,7 @@ class CandidateOptimizer(Optimizer):
         return self.ask_async(n, self._points[:0])
 
     def ask_async(self, n: int, pending: FloatArray, *lies: Any) -> FloatArray:
-        """Propose points, as in `Optimizer.ask_async`; `pending` conditions the model, without pseudo-results."""
+        """Propose points while others are pending; the model is conditioned on `pending` without assumed scores."""
         with single_threaded_blas():
             return self._propose(n, pending)
 
@@ -102,7 +103,7 @@ class CandidateOptimizer(Optimizer):
         return int(np.random.SeedSequence([self._seed, number]).generate_state(1)[0])
 
     def _count_to_learn_from(self) -> int:
-        """Number of leading scenarios that the model is learned from."""
+        """Number of scenarios, from the first on, that the model is learned from."""
         count = len(self._scores)
         number = min(_MIN_NEW_SCENARIOS, count)
         while (more := number + max(_MIN_NEW_SCENARIOS, int(self.relearn_growth * number))) <= count:
@@ -114,11 +115,11 @@ class CandidateOptimizer(Optimizer):
         return math.floor(self._filling * n_points + 1e-9)
 
     def _new_candidates(self, count: int, filling: FloatArray) -> FloatArray:
-        """Points of a new sequence for this round, (m, d), neither observed nor in `filling` (f, d)."""
+        """Candidates for this round from a new sequence, (m, d), neither observed nor in `filling` (f, d)."""
         return self._draw_candidates(self._round_seed, count, np.concatenate([self._points, filling]))
 
     def _draw_candidates(self, seed: int, count: int, exclude: FloatArray) -> FloatArray:
-        """Points of a sequence with its own seed, (m, d), without those of `exclude` (k, d)."""
+        """Candidates from a sequence with its own seed, (m, d), without the points in `exclude` (k, d)."""
         sequence = Sobol().start(self._space, seed)
         # Telling it the excluded points is faster than to filter all drawn points afterwards.
         sequence.tell(exclude, np.zeros(len(exclude)))
@@ -130,8 +131,9 @@ class CandidateOptimizer(Optimizer):
 
     @abstractmethod
     def _choose_points(self, points: FloatArray, scores: FloatArray, filling: FloatArray, n: int) -> FloatArray:
-        """Choose at most `n` points of this round, (k, d), neither observed nor in `filling`.
+        """Choose at most `n` points for this round, (k, d), neither observed nor in `filling`.
 
-        `points` (m, d) and `scores` (m,) were observed since the model was learned; `filling` (f, d) are pending points
-        and the space-filling points of this round. Fewer than `n` only if the space is exhausted.
+        `points` (m, d) and `scores` (m,) were observed since the model was learned. `filling` (f, d) are the pending
+        points and the space-filling points of this round. There are fewer than `n` points only if the space is
+        exhausted.
         """

@@ -1,4 +1,4 @@
-"""Search for the whole critical set where a committee is uncertain."""
+"""Search for the whole critical set: propose scenarios about which a committee of classifiers is uncertain."""
 
 from __future__ import annotations
 
@@ -27,22 +27,23 @@ _NEAR_FRACTION, _MAX_DEVIATION = (
 
 
 class Committee(WarmStartOptimizer):
-    """Proposes the scenarios about which a `CommitteeModel` is most uncertain.
+    """Proposes the scenarios about which a committee of classifiers (`CommitteeModel`) is most uncertain.
 
-    It learns from features of the recordings, so that it follows scores that jump between branches of a scenario. It
-    proposes scenarios whose probability of being critical is near one half, or whose branch is uncertain: who is first,
-    or whether both touch. The points of a round are spread out, more along a coordinate with a short length scale. The
-    first 24 points, and a fraction of all others, are a Sobol' sequence, to find critical regions that the model does
-    not predict.
+    The committee learns from features of the recordings, so it follows scores that jump between branches of a scenario.
+    Proposed scenarios have a probability of being critical near one half, or an uncertain branch: who is first, or
+    whether both touch. The points of a round are spread out, more along a coordinate with a short length scale. The
+    first 24 points, and a fraction of all others, are a Sobol' sequence, to find critical regions that the committee
+    does not predict.
 
-    As long as no scenario is critical, it searches for lower scores: the threshold is then the lowest score so far; and
-    accordingly as long as all are critical. If scenarios fail, it learns where, and avoids likely failures.
+    While no scenario is critical, the search is for lower scores: the lowest score so far replaces the threshold. While
+    all are critical, a value just below the highest score replaces it. If scenarios fail, the committee learns where,
+    and likely failures are avoided.
 
-    With a warm start, the prediction of the other study is one more coordinate for all members (`SourceStudyModel`).
-    Half of the first 10 points are where it predicts the boundary, and the members learn from fewer points if it
-    predicts these.
+    With a warm start, the prediction of the other study is an additional coordinate for all classifiers
+    (`SourceStudyModel`). Half of the first 10 points are where the other study predicts the boundary. If it predicts
+    the scores of these points, the classifiers learn from fewer points than otherwise.
 
-    The kernels of the committee are learned anew for every ten new scores, or every quarter more if that is more.
+    The kernels of the committee are learned again after every ten new scores, or after a quarter more if that is more.
 
     Parameters
     ----------
@@ -61,7 +62,7 @@ class Committee(WarmStartOptimizer):
         self._count, self._filling = candidates, filling
 
     def prepare(self, space: ParameterSpace, seed: int, threshold: float, features: Sequence[Feature]) -> None:
-        """Prepare the search, as `Optimizer.prepare`; without features, it learns from the scores alone."""
+        """Prepare the search of a space; without `features`, the committee learns from the scores alone."""
         super().prepare(space, seed)
         self.threshold, self._features = threshold, tuple(features)
         self._deduplicator = Deduplicator(space)
@@ -69,7 +70,7 @@ class Committee(WarmStartOptimizer):
         self._committee: CommitteeModel
 
     def tell(self, points: FloatArray, scores: FloatArray, features: FloatArray | None = None) -> None:
-        """Observe the scores of one round, as in `Optimizer.tell`, and features of the recordings.
+        """Observe the scores of one round, and the features of its recordings.
 
         Parameters
         ----------
@@ -115,7 +116,7 @@ class Committee(WarmStartOptimizer):
         return None if self._observed_features is None else self._observed_features[self._is_finished][:count]
 
     def _draw_near_and_far(self, critical: FloatArray, filling: FloatArray, n: int) -> FloatArray:
-        """Points all over the space, and around critical ones."""
+        """Draw candidates all over the space, and near critical points."""
         near = int(_NEAR_FRACTION * self._count)
         rng = np.random.default_rng(self._round_seed)
         centers = critical[rng.integers(len(critical), size=near)]
@@ -138,21 +139,24 @@ class Committee(WarmStartOptimizer):
 
 
 def committee_acquisition(p_critical: FloatArray, p_likeliest_branch: FloatArray) -> FloatArray:
-    """Expected information of scenarios (m,), from the probabilities of being critical and of the likeliest branch."""
+    """Expected information of scenarios, (m,): high if it is uncertain whether they are critical, or their branch.
+
+    `p_critical` (m,) is the probability of being critical, `p_likeliest_branch` (m,) that of the likeliest branch.
+    """
     return np.maximum(0.5 - np.abs(p_critical - 0.5), _BRANCH_WEIGHT * (1.0 - p_likeliest_branch))
 
 
 def _threshold_between_scores(scores: FloatArray, threshold: float) -> float:
-    """Threshold with scenarios on both sides: the given one, if it has."""
+    """Return the threshold if scores lie on both sides of it; otherwise the nearest threshold for which they do."""
     lowest, below_highest = np.sort(scores)[[0, -2]]
     return float(min(max(threshold, lowest), below_highest))
 
 
 def _choose_spread_out(points: FloatArray, gain: FloatArray, known: FloatArray, sides: FloatArray, n: int) -> IntArray:
-    """Choose `n` of the points (m, e), each by its gain (m,) times its distance from all others.
+    """Choose `n` of the points (m, e), one after the other: the largest gain (m,) times distance from all others.
 
-    The others are the `known` points (k, e) and those chosen before it. Distances are limited to the spacing of points
-    that are spread evenly in a box with these `sides` (e,).
+    The others are the `known` points (k, e) and the points chosen before. Distances are limited to the spacing of
+    points that are spread evenly in a box with these `sides` (e,).
     """
     # Points this far apart do not differ along short sides: use the longest sides, as many as maximize the spacing.
     longest = np.sort(sides)[::-1]

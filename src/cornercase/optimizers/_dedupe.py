@@ -8,10 +8,10 @@ from cornercase.scenario import ParameterSpace
 
 
 class Deduplicator:
-    """Remembers the observed points of a space, and excludes them from proposals.
+    """Remembers the observed points of a space, and removes them from proposals.
 
-    Two points are equal if they represent the same concrete scenario: points are snapped to steps and choices before
-    they are compared.
+    Two points are equal if they represent the same concrete scenario. Before points are compared, they are snapped to
+    the steps and choices of the parameters.
     """
 
     def __init__(self, space: ParameterSpace) -> None:
@@ -22,19 +22,20 @@ class Deduplicator:
         return len(self._remembered)
 
     def remember(self, points: FloatArray) -> None:
-        """Remember points (n, d)."""
+        """Remember points (n, d), so that they are not proposed again."""
         self._remembered |= _point_keys(self._space.snap(points))
 
     def filter(self, points: FloatArray, exclude: FloatArray | None = None) -> FloatArray:
-        """Snap points (n, d) of the unit cube, and return the distinct ones that can be proposed, (m, d).
+        """Snap points (n, d) of the unit cube, and return the distinct ones that can be proposed, (m, d), in order.
 
-        They keep their order, are within the constraints of the space, and neither remembered nor in `exclude` (k, d).
+        A point can be proposed if it fulfils the constraints of the space, and is neither remembered nor in `exclude`
+        (k, d).
         """
         snapped = self._space.snap(points)
         return self.filter_snapped(snapped[self._space.is_admissible(snapped)], exclude)
 
     def filter_snapped(self, points: FloatArray, exclude: FloatArray | None = None) -> FloatArray:
-        """Like `filter`, for points that are already snapped and admissible."""
+        """Like `filter`, for points that are already snapped and fulfil the constraints."""
         excluded = self._remembered if exclude is None else self._remembered | _point_keys(self._space.snap(exclude))
         if no_duplicates(points, excluded):
             return points

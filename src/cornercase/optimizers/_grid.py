@@ -16,9 +16,9 @@ _MAX_POINTS: Final = 1_000_000
 
 
 class Grid(Optimizer):
-    """Full factorial design.
+    """Full factorial design: all points of a regular grid.
 
-    The grid has as many steps per parameter as fit into the budget, at least one. It is not random. `start` refuses a
+    The grid has as many steps per parameter as fit into the budget, at least one. Nothing is random. `start` refuses a
     grid of more than a million points.
     """
 
@@ -27,7 +27,7 @@ class Grid(Optimizer):
     requires = frozenset({"budget"})
 
     def prepare(self, space: ParameterSpace, seed: int, budget: int) -> None:
-        """Make the grid, as `Optimizer.prepare`."""
+        """Make the grid that fits into `budget`."""
         self._n_observed = 0
         steps = [1] * space.dimension
         sizes = [parameter.size or budget for parameter in space.parameters]
@@ -49,21 +49,21 @@ class Grid(Optimizer):
         self._points = grid[space.is_admissible(grid)]
 
     def ask(self, n: int) -> FloatArray:
-        """Return the next at most `n` points of the grid, (m, d)."""
+        """Return the next points of the grid, at most `n`, (m, d)."""
         return self._points[self._n_observed : self._n_observed + n].copy()
 
     def ask_async(self, n: int, pending: FloatArray, *lies: Any) -> FloatArray:
-        """Return the next points of the grid, as in `Optimizer.ask_async`, without pseudo-results."""
+        """Return the next points of the grid; `pending` has no effect."""
         start = self._n_observed + len(pending)
         return self._points[start : start + n].copy()
 
     def tell(self, points: FloatArray, scores: FloatArray) -> None:
-        """Continue after these points."""
+        """Continue the grid after these points; scores have no effect."""
         self._n_observed += len(points)
 
 
 def _space_filling_order(steps: list[int]) -> IntArray:
-    """Order of the cells of a grid in which every prefix covers the space: that in which Sobol' points reach them."""
+    """Order of the cells of a grid such that the first cells always cover the space: the order of Sobol' points."""
     size = int(np.prod(steps))
     # Imported late, since it takes half a second and few searches need it.
     from scipy.stats import qmc

@@ -36,24 +36,25 @@ class LevelSet(WarmStartOptimizer):
     """Proposes the scenarios about which a Gaussian process is most uncertain whether they are critical.
 
     A scenario is critical if its score is at most the threshold. Each point of a round has the largest ``1.96 s - |m -
-    threshold|`` of all candidates (the straddle heuristic), with the mean m of a boundary process and its standard
-    deviation s; then s is updated as if that point were known, so that a round spreads over the boundary. The first 24
-    points, and a fraction of all others, are a Sobol' sequence, to find critical regions that the process does not
-    predict. This fraction grows to 2.5 times its value when the known boundary is found: when the process expects to be
-    wrong about a volume of 3 % of the critical one instead of 8 %.
+    threshold|`` of all candidates (the straddle heuristic). Here m is the mean of a boundary process and s its standard
+    deviation. Then s is updated as if that point were known, so the points of a round spread over the boundary. The
+    first 24 points, and a fraction of all others, are a Sobol' sequence, to find critical regions that the process does
+    not predict. This fraction grows to 2.5 times its value as the known boundary becomes certain: when the volume about
+    which the process expects to be wrong falls from 8 % to 3 % of the critical volume.
 
     Up to 15 % of the points follow local minima of the scores that do not reach the threshold
     (`suggest_below_local_minima`), to find further critical regions.
 
-    If scenarios have failed, a process of failures excludes candidates that fail with a probability of more than 25 %,
-    or of 1.25 times the fraction that has failed if that is more. Only the Sobol' sequence continues there.
+    If scenarios have failed, a process of failures excludes candidates that are likely to fail. Their probability of
+    failure is more than 25 %, and more than 1.25 times the fraction that has failed. Only the Sobol' sequence continues
+    there.
 
-    The kernel is learned anew, and candidates are drawn, for every ten new scenarios, or every tenth more if that is
-    more. The best 4096 candidates are kept for the rounds until then.
+    The kernel is learned again, and candidates are drawn, after every ten new scenarios, or after a tenth more
+    scenarios if that is more. The best 4096 candidates serve for the rounds until then.
 
-    With a warm start, the prediction of the other study is one more coordinate of the process (`SourceStudyModel`).
-    Half of the first 10 points are where it predicts the boundary, and the process is learned from fewer points if it
-    predicts these.
+    With a warm start, the prediction of the other study is an additional coordinate of the process
+    (`SourceStudyModel`). Half of the first 10 points are where the other study predicts the boundary. If it predicts
+    the scores of these points, the process is learned from fewer points than otherwise.
 
     Source: B. Bryan, J. Schneider et al., "Active learning for identifying function threshold boundaries", NIPS (2005).
 
@@ -77,7 +78,7 @@ class LevelSet(WarmStartOptimizer):
         self._count, self._min_filling = candidates, filling
 
     def prepare(self, space: ParameterSpace, seed: int, threshold: float) -> None:
-        """Prepare the search, as `Optimizer.prepare`."""
+        """Prepare the search of a space for the boundary at `threshold`."""
         super().prepare(space, seed)
         self.threshold, self._filling = threshold, self._min_filling
         self._deduplicator = Deduplicator(space)
@@ -107,7 +108,7 @@ class LevelSet(WarmStartOptimizer):
         self._all_candidates = candidates
 
     def _mask_unlikely_to_fail(self, candidates: FloatArray) -> BoolArray:
-        """Which candidates are not likely to fail, by a process of failures."""
+        """Mask of the candidates that are unlikely to fail, according to a process of failures."""
         finished = self._is_finished[: self._n_learned]
         observed = encode_points(self._space, self._points[: self._n_learned])
         process = GaussianProcess(1.0).fit(observed, np.where(finished, -1.0, 1.0))
@@ -121,7 +122,10 @@ class LevelSet(WarmStartOptimizer):
         return np.concatenate([below, self._points_at_boundary(points, scores, filling, n)]) if n else below
 
     def _points_below_local_minima(self, filling: FloatArray, n: int) -> FloatArray:
-        """Points of this round downhill from local minima; their number depends on the number of proposals only."""
+        """Points for this round that lie downhill from local minima.
+
+        How many there are depends only on the number of proposals.
+        """
         asked = self._n_proposed
         count = min(math.floor(_LOCAL_MINIMA_FRACTION * (asked + n)) - math.floor(_LOCAL_MINIMA_FRACTION * asked), n)
         if count == 0:
@@ -136,7 +140,7 @@ class LevelSet(WarmStartOptimizer):
         return self._deduplicator.filter_snapped(self._all_candidates[nearest], exclude=filling)
 
     def _points_at_boundary(self, points: FloatArray, scores: FloatArray, filling: FloatArray, n: int) -> FloatArray:
-        """Points of this round that are most uncertain; parameters as of `_choose`."""
+        """Points for this round that are most uncertain, at most `n`, neither observed nor in `filling`."""
         candidates = self._deduplicator.filter_snapped(self._candidates, exclude=filling)
         if len(candidates) < n:
             candidates = self._new_candidates(max(n, min(self._count, _N_BEST)), filling)
@@ -152,13 +156,19 @@ class LevelSet(WarmStartOptimizer):
 
 
 def _uncertain_fraction(probabilities: FloatArray) -> float:
-    """Volume that the process expects to misclassify, as a fraction of the critical volume, from probabilities."""
+    """Volume that the process expects to misclassify, as a fraction of the critical volume.
+
+    It is computed from probabilities of being critical.
+    """
     near = probabilities[probabilities >= _MIN_PROBABILITY]
     return float(np.minimum(near, 1.0 - near).sum() / near.sum()) if len(near) else 0.0
 
 
 def _choose_by_straddle(process: GaussianProcess, candidates: FloatArray, known: FloatArray, n: int) -> IntArray:
-    """Choose `n` candidates by the straddle heuristic, each given those before it and the `known` ones."""
+    """Choose `n` candidates by the straddle heuristic, one after the other.
+
+    The variance is conditioned on the `known` points and on the points chosen before.
+    """
     mean, deviation, rows = process.predict_with_projections(np.concatenate([candidates, known]))
     variance, others = deviation**2, np.arange(len(candidates), len(mean))
     gain = straddle_gains(mean, np.sqrt(variance))[: len(candidates)]

@@ -16,16 +16,16 @@ _MAX_RELATIVE_HEIGHT: Final = 3.0
 def suggest_below_local_minima(
     points: FloatArray, scores: FloatArray, threshold: float, max_count: int | None = None
 ) -> FloatArray:
-    """Suggest points downhill from local minima that do not reach the threshold, (m, e), the most promising first.
+    """Suggest points (m, e) downhill from local minima above the threshold, the most promising first.
 
-    A process of all scores, most of which may be flat, does not distinguish such a minimum from noise, and a boundary
-    search stays at the known boundary. But the next critical region may be there. A local minimum is a scenario that is
-    not critical and has the lowest score among its 2 e nearest ones, if its score is at most three times as far from
-    the threshold as from their median. From there it goes downhill by the slope through these neighbours, half as far
-    as to the nearest of them.
+    The next critical region may be near such a minimum. But a process of all scores, most of which may be flat, does
+    not distinguish the minimum from noise, and a boundary search stays at the known boundary. A scenario is a local
+    minimum if it is not critical and has the lowest score among its 2 e nearest scenarios. Its score has to be at most
+    three times as far from the threshold as from the median of these scenarios. The suggested point lies along the
+    slope through these neighbours, at half the distance to the nearest of them.
 
-    `points` (n, e) are encoded scenarios that were run, `scores` (n,) are minimized; NaN for a failed scenario counts
-    as the highest. At most `max_count` points, by default all.
+    `points` (n, e) are encoded scenarios that were run. `scores` (n,) are lower where more critical; NaN for a failed
+    scenario counts as the highest. At most `max_count` points are returned, by default all.
     """
     count = 2 * points.shape[1]
     if len(points) <= count:

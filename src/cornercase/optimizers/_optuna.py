@@ -21,9 +21,9 @@ _TRIES = 20
 class Optuna(Optimizer):
     """A sampler of Optuna, with one score or several.
 
-    A sampler has a state besides points and scores. So if it observes points that it did not propose, as when a study
-    is resumed, it is first asked for as many; in the same rounds these are the same points. In a search without rounds
-    it knows which of its points are pending.
+    A sampler has a state besides points and scores. When a study is resumed, the sampler observes points that it did
+    not propose. So it is first asked for as many points; in the same rounds these are the same points. In a search
+    without rounds the sampler knows which of its points are pending.
 
     Source: T. Akiba et al., "Optuna: A next-generation hyperparameter optimization framework", KDD (2019).
 
@@ -49,7 +49,7 @@ class Optuna(Optimizer):
         self._sampler_name = sampler
 
     def prepare(self, space: ParameterSpace, seed: int) -> None:
-        """Create the sampler, as `Optimizer.prepare`."""
+        """Create the sampler for a space."""
         self._space, self._seed = space, seed
         self._sequence = Sobol().start(space, seed)
         self._deduplicator = Deduplicator(space)
@@ -65,7 +65,7 @@ class Optuna(Optimizer):
         return self._propose(n, np.zeros((0, self._space.dimension)))
 
     def ask_async(self, n: int, pending: FloatArray, *lies: Any) -> FloatArray:
-        """Propose points, as in `Optimizer.ask_async`: pending points are running trials, which TPE treats as bad."""
+        """Propose points while others are pending; Optuna counts these as running trials, which TPE treats as bad."""
         self._in_rounds = False
         return self._propose(n, pending)
 
@@ -112,7 +112,7 @@ class Optuna(Optimizer):
         self._sequence.tell(points, scores)
 
     def _fail_open_trials(self) -> None:
-        """Fail the trials of proposed points that got no score in their round, since they will never get one."""
+        """Mark proposed points without a score in their round as failed trials, since no score will follow."""
         for trial in self._open_trials.values():
             if trial is not None:
                 self._study.tell(trial, state=self._optuna.trial.TrialState.FAIL)
@@ -124,7 +124,7 @@ class Optuna(Optimizer):
         return np.array([np.frombuffer(key) for key in self._open_trials]).reshape(-1, self._space.dimension)
 
     def _new_point(self, pending: FloatArray) -> FloatArray | None:
-        """Point of the sampler that was not proposed yet, (d,); None if it finds none."""
+        """Next point of the sampler that was not proposed before, (d,); None if the sampler finds none."""
         for _ in range(_TRIES):
             trial = self._study.ask(self._parameter_distributions())
             for point in self._deduplicator.filter(

@@ -18,16 +18,16 @@ _MAX_DRAWN: Final = 1 << 20
 
 
 class SequenceOptimizer(Optimizer):
-    """Proposes the points of an endless sequence, without observed scenarios.
+    """Base class of optimizers that propose the points of an endless sequence, without scenarios run before.
 
-    A finite space is run completely: when the sequence hardly reaches new scenarios any more, the remaining ones follow
-    in a random order of the same seed.
+    A finite space is run completely. When the sequence hardly reaches new scenarios any more, the remaining ones follow
+    in a random order, which depends on the same seed.
     """
 
     multi_objective = True
 
     def prepare(self, space: ParameterSpace, seed: int) -> None:
-        """Begin the sequence, as `Optimizer.prepare`."""
+        """Start the sequence in a space."""
         self._space, self._seed = space, seed
         self._deduplicator = Deduplicator(space)
         # Drawn points of the sequence that can be proposed.
@@ -39,7 +39,7 @@ class SequenceOptimizer(Optimizer):
         """Return the next points of the sequence, (count, d)."""
 
     def ask(self, n: int, exclude: FloatArray | None = None) -> FloatArray:
-        """Propose the next at most `n` points of the sequence, (m, d), neither observed nor in `exclude` (k, d).
+        """Propose the next points of the sequence, at most `n`, (m, d), neither observed nor in `exclude`.
 
         Parameters
         ----------
@@ -57,11 +57,11 @@ class SequenceOptimizer(Optimizer):
         return points[:n]
 
     def ask_async(self, n: int, pending: FloatArray, *lies: Any) -> FloatArray:
-        """Propose the next points of the sequence, as in `Optimizer.ask_async`, without pseudo-results."""
+        """Propose the next points of the sequence that are not pending."""
         return self.ask(n, exclude=pending)
 
     def tell(self, points: FloatArray, scores: FloatArray) -> None:
-        """Exclude these points (m, d) from now on; scores are not used."""
+        """Do not propose these points (m, d) again; scores have no effect."""
         self._deduplicator.remember(points)
         self._ready_points = self._deduplicator.filter_snapped(self._ready_points)
 
@@ -74,7 +74,7 @@ class SequenceOptimizer(Optimizer):
         )
 
     def _draw_more(self, missing: int) -> bool:
-        """Draw as many points again, or at least as many as are missing; False if there are no more."""
+        """Draw as many further points as were drawn before, or at least `missing`; False if there are no more."""
         size = self._space.size
         if self._is_exhausted or self._n_drawn >= _MAX_DRAWN + 4 * len(self._deduplicator):
             return False

@@ -11,9 +11,9 @@ from cornercase._common.typing import FloatArray
 class RandomFeatureProcess:
     """Gaussian process approximated by random features: a linear model with a normal prior on the weights.
 
-    `frequencies` (f, d), `phases` (f,) and `amplitude` define the features, `mean` is the prior mean, and `noise` the
-    standard deviation of single values. `gram` (f, f) and `moment` (f,) are sums over the known values: of the products
-    of features, and of features times value less mean.
+    `frequencies` (f, d), `phases` (f,) and `amplitude` define the features. `mean` is the prior mean, `noise` the
+    standard deviation of the noise of single values. `gram` (f, f) is the sum of the products of features over all
+    known values. `moment` (f,) is the sum of features times (value less mean).
 
     Source: A. Rahimi, B. Recht, "Random features for large-scale kernel machines", NIPS (2007).
     """
@@ -34,7 +34,7 @@ class RandomFeatureProcess:
         self._moment = np.zeros(len(phases)) if moment is None else moment
 
     def random_features(self, points: FloatArray) -> FloatArray:
-        """Features of points, (n, f); in single precision, in which a cosine takes a tenth of the time."""
+        """Features of points, (n, f), in single precision, in which a cosine takes a tenth of the time."""
         frequencies, phases, amplitude = self._map
         angles = (points @ frequencies.T + phases).astype(np.float32)
         return amplitude * np.cos(angles, out=angles).astype(np.float64)
@@ -46,7 +46,7 @@ class RandomFeatureProcess:
         return RandomFeatureProcess(*self._map, self._mean, self._noise, gram, moment)
 
     def with_own_mean_at(self, points: FloatArray) -> RandomFeatureProcess:
-        """Process conditioned on its own mean at points (n, d): the mean stays, the variance shrinks."""
+        """Process conditioned on its own mean at points (n, d): the mean stays the same, the variance shrinks."""
         rows = self.random_features(points)
         mean = cho_solve((self._precision_factor(), False), self._moment / self._noise**2)
         gram, moment = self._gram + rows.T @ rows, self._moment + rows.T @ (rows @ mean)

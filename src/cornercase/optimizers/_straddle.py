@@ -1,4 +1,4 @@
-"""Choose points by the straddle heuristic."""
+"""Choice of points by the straddle heuristic."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ Floats = npt.NDArray[np.floating[Any]]
 
 
 def straddle_gains(mean: FloatArray, deviation: FloatArray) -> FloatArray:
-    """Straddle heuristic: how uncertain it is on which side of the threshold points are, (m,).
+    """Straddle heuristic, (m,): high where it is uncertain on which side of the threshold a score is.
 
-    `mean` and `deviation` are those of a process with the threshold at 0.
+    `mean` and `deviation` (m,) are predictions of a process with the threshold at 0.
     """
     return np.asarray(1.96 * deviation - np.abs(mean))
 
 
 class StraddleSelection:
-    """Choose points of a process one after the other, each given those before it.
+    """Chooses points of a process one after the other; each choice takes the points chosen before into account.
 
-    `points` (m, e) are encoded, `mean` and `variance` (m,) the predictions there; the variance is changed in place.
-    `projections` (m, k) are those of `GaussianProcess.predict_with_projections`; no columns for a process without
+    `points` (m, e) are encoded. `mean` and `variance` (m,) are the predictions there; the variance is changed in place.
+    `projections` (m, k) are those of `GaussianProcess.predict_with_projections`, without columns for a process without
     values.
     """
 
@@ -40,7 +40,7 @@ class StraddleSelection:
         self._learned_steps: list[FloatArray] = []
 
     def condition_on_point(self, index: int) -> None:
-        """Condition the variances on point `index`."""
+        """Update the variances as if the score at point `index` were known."""
         shared = self._process.covariance_with_point(self._places, self._rows, index)
         for earlier in self._learned_steps:
             shared = shared - earlier * earlier[index]
@@ -51,7 +51,7 @@ class StraddleSelection:
         np.maximum(self._variance - self._learned_steps[-1] ** 2, 0.0, out=self._variance)
 
     def choose_points(self, n: int, n_candidates: int) -> tuple[IntArray, float]:
-        """Choose `n` of the first `n_candidates` points, each of the largest gain: indices (n,), and least gain."""
+        """Choose `n` of the first `n_candidates` points by largest gain; return indices (n,) and the least gain."""
         chosen: list[int] = []
         least = math.inf
         while len(chosen) < n:

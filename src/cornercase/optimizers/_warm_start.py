@@ -20,17 +20,17 @@ _CATCH_UP_RANGE: Final = (15, 24)  # points between which as many space-filling 
 
 
 class WarmStartOptimizer(CandidateOptimizer):
-    """Uses the prediction of another study as one more coordinate of its model (`SourceStudyModel`).
+    """Base class of optimizers that use the prediction of another study as an additional coordinate of their model.
 
-    Half of the first ten points are where that study predicts the boundary, to learn whether it is there, or how far
-    away. Each has the largest ``1.96 s - |m|`` of 4096 candidates, with the mean m of the other study's process and the
-    standard deviation s of a process with the same kernel that is conditioned on the points of the new search only.
-    This spreads the points along the predicted boundary instead of concentrating them where the prediction is most
-    certain.
+    The prediction is that of `SourceStudyModel`. Half of the first ten points are where the other study predicts the
+    boundary, to learn whether the boundary is there, or how far away. Each of these points has the largest ``1.96 s -
+    |m|`` of 4096 candidates. Here m is the mean of the other study's process. s is the standard deviation of a process
+    with the same kernel that is conditioned only on the points of the new search. This spreads the points along the
+    predicted boundary instead of concentrating them where the prediction is most certain.
 
-    If that study predicts the scores of the first ten points or more, the model is learned from them; else from as many
-    as without a warm start. Then additional space-filling points replace, between the 15th and the 24th point, those
-    that the other study chose.
+    If the other study predicts the scores of the first ten points or more, the model is learned from these points;
+    otherwise from as many as without a warm start. In the latter case, as many additional space-filling points follow
+    between the 15th and the 24th point.
     """
 
     supports_warm_start = True
@@ -38,7 +38,7 @@ class WarmStartOptimizer(CandidateOptimizer):
     _source_model: SourceStudyModel | None = None
 
     def warm_start(self, points: FloatArray, scores: FloatArray) -> None:
-        """Use the scores (n,) of another study at points (n, d), as in `Optimizer.warm_start`."""
+        """Use the scores (n,) of another study at points (n, d); called before the first `tell`."""
         self._source_model = SourceStudyModel(encode_points(self._space, points), scores, self.threshold)
 
     def _propose(self, n: int, pending: FloatArray) -> FloatArray:
@@ -55,7 +55,7 @@ class WarmStartOptimizer(CandidateOptimizer):
     def _points_on_source_boundary(
         self, source_model: SourceStudyModel, known: FloatArray, n: int, asked: int
     ) -> FloatArray:
-        """Points (k, d) on the boundary that another study predicts, away from `known` points (m, d)."""
+        """Points (k, d) on the boundary that another study predicts, away from the `known` points (m, d)."""
         candidates = self._draw_candidates(self._seed_of(asked), _N_CANDIDATES, known)
         count, process = len(candidates), source_model.process
         points = encode_points(self._space, np.concatenate([candidates, known]))
@@ -84,10 +84,10 @@ class WarmStartOptimizer(CandidateOptimizer):
         return super()._count_space_filling(n_points) + added
 
     def _model_coordinates(self, points: FloatArray) -> FloatArray:
-        """Coordinates of points for the model of the scores, (n, e), or (n, e + 1) with another study."""
+        """Coordinates of points for the model of the scores, (n, e); with another study, its prediction is appended."""
         return augment_points(self._source_model, encode_points(self._space, points))
 
 
 def _count_chosen_by_source(n_points: int) -> int:
-    """Number of points that another study chooses among the first `n_points`."""
+    """Number of points that the other study chooses among the first `n_points`."""
     return math.floor(_SOURCE_FRACTION * min(n_points, _N_CHECKED))

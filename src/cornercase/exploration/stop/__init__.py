@@ -1,4 +1,4 @@
-"""When an exploration ends: rules to combine."""
+"""Rules that say when an exploration ends; several rules can be combined."""
 
 import lazy_loader as lazy
 

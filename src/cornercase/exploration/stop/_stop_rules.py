@@ -18,9 +18,10 @@ _QUANTITIES = ("missed", "interval", "audited-missed", *_SIZED_QUANTITIES)
 
 
 class StopRule:
-    """When an exploration ends; made by the functions of `cornercase.stop`.
+    """Rule that says when an exploration ends; the functions of `cornercase.stop` make rules.
 
-    `repr` evaluates, `str` is the text of the command line, and rules are compared by value.
+    Its `repr` is an expression that makes the rule again, and its `str` the text for the command line. Rules are
+    compared by value.
 
     Examples
     --------
@@ -32,10 +33,10 @@ class StopRule:
 
 @dataclass(frozen=True, repr=False)
 class StopCriterion(StopRule):
-    """An upper bound on a quantity of a `CriticalSet`.
+    """Upper bound on a quantity of a `CriticalSet`.
 
-    `size` is the smallest region that counts, as a fraction of the space. Raises `InputError` if bound or size is no
-    fraction.
+    `size` is the smallest region that counts, as a fraction of the space. Raises `InputError` if `bound` or `size` is
+    not a fraction.
     """
 
     quantity: str
@@ -69,7 +70,7 @@ class StopCriterion(StopRule):
         return f"{self.quantity.replace('-', '_')}({self.bound}{size})"
 
     def evaluate(self, critical_set: CriticalSet) -> float:
-        """Value of the quantity, from 0 to 1; 1 if it is unknown."""
+        """Value of the quantity, from 0 to 1; 1 if the value is unknown."""
         if self.quantity == "missed":
             return (
                 1.0
@@ -105,7 +106,7 @@ class StopCriterion(StopRule):
 
 @dataclass(frozen=True, repr=False)
 class TimeLimit(StopRule):
-    """No new round starts after this time in s."""
+    """Rule that no new round starts after `seconds`."""
 
     seconds: float
 
@@ -118,7 +119,10 @@ class TimeLimit(StopRule):
 
 @dataclass(frozen=True, repr=False)
 class NoImprovement(StopRule):
-    """That many rounds had no score at least as critical as the best so far."""
+    """Rule that the exploration ends after `rounds` rounds in a row without an improvement.
+
+    An improvement is a score at least as critical as the best so far.
+    """
 
     rounds: int
 
@@ -177,7 +181,7 @@ def interval(bound: float) -> StopRule:
 
 
 def overlooked(bound: float, size: float = MIN_REGION_FRACTION) -> StopRule:
-    """Stop when it is improbable that a critical region was overlooked.
+    """Stop when it is improbable that a critical region contains no scenario that was run.
 
     Parameters
     ----------
@@ -199,7 +203,7 @@ def overlooked(bound: float, size: float = MIN_REGION_FRACTION) -> StopRule:
 
 
 def unvisited(bound: float, size: float = MIN_REGION_FRACTION) -> StopRule:
-    """Stop when something was run nearly everywhere.
+    """Stop when scenarios were run near almost every point of the space.
 
     Parameters
     ----------
@@ -282,10 +286,10 @@ def no_improvement(rounds: int) -> StopRule:
 
 
 def resolve_stop_rules(rules: object) -> tuple[list[StopCriterion], float | None, int | None]:
-    """Criteria that have to hold together, time limit in s, and rounds without an improvement, of one rule or several.
+    """Split one or several rules into criteria that have to hold together, a time limit in s, and a number of rounds.
 
-    Rules may be texts of criteria. Of several limits the smallest counts; None without one. Raises `InputError` for
-    anything else.
+    The number of rounds is that without an improvement. Rules may be texts of criteria. If there are several limits,
+    the smallest counts; None without one. Raises `InputError` for anything else.
     """
     several = rules if isinstance(rules, Sequence) and not isinstance(rules, str) else [rules]
     resolved = [StopCriterion.parse(rule) if isinstance(rule, str) else rule for rule in several]
