@@ -1,4 +1,4 @@
-"""The few concrete scenarios that matter."""
+"""Reduction: select the few concrete scenarios that represent all that were run."""
 
 import lazy_loader as lazy
 

@@ -1,4 +1,4 @@
-"""Archetypal analysis in the parameter space and in kernel space, snapped to scenarios that were run."""
+"""Archetypal analysis in the parameter space and in kernel space; archetypes are scenarios that were run."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ _ITERATIONS: Final = 300
 
 @dataclass(frozen=True)
 class Archetypes:
-    """Scenarios at the extremes, between which all others lie, as rising indices.
+    """Scenarios at the extremes of a cluster, as rising indices; all others are approximately mixtures of them.
 
-    `explained_variance` is the share of the variance that mixtures of 1, 2, … archetypes explain, before snapping to
-    scenarios; only the last one if the number was given.
+    `explained_variance` is the share of the variance that mixtures of 1, 2, … archetypes explain, before archetypes are
+    replaced by the nearest scenarios. If the number of archetypes was given, it has only the value for this number.
     """
 
     indices: IntArray
@@ -44,11 +44,11 @@ class Archetypes:
 
 
 def find_archetypes(points: FloatArray, k: int | None = None, *, max_k: int = MAX_ARCHETYPES) -> Archetypes:
-    """Find k archetypes: every point is approximately a mixture of them. They are snapped to the nearest scenarios.
+    """Find `k` archetypes such that every point is approximately a mixture of them; return the nearest scenarios.
 
     By default `k` is at the bend of the curve of the explained variance: the first number, up to `max_k`, after which
-    one more adds less than 0.02. A. Cutler, L. Breiman, "Archetypal analysis", 1994; projected gradients and the
-    FurthestSum start of M. Mørup, L. K. Hansen, "Archetypal analysis for machine learning and data mining", 2012.
+    another archetype adds less than 0.02. A. Cutler, L. Breiman, "Archetypal analysis", 1994; projected gradients and
+    the FurthestSum start of M. Mørup, L. K. Hansen, "Archetypal analysis for machine learning and data mining", 2012.
     """
     points = np.asarray(points, dtype=np.float64)
     if points.ndim != 2 or not len(points):
@@ -75,11 +75,11 @@ def find_archetypes(points: FloatArray, k: int | None = None, *, max_k: int = MA
 
 
 def find_kernel_archetypes(cluster_distances: FloatArray, k: int) -> Archetypes:
-    """Find k archetypes of a cluster in the space of a Gaussian kernel of distances, shape (n, n).
+    """Find `k` archetypes of a cluster in the space of a Gaussian kernel of the distances in it, shape (n, n).
 
-    The kernel falls so fast that scenarios far apart along a bent cluster are unrelated, so archetypes spread all along
-    it. Coordinates are those whose inner products are the centred kernel. Of more than 2,000 scenarios, 2,000 are used,
-    evenly spaced by the sum of their distances to the others.
+    The kernel falls so fast that scenarios far from each other along a bent cluster are unrelated, so archetypes spread
+    all along the cluster. The inner products of the coordinates are the centred kernel. Of more than 2,000 scenarios
+    only 2,000 are used, evenly spaced by the sum of their distances to the others.
     """
     if len(cluster_distances) > _MAX_IN_KERNEL:
         order = np.argsort(cluster_distances.sum(axis=1), kind="stable")
@@ -101,13 +101,13 @@ def find_kernel_archetypes(cluster_distances: FloatArray, k: int) -> Archetypes:
 
 
 def pick_evenly_spaced(members: IntArray) -> IntArray:
-    """Return at most 400 of the members, evenly spaced in their order, so that archetypal analysis is fast."""
+    """Return at most 400 of the members, evenly spaced in their order; with more, archetypal analysis would be slow."""
     count = min(_MAX_EVENLY_SPACED, len(members))
     return members[np.linspace(0, len(members) - 1, count).astype(np.int64)]
 
 
 def _fit_archetypal_analysis(points: FloatArray, k: int) -> tuple[FloatArray, float]:
-    """Archetypes, shape (k, d), and the residual sum of squares."""
+    """Fit `k` archetypes, shape (k, d); also return the residual sum of squares."""
     # The package prints its array library on import.
     with redirect_stdout(io.StringIO()):
         from archetypes import AA
@@ -118,7 +118,7 @@ def _fit_archetypal_analysis(points: FloatArray, k: int) -> tuple[FloatArray, fl
 
 
 def _snap_to_points(archetypes: FloatArray, points: FloatArray) -> IntArray:
-    """Nearest point to each archetype, none twice, shape (k,)."""
+    """Index of the nearest point to each archetype, shape (k,); no point is used twice."""
     distances = cdist(archetypes, points)
     nearest: list[int] = []
     for row in distances:

@@ -1,4 +1,4 @@
-"""Baselines that a reduced set should be better than: random selections, and k-medoids."""
+"""Baselines for a reduced set: random selections, and k-medoids."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ MIN_BETTER_SHARE: Final = 0.95
 
 
 class Baselines:
-    """Random selections in each clustering, and k-medoids in the critical clusters of the first.
+    """Baselines: random selections in each clustering, and k-medoids in the critical clusters of the first clustering.
 
-    `labels` are those of the first clustering, `critical_clusters` its critical clusters, `size` the number of selected
-    scenarios.
+    `labels` are those of the first clustering, `critical_clusters` are critical clusters in it. `size` is the number of
+    selected scenarios.
     """
 
     def __init__(
@@ -42,10 +42,10 @@ class Baselines:
             self._medoid_distances = float(medoid_gaps.max()), float(medoid_gaps.mean())
 
     def gap(self, selected: list[int]) -> float:
-        """Return how far a selection falls short of the baselines; 0 if it is better than all.
+        """Return how far a selection falls short of the baselines; 0 if it is better than all of them.
 
-        The sum of two shortfalls: of the share of random selections that it beats, and of its distances, relative to
-        those of k-medoids.
+        This is the sum of two shortfalls: of the share of random selections that it beats, and of its distances,
+        relative to those of k-medoids.
         """
         total = 0.0
         for matrix, random in zip(self._distances, self._random_distances, strict=True):

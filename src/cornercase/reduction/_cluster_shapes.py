@@ -1,4 +1,4 @@
-"""Shapes of clusters, and the method for finding archetypes that suits each."""
+"""Shapes of clusters; the shape determines the method for finding archetypes."""
 
 from __future__ import annotations
 
@@ -46,13 +46,19 @@ class ClusterShape:
 
 @dataclass(frozen=True, eq=False)
 class ShapedCluster:
-    """A cluster with its shape; `parts` are indices of scenarios, one part except for the method ``"parts"``."""
+    """A cluster with its shape.
+
+    `parts` are indices of scenarios. There is one part, except for the method ``"parts"``.
+    """
 
     shape: ClusterShape
     parts: tuple[IntArray, ...]
 
     def find_archetypes(self, points: FloatArray, distances: Distances, max_count: int) -> IntArray:
-        """Return at most `max_count` extreme scenarios of the cluster, by index; parts get shares by their size."""
+        """Return the indices of at most `max_count` extreme scenarios of the cluster.
+
+        They are shared among the parts of the cluster in proportion to the size.
+        """
         (whole, *more) = self.parts
         if self.shape.method in ("kernel", "pcha") and isinstance(distances, EmbeddedDistances):
             whole = pick_evenly_spaced(whole)
@@ -76,9 +82,10 @@ def classify_cluster_shapes(
 ) -> tuple[ShapedCluster, ...]:
     """Decide for each cluster how its archetypes are found, cluster 0 first.
 
-    ``"auto"``: a cluster that is not convex (convexity below 0.8) in kernel space takes ``"kernel"``; else one that is
-    convex in the parameter space takes ``"hull"``, or ``"pcha"`` with more than six parameters; else ``"parts"``, or
-    ``"kernel"`` if six parts are not enough. `embedding`, shape (n, e), is the kernel space of the clustering.
+    With ``"auto"`` it depends on the convexity. A cluster that is not convex in kernel space (convexity below 0.8) gets
+    ``"kernel"``. Otherwise, if it is convex in the parameter space it gets ``"hull"``, or ``"pcha"`` with more than six
+    parameters. If not, it gets ``"parts"``, or ``"kernel"`` if six parts are not enough. `embedding`, shape (n, e), has
+    coordinates in the kernel space of the clustering.
     """
     require_archetype_method(method)
     shaped = []
@@ -101,13 +108,13 @@ def classify_cluster_shapes(
 
 
 def require_archetype_method(method: str) -> None:
-    """Raise `InputError` unless there is such a method."""
+    """Raise `InputError` unless `method` is a method for finding archetypes."""
     if method not in get_args(ArchetypeMethod):
         raise InputError(f"`archetypes_by` {method}: {suggest_name(method, get_args(ArchetypeMethod))}")
 
 
 def divide_in_proportion(total: int, weights: Sequence[float]) -> list[int]:
-    """Divide `total` into whole numbers in proportion to weights, by largest remainders."""
+    """Divide `total` into whole numbers in proportion to weights, by the method of largest remainders."""
     if not len(weights):
         return []
     share = total * np.asarray(weights, dtype=np.float64) / np.sum(weights)

@@ -21,12 +21,12 @@ _MAX_PARTS: Final = 6
 
 
 def measure_convexity(points: FloatArray, is_member: BoolArray) -> float:
-    """Measure how much of the space between the members of a cluster belongs to it, 0 to 1.
+    """Measure how much of the space between the members of a cluster belongs to the cluster, 0 to 1.
 
-    Three points are sampled on the line between any two members, evenly spaced. A point belongs to the cluster if the
-    nearest of all scenarios is a member, and is no farther away than 95 % of the members are from their 2 d-th
-    neighbour in the cluster. About 1 for a ball and a cube, 0.6 for a thin horseshoe; 1 for up to d + 1 members, which
-    say too little.
+    Three evenly spaced points are sampled on the line between any two members. A point belongs to the cluster if it has
+    two properties. The scenario nearest to it is a member. Its distance to this member is at most that of 95 % of the
+    members to their 2 d-th neighbour in the cluster. The result is about 1 for a ball and a cube, and 0.6 for a thin
+    horseshoe. It is 1 for up to d + 1 members, which say too little.
     """
     cluster_points = points[is_member]
     count, dimensions = cluster_points.shape
@@ -44,7 +44,7 @@ def measure_convexity(points: FloatArray, is_member: BoolArray) -> float:
 
 
 def _evenly_spaced_pairs(n_points: int) -> tuple[IntArray, IntArray]:
-    """Evenly spaced pairs out of all pairs of `n_points` scenarios; all if there are few."""
+    """Evenly spaced pairs out of all pairs of `n_points` points; all pairs if there are few."""
     pairs = n_points * (n_points - 1) // 2
     sample = np.linspace(0, pairs - 1, min(pairs, _MAX_PAIRS)).astype(np.int64)
     rows = np.arange(n_points)
@@ -55,9 +55,9 @@ def _evenly_spaced_pairs(n_points: int) -> tuple[IntArray, IntArray]:
 
 
 def split_into_convex_parts(points: FloatArray, is_member: BoolArray) -> list[IntArray]:
-    """Divide a cluster into the smallest number of convex parts that k-means finds, as indices, the largest part first.
+    """Divide a cluster into the smallest number of convex parts that k-means finds; return indices, largest part first.
 
-    One part if the cluster is convex; none if six parts are not enough.
+    There is one part if the cluster is convex, and none if six parts are not enough.
     """
     indices = np.flatnonzero(is_member)
     if measure_convexity(points, is_member) >= MIN_CONVEXITY:

@@ -1,4 +1,4 @@
-"""Coverage: how well the selected scenarios represent all that were run."""
+"""Coverage: how well the selected scenarios represent all scenarios that were run."""
 
 from __future__ import annotations
 
@@ -22,9 +22,10 @@ from cornercase.reduction._random_selections import (
 
 @dataclass(frozen=True)
 class Coverage:
-    """Distances from every scenario to the nearest selected one, in the unit of the distances.
+    """Coverage by a reduced set: distances from every scenario to the nearest selected one.
 
-    All but `held_out` are in-sample: they describe the scenarios among which the set was selected.
+    They have the unit of the distances. All values but `held_out` are in-sample: they describe the scenarios from which
+    the set was selected.
 
     Attributes
     ----------
@@ -64,10 +65,10 @@ class Coverage:
 
 @dataclass(frozen=True, eq=False)
 class NearestDistances:
-    """Distances from every scenario to the nearest selected one, by selection.
+    """Distances from every scenario to the nearest selected one, for the reduced set and for baselines.
 
-    `to_selected` and `to_medoids`, shape (n,), are for the reduced set and for as many k-medoids; `to_random`, shape
-    (draws, n), for random selections of the same size.
+    `to_selected`, shape (n,), is for the reduced set, and `to_medoids`, shape (n,), for k-medoids of the same number.
+    `to_random`, shape (draws, n), is for random selections of the same size.
     """
 
     to_selected: FloatArray
@@ -78,9 +79,10 @@ class NearestDistances:
 def measure_nearest_distances(
     distances: Distances, selected: npt.ArrayLike, *, draws: int = DEFAULT_DRAWS, seed: int = 0
 ) -> NearestDistances:
-    """Measure the distance of every scenario to the nearest selected one, k-medoid, and randomly selected one.
+    """Measure the distances from every scenario to the reduced set, to k-medoids and to random selections.
 
-    The random selections differ from those that `select_scenarios` sees. An index that is given twice counts once.
+    The random selections differ from those with which the reduced set was compared during selection. Repeated indices
+    count once.
     """
     indices = np.unique(np.asarray(selected, dtype=np.int64))
     random = draw_random_selections(len(distances), len(indices), stream="grading", draws=draws, seed=seed)
@@ -94,7 +96,7 @@ def measure_nearest_distances(
 def redraw_random_selections(
     nearest_distances: NearestDistances, distances: Distances, selected: IntArray, seed: int
 ) -> NearestDistances:
-    """Replace the random selections by those of another seed than 0."""
+    """Replace the random selections by those of another seed; with seed 0 nothing changes."""
     if not seed:
         return nearest_distances
     random = draw_random_selections(len(distances), len(np.unique(selected)), stream="grading", seed=seed)
@@ -110,9 +112,9 @@ def measure_coverage(
     seed: int = 0,
     nearest_distances: NearestDistances | None = None,
 ) -> Coverage:
-    """Measure how well the selected scenarios, by index, represent all; `ids` name the worst one.
+    """Measure how well the selected scenarios, given by index, represent all; `ids` identify the worst scenario.
 
-    `nearest_distances` saves computing them again.
+    `nearest_distances` saves computing the distances again.
     """
     matrix = distances if isinstance(distances, EmbeddedDistances) else np.asarray(distances, dtype=np.float64)
     if len(matrix.shape) != 2 or matrix.shape[0] != matrix.shape[1]:

@@ -1,4 +1,4 @@
-"""Coverage sums for embedded scenarios, by cells of nearby scenarios."""
+"""Coverage sums for embedded scenarios, computed by cells (groups) of nearby scenarios."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from cornercase.reduction._coverage_kernels import AXES_PER_STAGE, CELL_SIZE, Co
 
 
 class CellCoverageSums:
-    """Weighted sums of powers of the distances to the nearest selected scenario, over all clusterings.
+    """Coverage sum: weighted sum of powers of the distances to the nearest selected scenario, over all clusterings.
 
-    `embeddings`, shape (n, p) each, are coordinates by clustering, with squared Euclidean distances; `usual_distances`
-    are their units; `power` is 2 or 3; at least one scenario is selected. `gains`, shape (n,), is by how much each
-    scenario lowered the sum when that was last computed; it can only have fallen since.
+    `embeddings`, shape (n, p) each, are coordinates by clustering; distances are squared Euclidean. `usual_distances`
+    are the units of the distances; `power` is 2 or 3. At least one scenario is selected. `gains`, shape (n,), is by how
+    much each scenario would lower the sum, as of the last computation; the true gain can only be less.
     """
 
     def __init__(
@@ -58,21 +58,21 @@ class CellCoverageSums:
         coverage_kernels.fill_gains(self.gains, self._cells)
 
     def best_candidate(self, nearest_distance: FloatArray, similar_distance: float) -> int | None:
-        """Return the scenario that lowers the sum most, the first of equals; None if all are similar to selected ones.
+        """Return the scenario that lowers the sum most, the first if tied; None if all are similar to selected ones.
 
-        `nearest_distance`, shape (n,), is the distance to the nearest selected scenario; up to `similar_distance` two
-        are similar. Only the largest gains are computed again, since gains can only fall.
+        `nearest_distance`, shape (n,), is the distance to the nearest selected scenario. A scenario is similar if this
+        is at most `similar_distance`. Only the largest gains are computed again, since gains never rise.
         """
         index = int(coverage_kernels.find_best_candidate(self.gains, nearest_distance, similar_distance, self._cells))
         return None if index < 0 else index
 
     def add(self, index: int) -> None:
-        """Add a scenario to the selected ones."""
+        """Add a scenario to the selection."""
         coverage_kernels.add_to_selection(index, self._cells)
 
 
 def _group_into_cells(coordinates: FloatArray) -> IntArray:
-    """Scenarios by cell, shape (cells, CELL); the last cell is padded with the last scenario."""
+    """Group scenarios into cells; return indices, shape (cells, CELL). The last scenario pads the last cell."""
     order = cKDTree(coordinates[:, :AXES_PER_STAGE], leafsize=CELL_SIZE).indices
     count = -(-len(order) // CELL_SIZE)
     return np.append(order, np.full(count * CELL_SIZE - len(order), order[-1])).reshape(count, CELL_SIZE)

@@ -1,7 +1,7 @@
-"""Compiled coverage sums for embedded scenarios, by cells of nearby scenarios.
+"""Compiled coverage sums for embedded scenarios, computed by cells (groups) of nearby scenarios.
 
-An added scenario becomes the nearest one for few others, and most cells are too far away to contain one of these. So if
-many are selected, most distances are never computed.
+A newly selected scenario becomes the nearest one for few others, and most cells are too far away to contain any of
+these. So if many scenarios are selected, most distances are never computed.
 """
 
 # Compiled functions have no static types.
@@ -28,13 +28,13 @@ _MARGIN = 1.0 + 1e-9
 
 
 class CoverageCells(NamedTuple):
-    """Cells of all clusterings, and the uncovered costs in them.
+    """Cells of scenarios in all clusterings, with the costs that the selection leaves uncovered.
 
-    `coordinates`, (clusterings, n, stages, AXES), are in the order of the scenarios and `members`, (clusterings, c,
-    stages, AXES, CELL), in the order of the cells, the axis of largest variance first. `centres`, (clusterings, AXES,
-    c), and `radii` are bounding balls of the cells in the first axes. `nearest_squares` are squared distances to the
-    nearest selected scenario and `costs` follow from them; a scenario farther from a centre than the root of `reach` is
-    nearest to none of the cell.
+    `coordinates`, (clusterings, n, stages, AXES), are in the order of the scenarios, the axis of largest variance
+    first; `members`, (clusterings, c, stages, AXES, CELL), are the same by cell. `centres`, (clusterings, AXES, c), and
+    `radii` are bounding balls of the cells in the first axes. `nearest_squares` are squared distances to the nearest
+    selected scenario, and `costs` follow from them. A scenario is nearest to none of a cell if its squared distance to
+    the centre is above `reach`.
     """
 
     coordinates: FloatArray
@@ -51,7 +51,7 @@ class CoverageCells(NamedTuple):
 
 @kernel(error_model="numpy")
 def fill_gains(gains, cells):
-    """Fill `gains` with the amount by which each scenario would lower the sum."""
+    """Write the amount by which each scenario would lower the coverage sum to `gains`."""
     to_centres, to_members = np.empty(cells.members.shape[1]), np.empty(CELL_SIZE)
     for index in range(len(gains)):
         gains[index] = _gain_of(index, cells, to_centres, to_members)
@@ -59,9 +59,9 @@ def fill_gains(gains, cells):
 
 @kernel(error_model="numpy")
 def find_best_candidate(gains, nearest_distance, similar_distance, cells):
-    """Return the scenario whose selection lowers the sum of gaps most, the first if tied; -1 if none lowers it.
+    """Return the scenario whose selection lowers the coverage sum most, the first if tied; -1 if none lowers it.
 
-    `gains` were computed in earlier steps, so they are upper bounds now; they are updated as needed.
+    `gains` come from earlier steps, so they are upper bounds; they are updated as needed.
     """
     to_centres, to_members = np.empty(cells.members.shape[1]), np.empty(CELL_SIZE)
     last = -1
@@ -80,7 +80,7 @@ def find_best_candidate(gains, nearest_distance, similar_distance, cells):
 
 @kernel(error_model="numpy")
 def add_to_selection(index, cells):
-    """Update distances, costs and reaches for a newly selected scenario."""
+    """Update distances, costs and reaches after scenario `index` was selected."""
     to_centres, to_members = np.empty(cells.members.shape[1]), np.empty(CELL_SIZE)
     for k in range(len(cells.members)):
         point = cells.coordinates[k, index]
@@ -129,7 +129,10 @@ def _fill_squares_to_centres(point, centres, result):
 
 @kernel(error_model="numpy", _nrt=False)
 def _fill_squares_if_nearer(point, cell, nearest_squares, result):
-    """Fill `result` with squared distances to a cell; False as soon as none can be nearer than `nearest_squares`."""
+    """Write the squared distances of a point to a cell to `result`.
+
+    Returns False as soon as no distance can be less than in `nearest_squares`.
+    """
     result[:] = 0.0
     for stage in range(len(point)):
         n_nearer = 0

@@ -1,4 +1,4 @@
-"""Coverage sums: what the selected scenarios leave uncovered, and the scenarios that reduce it most."""
+"""Coverage sums: the cost that selected scenarios leave uncovered, and the scenarios that reduce it most."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _NEIGHBOUR_SAMPLE: Final = 2000
 
 
 class SetComposition(NamedTuple):
-    """Shares and weights with which a set of a given size is composed."""
+    """Shares and weights by which a reduced set of a given size is composed."""
 
     archetype_share: float
     """Largest share of archetypes."""
@@ -37,9 +37,9 @@ class SetComposition(NamedTuple):
 
 
 class CoverageSums:
-    """Weighted sums of powers of the distances to the nearest selected scenario, over all clusterings.
+    """Coverage sum: weighted sum of powers of the distances to the nearest selected scenario, over all clusterings.
 
-    `is_critical`, shape (n,), marks scenarios of critical clusters; `size` is the number of scenarios to select.
+    `is_critical`, shape (n,), marks scenarios of critical clusters. `size` is the number of scenarios to select.
     """
 
     def __init__(
@@ -60,7 +60,7 @@ class CoverageSums:
         )
 
     def _compute_costs(self, clustering: int, candidates: IntArray) -> FloatArray:
-        """Weighted costs of some candidates in a clustering: one row per candidate, one column per scenario."""
+        """Weighted costs in a clustering if only a candidate is selected: row per candidate, column per scenario."""
         costs: FloatArray = self._distances[clustering][candidates] / self._usual_distances[clustering]
         # Products are many times as fast as a general power, and may differ in the last digit.
         use_products = self._is_embedded and self._power == 3
@@ -74,7 +74,7 @@ class CoverageSums:
         return [self._compute_costs(k, candidates) for k in range(len(self._distances))]
 
     def uncovered_costs(self, selected: Sequence[int]) -> list[FloatArray]:
-        """Return what each scenario adds to the sum for the selected ones, shape (n,) by clustering."""
+        """Return the cost of each scenario that the selected ones leave uncovered, shape (n,), for each clustering."""
         left_costs = [np.full(len(self._weights), np.inf) for _ in self._distances]
         for first in range(0, len(selected), BLOCK_SIZE):
             batch = np.asarray(selected[first : first + BLOCK_SIZE], dtype=np.int64)
@@ -83,7 +83,7 @@ class CoverageSums:
         return left_costs
 
     def compute_gains(self, uncovered: Sequence[FloatArray], candidates: IntArray) -> FloatArray:
-        """Return by how much each candidate would lower the sum, given the uncovered costs."""
+        """Return by how much each candidate would lower the sum; `uncovered` are the uncovered costs."""
         gains = np.zeros(len(candidates))
         block = max(1, _CACHED_COSTS // len(self._weights))
         for first in range(0, len(candidates), block):
@@ -94,9 +94,9 @@ class CoverageSums:
         return gains
 
     def add_greedily(self, selected: list[int], size: int, selection: Selection) -> list[int]:
-        """Add scenarios greedily until there are `size`; return the indices of those added.
+        """Add scenarios greedily until `size` are selected; return the indices of those added.
 
-        Scenarios similar to a selected one, by `selection`, are skipped.
+        Scenarios that are similar to a selected one, according to `selection`, are skipped.
         """
         new: list[int] = []
         sums = (
@@ -119,7 +119,10 @@ class CoverageSums:
         return CellCoverageSums(embeddings, self._usual_distances, heavy, self._power, selected)
 
     def exchange(self, selected: list[int], n_fixed: int, selection: Selection) -> list[int]:
-        """Exchange each scenario after the first `n_fixed` ones for another one if that lowers the sum; return all."""
+        """Exchange selected scenarios for others if that lowers the sum; return all selected scenarios.
+
+        The first `n_fixed` scenarios stay.
+        """
         selected = selected[:]
         everyone = np.arange(len(selection.nearest_distance))
         pair_distances = selection.distances_to(everyone)
@@ -140,7 +143,7 @@ class CoverageSums:
 
 
 class _RowCoverageSums:
-    """Lazy greedy search by rows of costs, with the methods of `CellCoverageSums`."""
+    """Lazy greedy search on rows of a cost matrix; it has the methods of `CellCoverageSums`."""
 
     def __init__(self, sums: CoverageSums, selected: Sequence[int]) -> None:
         self._sums = sums
@@ -167,7 +170,7 @@ class _RowCoverageSums:
 
 
 def _usual_neighbour_distance(distances: Distances, n_neighbours: int) -> float:
-    """Mean distance of each scenario to its `n_neighbours`-th neighbour, 1 if that is 0."""
+    """Mean distance of scenarios to their `n_neighbours`-th neighbour; 1 if that is 0."""
     n = len(distances)
     # A slice of a matrix is not a copy.
     blocks: list[slice | IntArray] = [slice(first, first + BLOCK_SIZE) for first in range(0, n, BLOCK_SIZE)]

@@ -11,7 +11,7 @@ from cornercase.study import StudyFile
 def find_critical_clusters(study: StudyFile, analysis: Analysis) -> list[int]:
     """Return the clusters whose median score of the first metric is critical.
 
-    If that holds for all clusters, or there is no threshold, the one cluster with the most critical median.
+    If that holds for all clusters, or there is no threshold, the result is the cluster with the most critical median.
     """
     criterion, labels = study.criterion, analysis.labels
     metric = criterion.objective.metrics[0]

@@ -1,4 +1,4 @@
-"""Coverage of the critical scenarios, those that were run and those that were not."""
+"""Coverage of the critical scenarios, both those that were run and those that were not."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ _SAMPLE_SIZE: Final = 1000
 class CriticalCoverage:
     """How well selected scenarios represent the critical ones, by one aspect.
 
-    The shares and distances are in-sample, and selected critical scenarios are similar to themselves. `held_out` and
-    `unlike` are about other scenarios.
+    The shares and distances are in-sample: selected critical scenarios count as similar to themselves. `held_out` and
+    `unlike` are about scenarios outside of the sample.
 
     Attributes
     ----------
@@ -77,12 +77,13 @@ def measure_critical_coverage(
     critical_set: CriticalSet | None = None,
     held_out: HeldOutDistances | None = None,
 ) -> CriticalCoverage:
-    """Summarize how well selected scenarios represent the critical ones, from the distances to them.
+    """Summarize how well selected scenarios represent the critical ones, from the distances to the selected ones.
 
-    `points`, shape (n, d), are in the unit cube; `scores` and `threshold` are oriented: lower is more critical. A
-    critical scenario is on the boundary if one of the 2 d scenarios nearest to it is not critical. Scenarios that were
-    not run are predicted by two Gaussian processes over the parameter space, of the scores and of the distance of
-    critical scenarios to the nearest selected one, both calibrated by leave-one-out as in `CriticalSet`.
+    `points`, shape (n, d), are in the unit cube. `scores` and `threshold` are lower where more critical. A critical
+    scenario is on the boundary if any of the 2 d scenarios nearest to it is not critical. Scenarios that were not run
+    are predicted by two Gaussian processes over the parameter space. The first predicts the scores, the second the
+    distance of critical scenarios to the nearest selected one. Both are calibrated by leave-one-out as in
+    `CriticalSet`.
     """
     critical = scores <= threshold
     distance, medoid_distance = nearest_distances.to_selected, nearest_distances.to_medoids
@@ -114,7 +115,8 @@ def measure_critical_coverage(
 def find_similar_distance(distances: Distances, labels: IntArray, share: float = DEFAULT_SIMILARITY) -> float:
     """Return the distance up to which two scenarios are similar: `share` of the median distance within clusters.
 
-    Without clusters, of the median distance of any two. Embedded distances are sampled at 1,000 scenarios.
+    Without clusters, it is `share` of the median distance of any two scenarios. Embedded distances are sampled at 1,000
+    scenarios.
     """
     check_similarity(share)
     if isinstance(distances, EmbeddedDistances):
@@ -129,13 +131,16 @@ def find_similar_distance(distances: Distances, labels: IntArray, share: float =
 
 
 def check_similarity(share: float) -> None:
-    """Raise `InputError` unless the share is positive and finite."""
+    """Raise `InputError` unless `share` is positive and finite."""
     if not 0.0 < share < float("inf"):
         raise InputError(f"`within` {share:g}: give a number above 0.")
 
 
 def _has_neighbour_among(points: FloatArray, is_other: BoolArray) -> BoolArray:
-    """Mask of the points with one of the others among their 2 d nearest neighbours, shape (n,)."""
+    """Mask of the points that have any of the others among their 2 d nearest neighbours, shape (n,).
+
+    `is_other` marks these others.
+    """
     count = min(2 * points.shape[1], len(points) - 1)
     if count < 1:
         return np.zeros(len(points), dtype=np.bool_)

@@ -1,4 +1,4 @@
-"""Evaluation of the selected scenarios of a study, by each aspect of its analyses."""
+"""Evaluation of the selected scenarios of a study, by each aspect in which the scenarios were analysed."""
 
 from __future__ import annotations
 
@@ -37,7 +37,10 @@ from cornercase.study import ScenarioRecord, StudyFile
 
 @dataclass(frozen=True, eq=False)
 class StudyData:
-    """All finished scenarios and analyses of a study; rows by id, scores by metric and id, the rest by aspect."""
+    """Finished scenarios and analyses of a study.
+
+    Rows are stored by id, scores by metric and id, and all other data by aspect.
+    """
 
     study: StudyFile
     rows: dict[int, ScenarioRecord]
@@ -59,7 +62,10 @@ def load_study_data(study: StudyFile) -> StudyData:
 
 
 def measure_folds(data: StudyData, folds: Sequence[Fold]) -> dict[str, HeldOutDistances | None]:
-    """Measure the distances of held-out scenarios to the sets of their folds, by aspect; folds are given by id."""
+    """Measure the distances of held-out scenarios to the sets of their folds, by aspect.
+
+    The scenarios of the folds are given by id.
+    """
     return {
         name: measure_held_out_distances(
             data.distances[name],
@@ -70,9 +76,9 @@ def measure_folds(data: StudyData, folds: Sequence[Fold]) -> dict[str, HeldOutDi
 
 
 def measure_nearest_distances_by_aspect(data: StudyData, selected: Sequence[int]) -> dict[str, NearestDistances]:
-    """Measure the distances to the selected ids and to baselines, by aspect.
+    """Measure the distances from all scenarios to the selected ones, given by id, and to baselines, by aspect.
 
-    Aspects by which no selected scenario was analysed are left out.
+    An aspect is left out if no selected scenario was analysed by it.
     """
     rows = {name: analysis.rows_of(list(selected)) for name, analysis in data.analyses.items()}
     return {name: measure_nearest_distances(data.distances[name], index) for name, index in rows.items() if len(index)}
@@ -84,9 +90,10 @@ def evaluate_coverage(
     held_out: Mapping[str, HeldOutDistances | None],
     nearest_distances: Mapping[str, NearestDistances] | None = None,
 ) -> dict[str, Coverage]:
-    """Measure how well the selected ids represent all scenarios, by aspect.
+    """Measure how well the selected scenarios, given by id, represent all scenarios, by aspect.
 
-    `nearest_distances` saves computing them again. Aspects by which no selected scenario was analysed are left out.
+    `nearest_distances` saves computing the distances again. An aspect is left out if no selected scenario was analysed
+    by it.
     """
     coverage = {}
     for name, analysis in data.analyses.items():
@@ -106,10 +113,11 @@ def evaluate_critical_coverage(
     nearest_distances: Mapping[str, NearestDistances] | None = None,
     similar_distances: Mapping[str, float] | None = None,
 ) -> dict[str, CriticalCoverage]:
-    """Measure how well the selected ids represent the critical scenarios, by aspect; empty without a threshold.
+    """Measure how well the selected scenarios, given by id, represent the critical ones, by aspect.
 
-    `similarity` is the share of the median distance within clusters up to which two scenarios are similar, unless
-    `similar_distances` has the distance itself. Random selections are redrawn with the seed of the study.
+    The result is empty without a threshold. Two scenarios are similar up to a distance in `similar_distances`; by
+    default this is the share `similarity` of the median distance within clusters. Random selections are redrawn with
+    the seed of the study.
     """
     meta, space = data.study.meta, data.study.space
     criterion = data.study.criterion
@@ -152,9 +160,9 @@ def evaluate_critical_coverage(
 
 
 def reevaluate(study: StudyFile, reduced: ReducedSet) -> ReducedSet:
-    """Reevaluate a reduced set with the threshold of the opened study, if it was selected with another one.
+    """Evaluate a reduced set again with the threshold of the opened study, if it was selected with another one.
 
-    Nothing is said about held-out scenarios: they evaluated selections with the other threshold.
+    Values for held-out scenarios are dropped, since they belong to selections with the other threshold.
     """
     if reduced.threshold == study.critical or not reduced.scenarios:
         return reduced

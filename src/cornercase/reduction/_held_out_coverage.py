@@ -1,7 +1,7 @@
-"""Cross-validation of the selection: how well it represents scenarios that were not available to it.
+"""Cross-validation of the selection: how well a set represents scenarios that were not available to the selection.
 
 A set represents the scenarios from which it was selected better than others. So the scenarios are divided in five
-folds, and each fold evaluates a set that was selected in the same way from the other four.
+folds. Each fold evaluates a set that was selected in the same way from the other four folds.
 """
 
 from __future__ import annotations
@@ -32,7 +32,10 @@ _MAX_ALL_FOLDS: Final = 600
 
 @dataclass(frozen=True, eq=False)
 class Fold:
-    """One fold: a set selected from some scenarios, and the scenarios that evaluate it; by index or by id."""
+    """One fold of the cross-validation: the scenarios that evaluate a set, and the set selected from the others.
+
+    Scenarios are given by index or by id.
+    """
 
     training: IntArray
     selected: IntArray
@@ -93,10 +96,10 @@ class HeldOutCritical:
 
 @dataclass(frozen=True, eq=False)
 class HeldOutDistances:
-    """Distances from held-out scenarios to the nearest selected one, to k-medoids, and to random selections.
+    """Distances from m held-out scenarios to the nearest selected one, to k-medoids, and to random selections.
 
-    `held_out`, shape (m,), are the held-out scenarios by index; `to_selected` and `to_medoids` have shape (m,),
-    `to_random` (draws, m).
+    `held_out`, shape (m,), are the indices of the scenarios. `to_selected` and `to_medoids` have shape (m,), and
+    `to_random` has shape (draws, m).
     """
 
     held_out: IntArray
@@ -106,9 +109,9 @@ class HeldOutDistances:
 
 
 def draw_folds(n_scenarios: int) -> list[IntArray]:
-    """Return the held-out scenarios of each of five random folds, by index.
+    """Divide scenarios into five random folds; return the indices of the held-out scenarios of each.
 
-    With more than 600 scenarios only one fold is returned, with fewer than 10 none.
+    With more than 600 scenarios only the first fold is returned, with fewer than 10 none.
     """
     if n_scenarios < _MIN_SCENARIOS:
         return []
@@ -118,7 +121,7 @@ def draw_folds(n_scenarios: int) -> list[IntArray]:
 
 
 def measure_held_out_distances(all_distances: Distances, all_folds: Sequence[Fold]) -> HeldOutDistances | None:
-    """Measure the distances of held-out scenarios to their fold's set and baselines; None if there are no folds."""
+    """Measure the distances of held-out scenarios to the set of their fold, and to baselines; None without folds."""
     to_selected, medoids, random = [], [], []
     folds = [fold for fold in all_folds if len(fold.selected) and len(fold.held_out)]
     if not folds:
@@ -141,7 +144,10 @@ def measure_held_out_distances(all_distances: Distances, all_folds: Sequence[Fol
 
 
 def summarize_distances(to_selected: FloatArray, to_medoids: FloatArray, to_random: FloatArray) -> dict[str, float]:
-    """Return the figures that `HeldOut` and `Coverage` share, from distances of shape (m,), (m,) and (draws, m)."""
+    """Summarize distances by the figures that `HeldOut` and `Coverage` have in common.
+
+    The distances have shape (m,), (m,) and (draws, m).
+    """
     random_largest, random_mean = to_random.max(axis=1), to_random.mean(axis=1)
     return {
         "largest": float(to_selected.max()),
@@ -173,10 +179,10 @@ def summarize_held_out_critical(
     boundary_mask: BoolArray,
     similar_distance: float,
 ) -> HeldOutCritical | None:
-    """Return the shares of critical held-out scenarios within a distance of a selected one; None if there are none.
+    """Return the shares of critical held-out scenarios that are near a selected one; None if there are none.
 
-    `critical_mask` and `boundary_mask`, shape (n,), mark the critical scenarios and those on the boundary of the
-    critical set.
+    They are near up to `similar_distance`. `critical_mask` and `boundary_mask`, shape (n,), mark the critical
+    scenarios, and those on the boundary of the critical set.
     """
     if held_out_distances is None or not critical_mask[held_out_distances.held_out].any():
         return None

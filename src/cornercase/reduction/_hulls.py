@@ -1,7 +1,7 @@
 """Convex hulls of clusters in the parameter space, and the archetypes at their corners.
 
-As in the paper, the archetypes of a cluster are vertices of its convex hull: all its other scenarios lie between them.
-A. Cutler and L. Breiman, "Archetypal analysis", 1994, show that archetypes lie there.
+As in the paper, the archetypes of a cluster are vertices of its convex hull; all its other scenarios lie between them.
+A. Cutler and L. Breiman, "Archetypal analysis", 1994, show that archetypes lie on the hull.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ _RANK_TOLERANCE = 1e-9
 
 @dataclass(frozen=True)
 class Hull:
-    """Convex hull of some points: ascending indices of its vertices, and of its facets, shape (m, r).
+    """Convex hull of some points: ascending indices of its vertices, and facets, shape (m, r), as indices.
 
-    r is the number of dimensions that the points span: triangles in space, edges in a plane, even one in space, the
-    two ends of a line. Shape (0, 0) for one point.
+    r is the number of dimensions that the points span. Facets are triangles in space, edges in a plane (also if the
+    plane lies in space), and the two ends of a line. A single point has facets of shape (0, 0).
     """
 
     vertices: IntArray
@@ -33,10 +33,10 @@ class Hull:
 
 
 def find_convex_hull(points: npt.ArrayLike) -> Hull:
-    """Find the convex hull of at least one point, also of points in a plane, on a line or at the same position.
+    """Find the convex hull of at least one point; the points may lie in a plane, on a line or at the same position.
 
-    Points that do not span all dimensions have the hull in the subspace that they span. Beyond 6 dimensions it is the
-    hull in the 6 directions of largest variance. Of identical points the first is taken.
+    If points do not span all dimensions, the hull is that in the subspace that they span. Beyond 6 dimensions it is the
+    hull in the 6 directions of largest variance. Of identical points the first counts.
     """
     array = np.asarray(points, dtype=np.float64)
     if array.ndim != 2 or not array.size:
@@ -63,10 +63,11 @@ def find_convex_hull(points: npt.ArrayLike) -> Hull:
 
 
 def find_hull_archetypes(points: npt.ArrayLike, k: int | None = None) -> IntArray:
-    """Return at most `k` vertices of the convex hull, the most different ones, as rising indices; all by default.
+    """Return at most `k` vertices of the convex hull that differ most, as rising indices; by default all vertices.
 
-    Farthest-first traversal (Gonzalez, "Clustering to minimize the maximum intercluster distance", 1985): first the
-    vertex farthest from the mean, then always the one farthest from all taken; at a tie the first.
+    They are selected by farthest-first traversal (Gonzalez, "Clustering to minimize the maximum intercluster distance",
+    1985). The first vertex is the one farthest from the mean. Each further vertex is the one farthest from those
+    selected before, the first if tied.
     """
     if k is not None and k < 1:
         raise InputError(f"`k` {k}: give at least 1.")

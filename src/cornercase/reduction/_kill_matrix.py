@@ -46,7 +46,7 @@ class KillMatrix:
     held_out: KillMatrix | None = None
 
     def kills_of(self, scenarios: Sequence[int]) -> BoolArray:
-        """Return which mutants some scenarios kill.
+        """Return which mutants are killed by some scenarios.
 
         Parameters
         ----------
@@ -100,7 +100,7 @@ class KillMatrix:
 
     @property
     def summary_text(self) -> str:
-        """Number of mutants that all scenarios kill, in a sentence without a full stop."""
+        """Sentence without a full stop: how many mutants all scenarios together kill."""
         count, total = len(self.mutants) - len(self.survivors), len(self.mutants)
         low, high = clopper_pearson_interval(count, total, _TAIL_PROBABILITY)
         interval = f"{low:.0%} to {high:.0%} with 95 % confidence"
@@ -180,7 +180,7 @@ class MutationScore:
 
 @dataclass(frozen=True)
 class MutantSelection:
-    """Result of a selection by mutants.
+    """Result of a selection by mutants: mutation scores of the selected scenarios.
 
     Attributes
     ----------
@@ -207,7 +207,7 @@ class MutantSelection:
 
     @property
     def summary_text(self) -> str:
-        """The result in a sentence without a full stop."""
+        """Result as a sentence without a full stop."""
         score = self.held_out
         if score is None:
             return f"it exposes {self.chosen_by.killed} of the {self.chosen_by.mutants} mutants that chose"

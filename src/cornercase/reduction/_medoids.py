@@ -13,7 +13,7 @@ from cornercase.clustering._embedding import Distances, EmbeddedDistances
 
 
 def find_prototype(distances: Distances, members: npt.ArrayLike) -> int:
-    """Return the medoid: the member with the smallest sum of distances to the others, at a tie the first."""
+    """Return the medoid of a cluster: the member with the smallest sum of distances, the first if tied."""
     indices = np.asarray(members, dtype=np.int64)
     if not len(indices):
         raise InputError("A cluster without scenarios has no prototype; leave it out.")
@@ -24,12 +24,12 @@ def find_prototype(distances: Distances, members: npt.ArrayLike) -> int:
 
 
 def find_k_medoids(distances: Distances, k: int, max_iterations: int = 50) -> IntArray:
-    """Choose k scenarios with a small mean distance from all to the nearest one, in rising order.
+    """Choose `k` scenarios such that the mean distance from all scenarios to the nearest of them is small.
 
-    Starts with the scenarios that lower it most, one after the other (BUILD: L. Kaufman, P. J. Rousseeuw, "Finding
-    Groups in Data", 1990). Then each medoid moves to the medoid of the scenarios nearest to it, until nothing changes
-    (H.-S. Park, C.-H. Jun, "A simple and fast algorithm for K-medoids clustering", 2009). Embedded distances use
-    k-means instead.
+    Returns rising indices. The start adds, one after the other, the scenario that lowers this mean most (BUILD: L.
+    Kaufman, P. J. Rousseeuw, "Finding Groups in Data", 1990). Then scenarios are assigned to their nearest medoid, and
+    each medoid moves to the medoid of these scenarios, until nothing changes (H.-S. Park, C.-H. Jun, "A simple and fast
+    algorithm for K-medoids clustering", 2009). For embedded distances k-means is used instead.
     """
     if isinstance(distances, EmbeddedDistances):
         return distances.medoids(k)

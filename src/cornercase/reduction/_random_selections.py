@@ -1,7 +1,7 @@
 """Random selections of scenarios, as a baseline.
 
-A selection that was made with regard to some random draws must not be evaluated with the same ones. So there are
-independent random streams: for choosing, for grading, and for dividing scenarios into folds.
+A selection that was chosen by comparison with some random draws must not be evaluated with the same draws. So there are
+independent random streams: for choosing, for evaluating, and for dividing scenarios into folds.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _SPAWN_KEYS: Final[dict[str, tuple[int, ...]]] = {"choosing": (), "grading": (1,
 def draw_random_selections(
     n_scenarios: int, size: int, *, stream: Literal["choosing", "grading"], draws: int = DEFAULT_DRAWS, seed: int = 0
 ) -> IntArray:
-    """Draw random selections of scenarios, indices of shape (draws, size); the streams are independent."""
+    """Draw random selections of scenarios, as indices of shape (draws, size); different streams are independent."""
     if draws < 1:
         raise InputError(f"`draws` {draws}: give at least 1.")
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=_SPAWN_KEYS[stream]))
@@ -32,13 +32,13 @@ def draw_random_selections(
 
 
 def draw_fold_order(n_scenarios: int) -> IntArray:
-    """Draw a random order of scenarios, from which folds are made."""
+    """Draw a random order of scenarios, by which they are divided into folds."""
     rng = np.random.default_rng(np.random.SeedSequence(0, spawn_key=_SPAWN_KEYS["dividing"]))
     return rng.permutation(n_scenarios)
 
 
 def distances_to_nearest_per_selection(distances: Distances, selections: IntArray) -> FloatArray:
-    """Return the distance of every scenario to the nearest one of each selection, shape (draws, m)."""
+    """Return the distance of every scenario to the nearest one in each selection, shape (draws, m)."""
     if isinstance(distances, EmbeddedDistances):
         return distances.distances_to_nearest_per_choice(selections)
     # The matrix is symmetric, and rows are contiguous in memory.
@@ -46,7 +46,7 @@ def distances_to_nearest_per_selection(distances: Distances, selections: IntArra
 
 
 def distances_to_nearest(distances: Distances, selection: IntArray) -> FloatArray:
-    """Return the distance of every scenario to the nearest one of a selection, shape (n,)."""
+    """Return the distance of every scenario to the nearest one in a selection, shape (n,)."""
     if isinstance(distances, EmbeddedDistances):
         return distances.distances_to_nearest(selection)
     distances_to_choice: FloatArray = distances[:, selection].min(axis=1)
@@ -54,7 +54,7 @@ def distances_to_nearest(distances: Distances, selection: IntArray) -> FloatArra
 
 
 def submatrix(distances: Distances, rows: IntArray, columns: IntArray) -> Distances:
-    """Return the distances from some scenarios to some others, in the form in which they were given."""
+    """Return the distances from some scenarios to some others, as a matrix or embedded like `distances`."""
     if isinstance(distances, EmbeddedDistances):
         return distances.subset(rows, columns)
     part: FloatArray = distances[np.ix_(rows, columns)]

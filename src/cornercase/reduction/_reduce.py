@@ -81,10 +81,10 @@ def reduce(
     memory: str | float = DEFAULT_MEMORY,
     progress: bool = False,
 ) -> ReducedSet:
-    """Select the few concrete scenarios that matter, and write them as OpenSCENARIO files.
+    """Select the few concrete scenarios that represent all of a study, and write them as OpenSCENARIO files.
 
-    By default a tenth of all is selected. At most one of `size`, `share`, `cover` and `archetypes` can be given
-    instead.
+    By default a tenth of all scenarios is selected. At most one of `size`, `share`, `cover` and `archetypes` can be
+    given instead.
 
     Parameters
     ----------
@@ -207,7 +207,7 @@ def _warn_fewer_selected(n_requested: int, n_selected: int, n_scenarios: int) ->
 
 
 def _require_memory(study: StudyFile, memory_limit: MemoryLimit) -> None:
-    """Raise an error if the distances will not fit, before they are read."""
+    """Raise an error if the distances will not fit in memory; called before they are read."""
     analyses = read_analyses(study).values()
     count = max(len(analysis.ids) for analysis in analyses)
     pairs = [len(analysis.ids) ** 2 for analysis in analyses if analysis.embedding_error is None]
@@ -217,7 +217,7 @@ def _require_memory(study: StudyFile, memory_limit: MemoryLimit) -> None:
 
 
 def _distances_by_aspect(data: StudyData, analysis: Analysis) -> list[Distances]:
-    """Distances by the main aspect, then by the others with the same scenarios."""
+    """Distances by the main aspect first, then by the other aspects that have the same scenarios."""
     others = [
         data.distances[name]
         for name, other in data.analyses.items()
@@ -229,7 +229,7 @@ def _distances_by_aspect(data: StudyData, analysis: Analysis) -> list[Distances]
 def _select_and_evaluate(
     data: StudyData, analysis: Analysis, selection_input: SelectionInput, request: SelectionRequest, similarity: float
 ) -> ReducedSet:
-    """Select scenarios, describe why, and evaluate what they leave uncovered."""
+    """Select scenarios, with a reason for each, and evaluate how well they represent all others."""
     selected, shaped = select(selection_input, request)
     ids = analysis.ids.tolist()
     selected_ids = [ids[entry.index] for entry in selected]
@@ -275,7 +275,7 @@ def _make_selected_scenario(data: StudyData, selected: Selected, scenario_id: in
 
 
 def _hull_facets(points: FloatArray, parts: Sequence[IntArray], ids: Sequence[int]) -> tuple[tuple[int, ...], ...]:
-    """Facets of the hulls of a cluster's parts, by the ids of the scenarios at their corners."""
+    """Facets of the hulls of a cluster's parts; each facet is given by the ids of the scenarios at its corners."""
     return tuple(
         tuple(ids[part[i]] for i in facet)
         for part in parts
@@ -290,7 +290,7 @@ def _write_files_and_store(
     cluster_names: Mapping[int, str],
     folder: Path,
 ) -> None:
-    """Write the selected scenarios and the manifest, and store them in the study: all of it or nothing."""
+    """Write the selected scenarios and the manifest, and store the set in the study; on an error nothing is changed."""
     drivers = {
         entity: driver for entity, driver in study.meta.settings.get("drivers", {}).items() if isinstance(driver, str)
     }

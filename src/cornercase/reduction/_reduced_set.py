@@ -1,4 +1,4 @@
-"""Reduced set: the few concrete scenarios that matter, and what they leave uncovered."""
+"""Reduced set: the few concrete scenarios that represent all, and how well they do."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class SelectedScenario:
 
 @dataclass(frozen=True, repr=False)
 class ReducedSet:
-    """The few concrete scenarios that matter, and what they leave uncovered.
+    """A reduced set: the selected concrete scenarios, and how well they represent all scenarios.
 
     Attributes
     ----------
@@ -122,5 +122,5 @@ class ReducedSet:
         return pd.DataFrame(rows).set_index("id") if rows else pd.DataFrame()
 
     def _repr_html_(self) -> str:
-        """Table of the selected scenarios, for notebooks."""
+        """HTML table of the selected scenarios, for notebooks."""
         return render_html_table(repr(self), self.table(), n_rows=len(self))

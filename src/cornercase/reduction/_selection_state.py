@@ -20,9 +20,9 @@ Role = Literal["archetype", "prototype", "gap", "exposing"]
 
 @dataclass(frozen=True)
 class Selected:
-    """A selected scenario by index, the cluster that it represents (-1 for noise), and the reason.
+    """A selected scenario: index, the cluster that it represents (-1 for noise), and its role.
 
-    `gap`: chosen because it was far from all scenarios selected before; `exposing`: kills mutants of the driver.
+    Role ``"gap"``: it was far from all scenarios selected before. Role ``"exposing"``: it kills mutants of the driver.
     """
 
     index: int
@@ -31,10 +31,11 @@ class Selected:
 
 
 class Selection:
-    """Scenarios selected so far; one that is similar to a selected one, or beyond `size`, is not added.
+    """Scenarios selected so far, in order.
 
-    `nearest_distance`, shape (n,), is the distance from each scenario to the nearest selected one, as in
-    `distances_to`; infinite while none is selected. `selected` are the selected scenarios in order.
+    A scenario is not added if it is similar to a selected one, or if `size` scenarios are selected. `nearest_distance`,
+    shape (n,), is the distance from each scenario to the nearest selected one, as in `distances_to`; infinite while
+    none is selected.
     """
 
     def __init__(self, distances: Sequence[Distances], size: int | None) -> None:
@@ -50,9 +51,9 @@ class Selection:
         return [selected.index for selected in self.selected]
 
     def distances_to(self, indices: Sequence[int] | IntArray) -> FloatArray:
-        """Return the distances of some scenarios to all, shape (m, n): the largest in any clustering.
+        """Return the distances of some scenarios to all, shape (m, n): the largest distance in any clustering.
 
-        Each clustering counts as a share of its largest distance. Rows are computed on demand, since a full matrix
+        Distances in a clustering are divided by the largest one in it. Rows are computed on demand, since a full matrix
         would be as large as that of a clustering.
         """
         rows = list(indices)
@@ -60,13 +61,13 @@ class Selection:
         return np.asarray(np.max(scaled, axis=0))
 
     def copy(self) -> Selection:
-        """Copy the selection, to continue both in different ways."""
+        """Copy the selection, so that both copies can be continued in different ways."""
         other = copy(self)
         other.nearest_distance, other.selected = self.nearest_distance.copy(), self.selected[:]
         return other
 
     def add(self, scenario: Selected) -> None:
-        """Add a scenario, unless it is similar to a selected one or there are enough."""
+        """Add a scenario, unless it is similar to a selected one or `size` scenarios are selected."""
         if self.nearest_distance[scenario.index] > SIMILAR_SHARE and (
             self._size is None or len(self.selected) < self._size
         ):

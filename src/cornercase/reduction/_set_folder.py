@@ -1,8 +1,8 @@
 """Folder of a reduced set, replaced atomically: it holds the earlier set or the new one, never parts of both.
 
-The new set is first written into a hidden folder within it. The set counts as replaced once ``manifest.json`` is moved
-into place. The other files are then moved from the hidden folder, which is named after the manifest; if that is
-interrupted, the next reader or writer of the set completes it.
+The new set is first written into a hidden folder within the folder. The set counts as replaced once ``manifest.json``
+is moved into place. The other files are then moved from the hidden folder, whose name depends on the manifest. If that
+is interrupted, the next reader or writer of the set completes it.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _MALFORMED_ERRORS: Final = (ValueError, LookupError, TypeError, AttributeError, 
 
 
 class SetFolder:
-    """A folder whose set is about to be replaced by the files in `hidden`, a folder within it."""
+    """A folder in which a set is about to be replaced by the files in `hidden`, a folder within it."""
 
     def __init__(self, folder: Path, hidden: Path) -> None:
         self._folder, self._hidden = folder, hidden
@@ -48,13 +48,13 @@ class SetFolder:
 
     @property
     def digests(self) -> Mapping[str, str]:
-        """SHA-256 of each file that was added, by its path in the folder."""
+        """SHA-256 of each file that was added, by relative path in the folder."""
         return dict(sorted(self._digests.items()))
 
     def add(self, relative_path: str, content: bytes) -> None:
-        """Write a file of the new set; refuse to overwrite a file that belongs to no set.
+        """Write a file of the new set; InputError if it would overwrite a file that belongs to no set.
 
-        `relative_path` is the path in the folder, with ``/``; a file that is added again must have the same content.
+        `relative_path` is the path in the folder, with ``/``. If a path is added again, the content must be the same.
         """
         digest = hashlib.sha256(content).hexdigest()
         if self._digests.get(relative_path) == digest:
@@ -75,7 +75,7 @@ class SetFolder:
         self._digests[relative_path] = digest
 
     def write_manifest(self, manifest: Mapping[str, Any]) -> None:
-        """Write the manifest of the new set, and flush all of it to disk."""
+        """Write the manifest of the new set, and flush all files of the set to disk."""
         content = (json.dumps(manifest, indent=2) + "\n").encode()
         manifest_path = self._folder / MANIFEST
         _write(self._hidden / MANIFEST, content, manifest_path)
@@ -96,7 +96,7 @@ class SetFolder:
         self._hidden = complete
 
     def replace(self) -> None:
-        """Replace the earlier set by the new one; on an error the earlier one is still there."""
+        """Replace the earlier set by the new one; if an error occurs, the earlier set is still there."""
         try:
             fsync_folder(self._folder)
             replace_file(self._hidden / MANIFEST, self._folder / MANIFEST)
@@ -118,9 +118,9 @@ class SetFolder:
 
 @contextmanager
 def replace_set(folder: Path) -> Iterator[SetFolder]:
-    """Context manager for writing a new set; the earlier one stays unless the block calls `replace`.
+    """Context manager for writing a new set; the earlier set stays unless the block calls `replace`.
 
-    The folder is created if necessary. Files that belong to neither set are left alone.
+    The folder is created if necessary. Files that belong to neither set are left unchanged.
     """
     created: list[Path] = []
     try:
@@ -182,7 +182,7 @@ def complete_replacement(folder: Path) -> None:
 
 
 def _remove_earlier_files(folder: Path, earlier_manifest: Mapping[str, Any], current_files: Mapping[str, str]) -> None:
-    """Remove scenario files of the earlier set, unless they have been changed since."""
+    """Remove scenario files of the earlier set, except those that were changed since."""
     digests, new_files = _file_digests(earlier_manifest), {path.casefold() for path in current_files}
     for path in [str(scenario["file"]) for scenario in earlier_manifest["scenarios"]] if digests else ():
         if path not in digests or path.casefold() in new_files:
@@ -204,7 +204,7 @@ def _hidden_name(manifest_content: bytes) -> str:
 
 
 def _remove_discarded(folder: Path) -> None:
-    """Remove hidden folders of replacements that never took effect."""
+    """Remove hidden folders of replacements that were never completed."""
     for path in folder.glob(f"{_HIDDEN_PREFIX}*"):
         if (
             (path.name.startswith(_INCOMPLETE_PREFIX) or _COMPLETE_PATTERN.fullmatch(path.name))
@@ -224,7 +224,7 @@ def _write(path: Path, content: bytes, target: Path) -> None:
 
 
 def _read_manifest(manifest: Path) -> dict[str, Any]:
-    """Content of a manifest; empty if it is not one."""
+    """Content of a manifest; empty if the file is not a manifest."""
     # An unreadable manifest is an error: if it counted as empty, the files that it lists would be forgotten.
     content = read_file(manifest)
     try:
@@ -235,7 +235,7 @@ def _read_manifest(manifest: Path) -> dict[str, Any]:
 
 
 def _file_digests(manifest_values: Mapping[str, Any]) -> dict[str, str]:
-    """SHA-256 of each file of a set by its path; empty for scenarios of an early version."""
+    """SHA-256 of each file of a set, by path; empty for a set of an early version."""
     try:
         files = {str(scenario["file"]): "" for scenario in manifest_values["scenarios"]}
         return files | {str(path): str(digest) for path, digest in manifest_values.get("files", {}).items()}
@@ -244,7 +244,7 @@ def _file_digests(manifest_values: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _safe_path(folder: Path, relative_path: str) -> Path:
-    """Path of a file of a set; the manifest may come from anywhere, so paths outside the folder are refused."""
+    """Path of a file of a set. Paths outside the folder are refused, since the manifest may come from anywhere."""
     file = folder / relative_path
     parts = re.split(r"[\\/]", relative_path)
     if any(

@@ -36,7 +36,7 @@ def make_manifest(
 ) -> dict[str, Any]:
     """Return the content of ``manifest.json``: the reduced set, its origin, and how to run it again.
 
-    `cluster_names` are names of clusters; `files` has the SHA-256 of each file that was written, by its path in the
+    `cluster_names` maps clusters to names. `files` has the SHA-256 of each file that was written, by path in the
     folder.
     """
     meta = study.meta
@@ -72,12 +72,12 @@ def make_manifest(
 
 
 def _other_threshold(study: StudyFile) -> dict[str, float | None]:
-    """The threshold stored in the study, if another one was used."""
+    """Entry with the threshold stored in the study, if the set was selected with another one; else empty."""
     return {} if study.critical == study.meta.critical else {"critical_threshold_of_the_study": study.meta.critical}
 
 
 def save_reduction(study: StudyFile, reduced_set: ReducedSet) -> None:
-    """Store a reduced set in a study, in place of the earlier one."""
+    """Store a reduced set in a study; it replaces an earlier one."""
     info = {
         "by": reduced_set.by,
         "run": reduced_set.n_run,
@@ -93,7 +93,7 @@ def save_reduction(study: StudyFile, reduced_set: ReducedSet) -> None:
 
 
 def read_reduction(study: StudyFile) -> ReducedSet | None:
-    """Read back the reduced set of a study.
+    """Read the stored reduced set of a study.
 
     Parameters
     ----------

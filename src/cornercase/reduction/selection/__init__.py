@@ -1,1 +1,1 @@
-"""Selection of the scenarios to keep."""
+"""Selection of the scenarios of a reduced set."""

@@ -1,4 +1,4 @@
-"""Greedy selection: scenarios that represent the clusters, then those that these leave uncovered."""
+"""Greedy selection: scenarios that represent the clusters, then scenarios that these leave uncovered."""
 
 from __future__ import annotations
 
@@ -40,27 +40,27 @@ def select_scenarios(
 ) -> tuple[Selected, ...]:
     """Select scenarios that represent the clusters, then scenarios that these leave uncovered.
 
-    A set of a given size begins with the prototype of each cluster, critical clusters first. Then come archetypes, up
-    to a fifth of the set, divided among clusters in proportion to the root of their size, four times as many if
-    critical. All others minimise the sum over all scenarios of the cubed distance to the nearest selected one, over all
-    clusterings, in units of the usual distance between neighbours in a set of this size. The cube gives large gaps more
-    weight than many small ones. Scenarios of critical clusters count four times, the first clustering twice. Scenarios
-    are added greedily (G. L. Nemhauser, L. A. Wolsey, M. L. Fisher, "An analysis of approximations for maximizing
-    submodular set functions", 1978); then, with up to 2,000 scenarios, each is exchanged for another one if that lowers
-    the sum.
+    A set of a given size begins with the prototype of each cluster, critical clusters first. Archetypes follow, up to a
+    fifth of the set. They are divided among clusters in proportion to the root of their size, four times as many if
+    critical. All other scenarios are selected to minimise a sum over all scenarios and all clusterings. Its terms are
+    cubed distances to the nearest selected scenario, in units of the usual distance between neighbours in a set of this
+    size. The cube gives large gaps more weight than many small ones. Scenarios of critical clusters count four times,
+    the first clustering twice. Scenarios are added greedily (G. L. Nemhauser, L. A. Wolsey, M. L. Fisher, "An analysis
+    of approximations for maximizing submodular set functions", 1978). Then, with up to 2,000 scenarios, each is
+    exchanged for another one if that lowers the sum.
 
     The set is compared with 100 random selections in each clustering, by the largest and the mean distance to the
-    nearest selected scenario, and in the critical clusters with k-medoids of the first clustering. If it is not better
-    than 95 of the random selections, or is worse than k-medoids, other shares and weights are tried, four in all, and
-    the set with the smallest shortfall is taken; with up to 2,000 scenarios.
+    nearest selected scenario. In the critical clusters it is compared with k-medoids of the first clustering. With up
+    to 2,000 scenarios, other shares and weights are tried, four in all, if the set is not better than 95 of the random
+    selections, or is worse than k-medoids. The set with the smallest shortfall is returned.
 
     With `cover` instead of `size`, the scenario least similar to all selected ones is added until none is farther than
     this share of the largest distance, in each clustering (farthest-first traversal: T. F. Gonzalez, "Clustering to
     minimize the maximum intercluster distance", 1985).
 
     No scenario is selected that is similar to a selected one: at most 0.001 of the largest distance away in each
-    clustering. `points`, shape (n, d), are in the unit cube; `distances` are those of all clusterings, `labels` those
-    of the first; `shaped_clusters` defaults to `classify_cluster_shapes`.
+    clustering. `points`, shape (n, d), are in the unit cube. `distances` are those of all clusterings, `labels` those
+    of the first. `shaped_clusters` defaults to `classify_cluster_shapes`.
     """
     if (size is None) == (cover is None):
         raise InputError("`size`, `cover`: give one of them.")
@@ -113,7 +113,7 @@ class _SelectionTask:
     size: int
 
     def complete(self, base: Selection, composition: SetComposition) -> Selection:
-        """Return a copy of a selection, completed by archetypes and by what these leave uncovered."""
+        """Return a copy of the selection `base`, completed by archetypes and by scenarios that are still uncovered."""
         selection = base.copy()
         labels = self.labels
         factors = [composition.critical_weight if label in self.critical_clusters else 1.0 for label in self.clusters]
@@ -133,7 +133,7 @@ class _SelectionTask:
         return selection
 
     def _add_uncovered(self, selection: Selection, composition: SetComposition) -> None:
-        """Add scenarios that minimise the sum until there are enough."""
+        """Add scenarios that minimise the coverage sum until enough are selected."""
         n_fixed = len(selection.selected)
         sums = CoverageSums(self.distances, np.isin(self.labels, self.critical_clusters), composition, self.size)
         for index in sums.add_greedily(selection.indices, self.size, selection):

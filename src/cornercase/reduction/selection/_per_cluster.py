@@ -30,10 +30,11 @@ def select_per_cluster(
 ) -> tuple[Selected, ...]:
     """Select the prototype and at most `archetypes` archetypes of each cluster, as in the paper; noise is left out.
 
-    ``"auto"`` selects about a tenth of all scenarios, prototypes included: ``n // (10 * clusters) - 1`` archetypes, but
-    at least d + 1, since a hull of fewer is flat, and at most 15, as in the paper. By cluster, the prototype comes
-    first, then the archetypes by index; no scenario comes twice: a prototype is left out of the hull of the others.
-    `points`, shape (n, d), are in the unit cube; `shaped_clusters` defaults to the paper's hulls.
+    ``"auto"`` selects about a tenth of all scenarios, including prototypes: ``n // (10 * clusters) - 1`` archetypes per
+    cluster. There are at least d + 1, since a hull of fewer is flat, and at most 15, as in the paper. For each cluster,
+    the prototype comes first, then the archetypes by index. No scenario comes twice, since the hull is that of the
+    scenarios without the prototype. `points`, shape (n, d), are in the unit cube. `shaped_clusters` defaults to the
+    paper's hulls.
     """
     points = np.asarray(points, dtype=np.float64)
     distances = distances if isinstance(distances, EmbeddedDistances) else np.asarray(distances, dtype=np.float64)

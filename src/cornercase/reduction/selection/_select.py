@@ -22,10 +22,10 @@ from cornercase.reduction.selection._per_cluster import select_per_cluster
 
 @dataclass(frozen=True)
 class SelectionRequest:
-    """How many scenarios to select, and of what role; one of `size`, `cover` and `archetypes` is given.
+    """How many scenarios to select, and in which role; exactly one of `size`, `cover` and `archetypes` is given.
 
-    `cover` is the largest distance left, as a share of the largest one; `archetypes` is the number per cluster, besides
-    its prototype, and `archetypes_by` how they are found.
+    `cover` is the largest distance to a selected scenario that may remain, as a share of the largest distance.
+    `archetypes` is the number per cluster, besides the prototype. `archetypes_by` is the method that finds them.
     """
 
     size: int | None
@@ -38,9 +38,9 @@ class SelectionRequest:
 class SelectionInput:
     """Scenarios to select from.
 
-    `points`, shape (n, d), are in the unit cube; `distances` are those of all clusterings; `labels`, `embedding` and
-    `critical_clusters` belong to the first; `kills`, shape (n, m), says which scenario kills which mutant, if mutants
-    select first.
+    `points`, shape (n, d), are in the unit cube. `distances` are those of all clusterings. `labels`, `embedding` and
+    `critical_clusters` belong to the first clustering. `kills`, shape (n, m), says which scenario kills which mutant;
+    None if mutants do not take part in the selection.
     """
 
     points: FloatArray
@@ -51,7 +51,7 @@ class SelectionInput:
     kills: BoolArray | None = None
 
     def subset(self, rows: IntArray) -> SelectionInput:
-        """Return some of the scenarios; the clusters remain those of all."""
+        """Return some of the scenarios; the clusters are still those of all scenarios."""
         return SelectionInput(
             self.points[rows],
             [submatrix(matrix, rows, rows) for matrix in self.distances],
@@ -65,7 +65,7 @@ class SelectionInput:
 def select(
     selection_input: SelectionInput, request: SelectionRequest
 ) -> tuple[tuple[Selected, ...], tuple[ShapedCluster, ...]]:
-    """Select scenarios; return them in order, and how archetypes were found for each cluster."""
+    """Select scenarios; return them in order, and the shape of each cluster with the method for its archetypes."""
     points, labels = selection_input.points, selection_input.labels
     shaped = classify_cluster_shapes(points, labels, selection_input.embedding, request.archetypes_by)
     if request.archetypes is not None:
@@ -88,7 +88,7 @@ def select(
 
 
 def _put_killing_first(selection_input: SelectionInput, selected: Sequence[Selected]) -> tuple[Selected, ...]:
-    """Replace the last scenarios by ones that kill mutants, which come first."""
+    """Put scenarios that kill mutants first, in place of the last scenarios."""
     assert selection_input.kills is not None
     distances, labels = selection_input.distances, selection_input.labels
     selection = Selection(distances, len(selected))
@@ -100,9 +100,9 @@ def _put_killing_first(selection_input: SelectionInput, selected: Sequence[Selec
 
 
 def cross_validate(selection_input: SelectionInput, request: SelectionRequest) -> list[Fold]:
-    """Cross-validate the selection.
+    """Cross-validate the selection: select a set for each fold.
 
-    Clusters are not recomputed per fold, so held-out scenarios have influenced them.
+    Clusters are not computed again for each fold, so held-out scenarios have influenced them.
     """
     indices = np.arange(len(selection_input.labels))
     folds = []
