@@ -61,20 +61,21 @@ def compare(
     Parameters
     ----------
     old, new : Study, SuiteResult or path
-        Studies of the same scenario, parameter space and entities; drivers, simulators, versions and time steps may
-        differ. Of results of a suite their studies are compared.
+        Studies of the same scenario, parameter space and entities. Drivers, simulators, versions and time steps may
+        differ. For a `SuiteResult`, its study is compared.
     metrics : str or sequence of str, optional
-        Metrics to compare by; by default all, which have to be the same in both.
+        Metrics to compare by. By default all; both studies must then have the same metrics.
     critical : float, optional
-        Threshold for both studies, which keep their own; by default their own, which have to be equal.
+        Threshold for this comparison only. By default each study's own; both must then be equal.
     tolerances : mapping of str to float, optional
-        By metric, in its unit: how much a score may change and still count as the same, as in
+        Largest change of a score that does not count, by metric, in its unit; defaults as in
         `cornercase.suite.compare`.
 
     Returns
     -------
     Comparison
-        `verdict` says whether the new version is better, worse, mixed or the same, or that nothing can be said.
+        `verdict` says whether the new version is better, worse, mixed or the same, or that the data do not allow a
+        verdict.
 
     Raises
     ------

@@ -31,8 +31,8 @@ class Suite:
     ego : str, optional
         Name of the entity under test; by default that of the manifest.
     other : str or sequence of str, optional
-        Entity that the ego is measured against. With several, the most critical one counts; ``"*"`` stands for all
-        others in the files. By default that of the manifest.
+        Entity that the ego is measured against; by default that of the manifest. If there are several, the most
+        critical score counts; ``"*"`` stands for all other entities in the files.
 
     Attributes
     ----------
@@ -68,7 +68,8 @@ class Suite:
         ego : str, optional
             Name of the entity under test; by default that of the manifest.
         other : str or sequence of str, optional
-            Entity that the ego is measured against; by default that of the manifest. ``"*"`` stands for all others.
+            Entity that the ego is measured against; by default that of the manifest. ``"*"`` stands for all other
+            entities.
 
         Returns
         -------
@@ -105,31 +106,31 @@ class Suite:
         Parameters
         ----------
         study : path, optional
-            Study to create or continue. Default: beside the folder of the suite, with its name and ``.run.db``. Another
-            driver or simulator needs another study.
+            Study to create or continue. By default it is beside the folder of the suite, with the name of the folder
+            and ``.run.db``. Each driver or simulator needs a study of its own.
         require : sequence of str
             Requirements on each scenario, as `cornercase.suite.Requirement.parse` reads them.
         requirements : path, optional
             TOML or YAML file with further requirements.
         require_from_file : bool, default False
-            Use the criteria for ScenarioRunner in the files as requirements, if a recording can answer them; a notice
-            names the others.
+            Use the criteria for CARLA's ScenarioRunner in the files as requirements. A notice names criteria that a
+            recording cannot decide.
         metrics : sequence of str
-            Criticality metrics to store; by default those of the manifest, without one those in the requirements, or
-            else ``clearance``.
+            Criticality metrics to store. By default those of the manifest; without a manifest those in the
+            requirements, or else ``clearance``.
         simulator : Simulator or str, optional
-            By default that of the manifest; without one the builtin simulator.
+            By default that of the manifest; without a manifest the builtin simulator.
         drivers : mapping of str to str or Driver, optional
-            Drivers by entity: a preset or ``package.module:Class``, either with options after a colon, or an instance.
-            By default those in the files.
+            Drivers by entity: the name of a preset, ``package.module:Class``, or an object. Names may have options
+            after a colon. By default the drivers in the files.
         runs : Runs, optional
             Where scenarios are run, and what happens if a simulator dies or hangs. Each scenario is run once.
         against : path, optional
-            Study with earlier recordings: the one that was reduced, or another run of the suite. By default the former,
-            if it is beside the manifest or in the folder above.
+            Study with earlier recordings: the study that was reduced, or an earlier run of the suite. By default the
+            study that was reduced, if it is beside the manifest or in the folder above.
         mutants : int, optional
-            Also run the scenarios with this number of mutants of the ego's driver, and count those that are killed:
-            see `cornercase.suite.run_suite`.
+            Number of mutants of the ego's driver to run the scenarios with, to count how many are killed: see
+            `cornercase.suite.run_suite`.
         seed : int, default 0
             The same seed gives the same mutants.
         progress : bool, default False
@@ -179,8 +180,8 @@ class Suite:
         Returns
         -------
         DataFrame
-            One row per scenario: ``file``, ``kind`` (the cluster that it represents), ``role``, ``why`` it was
-            selected, and ``error``, why it cannot be run. Empty if unknown.
+            One row per scenario: ``file``, ``kind`` (the cluster that it represents), ``role``, ``why`` (the reason for
+            its selection), and ``error`` (why it cannot be run). Unknown values are empty.
         """
         import pandas as pd
 

@@ -28,10 +28,10 @@ class CriticalEstimates:
     Attributes
     ----------
     threshold : float
-        Score from which a scenario is critical, in the unit of the objective.
+        Threshold for being critical, in the unit of the objective.
     lower_is_critical : bool
     unit : str
-        Empty for none.
+        Unit of the objective; empty if there is none.
     n_critical : int
         Number of critical scenarios that were run.
     critical_set : CriticalSetEstimates or None
@@ -65,23 +65,23 @@ class CriticalSetEstimates:
     Attributes
     ----------
     critical_fraction : Estimate
-        Critical share of the space.
+        Fraction of the space that is critical.
     missed_fraction : Estimate
-        Share of the critical set that was not found.
+        Fraction of the critical part that no scenario in the study has found.
     p_overlooked_region : float
         Probability that a critical region of size `region_fraction` contains no run.
     unexplored_fraction : float
-        Share of the space whose surrounding region of size `region_fraction` contains no run.
+        Fraction of the points of the space around which a region of size `region_fraction` contains no scenario.
     region_fraction : float
-        Share of the space.
+        Size of a region, as fraction of the space.
     max_hidden_fraction : float
-        Share of the critical set that a region without runs could hold.
+        Largest fraction of the critical part that could hide in a region without scenarios.
     interval_unavailable : str or None
-        Why `critical_fraction` has no interval; None if it has.
+        Why `critical_fraction` has no interval; None if there is an interval.
     missed_interval_unavailable : str or None
-        Why `missed_fraction` has no interval; None if it has.
+        Why `missed_fraction` has no interval; None if there is an interval.
     by_committee : bool
-        Whether a committee predicted them, not a Gaussian process of the scores.
+        Whether a committee of classifiers made the predictions, instead of a Gaussian process of the scores.
     """
 
     critical_fraction: Estimate
@@ -125,9 +125,9 @@ class AuditEstimates:
     n_scenarios, n_critical : int
         Number of audits that were run, and of critical ones.
     critical_fraction : Estimate
-        Critical share of the space.
+        Fraction of the space that is critical.
     missed_fraction : Estimate or None
-        Share of the critical set that was not found; None if unknown.
+        Fraction of the critical part that no scenario in the study has found; None if unknown.
     """
 
     n_scenarios: int

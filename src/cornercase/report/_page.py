@@ -77,19 +77,18 @@ def write_report(
     Parameters
     ----------
     study : Study or path
-        Sections that the study was not analyzed for are left out. The drawing time is stored in a study that is open
-        for writing. If all scenarios failed, the page shows why, without figures.
+        Sections for which data are missing are left out. If all scenarios failed, the page shows why, without figures.
+        If the study is open for writing, the time that the report took is stored in it.
     path : path
-        Of the page; ends with ``.html`` or ``.htm``.
+        Page to write; the name ends with ``.html`` or ``.htm``.
     figures : bool or path, default False
-        Also write the figures as PNG and SVG with ``captions.txt`` into this folder; True for a folder beside the page
-        with its name and ``-figures``.
+        Also write the figures as PNG and SVG, and ``captions.txt``, into this folder. True stands for a folder beside
+        the page, with its name and ``-figures``.
     scenario : path or ScenarioFile, optional
         Scenario file that was explored, to draw the road. By default it is searched beside the study and in the current
-        folder, and recognized by its fingerprint; without it no road is drawn, and the page says so.
+        folder, and recognized by its fingerprint. If it is not found, no road is drawn, and the page says so.
     critical : float, optional
-        Score from which a scenario is critical, in the unit of the objective; default: that of the study. The study
-        keeps its own.
+        Threshold for this report only, in the unit of the objective; by default that of the study.
     memory : str or float, default "4 GB"
         Memory limit of the process, as ``"500 MB"`` or in bytes.
     progress : bool, default False

@@ -87,8 +87,8 @@ def import_recordings(
     ego : str
         Name of the entity under test.
     other : str or sequence of str
-        Entity that the ego is measured against. With several, the most critical one counts, and one that a recording
-        lacks is ignored in it. ``"*"`` stands for all others.
+        Entity that the ego is measured against; ``"*"`` stands for all other entities. If there are several, the most
+        critical score counts. An entity that a recording lacks is ignored in that recording.
     metrics : sequence of str
         Names of metrics; the first one defines criticality.
     table : path, optional
@@ -96,7 +96,7 @@ def import_recordings(
         ``parameters.csv`` in the folder. A column of numbers becomes a range from its minimum to its maximum, any other
         column a set of choices.
     critical : float, optional
-        Threshold of the first metric; the metric's own by default.
+        Threshold of the first metric; by default that of the metric.
     progress : bool, default False
         Show a progress bar.
 

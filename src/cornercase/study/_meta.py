@@ -78,16 +78,17 @@ class StudyMeta:
     Attributes
     ----------
     scenario : str
-        Path of the scenario file, of the folder of imported recordings, or of a suite, relative to the folder of the
-        study as `stored_path` gives it.
+        Path of the scenario file, of the folder of imported recordings, or of a suite. It is relative to the folder of
+        the study, or only a name.
     fingerprint : str
-        SHA-256 of the scenario and the files that it uses, or of the imported files; for a suite that of its first one.
+        SHA-256 of the scenario file and all files that it uses, or of the imported files. For a suite, that of its
+        first scenario file.
     space : ParameterSpace
         The parameter space.
     ego : str
         Name of the entity under test.
     other : str or tuple of str
-        Name of the entity that the ego is measured against; several names if there are several.
+        Name of the entity that the ego is measured against; a tuple of names if there are several.
     metrics : tuple of str
         Names of the metrics; the first one is the objective.
     optimizer : str
@@ -95,11 +96,11 @@ class StudyMeta:
     simulator : str
         Name of the simulator; ``"imported"`` for imported recordings.
     settings : mapping of str to object
-        Everything else that the recordings depend on.
+        All other settings that affect the recordings, by name.
     critical : float or None
         Threshold of the objective; None if there is none.
     weights : mapping of str to float
-        Weight of each metric in the weighted sum that is the objective; empty if the first metric is.
+        Weight of each metric if the objective is a weighted sum; empty if the objective is the first metric.
     pareto : bool
         Whether the Pareto front of all metrics is searched.
     seed, budget, batch : int
@@ -107,29 +108,29 @@ class StudyMeta:
     repeats : int
         Number of runs of each scenario.
     most_repeats : int or None
-        Largest number of runs of a scenario for which it is undecided on which side of the threshold it is; None if
-        each scenario has `repeats` runs.
+        Largest number of runs of a scenario. More than `repeats` runs are made while it is undecided whether the
+        scenario is critical. None if each scenario has `repeats` runs.
     audit : float
-        Fraction of the scenarios that are audits: drawn at random to judge the search, and hidden from it.
+        Fraction of scenarios that are audits: drawn at random, and hidden from the search, to assess its result.
     asynchronous : bool
-        Whether the optimizer was asked for the next scenario as soon as one had ended, instead of in rounds.
+        Whether the optimizer proposes the next scenario as soon as one has ended, instead of in rounds.
     elsewhere : mapping of str to object
-        The study of the warm start: the name of its file (``study``), its ``fingerprint``, ``simulator``, ``settings``
-        and number of ``scenarios``, and ``sha256`` of their points and scores; empty without a warm start.
+        The earlier study of a warm start: its file name (``study``), ``fingerprint``, ``simulator``, ``settings``,
+        number of ``scenarios``, and the ``sha256`` of their points and scores. Empty without a warm start.
     repeatability : mapping of str to object
-        Result of running a scenario a second time: its id (``scenario``), whether both recordings have the ``same``
-        bytes, and otherwise the largest distance of entities in m (``apart``; None if it is unknown); empty if not
-        tried.
+        Result of running one scenario twice: the id of the scenario (``scenario``), and whether both recordings have
+        the ``same`` bytes. If they differ, ``apart`` is the largest distance in m between the positions of an entity in
+        both (None if unknown). Empty if no scenario was run twice.
     files : tuple of str
-        Imported recordings, or scenario files of a suite, in the order of the scenarios' ids.
+        Files of imported recordings, or scenario files of a suite, in the order of scenario ids.
     kinds : tuple of str
-        Name of the cluster that each scenario of a suite represents, in the same order; empty if unknown.
+        Name of the cluster that each scenario of a suite represents, in the order of scenario ids; empty if unknown.
     requirements : tuple of str
-        Requirements on the scenarios of a suite, as `cornercase.suite.Requirement` parses them.
+        Requirements on the scenarios of a suite, as texts for `cornercase.suite.Requirement.parse`.
     suite : str
-        SHA-256 of all files of a suite and of the files that they use; empty if one scenario file was explored.
+        SHA-256 of the scenario files of a suite and all files that they use; empty if the study is not of a suite.
     origin : str
-        `fingerprint` of the study that a suite was reduced from; empty if there is none.
+        `fingerprint` of the study that a suite was selected from; empty if there is none.
     version : str
         Version of cornercase that created the study.
     """

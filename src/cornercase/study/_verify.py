@@ -41,7 +41,7 @@ class Verification:
     problems : tuple of str
         Part of a sentence for each problem; empty if there is none.
     checked : bool, default True
-        Whether the study has checksums; all have.
+        Whether the study has checksums; always True.
     """
 
     path: Path

@@ -41,19 +41,19 @@ def judge(
     ego : str
         Name of the entity under test.
     other : str or sequence of str
-        Entity that formulas and bounds refer to. With several, each is judged: the requirement is failed if it is
-        failed against any, else passed if it is passed against at least one. The verdict is the one with the smallest
-        robustness, and names its entity.
+        Entity that formulas and bounds refer to. If there are several, the requirement is judged for each of them. It
+        is failed if it is failed for any, and passed if it is passed for at least one and failed for none. The verdict
+        with the smallest robustness is returned, and names its entity.
     courses : mapping of str to ndarray of float64, shape (T,), optional
-        Courses of metrics that are known already, by name; not used with several others.
+        Courses of metrics by name, if they are known already; not used if there are several other entities.
     references : mapping of str to ReferenceOutcome, optional
-        Outcomes of the scenario with the reference drivers of the requirement, as far as they were run.
+        Outcomes of the scenario with reference drivers that the requirement names, by driver, if they were run.
 
     Returns
     -------
     Verdict
-        Inconclusive if the situation of the requirement never occurred, if the recording ends before the time limit, if
-        it depends on a reference driver that was not run, or if a custom metric raised an exception.
+        Inconclusive if the situation in the requirement never occurred, if the recording ends before the time limit, if
+        the verdict depends on a reference driver that was not run, or if a custom metric raised an exception.
 
     Raises
     ------
@@ -63,9 +63,7 @@ def judge(
     Examples
     --------
     >>> import numpy as np
-    >>> from cornercase.metrics._evaluation import evaluate_run
-    from cornercase.metrics._explain import explain
-    from cornercase.recordings import Recording
+    >>> from cornercase.recordings import Recording
     >>> from cornercase.suite import Requirement, judge
     >>> still = np.zeros((2, 3))
     >>> recording = Recording(

@@ -63,19 +63,19 @@ def analyze_mutants(
     Parameters
     ----------
     study : Study or path
-        Explored with the builtin simulator and a driver of cornercase in the ego.
+        Study that was explored with the builtin simulator and one of cornercase's drivers driving the ego.
     mutants : int
-        Number of mutants for the selection; as many others evaluate it.
+        Number of mutants that scenarios are selected by. The same number of other mutants evaluates the selection.
     require : sequence of str
-        Requirements, at least one of which a killed mutant violates, as `cornercase.suite.Requirement.parse` reads
-        them; by default ``"no collision"``.
+        Requirements, as texts for `cornercase.suite.Requirement.parse`; by default ``"no collision"``. A mutant is
+        killed if it violates at least one.
     seed : int, default 0
         The same seed gives the same mutants; see `cornercase.drivers.generate_mutants`.
     scenario : path or ScenarioFile, optional
-        File that was explored; by default it is looked for at the path stored in the study, beside the study and in the
-        current folder.
+        Scenario file that was explored; by default it is searched at the path stored in the study, beside the study and
+        in the current folder.
     workers : int, default 1
-        Processes of a local cluster.
+        Number of processes of a local cluster.
     cluster : str or distributed.Client, optional
         Dask cluster to run the mutants on: ``"local"`` for `workers` processes here, the address of a scheduler, the
         scheduler file, or a client, which stays open.
@@ -85,7 +85,7 @@ def analyze_mutants(
     Returns
     -------
     KillMatrix
-        For `cornercase.reduce`.
+        Argument `kill_matrix` of `cornercase.reduce`.
 
     Raises
     ------

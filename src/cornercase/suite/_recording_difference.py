@@ -25,14 +25,14 @@ class RecordingDifference:
     same : bool
         Whether all numbers are equal bit by bit.
     distance : float or None
-        Largest distance of the ego's reference point between both at the same time, in m; None if it is never present
-        in both.
+        Largest distance in m between the positions of the ego in both recordings at the same time. None if the ego is
+        never present in both.
     time : float or None
-        First time at which the distance is more than 1e-6 m, in s; None if it never is.
+        First time in s at which this distance exceeds 1e-6 m; None if it never does.
     duration : tuple of float
-        Duration of the earlier one and of this one, in s.
+        Durations of the earlier and the later recording in s.
     scores : mapping of str to tuple of float
-        Score of the earlier one and of this one, by metric that both have.
+        Scores of the earlier and the later recording, by metric.
     """
 
     same: bool

@@ -29,9 +29,9 @@ class Requirement:
     expression : Expression
         What has to hold.
     pattern : str
-        Pattern of the names of files that it applies to, with ``*`` and ``?``; empty for all.
+        Pattern of the file names that the requirement applies to, with ``*`` and ``?``; empty for all files.
     is_for_clusters : bool
-        Whether the pattern is for names of clusters instead of files.
+        Whether the pattern is for cluster names instead of file names.
     """
 
     text: str
@@ -49,11 +49,10 @@ class Requirement:
         Parameters
         ----------
         requirement : str
-            An expression as `cornercase.metrics.Expression` reads it, such as ``"no collision"``, ``"reach X,Y[,R]
-            within T"`` in m and s, ``"ttc > 1.5"``, or ``"no collision and eventually(ego.speed < 1)"``. With the
-            prefix ``"for PATTERN: "`` it applies to files of that name only, with ``'for kind "PATTERN": '`` to
-            scenarios of that cluster; ``*`` stands for any characters and ``?`` for one. A pattern with spaces is
-            quoted as in JSON.
+            An expression for `cornercase.metrics.Expression`, such as ``"no collision"``, ``"reach X,Y[,R] within T"``
+            in m and s, ``"ttc > 1.5"``, or ``"no collision and eventually(ego.speed < 1)"``. The prefix ``"for PATTERN:
+            "`` limits it to files with matching names, and ``'for kind "PATTERN": '`` to scenarios of matching
+            clusters. ``*`` stands for any characters and ``?`` for one. A pattern with spaces is quoted as in JSON.
 
         Returns
         -------
@@ -96,9 +95,9 @@ class Requirement:
         Parameters
         ----------
         file : str
-            Name of its file.
+            Name of the scenario file.
         kind : str, default ""
-            Name of its cluster; empty if unknown.
+            Name of the cluster; empty if unknown.
 
         Returns
         -------

@@ -104,27 +104,28 @@ def run_suite(
     requirements : path, optional
         TOML or YAML file with further requirements.
     require_from_file : bool, default False
-        Use the criteria for ScenarioRunner in the files as requirements, if a recording can answer them; a notice names
-        the others.
+        Use the criteria for CARLA's ScenarioRunner in the files as requirements. A notice names criteria that a
+        recording cannot decide.
     against : path, optional
-        Study with earlier recordings: the one that was reduced, or another run of the suite. By default the former, if
-        it is beside the manifest or in the folder above.
+        Study with earlier recordings: the study that was reduced, or an earlier run of the suite. By default the study
+        that was reduced, if it is beside the manifest or in the folder above.
     junit : path, optional
-        JUnit file to write. An existing one is removed before anything is run; any other file is refused.
+        JUnit file to write. A JUnit file of an earlier run is removed before anything is run; any other file is an
+        error.
     summary : path, optional
-        Markdown file with a table to write, replacing an existing one like `junit`.
+        Markdown file to write. A file of an earlier run is removed before anything is run; any other file is an error.
     mutants : int, optional
-        Also run the scenarios with this number of mutants of the ego's driver in the builtin simulator, and count those
-        that are killed: they violate a requirement, or collide if there is none, in a scenario in which the driver does
-        not. They are not stored, but run again each time.
+        Number of mutants of the ego's driver to run the scenarios with, in the builtin simulator, to count how many are
+        killed. A scenario kills a mutant if the mutant violates a requirement that the original driver fulfills;
+        without requirements, this is ``"no collision"``. Runs of mutants are not stored.
     seed : int, default 0
         The same seed gives the same mutants; see `cornercase.drivers.generate_mutants`.
     progress : bool, default False
         Show progress on standard error.
     **options
-        What the manifest says otherwise, and how the scenarios are run: any of the parameters below. Without a
-        manifest, metrics are those in the requirements or ``clearance``, the simulator is the builtin one, with its
-        default settings.
+        Settings that replace those of the manifest, and how the scenarios are run: any of the parameters below. Without
+        a manifest, metrics are those in the requirements or ``clearance``, and the simulator is the builtin one with
+        its default settings.
 
     Returns
     -------

@@ -39,16 +39,17 @@ class ScenarioResult:
     duration : float or None
         Duration of the recording in s; None if the simulator failed.
     verdicts : tuple of Verdict
-        By requirement. Without requirements there is one that says whether the scenario ran.
+        One for each requirement. Without requirements, a single verdict says whether the scenario ran.
     kind, role, why : str
-        The cluster that it represents, its role, and why it was selected; empty if unknown.
+        Name of the cluster that the scenario represents, its role in the suite, and why it was selected; empty if
+        unknown.
     origin : int or None
-        Id in the study that it was selected from.
+        Id in the study that the scenario was selected from.
     difference : RecordingDifference or None
         Difference from the earlier recording; None if there is none.
     others : mapping of str to str
-        With several others, the entity that each score is against, by metric; metrics against none of them are left
-        out.
+        If there are several other entities: the entity that the score of each metric is measured against. Metrics that
+        are not measured against a single entity are left out.
     """
 
     id: int

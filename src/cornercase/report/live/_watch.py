@@ -46,11 +46,11 @@ def watch(
     port : int, default 0
         Port of the page; 0 for a free one.
     host : str, default "127.0.0.1"
-        Address of the network interface. Any other than the default lets other machines connect; they need the token in
-        the address.
+        Address of the network interface. With another interface than the default, other machines can connect if they
+        know the token in the address of the page.
     scenario : path, optional
-        Scenario that was explored, to write concrete ones; by default it is searched beside the study and in the
-        current folder.
+        Scenario file that was explored, from which the page writes concrete scenarios. By default it is searched beside
+        the study and in the current folder.
     browser : bool, default False
         Open the page in the browser.
     show : callable, default print

@@ -50,7 +50,7 @@ def replay(
     Parameters
     ----------
     study : Study or path
-        In which the scenario was run.
+        Study in which the scenario was run.
     id : int
         Id of the scenario.
     path : path
@@ -59,15 +59,15 @@ def replay(
     beside : int, optional
         Id of another scenario, shown beside it on the same clock.
     fps : float, optional
-        Frames per second of a film, at most 60; default: 25 for MP4, 10 for GIF, whose frames last whole hundredths of
-        a second.
+        Frames per second of a film, at most 60. By default 25 for MP4 and 10 for GIF. Frames of a GIF last whole
+        hundredths of a second.
     speed : float, default 1
         Speed of a film: 0.5 shows 1 s of the recording in 2 s.
     scenario : path or ScenarioFile, optional
-        Scenario file that was explored, to draw the road; by default it is searched beside the study and in the current
-        folder. Without it no road is drawn.
+        Scenario file that was explored, to draw the road. By default it is searched beside the study and in the current
+        folder. If it is not found, no road is drawn.
     critical : float, optional
-        Threshold instead of the study's own, which the study keeps.
+        Threshold for this replay only; by default that of the study.
     progress : bool, default False
         Show a progress bar on standard error.
 

@@ -67,29 +67,29 @@ def compare(
     Parameters
     ----------
     old, new : Study or path
-        Studies of the same scenario, parameter space and entities; drivers, simulators, versions and time steps may
+        Studies of the same scenario, parameter space and entities. Drivers, simulators, versions and time steps may
         differ.
     metrics : str or sequence of str, optional
-        Metrics to compare by; by default all, which have to be the same in both.
+        Metrics to compare by. By default all; both studies must then have the same metrics.
     critical : float, optional
-        Threshold for both studies, which keep their own; by default their own, which have to be equal.
+        Threshold for this comparison only. By default each study's own; both must then be equal.
     tolerances : mapping of str to float, optional
-        By metric, in its unit: how much a score may change and still count as the same. By default 0.1 for s, m, m/s,
-        m/s² and s², 0.01 for rad and for metrics without unit, and 0 for other units.
+        Largest change of a score that does not count, by metric, in its unit. By default 0.1 for s, m, m/s, m/s² and
+        s², 0.01 for rad and for metrics without unit, and 0 for other units.
 
     Returns
     -------
     Comparison
-        `verdict` says whether the new version is better, worse, mixed or the same, or that nothing can be said. As a
-        bool it is true if the versions differ at all. If simulators are not deterministic, the false positive rate of
-        better or worse is at most 5 %, over all tests together.
+        `verdict` says whether the new version is better, worse, mixed or the same, or that the data do not allow a
+        verdict. As a bool, the result is True if the versions differ at all. If simulators are not deterministic, the
+        false positive rate of better or worse is at most 5 %, for all tests together.
 
     Raises
     ------
     InputError
-        The studies have different scenarios, parameters, entities, metrics or thresholds; or they have nothing in
-        common: no scenario, and fewer than 20 each that were chosen independently of scores; or one is of a suite that
-        has not run completely; or a tolerance is negative, or for a metric that is not compared.
+        The studies have different scenarios, parameters, entities, metrics or thresholds. Or no scenario ran in both,
+        and one study has fewer than 20 scenarios that were chosen independently of scores. Or the run of a suite is
+        incomplete. Or a tolerance is negative, or for a metric that is not compared.
 
     Examples
     --------

@@ -43,25 +43,25 @@ class ScenarioPair:
     point : tuple of float, length d
         Point in the unit cube.
     run : {"the same", "within rounding", "otherwise", "not in one", "in neither"}
-        Whether both recordings have the same bytes, differ by at most 1e-6 in the unit of each value, or by more; or
-        whether the scenario failed in one study, or in both.
+        How the recordings compare: they have the same bytes, differ by at most 1e-6 in the unit of each value, or
+        differ by more. The last two values mean that the scenario failed in one study, or in both.
     is_score_independent : bool
         Whether both studies chose the scenario independently of scores.
     errors : tuple of (str or None, str or None)
-        Why it failed.
+        Why the scenario failed in each study; None if it did not fail.
     scores : mapping of str to tuple of (float, float)
-        By metric, in its unit; empty if a run failed. So are all attributes below.
+        Old and new score of each metric. If a run failed, this and all following attributes are empty or None.
     outcomes : tuple of (str, str)
         How the scenario ended, in words.
     collides : tuple of (bool, bool)
         Whether the ego collides with any entity.
     is_critical : tuple of (bool, bool) or None
-        None without a threshold.
+        Whether the scenario is critical; None without a threshold.
     verdicts : tuple of (tuple of Verdict, tuple of Verdict)
-        On the requirements that both studies have; empty without any.
+        Verdicts on the requirements that both studies have; empty without such requirements.
     margins : mapping of str to tuple of (float, float)
-        Margin of each requirement that changed between passed and failed, negative if it is violated. Only for bounds,
-        formulas and positions; a collision has no margin.
+        Margins of the requirements whose verdict changed between passed and failed; a negative margin means violated.
+        Collisions have no margin.
     criticality_scores : mapping of str to tuple of (float, float)
         Scores that define whether the scenario is critical, by metric; empty without a threshold.
     """
@@ -101,15 +101,15 @@ class ScoreChange:
     ----------
     metric, unit : str
     pairs, moved : int
-        Pairs that ran in both studies, and those whose score changed.
+        Number of pairs that ran in both studies, and number of pairs whose score changed.
     worse, better : int
-        Pairs whose score became more critical, and less.
+        Number of pairs whose score became more critical, and less critical.
     median : float
-        Median change of those that changed, new minus old, in the unit; 0 if none did.
+        Median of all changes other than 0, new minus old, in the unit; 0 if no score changed.
     largest : float
-        Largest change, with its sign.
+        Change with the largest absolute value, new minus old, in the unit.
     ids : tuple of (int, int) or None
-        Pair of the largest change.
+        Ids of the pair with the largest change.
     """
 
     metric: str
@@ -134,16 +134,16 @@ class ChangeTest:
     method : str
         ``"Wilcoxon signed-rank"``, ``"exact McNemar"``, ``"Mann-Whitney"`` or ``"exact Fisher"``.
     old, new : int
-        Number of scenarios of each study; the same number for pairs.
+        Number of scenarios from each study; for paired tests both are the number of pairs.
     differ : int or None
-        Pairs that differ; None without pairs.
+        Number of pairs that differ; None for unpaired tests.
     p, corrected : float
-        p-value, and p-value with Holm's correction for all tests.
+        p-value, and p-value after Holm's correction for the number of tests.
     direction : {"worse", "better"} or None
-        Direction of the new version, whether or not the test is significant; None for a tie.
+        Whether the new version tends to be better or worse, even if the test is not significant; None for a tie.
     shift : float
-        Mean score of the new version minus that of the old one, in the metric's unit; for yes/no facts the difference
-        of the proportions.
+        Mean score of the new version minus mean score of the old version, in the metric's unit. For yes/no facts, the
+        difference of the proportions.
     """
 
     about: str
@@ -165,18 +165,19 @@ class Finding:
     ----------
     kind : {"collision", "requirement", "run", "critical", "score"}
     about : str
-        The requirement, or the metric of the score; empty for other kinds, and for a test of all requirements together.
+        The requirement, or the metric. Empty for other kinds, and for a test of all requirements together.
     direction : {"worse", "better"}
     ids : tuple of (int, int)
-        Scenarios with this change, in the old and in the new study; empty if a test of unpaired scenarios found it.
+        Ids of the scenarios with this change, in the old and in the new study. Empty if a test of unpaired scenarios
+        found it.
     n_opposite : int, default 0
         Number of scenarios with the opposite change; only counted for tests.
     largest_change : float or None, default None
-        Largest change of a score, with its sign.
+        Score change with the largest absolute value, new minus old.
     unit : str, default ""
         Unit of the score.
     test : ChangeTest or None, default None
-        The test that found it; None if the scenarios themselves show it.
+        The test that found the change; None if single scenarios show it.
     """
 
     kind: Literal["collision", "requirement", "run", "critical", "score"]
@@ -260,7 +261,7 @@ class ClusterChange:
     cluster : int
         Number in the old study; -1 for noise.
     label : str
-        Its name.
+        Name of the cluster.
     old, new : int
         Number of pairs with each version.
     """
@@ -278,16 +279,16 @@ class SpaceChange:
     Attributes
     ----------
     pairs : int
-        Pairs that fill the space independently of scores.
+        Number of pairs that sample the space independently of scores.
     gained, lost : Estimate or None
-        Fractions of the space that are critical with the new version only, and with the old one only, estimated from
-        those pairs alone; None if there are fewer than 20.
+        Fraction of the space that is critical with the new version only, and with the old version only. Both are
+        estimated from these pairs alone; None if there are fewer than 20 pairs.
     pairs_doubt : str
-        Why these are unavailable; empty if they are available.
+        Why `gained` and `lost` are None; empty if they are not.
     sets : SetDifference or None
-        Estimate from all scenarios of both studies; None if there is no interval.
+        Estimate from all scenarios of both studies; None if no interval can be computed.
     sets_doubt : str
-        Why there is none; empty if there is one.
+        Why `sets` is None; empty if it is not.
     parameters, units : tuple of str
         Names and units of the coordinates of `sets.middles`.
     """
@@ -334,21 +335,21 @@ class Comparison:
     reason : str
         Reason for `changed`, in one sentence.
     verdict : {"better", "worse", "mixed", "the same", "cannot say"}
-        Verdict on the new version; mixed if some findings are worse and some better, the same if there are none.
+        Verdict on the new version: mixed if some findings are worse and some better, the same if there are no findings.
     verdict_reason : str
         Reason for the verdict.
     worse, better : tuple of Finding
         Findings for each direction, the most important first.
     within_tolerance : tuple of Finding
-        Requirements and thresholds that were crossed within the tolerances, so that they do not count.
+        Changes of requirements and criticality that do not count because the scores changed within the tolerances.
     tolerances : mapping of str to float
-        By metric: how much its score may change and still count as the same.
+        Largest change of a score that does not count, by metric.
     is_deterministic : bool
-        Whether both simulators are deterministic, so that every difference of a pair shows a change.
+        Whether both simulators are deterministic: then any difference between recordings shows a change.
     pairs : tuple of ScenarioPair
         Scenarios with the same parameters, in the order of the old study.
     n_unmatched : tuple of (int, int)
-        Number of scenarios of each study without a partner.
+        Number of scenarios in each study that the other study lacks.
     scores : tuple of ScoreChange
         One for each metric; empty without pairs.
     tests : tuple of ChangeTest
@@ -357,13 +358,13 @@ class Comparison:
     verdicts : mapping of tuple of (str, str, str) to int
         Number of pairs by requirement, old and new state.
     clusters : mapping of str to tuple of ClusterChange
-        By aspect that the old study was analyzed by.
+        Changes of clusters, by aspect that the old study was clustered by.
     space : SpaceChange or None
-        None without a threshold.
+        How the critical part of the space changed; None without a threshold.
     examples : tuple of Example
         At most five examples.
     critical : float or None
-        Threshold that was given for the comparison; None if the studies' own is used.
+        Threshold that was given for the comparison; None if each study's own threshold is used.
     """
 
     names: tuple[str, str]
