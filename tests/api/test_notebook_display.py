@@ -11,6 +11,7 @@ from lxml import etree
 
 import cornercase as cc
 from cornercase.api import Page
+from cornercase.exploration import ExplorationResult
 from cornercase.scenario import ParameterSpace
 from cornercase.study import StudyFile
 from helpers.synthetic_study import about
@@ -53,11 +54,19 @@ def test_a_study_shows_its_most_critical_scenarios_with_names_escaped(tmp_path):
     assert "<b>" not in text
 
 
+def test_the_end_of_a_search_says_why_scenarios_failed():
+    ended = ExplorationResult(Path("<s>.db"), 3, 2, "the budget is used up", failure_counts={"<b> is no road": 2})
+    text = ended._repr_html_()
+    assert "3 scenarios done, 2 failed in &lt;s&gt;.db; the budget is used up" in text
+    assert "<p>2 failed: &lt;b&gt; is no road</p>" in text
+
+
 def test_every_result_shows_itself(whole):
     study = cc.Study.open(whole)
     summary = study.summary()
     results: list[Any] = [
         study,
+        summary,
         *summary.analyses.values(),
         summary.reduced_set,
         study.sensitivity(),

@@ -70,7 +70,7 @@ def test_creating_checks_everything_and_writes_nothing(problem, tmp_path):
 
 def test_a_study_goes_on_by_the_same_call_and_keeps_its_settings(problem, explored, tmp_path):
     path = shutil.copy(explored.path, tmp_path / "study.db")
-    with pytest.raises(cc.InputError, match="exists already; go on with it by `Study"):
+    with pytest.raises(cc.InputError, match="exists already; continue it with `Study"):
         cc.Study.create(path, problem)
     study = cc.Study.open_or_create(path, problem, seed=1)
     assert study.explore().done == 24
@@ -192,8 +192,31 @@ def test_own_drivers_are_given_again_and_code_that_a_study_names_is_not_run(prob
     )
     study = cc.Study.open(path)
     assert len(study.table()) == 2
-    with pytest.raises(cc.InputError, match="code that a study names is not run"):
+    with pytest.raises(cc.InputError, match=r"a study names is not run, so give it again in `simulator`\.$"):
         study.explore(budget=3)
+
+
+@pytest.mark.parametrize(
+    ("argument", "says"),
+    [
+        ({"optimizer": cc.optimizers.Sobol}, "`optimizer`: Sobol is a class; give an object of it, as in Sobol()."),
+        ({"optimizer": 3}, "`optimizer` 3: give one as an object, or its name."),
+        ({"runs": cc.Runs}, "`runs`: Runs is a class; give an object of it, as in Runs()."),
+        ({"runs": 4}, "`runs` 4: give them as in Runs(workers=4)."),
+    ],
+)
+def test_what_is_no_object_is_named(argument, says, problem, tmp_path):
+    with pytest.raises(cc.InputError) as refused:
+        cc.Study.create(tmp_path / "study.db", problem).explore(**argument)
+    assert str(refused.value) == says
+
+
+def test_what_is_no_simulator_and_no_driver_is_named(problem, tmp_path):
+    with pytest.raises(cc.InputError, match="`simulator`: Builtin is a class; give an object of it"):
+        cc.Study.create(tmp_path / "study.db", problem, Builtin)
+    for driver in (3, Own):
+        with pytest.raises(cc.InputError, match=r"`drivers` Ego=.*: give the name of a driver, or an instance"):
+            Builtin(drivers={"Ego": driver})
 
 
 def test_an_interrupted_search_goes_on_by_the_same_call(problem, explored, tmp_path, monkeypatch):

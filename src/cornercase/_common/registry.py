@@ -13,7 +13,7 @@ from cornercase._common.errors import InputError, suggest_name
 from cornercase._common.plugin_errors import convert_plugin_errors, reraise_termination_request, unwrap_factory
 from cornercase._common.process.signals import count_requests
 from cornercase._common.text.sanitize import format_exception
-from cornercase._common.validation import repr_short
+from cornercase._common.validation import not_an_object
 
 T = TypeVar("T")
 
@@ -146,7 +146,7 @@ class Registry(Generic[T]):
         if isinstance(value, str) and value:
             return self.create(value)
         if isinstance(value, str) or self._base is None or not isinstance(value, self._base):
-            raise InputError(f"`{parameter}` {repr_short(value)}: give one as an object, or its name.")
+            raise not_an_object(parameter, value)
         return value
 
     def get_factory(self, name: str | type[T]) -> Callable[..., T]:
@@ -237,7 +237,8 @@ def parse_options(
         key, equals, value = (part.strip() for part in option.partition("="))
         if not (key.isidentifier() and equals):
             raise InputError(
-                f"The {kind} '{name}:{text}' has the option '{option}'; give options as in '{name}:name=value'."
+                f"The {kind} '{name}:{text}' has the option '{option}' without a name or value; give options as in"
+                f" '{name}:name=value'."
             )
         if key in options:
             raise InputError(f"The {kind} '{name}:{text}' has the option '{key}' twice; give it once.")
@@ -267,7 +268,8 @@ def check_options(kind: str, name: str, factory: Callable[..., Any], options: Ma
     for key in options:
         if key not in declared.parameters:
             raise InputError(
-                f"The {kind} '{name}' does not accept '{key}', which it always gets; declare it in its class."
+                f"The {kind} '{name}' does not accept the argument '{key}', which cornercase always gives; add it to"
+                " the constructor."
             )
 
 

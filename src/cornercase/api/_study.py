@@ -1,4 +1,4 @@
-"""The study of the public API: a problem, a simulator and a seed, everything that was run, and the verbs."""
+"""The class `Study` of the public API: search, cluster, reduce and report."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from contextlib import suppress
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Self
+from typing import TYPE_CHECKING, Any, Final, Literal, Self
 
 from cornercase._common.errors import InputError
 from cornercase._common.io.files import check_writable_file
@@ -21,7 +21,7 @@ from cornercase.exploration import Estimation, ExplorationResult, Problem, Runs
 from cornercase.exploration._config import ExplorationConfig, config_from_study
 from cornercase.exploration._explore import explore_config
 from cornercase.exploration._problem import config_from_problem, name_arguments_of_objects, problem_from_config
-from cornercase.exploration._runs import single_run_settings
+from cornercase.exploration._runs import run_settings, single_run_settings
 from cornercase.metrics import METRICS
 from cornercase.study import StudyFile, StudyMeta
 from cornercase.study._study_file import open_study
@@ -39,23 +39,25 @@ if TYPE_CHECKING:
     from cornercase.report import CriticalEstimates, Summary
     from cornercase.simulators import Simulator
 
+_DRIVER_HINT: Final = "give it again in `simulator`, as in Builtin(drivers={{{entity!r}: {driver!r}}})"
+
 
 class Study(PathLike[str]):
-    """A search of a logical scenario and everything that was found; make one with `create` or `open`.
+    """A search of a logical scenario, and everything that was run and found; make one with `create` or `open`.
 
-    Each verb opens the file for as long as it works, so nothing has to be closed, and several processes can use one
-    study. Functions that take the path of a study also take a study.
+    Each method opens the file only while it works. So nothing has to be closed, and several processes can use one
+    study. Functions that take the path of a study also take a `Study`.
 
     Parameters
     ----------
     path : path
         SQLite file.
     problem : Problem, optional
-        What is searched; by default that of the file.
+        What is searched; by default the problem stored in the file.
     simulator : Simulator or str
         What runs the scenarios.
     seed : int, optional
-        The same seed gives the same result; by default that of the file.
+        The same seed gives the same result; by default the seed stored in the file.
     scenario : path, optional
         OpenSCENARIO file that was explored; by default it is searched.
 
@@ -101,7 +103,7 @@ class Study(PathLike[str]):
     ) -> Self:
         """Create a study in a new file.
 
-        Everything is checked at once; the file is written when `explore` asks for the first scenario.
+        All arguments are checked at once. The file is written later, by `explore`.
 
         Parameters
         ----------
@@ -110,8 +112,8 @@ class Study(PathLike[str]):
         problem : Problem
             What is searched.
         simulator : Simulator or str, default "builtin"
-            What runs the scenarios, from `cornercase.simulators`, with the drivers of the entities, or as text with
-            options after a colon.
+            Simulator of `cornercase.simulators`, or its name with options after a colon. It also holds the drivers of
+            the entities.
         seed : int, default 0
             The same seed gives the same result.
 
@@ -127,7 +129,7 @@ class Study(PathLike[str]):
         study = cls._from_problem(path, problem, simulator, seed)
         if study.path.exists():
             raise InputError(
-                f"{study.path}: exists already; go on with it by `Study.open_or_create`, or name another file."
+                f"{study.path}: exists already; continue it with `Study.open_or_create`, or name another file."
             )
         check_writable_file("path", study.path)
         return study
@@ -138,18 +140,19 @@ class Study(PathLike[str]):
     ) -> Self:
         """Open an existing study.
 
-        Problem, simulator and seed are those that the file names. Code that a file names is never run: if your own
-        driver or simulator drove, give `simulator` again to run further scenarios. Looking at the study needs none.
+        Problem, simulator and seed are read from the file. Code that the file names is never run. If the study was
+        explored with your own driver or simulator, give `simulator` again to run further scenarios; reading the study
+        does not need it.
 
         Parameters
         ----------
         path : path
             File of the study.
         simulator : Simulator or str, optional
-            What runs further scenarios; by default that of the study, without options.
+            Simulator that runs further scenarios; by default the study's simulator, without options.
         scenario : path, optional
-            OpenSCENARIO file that was explored. By default it is searched at the path in the study, next to the study
-            and in the current folder, and recognized by its fingerprint.
+            OpenSCENARIO file that was explored. By default it is searched at the path stored in the study, beside the
+            study and in the current folder, and recognized by its fingerprint.
 
         Returns
         -------
@@ -170,7 +173,7 @@ class Study(PathLike[str]):
     def open_or_create(
         cls, path: Path | str, problem: Problem, simulator: Simulator | str = "builtin", *, seed: int = 0
     ) -> Self:
-        """Open the study if the file exists, and create it otherwise: what a notebook calls each time it is run.
+        """Open the study if the file exists, and create it otherwise, so that a notebook can be run again.
 
         Parameters
         ----------
@@ -179,8 +182,8 @@ class Study(PathLike[str]):
         problem : Problem
             What is searched.
         simulator : Simulator or str, default "builtin"
-            What runs the scenarios, from `cornercase.simulators`, with the drivers of the entities, or as text with
-            options after a colon.
+            Simulator of `cornercase.simulators`, or its name with options after a colon. It also holds the drivers of
+            the entities.
         seed : int, default 0
             The same seed gives the same result.
 
@@ -220,11 +223,11 @@ class Study(PathLike[str]):
         return self
 
     def __exit__(self, *exception: object) -> None:
-        """Nothing is open between two verbs."""
+        """Do nothing: no file is open between two method calls."""
 
     @property
     def problem(self) -> Problem:
-        """What is searched. Reads the scenario file if the study was opened."""
+        """The problem that is searched; for an opened study, this reads the scenario file."""
         if self._problem is None:
             self._problem = problem_from_config(self._stored_config())
         return self._problem
@@ -253,35 +256,35 @@ class Study(PathLike[str]):
     ) -> ExplorationResult:
         """Search for critical concrete scenarios.
 
-        Each scenario is stored as soon as it has ended. The same call again goes on where the search stopped; with a
-        larger `budget` it continues from there.
+        Each scenario is stored as soon as it has ended. The same call again resumes an interrupted search. With a
+        larger `budget`, a finished search goes on.
 
         Parameters
         ----------
         optimizer : Optimizer or str, optional
-            Where to look next, from `cornercase.optimizers`, or as text with options after a colon:
-            ``"level-set:filling=0.1"``. This and all other defaults are those that the study was searched with before;
-            of a new study ``Bayes()``.
+            Optimizer of `cornercase.optimizers`, or its name with options after a colon: ``"level-set:filling=0.1"``.
+            By default ``Bayes()``. If the study was searched before, this and all other settings default to those of
+            that search.
         budget : int, optional
             Number of scenarios in total; 200 by default.
         stop : StopRule or str, or sequence of these
-            When to stop before the budget is used up, from `cornercase.stop`: when the critical set is known well
-            enough (``stop.missed(0.05)``; of several such rules all must hold), after a time, or without an
-            improvement.
+            Rules of `cornercase.stop` that end the search before the budget is used up: when the critical set is known
+            well enough (``stop.missed(0.05)``), after a time, or when there is no improvement. If there are several
+            rules about the critical set, all of them must hold.
         runs : Runs, optional
             How scenarios are run.
         batch : int, optional
             Number of scenarios per round; 10 by default.
         asynchronous : bool, optional
-            Search without rounds: ask for the next scenario as soon as one has ended.
+            Propose the next scenario as soon as one has ended, instead of in rounds.
         audit : float, optional
             Fraction of the scenarios, up to 0.5, that are drawn at random and hidden from the search, to assess its
             result.
         warm_start : Study or path, optional
-            Study with the same parameters but another driver, simulator or time step, whose scores warm-start the
-            search.
+            Earlier study with the same parameters, but another driver, simulator or time step; the search begins with
+            its scores.
         retry_failed : bool, default False
-            First run the failed scenarios of the study again.
+            Run the failed scenarios of the study again before the search goes on.
         progress : bool, default False
             Show a progress bar.
 
@@ -294,7 +297,7 @@ class Study(PathLike[str]):
         InputError
             An argument cannot be used, or the study belongs to another exploration; it is left unchanged.
         KeyboardInterrupt
-            It was interrupted; what has run is stored.
+            The search was interrupted; scenarios that have ended are stored.
 
         Warns
         -----
@@ -309,7 +312,7 @@ class Study(PathLike[str]):
             "asynchronous": asynchronous,
             "audit": audit,
             "warm_start": None if warm_start is None else check_path("warm_start", warm_start),
-            **({} if runs is None else vars(runs)),
+            **run_settings(runs),
         }
         with name_arguments_of_objects():
             meta = None
@@ -341,7 +344,8 @@ class Study(PathLike[str]):
     ) -> dict[str, Analysis]:
         """Cluster the scenarios by behaviour and by criticality, and store the result.
 
-        For each aspect, scenarios are compared by Dynamic Time Warping, and clustered by these distances.
+        For each aspect, Dynamic Time Warping gives distances between scenarios, and the clusters are found from these
+        distances.
 
         Parameters
         ----------
@@ -349,17 +353,17 @@ class Study(PathLike[str]):
             Aspects: any of `cornercase.clustering.ASPECTS`, and metrics of the study. By default the ego's trajectory,
             the bearing of the other, the interaction of both, and all metrics of the study.
         gamma, eps : float or "auto", default "auto"
-            Kernel width and radius of the neighbourhood, without unit.
+            Width of the kernel, and radius of a neighbourhood in kernel space; both without unit.
         min_samples : int or "auto", default "auto"
-            Least number of scenarios in a dense neighbourhood.
+            Smallest number of scenarios in a dense neighbourhood.
         method : {"dbscan", "hdbscan"}, optional
             Algorithm that finds the clusters; by default DBSCAN.
         window : float, optional
-            s; largest difference in time of two instants that are matched. By default any.
+            Largest time difference in s of two instants that are matched; by default there is no limit.
         keep_clusters : bool, default False
-            Keep the existing clusters, and assign the scenarios that were run since to them.
+            Keep the existing clusters, and assign scenarios to them that were run since.
         threshold : float, optional
-            Score from which a scenario is critical, to compare the clusters with; by default that of the study.
+            Score from which a scenario is critical; clusters are compared with it. By default that of the study.
         workers : int, default 1
             Processes of a local cluster.
         cluster : str or distributed.Client, optional
@@ -378,7 +382,7 @@ class Study(PathLike[str]):
         ------
         InputError
             Fewer than two scenarios were run, the study cannot be compared by an aspect, a setting is out of range or
-            given for clusters that are kept, or the series do not fit in the memory.
+            would change clusters that are kept, or the series exceed the memory limit.
 
         See Also
         --------
@@ -499,7 +503,7 @@ class Study(PathLike[str]):
         memory: str | float = DEFAULT_MEMORY,
         progress: bool = False,
     ) -> Page:
-        """Write the report as one HTML page without external references.
+        """Write the report as one HTML page that loads nothing from elsewhere.
 
         Parameters
         ----------
@@ -555,7 +559,8 @@ class Study(PathLike[str]):
         port : int, default 0
             Port of the page; 0 for a free one.
         host : str, default "127.0.0.1"
-            Address of the network interface. Any other lets other machines connect; they need the token in the address.
+            Address of the network interface. With another interface than the default, other machines can connect if
+            they know the token in the address of the page.
         browser : bool, default False
             Open the page in the browser.
         show : callable, default print
@@ -641,22 +646,22 @@ class Study(PathLike[str]):
     ) -> Estimation:
         """Estimate the probability of critical scenarios and collisions under the distributions of the space.
 
-        New scenarios are run and stored in a study of their own. The same call again goes on where it stopped.
+        New scenarios are run and stored in a study of their own. The same call again resumes an interrupted estimate.
 
         Parameters
         ----------
         path : path
-            Study of the estimate, to create or resume; this one is only read.
+            Study of the estimate, to create or resume. The study that was explored is only read.
         budget : int, default 2000
             Number of scenarios in total; at most 40 % of the first budget are used for learning.
         threshold : float, optional
             Score from which a scenario is critical; by default that of the study.
         encounter : float, default 10.0
-            The ego and the other have an encounter if the gap between their boxes is at most this many m at some time.
+            Largest gap in m between the boxes of ego and other entity that counts as an encounter.
         seed : int, default 0
             The same seed gives the same result.
         runs : Runs, optional
-            Where scenarios are run. Each is run once.
+            How scenarios are run; each is run once.
         progress : bool, default False
             Show a progress bar.
 
@@ -667,7 +672,8 @@ class Study(PathLike[str]):
         Raises
         ------
         InputError
-            An argument cannot be used, the study has no threshold or belongs to something else, or `path` does.
+            An argument cannot be used, the study has no threshold or cannot be used for an estimate, or `path` holds
+            another study.
 
         See Also
         --------
@@ -709,7 +715,7 @@ class Study(PathLike[str]):
         Parameters
         ----------
         scenario : int
-            Its id, as in the index of `table`.
+            Id of the scenario, as in the index of `table`.
 
         Returns
         -------
@@ -729,9 +735,9 @@ class Study(PathLike[str]):
         Parameters
         ----------
         scenario : int
-            Its id, as in the index of `table`.
+            Id of the scenario, as in the index of `table`.
         metric : str, optional
-            By default the first one.
+            By default the first metric of the study.
 
         Returns
         -------
@@ -747,7 +753,7 @@ class Study(PathLike[str]):
             return file.course(scenario, file.meta.metrics[0] if metric is None else metric)
 
     def critical_set(self, *, threshold: float | None = None) -> CriticalEstimates:
-        """Estimate how much of the space is critical, and how much of that was missed.
+        """Estimate which fraction of the space is critical, and how much of the critical part was missed.
 
         Parameters
         ----------
@@ -757,7 +763,7 @@ class Study(PathLike[str]):
         Returns
         -------
         CriticalEstimates
-            With intervals, or why there are none.
+            The estimates, with intervals or the reasons why there are none.
 
         Raises
         ------
@@ -773,7 +779,7 @@ class Study(PathLike[str]):
         return estimates
 
     def sensitivity(self) -> Sensitivity:
-        """Estimate how much of the variance of the searched score comes from each parameter.
+        """Estimate how much of the variance of the objective's score each parameter explains.
 
         Returns
         -------
@@ -821,12 +827,12 @@ class Study(PathLike[str]):
             return summarize(self.path, critical=threshold)
 
     def export(self, folder: Path | str, *, parquet: bool = False) -> None:
-        """Write everything as CSV: one table of scenarios, and recording and courses of each.
+        """Write the study as CSV: a table of scenarios, and the recording and metric courses of each scenario.
 
         Parameters
         ----------
         folder : path
-            Gets ``scenarios.csv``, and ``recordings/ID.csv`` and ``courses/ID.csv`` of each scenario.
+            Folder for ``scenarios.csv``, and for ``recordings/ID.csv`` and ``courses/ID.csv`` of each scenario.
         parquet : bool, default False
             Also write ``scenarios.parquet``, ``recordings.parquet`` and ``courses.parquet`` of all scenarios.
 
@@ -845,7 +851,7 @@ class Study(PathLike[str]):
         return StudyFile.open(self.path)
 
     def _make_config(self, meta: StudyMeta | None, **settings: Any) -> ExplorationConfig:
-        """Create the configuration; `meta` describes the existing file, and gives the defaults of `settings`."""
+        """Return the configuration of an exploration; `meta` of the existing file gives the defaults of `settings`."""
         if self._problem is None:
             return replace(self._stored_config(), **settings)
         if meta is not None:
@@ -862,11 +868,16 @@ class Study(PathLike[str]):
         return config_from_problem(self._problem, seed=self.seed, **self._simulator_fields, **settings)
 
     def _stored_config(self) -> ExplorationConfig:
-        """Rebuild the configuration from the file; the simulator is the given one, or else that of the file."""
+        """Return the configuration that the file stores; a simulator that was given replaces the stored one."""
         fields = dict(self._simulator_fields)
         with self._read() as file:
             config = config_from_study(
-                file, self.path, self._scenario, fields.get("simulator"), fields.pop("drivers", {})
+                file,
+                self.path,
+                self._scenario,
+                fields.get("simulator"),
+                fields.pop("drivers", {}),
+                driver_hint=_DRIVER_HINT,
             )
         return replace(config, **fields)
 
@@ -880,7 +891,7 @@ class Study(PathLike[str]):
             return repr(file)
 
     def _repr_html_(self) -> str:
-        """Description and the most critical scenarios, for notebooks."""
+        """Description of the study and its most critical scenarios, for notebooks."""
         if self._problem is not None and not self.path.exists():
             return render_html(repr(self))
         with self._read() as file:

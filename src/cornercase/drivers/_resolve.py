@@ -1,4 +1,4 @@
-"""Create a driver from the name given on the command line."""
+"""Create drivers from names, such as those on the command line."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from cornercase._common.process.signals import collect_interrupts, count_request
 from cornercase._common.registry import check_options, parse_options
 from cornercase._common.text.sanitize import format_exception
 from cornercase._common.typing import FloatArray
+from cornercase._common.validation import repr_short
 from cornercase.drivers._base import Driver, Situation
 from cornercase.drivers._description import record_driver_spec
 from cornercase.drivers._registry import DRIVERS, is_registered_driver
@@ -18,7 +19,7 @@ from cornercase.drivers._registry import DRIVERS, is_registered_driver
 
 @runtime_checkable
 class _DriverProtocol(Protocol):
-    """What makes an object a driver, whether or not its class derives from `Driver`."""
+    """Members that make an object a driver, even if its class does not derive from `Driver`."""
 
     settings: dict[str, object]
 
@@ -28,7 +29,7 @@ class _DriverProtocol(Protocol):
 
 
 def is_driver(candidate: object) -> TypeGuard[Driver]:
-    """Check whether an object is a driver, by base class or by its members; False for a class."""
+    """Check whether an object is a driver, by its base class or its members; False for a class."""
     return (
         not isinstance(candidate, type)
         and isinstance(candidate, _DriverProtocol)
@@ -36,11 +37,18 @@ def is_driver(candidate: object) -> TypeGuard[Driver]:
     )
 
 
-def create_driver_named_in_file(name: str) -> Driver:
-    """Create a driver named by a scenario file, such as ``"normal:reaction_time=0.6,horizon=4"``.
+def check_driver(entity: str, driver: object) -> str | Driver:
+    """Return a name or a driver; `InputError` for anything else that is to drive `entity`."""
+    if (driver and isinstance(driver, str)) or is_driver(driver):
+        return driver
+    raise InputError(f"`drivers` {entity}={repr_short(driver)}: give the name of a driver, or an instance.")
 
-    A file may come from anywhere: it cannot name a class to load, and options must be numbers, since strings could name
-    files or programs. Otherwise raises `InputError`.
+
+def create_driver_named_in_file(name: str) -> Driver:
+    """Create a driver that a scenario file names, such as ``"normal:reaction_time=0.6,horizon=4"``.
+
+    Scenario files are not trusted. So the name must be that of a registered driver, and all options must be numbers,
+    since texts could name files or programs. Otherwise raises `InputError`.
     """
     if not is_registered_driver(name):
         hint = suggest_name(name.partition(":")[0], DRIVERS.names())
@@ -51,7 +59,7 @@ def create_driver_named_in_file(name: str) -> Driver:
 
 
 def _find_non_numeric_option(name: str) -> str | None:
-    """First option of a driver that is not a number; None if there is none."""
+    """Return the first option of a driver that is not a number; None if all are numbers."""
     options = name.partition(":")[2]
     for option in options.split(",") if options else ():
         key, _, value = option.partition("=")
@@ -63,17 +71,17 @@ def _find_non_numeric_option(name: str) -> str | None:
 
 
 def is_compiled_driver_name(name: str) -> bool:
-    """Check whether a name, possibly with options, is a registered driver with compiled decisions."""
+    """Check whether a name (with or without options) belongs to a registered driver with compiled decisions."""
     from cornercase.drivers._compiled import CompiledDriver
 
     return is_registered_driver(name) and isinstance(DRIVERS.create(name), CompiledDriver)
 
 
 def load_user_driver(name: str) -> Driver:
-    """Create a user's own driver from ``"package.module:Class"``, possibly with options ``":reaction=0.3"``.
+    """Create a user's own driver from ``"package.module:Class"``, with options as in ``":reaction=0.3"`` or without.
 
-    This runs the module, so the name must come from the person at the command line, never from a file. The module is
-    searched among installed packages, then in the current folder. Raises `InputError` if anything of this fails.
+    The module is imported, so the name must come from the user, never from a file. It is searched among the installed
+    packages, then in the current folder. Raises `InputError` if the driver cannot be created.
     """
     module_name, _, class_and_options = name.partition(":")
     class_name, colon, text = class_and_options.partition(":")
@@ -121,12 +129,15 @@ def load_user_driver(name: str) -> Driver:
 
 
 def driver_by_name(name: str) -> Driver:
-    """Create a driver from a registered name or ``"package.module:Class"``, either possibly with options."""
+    """Create a driver from the name of a registered driver or ``"package.module:Class"``, with or without options."""
     return load_user_driver(name) if ":" in name and not is_registered_driver(name) else DRIVERS.create(name)
 
 
 def resolve_driver(driver: str | Driver) -> str | Driver:
-    """Load a driver, but keep the name of a registered one, so that studies and files can store it."""
+    """Create a user's driver from its name.
+
+    Return the name of a registered driver unchanged, so that it can be stored.
+    """
     if not isinstance(driver, str):
         return driver
     created = driver_by_name(driver)

@@ -202,7 +202,7 @@ def config_from_study(
     simulator: str | Simulator | None,
     drivers: Mapping[str, str | Driver],
     *,
-    driver_hint: str = "give it again with `drivers` {entity}={driver}",
+    driver_hint: str = "give it again with `drivers`, as in {entity}={driver}",
 ) -> ExplorationConfig:
     """Rebuild the configuration with which a study was explored.
 
@@ -221,7 +221,9 @@ def config_from_study(
             resolved_drivers.setdefault(entity, driver)
         elif entity not in resolved_drivers:
             command = driver_command_option(driver)
-            hint = "give it again" if command is None else driver_hint.format(entity=entity, driver=command)
+            # An object that no text describes is given as an object again.
+            hint = driver_hint.partition(",")[0] if command is None else driver_hint
+            hint = hint.format(entity=entity, driver=command)
             raise InputError(
                 f"{file}: {format_driver(driver)} drove {entity}; code that a study names is not run, so {hint}."
             )

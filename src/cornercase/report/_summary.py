@@ -11,6 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from cornercase._common.plugin_errors import group_failure_messages
+from cornercase._common.text.html import render_html_table
 from cornercase.clustering import Agreement, Analysis, read_analyses
 from cornercase.clustering._agreement import compare_clusterings
 from cornercase.exploration._constant_metrics import describe_constant_metrics
@@ -37,23 +38,23 @@ class MetricSummary:
     Attributes
     ----------
     name, unit : str
-        The unit is ``"1"`` for none.
+        The unit ``"1"`` means no unit.
     lower_is_critical : bool
     most_critical, median : float
         In the unit of the metric.
     most_critical_id : int
         Id of the most critical scenario.
     parameters : mapping of str to float or str
-        Its parameters.
+        Parameters of the most critical scenario.
     repeat_spread : tuple of float, or None
-        Score range of repeated runs: of the median scenario, and the largest. None if each scenario was run once.
+        Median and largest difference between the scores of repeated runs of a scenario. None if each scenario was run
+        once.
     constant_note : str
-        Message if all scenarios have the same score, else empty.
+        A message if all scenarios have the same score; else empty.
     most_critical_other : str or None
-        With several others, the one that the most critical score belongs to; None with one other, or if the score does
-        not depend on the other.
+        If there are several other entities: the entity that the most critical score is measured against. Else None.
     scores_per_other : mapping of str to int
-        With several others, the number of scores that belong to each; else empty.
+        If there are several other entities: the number of scores that are measured against each. Else empty.
     """
 
     name: str
@@ -78,9 +79,9 @@ class FailureSummary:
     n_scenarios : int
         Number of scenarios.
     first_id : int
-        Id of the first.
+        Id of the first scenario.
     parameters : mapping of str to float or str
-        Parameters of the first.
+        Parameters of the first scenario.
     """
 
     n_scenarios: int
@@ -153,6 +154,24 @@ class Summary:
             parts.append(f"{len(self.reduced_set)} kept")
         return f"Summary({', '.join(parts)})"
 
+    def _repr_html_(self) -> str:
+        """Counts, a table of the metrics, the clusters and the reduced set, for notebooks."""
+        import pandas as pd
+
+        metrics = pd.DataFrame(
+            {
+                name: {
+                    "unit": "" if metric.unit == "1" else metric.unit,
+                    "most critical": metric.most_critical,
+                    "median": metric.median,
+                    "most critical scenario": metric.most_critical_id,
+                }
+                for name, metric in self.metrics.items()
+            }
+        ).T
+        shown = [*self.analyses.values(), *([] if self.reduced_set is None else [self.reduced_set])]
+        return render_html_table(repr(self), metrics) + "".join(item._repr_html_() for item in shown)
+
 
 def summarize(study: StudyFile | Path | str, *, critical: float | None = None) -> Summary:
     """Summarize what was run in a study, and what was found.
@@ -196,7 +215,10 @@ def entities_hit_by_ego(meta: StudyMeta, collisions: Iterable[Collision]) -> fro
 
 
 def summarize_with_collisions(study: StudyFile, entities_hit: Sequence[frozenset[str]]) -> Summary:
-    """Like `summarize`, given for each run scenario the entities that the ego collides with."""
+    """Summarize a study like `summarize`, with known collisions, so that they need not be read again.
+
+    `entities_hit` has the names of the entities that the ego collides with, for each scenario that ran.
+    """
     states = [row.state for row in study.rows()]
     others = frozenset(study.meta.others)
     names, constant_notes = study.meta.metrics, describe_constant_metrics(study)

@@ -14,6 +14,7 @@ from cornercase._common.plugin_errors import convert_plugin_errors
 from cornercase._common.validation import check_float, check_str
 from cornercase.drivers import Driver
 from cornercase.drivers._description import serialize_driver
+from cornercase.drivers._resolve import check_driver
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario, Value
 from cornercase.scenario._file import ScenarioFile
@@ -142,7 +143,9 @@ class Simulator(Configurable, ABC):
         """
 
     def check_runnable(self, concretes: Sequence[ConcreteScenario]) -> None:
-        """Refuse scenarios none of which can be run, without running any; called before a study is created.
+        """Refuse a sample of scenarios if none of them can be run.
+
+        Runs nothing, and is called before a study is created.
 
         Parameters
         ----------
@@ -184,7 +187,7 @@ class Simulator(Configurable, ABC):
         return Availability()
 
     def notify(self, sentences: Iterable[str]) -> None:
-        """Pass sentences about these runs to the user, each once.
+        """Pass sentences about the present runs to the user; repeated sentences are passed once.
 
         Parameters
         ----------
@@ -209,10 +212,10 @@ class Simulator(Configurable, ABC):
         return ()
 
     def cancel(self) -> None:
-        """Cancel what runs in another thread soon; by default nothing happens."""
+        """Cancel runs in other threads as soon as possible; does nothing by default."""
 
     def close(self) -> None:
-        """Release resources; by default there are none."""
+        """Release resources; does nothing by default."""
 
     def __enter__(self) -> Self:
         return self
@@ -227,7 +230,10 @@ class Simulator(Configurable, ABC):
 
 
 def check_seed(seed: int, owner: str) -> int:
-    """Return a valid seed; `InputError` naming `owner` seed it is unless it is an integer from 0 to 2147483647."""
+    """Return the seed if it is an integer from 0 to 2147483647.
+
+    Otherwise raise `InputError`, which names the `owner`.
+    """
     if not (isinstance(seed, int) and 0 <= seed < 2**31):
         raise InputError(f"The seed of {owner} is {seed}; give a whole number from 0 to 2147483647.")
     return seed
@@ -253,7 +259,7 @@ def check_settings(
     Raises
     ------
     InputError
-        A value is out of range.
+        A value is out of range, or something is no driver.
     """
     time_step, duration = check_float("time_step", time_step), check_float("duration", duration)
     if not 0.001 <= time_step <= 1.0:
@@ -261,9 +267,10 @@ def check_settings(
     if not time_step <= duration <= 3600.0:
         raise InputError(f"`duration` {duration:g}: choose a time from one time step to 3600 s.")
     check_str("on_collision", on_collision, ("continue", "stop"))
+    given = {entity: check_driver(entity, driver) for entity, driver in sorted((drivers or {}).items())}
     return {
         "time_step": time_step,
         "duration": duration,
         "on_collision": on_collision,
-        "drivers": {entity: serialize_driver(driver) for entity, driver in sorted((drivers or {}).items())},
+        "drivers": {entity: serialize_driver(driver) for entity, driver in given.items()},
     }

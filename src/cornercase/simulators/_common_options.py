@@ -1,4 +1,4 @@
-"""Options that are offered to every simulator, and the ones it declares."""
+"""Options that every simulator is offered, and selection of the options that a simulator declares."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any, Final
 from cornercase._common.configurable import declared_options, given_options
 from cornercase._common.errors import InputError
 from cornercase._common.io.support_table import issue_notice_warning
-from cornercase._common.validation import check_str, repr_short
+from cornercase._common.validation import check_str, not_an_object
 from cornercase.simulators._base import Simulator
 
 # Default values of `COMMON_OPTIONS`, which a simulator need not declare.
@@ -22,10 +22,10 @@ _DEFAULT_OPTIONS: Final[dict[str, Any]] = {
 
 
 def select_declared_options(name: str, simulator: type[Simulator], options: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the options that a simulator's constructor declares, or all if it takes ``**options``.
+    """Return the options that the constructor of a simulator declares; all options if it takes ``**options``.
 
-    Raises `InputError` if drivers or ``on_collision="stop"`` are given but not declared; warns if a time step or
-    duration has no effect.
+    Raises `InputError` if drivers or ``on_collision="stop"`` are given and not declared. Warns if a time step or
+    duration is not declared, and so has no effect.
     """
     declared = declared_options(simulator)
     for key, default in _DEFAULT_OPTIONS.items():
@@ -53,15 +53,16 @@ def select_declared_options(name: str, simulator: type[Simulator], options: Mapp
 def split_common_options(
     simulator: str | Simulator, options: Mapping[str, Any]
 ) -> tuple[str | Simulator, dict[str, Any]]:
-    """Return a simulator without the options that all get, and these options, as given to it or in `options`.
+    """Return a simulator without the options that all simulators have.
 
-    Raises `InputError` if both have another value, or for neither text nor simulator.
+    And these options, from `simulator` or `options`. Raises `InputError` if both have different values for an option,
+    or if `simulator` is neither a text nor a simulator.
     """
     common = {key: options[key] for key in _DEFAULT_OPTIONS}
     if isinstance(simulator, str):
         return check_str("simulator", simulator), common
     if not isinstance(simulator, Simulator):
-        raise InputError(f"`simulator` {repr_short(simulator)}: give one as an object, or its name.")
+        raise not_an_object("simulator", simulator)
     own = {key: value for key, value in given_options(simulator).items() if key in _DEFAULT_OPTIONS}
     for key, value in own.items():
         if common[key] not in (None, _DEFAULT_OPTIONS[key], value):
