@@ -34,17 +34,40 @@ def compute(x, y, out):
     out[3], out[4], out[5] = math.sin(x), math.cos(y), math.sqrt(x)
     out[6], out[7] = min(x, y), max(x, y)
     out[8], out[9] = math.atan2(x, y), 1.0 / (0.0 * x)
+    out[10], out[11], out[12] = x**3, x**7, x**-1 if x != 0.0 else 0.0
+    out[13], out[14], out[15] = abs(x) ** 0.5, abs(x) ** 1.7, abs(x) ** y
+    out[16], out[17] = int(x), max(int(x), 0)
+    z = x
+    z /= y
+    z %= 3.0
+    out[18] = z
+
+
+@kernel(error_model="numpy")
+def compute_with_integers(m, n, out):
+    out[0], out[1], out[2], out[3] = m // n, m % n, m**2, n**3
+    m //= n
+    out[4] = m
 
 
 @settings(deadline=None)
 @given(NUMBERS, NUMBERS)
 def test_interpreted_kernels_compute_the_bits_of_compiled_ones(x, y):
-    compiled, python = np.empty(10), np.empty(10)
+    compiled, python = np.empty(19), np.empty(19)
     compute(x, y, compiled)
     interpret(compute, (x, y, python))
     assert np.array_equal(compiled, python, equal_nan=True)
     numbers = ~np.isnan(compiled)
     assert compiled[numbers].tobytes() == python[numbers].tobytes()
+
+
+@settings(deadline=None)
+@given(st.integers(-1000, 1000), st.integers(-3, 3))
+def test_interpreted_kernels_compute_the_integers_of_compiled_ones(m, n):
+    compiled, python = np.empty(5, dtype=np.int64), np.empty(5, dtype=np.int64)
+    compute_with_integers(m, n, compiled)
+    interpret(compute_with_integers, (m, n, python))
+    assert compiled.tolist() == python.tolist()
 
 
 def test_calls_that_take_long_are_compiled():

@@ -86,7 +86,7 @@ def compile_in_parallel(program: str = _LATE_PROGRAM) -> Iterator[None]:
     The later kernels are those that are needed after the simulations. Both processes share the cache on disk, so this
     process finds them compiled.
     """
-    from cornercase._common.numba.interpret import compile_at_once
+    from cornercase._common.numba.interpret import compile_loops_at_once
     from cornercase._common.numba.kernel import call_on_first_compilation
     from cornercase._common.platform import count_available_cpus
 
@@ -99,11 +99,11 @@ def compile_in_parallel(program: str = _LATE_PROGRAM) -> Iterator[None]:
         processes.append(subprocess.Popen(command, stdin=subprocess.PIPE, stdout=nothing, stderr=nothing))
 
     if count_available_cpus() < 2:
-        with compile_at_once():
+        with compile_loops_at_once():
             yield
         return
     try:
-        with compile_at_once(), call_on_first_compilation(start_process):
+        with compile_loops_at_once(), call_on_first_compilation(start_process):
             yield
     finally:
         # An incompletely written cache file counts as missing.

@@ -18,7 +18,7 @@ from numba.core import compiler, event, typing
 from numba.core.codegen import JITCodeLibrary
 from numba.core.registry import CPUDispatcher
 
-from cornercase._common.numba.interpret import can_interpret, interpret
+from cornercase._common.numba.interpret import can_interpret, interpret, must_interpret
 
 
 class KernelDispatcher(CPUDispatcher):
@@ -49,6 +49,8 @@ class KernelDispatcher(CPUDispatcher):
         """
         if self.overloads:
             return True
+        if must_interpret():
+            return False
         kinds = tuple(map(_kind, args))
         if kinds in self._missing:
             return False

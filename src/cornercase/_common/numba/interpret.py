@@ -25,7 +25,7 @@ from numba.core.dispatcher import Dispatcher
 from cornercase._common.numba import pointers, references
 
 MAX_SECONDS: Final = 4.0
-"""Time in s that a process interprets kernels at most: a fraction of what it takes to compile them."""
+"""Longest time in s for which a process interprets kernels; compiling all of them takes longer."""
 
 
 class _Clock:
@@ -33,11 +33,19 @@ class _Clock:
 
     spent = 0.0  # s
     is_stopped = False  # whether all kernels are compiled at once
+    is_stopped_for_loops = False  # whether those are that hold most of the work
+    is_forced = False  # whether kernels are interpreted even if there is machine code
 
 
-def can_interpret(seconds: float) -> bool:
-    """Whether this process may still interpret kernels for `seconds` s."""
-    return not _Clock.is_stopped and _Clock.spent + seconds <= MAX_SECONDS
+def can_interpret(seconds: float, *, is_loop: bool = False) -> bool:
+    """Whether this process may still interpret kernels for `seconds` s.
+
+    `is_loop`: it is one that holds most of the work, as the simulator's time loop.
+    """
+    if _Clock.is_forced:
+        return True
+    is_stopped = _Clock.is_stopped or (is_loop and _Clock.is_stopped_for_loops)
+    return not is_stopped and _Clock.spent + seconds <= MAX_SECONDS
 
 
 @contextmanager
@@ -48,6 +56,34 @@ def compile_at_once() -> Iterator[None]:
         yield
     finally:
         _Clock.is_stopped = before
+
+
+@contextmanager
+def compile_loops_at_once() -> Iterator[None]:
+    """Within the block, compile kernels that hold most of the work at their first call, because many calls follow."""
+    before, _Clock.is_stopped_for_loops = _Clock.is_stopped_for_loops, True
+    try:
+        yield
+    finally:
+        _Clock.is_stopped_for_loops = before
+
+
+def must_interpret() -> bool:
+    """Whether machine code is left aside."""
+    return _Clock.is_forced
+
+
+@contextmanager
+def interpret_always() -> Iterator[None]:
+    """Within the block, interpret what can be, however long it takes, unless this process has called it before.
+
+    So the results of Python and of machine code can be compared.
+    """
+    before, _Clock.is_forced = _Clock.is_forced, True
+    try:
+        yield
+    finally:
+        _Clock.is_forced = before
 
 
 def interpret(kernel: Any, args: tuple[Any, ...]) -> Any:
@@ -83,7 +119,7 @@ def _nested_codes(code: CodeType) -> Iterator[CodeType]:
 class _Division(ast.NodeTransformer):
     """Replaces operators whose results differ in compiled code: divisions and remainders by 0, and squares."""
 
-    functions: Final = {ast.Div: "_divide", ast.Mod: "_remainder", ast.Pow: "_power"}
+    functions: Final = {ast.Div: "_divide", ast.FloorDiv: "_floor_divide", ast.Mod: "_remainder", ast.Pow: "_power"}
 
     def visit_BinOp(self, node: ast.BinOp) -> ast.AST:
         """Replace a binary operator by a function call."""
@@ -92,6 +128,14 @@ class _Division(ast.NodeTransformer):
         if name is None:
             return node
         return ast.copy_location(ast.Call(ast.Name(name, ast.Load()), [node.left, node.right], []), node)
+
+    def visit_AugAssign(self, node: ast.AugAssign) -> ast.AST:
+        """Replace the operator if a variable is changed; elements of arrays are divided by NumPy."""
+        self.generic_visit(node)
+        if not isinstance(node.target, ast.Name):
+            return node
+        value = self.visit_BinOp(ast.BinOp(ast.Name(node.target.id, ast.Load()), node.op, node.value))
+        return ast.copy_location(ast.Assign([node.target], value), node)
 
 
 def _without_exceptions(compute: Callable[..., Any]) -> Callable[..., Any]:
@@ -117,12 +161,46 @@ def _remainder(a: Any, b: Any) -> Any:
     try:
         return operator.mod(a, b)
     except ZeroDivisionError:
-        return math.nan
+        # 0 of integers, as in compiled code.
+        return np.remainder(a, b)
 
 
-def _power(a: Any, exponent: int) -> Any:
-    assert exponent == 2
-    return a * a
+def _floor_divide(a: Any, b: Any) -> Any:
+    try:
+        return a // b
+    except ZeroDivisionError:
+        # Of integers, compiled code gives 0.
+        return np.floor_divide(a, b)
+
+
+def _power_of_floats(a: float, exponent: float) -> Any:
+    if exponent == 0.5:
+        return math.inf if a == -math.inf else _MATH.sqrt(a)
+    try:
+        return math.pow(a, exponent)
+    except (ValueError, OverflowError):
+        return np.power(np.float64(a), exponent)
+
+
+def _power(a: Any, exponent: Any) -> Any:
+    if not isinstance(exponent, int):
+        return _power_of_floats(a, exponent)
+    result, factor, remaining = 1, a, abs(exponent)
+    while remaining:
+        if remaining & 1:
+            result = result * factor
+        remaining >>= 1
+        factor = factor * factor
+    return 1.0 / result if exponent < 0 else result
+
+
+def _integer(value: Any) -> int:
+    """As `int`, but what the processor gives for a float that no integer of 64 bits holds."""
+    try:
+        result = int(value)
+    except (ValueError, OverflowError):
+        return int(np.float64(value).astype(np.int64))
+    return result if -(2**63) <= result < 2**63 else int(np.float64(value).astype(np.int64))
 
 
 # Python's own hypot rounds otherwise than that of the C library.
@@ -130,6 +208,7 @@ _MATH: Final = SimpleNamespace(**vars(math))
 for _name in ("acos", "asin", "atan", "atan2", "cos", "exp", "fmod", "log", "sin", "sqrt", "tan"):
     setattr(_MATH, _name, _without_exceptions(getattr(math, _name)))
 _MATH.hypot = np.hypot
+_MATH.floor, _MATH.ceil = lambda x: _integer(np.floor(x)), lambda x: _integer(np.ceil(x))
 
 
 def _array_at(kind: Any) -> Callable[[int, int], npt.NDArray[Any]]:
@@ -172,6 +251,15 @@ class _Module:
         return value
 
 
+_OPERATORS: Final = {
+    "_divide": _divide,
+    "_floor_divide": _floor_divide,
+    "_remainder": _remainder,
+    "_power": _power,
+    "int": _integer,
+}
+
+
 class _Globals(dict[str, Any]):
     """Global variables of a module for interpreted code."""
 
@@ -182,7 +270,7 @@ class _Globals(dict[str, Any]):
         """Return the global variables for the functions of a module; they are made once per module."""
         made = cls.modules.get(id(namespace))
         if made is None:
-            made = cls.modules[id(namespace)] = cls(_divide=_divide, _remainder=_remainder, _power=_power)
+            made = cls.modules[id(namespace)] = cls(_OPERATORS)
             made["__builtins__"] = namespace["__builtins__"]
             # Kernels may call one another in a circle of modules.
             for name, value in namespace.items():

@@ -34,6 +34,8 @@ from cornercase.simulators.builtin.world._world import World
 
 # Trajectories for drivers, in m: sample spacing, straight extension beyond the end, and longest length.
 _SAMPLE_SPACING, _EXTENSION_LENGTH, _MAX_LENGTH = 0.5, 200.0, 2000.0
+# Number of points of trajectories that are computed at once.
+_MAX_POINTS = 10_000
 
 # Excess in m/s² that may come from rounding.
 _ROUNDING = 1e-9
@@ -252,12 +254,17 @@ def _sample_trajectory(track: Trajectory) -> DrivenPath:
     """
     ends = np.minimum(track.lengths, _MAX_LENGTH)
     distances = _SAMPLE_SPACING * np.arange(int(np.ceil((ends.max() + _EXTENSION_LENGTH) / _SAMPLE_SPACING)) + 1)
-    scenarios = np.arange(len(ends))
     x, y, heading, curvature = (np.empty((len(ends), len(distances))) for _ in range(4))
-    for k, distance in enumerate(distances):
-        at = np.full(len(ends), distance)
-        x[:, k], y[:, k], heading[:, k] = track.pose_at(at, np.zeros(len(ends)), scenarios)
-        curvature[:, k] = np.where(at <= ends, track.curvature_at(at, scenarios), 0.0)
+    # Some at a time: a call takes long, and all points at once need much memory.
+    n_columns = max(_MAX_POINTS // len(ends), 1)
+    for first in range(0, len(distances), n_columns):
+        columns = slice(first, first + n_columns)
+        at = np.tile(distances[columns], len(ends))
+        rows = np.repeat(np.arange(len(ends)), len(distances[columns]))
+        pose = track.pose_at(at, np.zeros(len(at)), rows)
+        bend = np.where(at <= ends[rows], track.curvature_at(at, rows), 0.0)
+        for samples, values in zip((x, y, heading, curvature), (*pose, bend), strict=True):
+            samples[:, columns] = values.reshape(len(ends), -1)
     return DrivenPath(np.tile(distances, (len(ends), 1)), x, y, np.unwrap(heading, axis=1), curvature)
 
 

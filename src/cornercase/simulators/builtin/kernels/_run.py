@@ -28,7 +28,7 @@ def run_scenarios(
 ) -> None:
     """Call `run_until_storyboard`; scenarios are interpreted one by one as long as that takes less than compiling."""
     arguments = (scene, tracks, roads, fleet, actions, conditions, loop, options, first, last)
-    if not can_interpret(0.0) or run_until_storyboard.is_ready(*arguments):
+    if not can_interpret(0.0, is_loop=True) or run_until_storyboard.is_ready(*arguments):
         run_until_storyboard(*arguments)
         return
     waiting = first + np.flatnonzero(loop.status[first:last] != IDLE)
@@ -36,7 +36,7 @@ def run_scenarios(
     begin, n_done = time.thread_time(), 0
     while n_done < len(waiting):
         seconds = (time.thread_time() - begin) / max(n_done, 1)
-        if not can_interpret(seconds * (len(waiting) - n_done)):
+        if not can_interpret(seconds * (len(waiting) - n_done), is_loop=True):
             break
         loop.status[waiting] = IDLE
         loop.status[waiting[n_done]] = status[n_done]
