@@ -27,7 +27,7 @@ def test_a_scenario_is_not_written_over(command, options, scenario):
     result = cornercase(command, scenario, *options, "-o", scenario.parent / "." / scenario.name)
     assert result.returncode == 2
     assert "-o" in result.stderr
-    assert "is the file that is read" in result.stderr
+    assert "is the input file" in result.stderr
     assert scenario.read_bytes() == before
 
 
@@ -42,10 +42,10 @@ def test_a_recording_is_not_written_over(scenario, tmp_path):
 def test_a_study_is_not_written_over_by_its_report(tmp_path):
     with opened(tmp_path / "s.db") as study:
         explorer(study, budget=4).run()
-    with pytest.raises(cc.InputError, match="is the file that is read"):
+    with pytest.raises(cc.InputError, match="is the input file"):
         cc.write_report(tmp_path / "s.db", tmp_path / "s.db")
     for beside in ("s.db-wal", "s.db-shm", "s.db.lock"):
-        with pytest.raises(cc.InputError, match="belongs to the file that is read"):
+        with pytest.raises(cc.InputError, match="is a file that SQLite keeps beside the input"):
             cc.write_report(tmp_path / "s.db", tmp_path / beside)
     with StudyFile.open(tmp_path / "s.db", readonly=True) as study:
         assert len(study.rows()) == 4

@@ -119,7 +119,7 @@ def test_43_12_a_study_goes_on_with_the_same_names_only(tmp_path):
         "explore", tmp_path / "s.varied.xosc", "--vary", "Ego.initial.y", *SEARCH, "-o", tmp_path / "s.db"
     )
     assert again.returncode == 2
-    assert "is the file that is read" in again.stderr
+    assert "is the input file" in again.stderr
 
 
 def test_43_12_a_study_file_says_what_varies(tmp_path):

@@ -86,7 +86,10 @@ def test_42_5_options_of_an_own_driver_stand_behind_a_second_colon(folder):
         ("my_aeb:Braking:reactoin=1", "has no option 'reactoin'; did you mean 'reaction'?"),
         ("my_aeb:Aeb:reaction=soon", "takes a number for 'reaction', not 'soon'"),
         ("my_aeb:Aeb:eager=2", "takes true or false for 'eager', not '2'"),
-        ("my_aeb:Aeb:reaction", "has the option 'reaction'; give options as in 'my_aeb:Aeb:name=value'"),
+        (
+            "my_aeb:Aeb:reaction",
+            "has the option 'reaction' without a name or value; give options as in 'my_aeb:Aeb:name=value'",
+        ),
         ("my_aeb:Aeb:reaction=1,reaction=2", "has the option 'reaction' twice"),
         ("my_aeb:Aeb:", "ends in a colon; give options as in 'my_aeb:Aeb:name=value'"),
     ],

@@ -257,4 +257,7 @@ def test_42_10_a_repair_names_the_study_where_its_scenario_is_not_found(damaged,
     monkeypatch.chdir(tmp_path / "elsewhere")
     result = cornercase("verify", damaged, "--repair")
     assert result.returncode == 2
-    assert f"{damaged}: its scenario file '{X.name}' was not found beside it, in the current folder" in result.stderr
+    assert (
+        f"{damaged}: the scenario file '{X.name}' was not found beside the study, in the current folder"
+        in result.stderr
+    )

@@ -192,7 +192,7 @@ def test_43_7_what_is_written_holds_the_map_and_a_study_says_that_it_needs_it(tm
         )  # fmt: skip
     with StudyFile.open(study, readonly=True) as opened:
         with pytest.raises(
-            InputError, match=r"differs from what .*study\.db was explored with: there is no road file 'To"
+            InputError, match=r"differs from the scenario that .*study\.db was explored with: there is no road file 'To"
         ):
             find_explored_scenario(opened)
         with search_maps_in([maps]):

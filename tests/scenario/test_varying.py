@@ -274,7 +274,7 @@ def test_43_12_a_file_is_not_written_over_the_one_that_it_is_made_from(tmp_path:
     path = written(tmp_path)
     for output in (path, tmp_path / "road.xodr"):
         before = output.read_bytes()
-        with pytest.raises(InputError, match=r"is the file that is read|ends with \.xosc"):
+        with pytest.raises(InputError, match=r"is the input file|ends with \.xosc"):
             vary(path, ["Ego.initial.s"], output)
         assert output.read_bytes() == before
 

@@ -80,7 +80,10 @@ def registered(monkeypatch):
         ("terse:crash=15", "The simulator 'terse' has no option 'crash'; its constructor declares none."),
         ("longer:typo=3", "The simulator 'longer' has no option 'typo'; known are: more."),
         ("needy", "The simulator 'needy' needs the option 'licence'; give it as in 'needy:licence=value'."),
-        ("drifting", "The simulator 'drifting' does not accept 'ego', which it always gets; declare it in its class."),
+        (
+            "drifting",
+            "The simulator 'drifting' does not accept the argument 'ego', which cornercase always gives; add it to the constructor.",
+        ),
     ],
 )
 def test_42_7_options_that_a_simulator_does_not_declare_are_refused(name, says):

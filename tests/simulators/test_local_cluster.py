@@ -133,4 +133,4 @@ def test_a_cluster_of_ones_own_can_be_closed(client, tmp_path):
     for given, expected in ((closed, (0, "8\n")), (dict(os.environ), (1, ""))):
         done = subprocess.run(command, env=given, cwd=tmp_path, capture_output=True, text=True, timeout=300)
         assert (done.returncode, done.stdout) == expected, done.stderr
-    assert "its scheduler requires a certificate; set the environment variables" in done.stderr
+    assert "the scheduler requires a certificate; set the environment variables" in done.stderr

@@ -217,7 +217,7 @@ def test_options_that_do_not_go_together_are_named(table, tmp_path):
 def test_the_table_is_not_written_over(table, tmp_path):
     runs = tmp_path / "runs"
     cc.simulate_many(X, runs, table=table, **QUICK)
-    with pytest.raises(cc.InputError, match="is the file that is read"):
+    with pytest.raises(cc.InputError, match="is the input file"):
         cc.simulate_many(X, runs, table=runs / "parameters.csv", **QUICK)
     noted = json.loads((runs / "simulation.json").read_text())
     assert noted["recordings"]["x_intersection-00002.csv"]["values"] == {"ego_start": "31.5", "p1_speed": "7"}

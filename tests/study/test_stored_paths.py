@@ -212,12 +212,12 @@ def test_42_10_the_scenario_is_taken_from_where_the_study_says(apart, tmp_path):
     file.write_text(file.read_text().replace("<FileHeader ", "<!-- new --><FileHeader ", 1))
     done = cornercase("reduce", apart, "-o", tmp_path / "again")
     assert done.returncode == 2
-    assert f"{file}: it, its road or its catalogs have changed" in done.stderr
+    assert f"{file}: the file, its road or its catalogs have changed" in done.stderr
     file.unlink()
     done = cornercase("reduce", apart, "-o", tmp_path / "again")
     assert done.returncode == 2
     assert (
-        f"its scenario file '{X.name}' was not found beside it, in the current folder, up to two folders below, or"
+        f"the scenario file '{X.name}' was not found beside the study, in the current folder, up to two folders below, or"
         f" at ../{X.name}; name it with --scenario." in done.stderr
     )
     assert sorted(one.name for one in apart.parent.iterdir()) == ["s.db", "s.db.damaged"]

@@ -92,7 +92,9 @@ def test_no_path_in_a_study_is_read_and_nothing_in_it_is_imported(sent, tmp_path
         result = cornercase(*one)
         assert result.returncode == (2 if one[0] == "reduce" else 0), result.stderr
         if one[0] == "reduce":
-            assert "its scenario file 'secret.xosc' was not found beside it, in the current folder" in result.stderr
+            assert (
+                "the scenario file 'secret.xosc' was not found beside the study, in the current folder" in result.stderr
+            )
             assert "--scenario" in result.stderr
     assert not [one for one in opened_files if "elsewhere" in one or "harmful" in one]
     assert not list(tmp_path.rglob("harm"))

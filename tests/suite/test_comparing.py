@@ -221,7 +221,7 @@ def test_a_scenario_that_one_version_could_not_run_is_a_change(tmp_path):
     assert found.reason == "1 of 36 scenarios could be run with one version only"
     assert compared(old, old).reason == "all 35 scenarios that both ran are the same bytes"
     broken = written(tmp_path / "broken.db", GAPS, failed=range(36))
-    with pytest.raises(InputError, match="no scenario was run with both"):
+    with pytest.raises(InputError, match="no scenario was run in both"):
         compared(broken, broken)
     assert [(one.pair.ids, one.reason) for one in found.examples] == [((9, 9), "failed with the new version")]
     assert next(one for one in found.tests if one.about == "not run").differ == 1
@@ -357,7 +357,7 @@ def test_metrics_are_chosen_by_name(tmp_path):
 
 def test_nothing_in_common_is_refused(tmp_path):
     old = written(tmp_path / "old.db", GAPS)
-    with pytest.raises(InputError, match="no scenario was run with both"):
+    with pytest.raises(InputError, match="no scenario was run in both"):
         compared(old, written(tmp_path / "new.db", GAPS, GRID * 0.99))
 
 

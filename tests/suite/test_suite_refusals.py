@@ -69,7 +69,7 @@ BAD = {
     "another format": (lambda f: spoilt(f, format=3), "has the format 3"),
     "an early version": (lambda f: spoilt(f, format=None), "an earlier version of cornercase wrote it"),
     "imported": (lambda f: spoilt(f, simulator="imported"), "its recordings were imported"),
-    "options of a stranger": (lambda f: spoilt(f, simulator="esmini:library=evil.so"), "with options; specify the simulator"),
+    "options of a stranger": (lambda f: spoilt(f, simulator="esmini:library=evil.so"), "whose options could run programs; give `simulator`"),
     "a file elsewhere": (lambda f: spoilt(f, files={"../../secret": "0"}), "is not a file in its folder"),
     "no JSON": (lambda f: (f / "manifest.json").write_text("{"), "is not valid JSON"),
     "no manifest": (lambda f: (f / "manifest.json").write_text("[]"), "is not a manifest"),
@@ -120,7 +120,7 @@ def test_42_2_values_that_the_file_does_not_have_are_refused(reduced, tmp_path):
         ({"require": ["ttc > 1.5 m"]}, "unit 'm' does not fit"),
         ({"require": ["tcc > 1.5"]}, "ttc"),
         ({"require": ["no collision with Pedestrian"]}, "has no entity 'Pedestrian'"),
-        ({"require": ["no collision with Ego"]}, "is the ego itself"),
+        ({"require": ["no collision with Ego"]}, "names the ego itself"),
         ({"require": ['for "\\ud800": no collision']}, "not a pattern of names"),
         ({"require": ["no collision with \udcff"]}, "holds half a character"),
         ({"require": ["for x*.xosc: no collision"]}, "no file of"),
@@ -176,7 +176,7 @@ def test_an_origin_that_is_named_has_to_be_one(explored, tmp_path):
     explore_config(paper_experiment_config("x-intersection", budget=2), other)
     with pytest.raises(cc.InputError, match="is not the study that"):
         cc.run_suite(explored / "reduced", tmp_path / "run.db", against=other)
-    with pytest.raises(cc.InputError, match="is the file that is read"):
+    with pytest.raises(cc.InputError, match="is the input file"):
         cc.run_suite(explored / "reduced", explored / "study.db")
 
 

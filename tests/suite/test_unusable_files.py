@@ -99,8 +99,8 @@ def test_43_a_run_of_a_folder_that_has_changed_says_so(folder, tmp_path):
     asked: dict[str, Any] = {"ego": "Ego", "other": "B", "duration": 1.0}
     run_scenarios(folder, tmp_path / "s.db", **asked)
     (folder / "c.xosc").unlink()
-    with pytest.raises(InputError, match=r"s\.db: has other scenarios than the folder now: files were added"):
+    with pytest.raises(InputError, match=r"s\.db: holds other scenarios than the folder, because files were added"):
         run_scenarios(folder, tmp_path / "s.db", **asked)
     (folder / "a.xosc").write_text((folder / "b.xosc").read_text())
-    with pytest.raises(InputError, match=r"s\.db: has other scenarios than the folder now"):
+    with pytest.raises(InputError, match=r"s\.db: holds other scenarios than the folder"):
         run_scenarios(folder, tmp_path / "s.db", **asked)

@@ -57,13 +57,13 @@ class Option:
     """Description of an option; `read_options` adds what the field of the dataclass says: name, type and default."""
 
     help: str
-    """For the command line, with metavars."""
+    """Help text on the command line; may use metavars."""
     docs: str = ""
-    """For Python, if they differ."""
+    """Description for Python; by default the help text."""
     panel: str = ""
-    """Heading in the help, and on the page of options."""
+    """Heading of the group in help and documentation."""
     flag: str = ""
-    """Name on the command line if it is not that of Python, such as ``--metric``."""
+    """Name on the command line, such as ``--metric``; by default made from the name in Python."""
     metavar: str | None = None
     minimum: float | None = None
     above: float | None = None
@@ -71,15 +71,15 @@ class Option:
     maximum: int | None = None
     choices: tuple[str, ...] = ()
     in_file: bool = True
-    """Whether a study file may name it: nothing there runs code, starts programs or says where to write."""
+    """Whether a study file may contain the option; not if it can run code, start programs or name outputs."""
     stored: str | Callable[[Any], Any] | None = None
-    """Where a study holds it: a field of `StudyMeta`; ``"settings"``: among these, by name; ``"simulator"``: there,
-    because the simulator reports it; a function that derives it from the `StudyMeta`; None: nowhere."""
+    """Where a study stores the value: name of a field of `StudyMeta`; ``"settings"`` for its field of that name;
+    ``"simulator"`` if the simulator reports it; a function that derives it from the `StudyMeta`; None if nowhere."""
     name: str = ""
     annotation: str = ""
     """Type of the field, without None."""
     default: Any = ...
-    """Ellipsis if it has to be given."""
+    """Default; Ellipsis if the option is required."""
 
     @property
     def key(self) -> str:

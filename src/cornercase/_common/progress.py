@@ -134,7 +134,7 @@ def _is_in_notebook() -> bool:
 
 
 verbosity: ContextVar[Literal["quiet", "usual", "verbose"]] = ContextVar("loudness", default="usual")
-"""Whether no bars are shown, those of long steps, or all."""
+"""Which progress bars are shown: none, bars of long steps, or all."""
 
 _bars_enabled: ContextVar[bool] = ContextVar("wanted", default=False)
 

@@ -23,18 +23,19 @@ def compare(
     new: Annotated[Path, typer.Argument(metavar="NEW.db", help="Study of the new version, of the same scenario.")],
     *,
     metrics: Annotated[
-        list[str] | None, Option("--metric", metavar="NAME", help="Metric to compare by; default: all.")
+        list[str] | None,
+        Option("--metric", metavar="NAME", help="Metric to compare by; repeat it for several; default: all."),
     ] = None,
     critical: Annotated[
-        float | None, Option(metavar="X", help="Use this threshold for both studies, which keep their own.")
+        float | None, Option(metavar="X", help="Threshold for this comparison only; default: each study's own.")
     ] = None,
     tolerances: Annotated[
         list[str] | None,
         Option(
             "--tolerance",
             metavar="METRIC=NUMBER",
-            help="Differences of this metric's score up to NUMBER count as the same; repeat it for several. Default:"
-            " 0.1 s, m, m/s, m/s² or s²; 0.01 for metrics without unit.",
+            help="Largest change of this metric's score that does not count; repeat it for several. Default: 0.1 s, m,"
+            " m/s, m/s² or s²; 0.01 for metrics without unit.",
         ),
     ] = None,
     as_json: opt.Json = False,
@@ -44,7 +45,7 @@ def compare(
     scenario: opt.ExploredScenario = None,
     maps: opt.Maps = None,
 ) -> None:
-    """Say whether a new version of a system is better or worse, by a study of each version, and what changed.
+    """Say whether a new version of a system is better or worse, and what changed, from a study of each version.
 
     It compares scenarios with the same parameters one by one. To get such pairs, explore both versions with the same
     seed. A new collision, a requirement that newly fails, a scenario that can no longer be run or is newly critical,

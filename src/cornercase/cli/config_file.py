@@ -103,8 +103,8 @@ Config = Annotated[
     typer.Option(
         "--config",
         metavar="STUDY.toml",
-        help="Study file: options of this command by their names, as 'show --config' prints it; options"
-        " on the command line override it.",
+        help="TOML file with options of this command, as 'show --config' prints it. Options on the command line"
+        " override those in the file.",
         is_eager=True,
         callback=_load_defaults,
     ),

@@ -28,10 +28,10 @@ def demo(
     name: Annotated[str, typer.Argument(metavar="x-intersection|t-intersection", help="Name of the example.")],
     *,
     budget: Annotated[
-        int | None, Option(metavar="N", help="Concrete scenarios to run; default: as in the paper.", min=1)
+        int | None, Option(metavar="N", help="Number of concrete scenarios to run; default: as in the paper.", min=1)
     ] = None,
     seed: int = 0,
-    driver: Annotated[str | None, Option(metavar="NAME", help="Driver of the ego.")] = None,
+    driver: Annotated[str | None, Option(metavar="NAME", help="Driver that drives the ego.")] = None,
     simulator: str = "builtin",
     workers: int = 1,
     output: Annotated[Path | None, Option("--output", "-o", metavar="DIR", help="Folder to write.")] = None,

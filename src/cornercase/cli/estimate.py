@@ -26,9 +26,9 @@ def estimate(
     study: opt.StudyFile,
     *,
     output: Annotated[Path, Option("--output", "-o", metavar="ESTIMATE.db", help="Study to write or continue.")],
-    budget: Annotated[int, Option(metavar="N", help="Number of concrete scenarios to run in all.", min=100)] = 2000,
+    budget: Annotated[int, Option(metavar="N", help="Total number of concrete scenarios to run.", min=100)] = 2000,
     encounter: Annotated[
-        float, Option(metavar="M", help="The two meet if their gap is at most this many m.", min=0)
+        float, Option(metavar="M", help="Largest gap in m between ego and other that counts as an encounter.", min=0)
     ] = 10.0,
     scenario: opt.NamedScenario = None,
     as_json: opt.Json = False,

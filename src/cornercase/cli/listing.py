@@ -17,7 +17,8 @@ from cornercase.cli.options import app, out
 @app.command()
 def metrics(
     names: Annotated[
-        list[str] | None, typer.Argument(metavar="[NAME]…", help="Metrics to define, with their options.")
+        list[str] | None,
+        typer.Argument(metavar="[NAME]…", help="Metrics whose definitions and options are printed; default: list all."),
     ] = None,
     *,
     as_json: opt.Json = False,

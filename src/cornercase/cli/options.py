@@ -52,11 +52,17 @@ ScenarioFile = Annotated[Path, typer.Argument(metavar="SCENARIO.xosc", help="Ope
 ScenarioFiles = Annotated[list[Path], typer.Argument(metavar="SCENARIO.xosc…", help="OpenSCENARIO files.")]
 ExploredScenario = Annotated[
     Path | None,
-    Option(metavar="FILE.xosc", help="Scenario that was explored; default: found beside the study or in this folder."),
+    Option(
+        metavar="FILE.xosc",
+        help="Scenario that was explored; by default searched beside the study and in the current folder.",
+    ),
 ]
 NamedScenario = Annotated[
     Path | None,
-    Option(metavar="FILE.xosc", help="Scenario that was explored; default: as the study names it, beside it or here."),
+    Option(
+        metavar="FILE.xosc",
+        help="Scenario that was explored; by default searched at the stored path, beside the study and here.",
+    ),
 ]
 StudyFile = Annotated[Path, typer.Argument(metavar="STUDY.db", help="Study, as written by explore.")]
 StudyOutput = Annotated[Path, Option("--output", "-o", metavar="STUDY.db", help="Study to write or continue.")]
@@ -66,22 +72,28 @@ CriticalOverride = Annotated[
     Option(
         "--critical",
         metavar="X",
-        help="Use another threshold: score from which a scenario is critical. The study keeps its own.",
+        help="Threshold for this command only: score from which a scenario is critical; default: the study's own.",
     ),
 ]
-MutantSeed = Annotated[int, Option(metavar="N", help="Seed of the mutants: same seed, same mutants.", min=0)]
-Values = Annotated[list[str] | None, Option("--set", metavar="NAME=VALUE", help="Value of a parameter.")]
+MutantSeed = Annotated[
+    int, Option(metavar="N", help="Seed of the mutants; the same seed gives the same mutants.", min=0)
+]
+Values = Annotated[
+    list[str] | None, Option("--set", metavar="NAME=VALUE", help="Value of a parameter; repeat it for several.")
+]
 CompareBy = Annotated[
     list[str] | None,
     Option(
         "--by",
         metavar="ASPECT|METRIC",
-        help="What to compare; default: ego-trajectory, bearing, interaction and all metrics.",
+        help="Aspect to cluster by, repeatable; default: ego-trajectory, bearing, interaction and metrics.",
     ),
 ]
-Gamma = Annotated[str, Option(metavar="X|auto", help="Kernel width parameter.")]
-Eps = Annotated[str, Option(metavar="X|auto", help="DBSCAN's neighbourhood in the kernel space.")]
-MinSamples = Annotated[str, Option(metavar="N|auto", help="DBSCAN's least number of neighbours.")]
+Gamma = Annotated[str, Option(metavar="X|auto", help="Width of the kernel.")]
+Eps = Annotated[str, Option(metavar="X|auto", help="Radius of DBSCAN's neighbourhood in kernel space.")]
+MinSamples = Annotated[
+    str, Option(metavar="N|auto", help="Smallest number of scenarios in a dense neighbourhood of DBSCAN.")
+]
 LocalWorkers = Annotated[int, Option("--workers", metavar="N", help="Number of processes of --cluster local.", min=1)]
 Memory = Annotated[str, Option(metavar="SIZE", help="Memory that the command may use, such as 4GB or 500MB.")]
 Json = Annotated[bool, Option("--json", help="Print JSON, for programs.")]
@@ -100,8 +112,8 @@ Maps = Annotated[
     Option(
         "--maps",
         metavar="FOLDER",
-        help="Folder with road files of maps that scenarios name without a path, such as CARLA's Town01; repeat it for"
-        " several. Searched before those of CORNERCASE_MAPS.",
+        help="Folder with road files, for maps that scenarios name without a path, such as CARLA's Town01; repeat it"
+        " for several. It is searched before the folders in CORNERCASE_MAPS.",
         callback=_search_maps,
         expose_value=False,
     ),

@@ -31,7 +31,7 @@ def measure(
     output: Annotated[Path, Option("--output", "-o", metavar="FILE.csv", help="Courses to write.")],
     metrics: list[str] | None = None,
 ) -> None:
-    """Measure a recording, of this or any other simulator, and print the scores.
+    """Measure a recording of any simulator by criticality metrics, and print the scores.
 
     \b
     Example:
@@ -60,7 +60,10 @@ def import_(
     metrics: list[str],
     output: opt.StudyOutput,
     table: Annotated[
-        Path | None, Option("--parameters", metavar="FILE.csv", help="Column 'file', and one for each parameter.")
+        Path | None,
+        Option(
+            "--parameters", metavar="FILE.csv", help="Table with the column 'file' and a column for each parameter."
+        ),
     ] = None,
     critical: float | None = None,
 ) -> None:

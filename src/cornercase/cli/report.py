@@ -25,7 +25,8 @@ def report(
         bool, Option("--figures", help="Also write figures for a paper, as PNG and SVG, into a folder beside the page.")
     ] = False,
     figures_in: Annotated[
-        Path | None, Option("--figures-in", metavar="DIR", help="Write these figures into another folder.")
+        Path | None,
+        Option("--figures-in", metavar="DIR", help="Write figures into this folder instead of beside the page."),
     ] = None,
     scenario: opt.ExploredScenario = None,
     critical: opt.CriticalOverride = None,
@@ -60,7 +61,10 @@ def watch(
     *,
     port: Annotated[int, Option(metavar="N", help="Port of the page; default: a free one.", min=0)] = 0,
     host: Annotated[
-        str, Option(metavar="ADDRESS", help="Network interface; any other one lets other machines connect.")
+        str,
+        Option(
+            metavar="ADDRESS", help="Network interface; with any other than the default, other machines can connect."
+        ),
     ] = "127.0.0.1",
     scenario: opt.ExploredScenario = None,
     browser: Annotated[bool, Option("--browser/--no-browser", help="Open the page in the browser.")] = True,
@@ -68,8 +72,8 @@ def watch(
 ) -> None:
     """Serve the report of a study on this machine; it grows while explore runs.
 
-    It needs the extra live. The address is the password: with it, people can read the page and write notes. Ctrl-C ends
-    it.
+    It needs the extra live. The address contains a password: who knows the address can read the page and write notes.
+    Ctrl-C ends the command.
 
     \b
     Example:
@@ -83,16 +87,17 @@ def watch(
 @app.command()
 def replay(
     study: opt.StudyFile,
-    scenario_id: Annotated[int, typer.Argument(metavar="ID", help="Which scenario.", min=1)],
+    scenario_id: Annotated[int, typer.Argument(metavar="ID", help="Id of the scenario.", min=1)],
     *,
     output: Annotated[Path, Option("--output", "-o", metavar="FILE.html|gif|mp4", help="Page or film to write.")],
     beside: Annotated[
-        int | None, Option(metavar="ID", help="Another scenario, shown beside it on the same clock.", min=1)
+        int | None,
+        Option(metavar="ID", help="Id of a second scenario, shown at the same time beside the first.", min=1),
     ] = None,
     fps: Annotated[
-        float | None, Option(metavar="N", help="Frames per second of a film; default: 25, for a GIF 10.")
+        float | None, Option(metavar="N", help="Frames per second of a film; default: 25 for MP4, 10 for GIF.")
     ] = None,
-    speed: Annotated[float, Option(metavar="X", help="How fast a film runs: 0.5 is slow motion.")] = 1.0,
+    speed: Annotated[float, Option(metavar="X", help="Speed of a film: 0.5 is slow motion.")] = 1.0,
     scenario: opt.ExploredScenario = None,
     critical: opt.CriticalOverride = None,
     maps: opt.Maps = None,

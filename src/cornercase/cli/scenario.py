@@ -23,14 +23,18 @@ def check(
     *,
     space: Path | None = None,
     strict: Annotated[
-        bool, Option("--strict", help="Refuse violations of the standard even if they can be read, and name the rule.")
+        bool,
+        Option(
+            "--strict",
+            help="Treat every violation of the standard as an error, even if its meaning is clear; name the rule.",
+        ),
     ] = False,
     maps: opt.Maps = None,
 ) -> None:
     """Check scenario files: what they contain, what has no effect here, and whether they are valid and can run.
 
-    Violations of the standard that can mean only one thing are read that way and listed as "adapted". The exit code is
-    1 if a file is not valid or cannot run, or with --strict if something was adapted.
+    Violations of the standard that can be understood in only one way are accepted, and listed as "adapted". The exit
+    code is 1 if a file is not valid or cannot run, or with --strict if something was adapted.
 
     \b
     Example:

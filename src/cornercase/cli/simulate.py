@@ -33,7 +33,7 @@ def simulate(
         Option(
             "--parameters",
             metavar="FILE.csv",
-            help="Run one concrete scenario for each line: a column for each parameter, and 'file' to name recordings.",
+            help="Table with one concrete scenario per line: a column for each parameter, and 'file' for file names.",
         ),
     ] = None,
     values: opt.Values = None,

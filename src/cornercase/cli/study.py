@@ -26,13 +26,14 @@ def analyze(
     eps: opt.Eps = "auto",
     min_samples: opt.MinSamples = "auto",
     method: Annotated[
-        str | None, Option(metavar="dbscan|hdbscan", help="How to find clusters; default: dbscan.")
+        str | None, Option(metavar="dbscan|hdbscan", help="Algorithm that finds clusters; default: dbscan.")
     ] = None,
     window: Annotated[
-        float | None, Option(metavar="S", help="Match only instants at most this many s apart; default: any.")
+        float | None,
+        Option(metavar="S", help="Largest time difference in s of two instants that are matched; default: no limit."),
     ] = None,
     keep_clusters: Annotated[
-        bool, Option("--keep-clusters", help="Keep existing clusters; assign new scenarios to them.")
+        bool, Option("--keep-clusters", help="Keep the existing clusters, and assign new scenarios to them.")
     ] = False,
     workers: opt.LocalWorkers = 1,
     cluster: str | None = None,
@@ -43,7 +44,7 @@ def analyze(
     """Cluster the scenarios of a study, by behaviour and by criticality.
 
     Aspects: ego-trajectory, ego-speed, ego-motion, behaviour (the ego's distance over time), interaction, relative,
-    bearing (of the other, as the ego sees it), those of other packages, and each metric.
+    bearing (of the other, as the ego sees it), aspects of other packages, and each metric.
 
     \b
     Example:
@@ -88,7 +89,7 @@ def analyze(
 def reduce(
     study: opt.StudyFile,
     *,
-    output: Annotated[Path, Option("--output", "-o", metavar="DIR", help="Folder for the kept scenarios.")],
+    output: Annotated[Path, Option("--output", "-o", metavar="DIR", help="Folder for the selected scenarios.")],
     by: Annotated[
         str | None,
         Option("--by", metavar="ASPECT|METRIC", help="Aspect whose clusters are used; default: the searched metric."),
@@ -97,39 +98,46 @@ def reduce(
         str | None,
         Option(
             metavar="N|auto",
-            help="As in the paper, keep only prototypes and this number of archetypes for each cluster.",
+            help="Keep only prototypes and this number of archetypes of each cluster, as in the paper.",
         ),
     ] = None,
     archetypes_by: Annotated[
         str,
         Option(
             metavar="auto|hull|pcha|parts|kernel",
-            help="How to find archetypes; auto depends on the convexity of each cluster.",
+            help="Method that finds archetypes; auto chooses by the convexity of each cluster.",
         ),
     ] = "auto",
     size: Annotated[int | None, Option(metavar="N", help="Number of scenarios to keep.", min=1)] = None,
-    share: Annotated[float | None, Option(metavar="X", help="Share of scenarios to keep; default: 0.1.")] = None,
+    share: Annotated[float | None, Option(metavar="X", help="Fraction of scenarios to keep; default: 0.1.")] = None,
     cover: Annotated[
         float | None,
         Option(
             metavar="X",
-            help="Keep as few as possible; none is farther from a kept one than this share of the largest distance.",
+            help="Keep the fewest scenarios such that all others are within this fraction of the largest distance.",
         ),
     ] = None,
     within: Annotated[
         float,
-        Option(metavar="X", help="Two scenarios are alike within this share of the median distance inside clusters."),
+        Option(
+            metavar="X",
+            help="Distance up to which scenarios count as alike, as fraction of the median distance in clusters.",
+        ),
     ] = 0.5,
     kill_mutants: Annotated[
         int | None,
-        Option(metavar="N", help="First keep the scenarios that kill most of N mutants of the ego's driver.", min=1),
+        Option(
+            metavar="N",
+            help="First keep scenarios that together kill as many of N mutants of the ego's driver as possible.",
+            min=1,
+        ),
     ] = None,
     require: Annotated[
         list[str] | None,
         Option(
             "--require",
             metavar="EXPRESSION",
-            help="Requirement that a mutant has to fail, as for test; default: no collision.",
+            help="Requirement that a killed mutant violates, as for test; default: no collision.",
         ),
     ] = None,
     seed: opt.MutantSeed = 0,

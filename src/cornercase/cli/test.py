@@ -33,7 +33,8 @@ def test_suite(
     suite: Annotated[
         Path,
         typer.Argument(
-            metavar="DIR|manifest.json|FILE.xosc", help="What reduce wrote, a folder of concrete scenarios, or one."
+            metavar="DIR|manifest.json|FILE.xosc",
+            help="Folder or manifest that reduce wrote, a folder of scenarios, or one scenario.",
         ),
     ],
     *,
@@ -51,33 +52,33 @@ def test_suite(
     requirements: Annotated[
         Path | None,
         Option(
-            metavar="FILE.toml|yaml", help="File with more requirements: lists called require, and by file or kind."
+            metavar="FILE.toml|yaml", help="File with more requirements: a list require, and lists by file or cluster."
         ),
     ] = None,
     require_from_file: Annotated[
         bool,
         Option(
             "--require-from-file",
-            help="Also require the ScenarioRunner criteria of the scenarios, as far as a recording can decide them.",
+            help="Also use the criteria for ScenarioRunner in the files that a recording can decide as requirements.",
         ),
     ] = False,
-    strict: Annotated[bool, Option("--strict", help="Inconclusive scenarios have not passed.")] = False,
+    strict: Annotated[bool, Option("--strict", help="Count inconclusive scenarios as not passed.")] = False,
     junit: Annotated[
         Path | None, Option(metavar="FILE.xml", help="JUnit file to write, for Jenkins, GitLab or GitHub.")
     ] = None,
     summary: Annotated[
-        Path | None, Option(metavar="FILE.md", help="Table in Markdown to write, for GitHub's job summary.")
+        Path | None, Option(metavar="FILE.md", help="Markdown file to write: a table for GitHub's job summary.")
     ] = None,
     as_json: opt.Json = False,
     against: Annotated[
         Path | None,
         Option(
             metavar="STUDY.db",
-            help="Study with earlier recordings; default: the one that was reduced, if it lies beside the manifest.",
+            help="Study with earlier recordings; default: the study that was reduced, if it is beside the manifest.",
         ),
     ] = None,
     mutants: Annotated[
-        int | None, Option(metavar="N", help="Test how many of N mutants of the ego's driver the suite exposes.", min=1)
+        int | None, Option(metavar="N", help="Count how many of N mutants of the ego's driver the suite kills.", min=1)
     ] = None,
     seed: opt.MutantSeed = 0,
     maps: opt.Maps = None,

@@ -24,7 +24,7 @@ def verify(
         bool,
         Option(
             "--repair",
-            help="Restore the study, running lost scenarios again; the damaged file is kept as STUDY.db.damaged.",
+            help="Restore the study and run lost scenarios again; the damaged file stays as STUDY.db.damaged.",
         ),
     ] = False,
     scenario: opt.NamedScenario = None,

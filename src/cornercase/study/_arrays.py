@@ -16,7 +16,7 @@ from cornercase.study._damage import require_value
 _RowReader = Callable[..., list[Any]]
 
 DISTANCES: Final = "distances"
-"""The matrix of all pairs, whose upper triangle is stored."""
+"""Name of the matrix of all pairwise distances; only its upper triangle is stored."""
 
 # Bytes of a piece before packing; small, so that little is in memory twice.
 _PIECE_BYTES: Final = 1 << 25

@@ -194,7 +194,8 @@ def require_single_link(path: Path) -> None:
     """
     if (names := path.stat().st_nlink) > 1:
         raise InputError(
-            f"{path}: has {names} hard links, through which two processes could write at once; remove the others, or"
+            f"{path}: has {names} hard links, through which two processes could write at once; remove the other"
+            " links, or"
             " use a copy."
         )
 

@@ -335,7 +335,7 @@ class StudyMeta:
         """
         if self.suite and other.suite and self.suite != other.suite:
             raise InputError(
-                f"{path}: has other scenarios than the folder now: files were added, removed or changed since; name"
+                f"{path}: holds other scenarios than the folder, because files were added, removed or changed; name"
                 " another study with `study`."
             )
         for name, description in _DIFFERENCE_TEXTS.items():
@@ -361,11 +361,11 @@ class StudyMeta:
         # The address may change; the settings hold everything that recordings depend on.
         if self.simulator.partition(":")[0] != other.simulator.partition(":")[0]:
             raise InputError(
-                f"{path}: belongs to another simulator; name another study with `study`, or give the same."
+                f"{path}: belongs to another simulator; name another study with `study`, or give the same `simulator`."
             )
         if self.critical not in (None, other.critical):
             raise InputError(
-                f"{path}: belongs to the threshold {self.critical:g}; name another study with"
+                f"{path}: belongs to a search with the threshold {self.critical:g}; name another study with"
                 " `study`, or give the same `critical`."
             )
         if same_budget and self.budget != other.budget:

@@ -13,7 +13,7 @@ from cornercase._common.typing import FloatArray
 _TAIL_PROBABILITY: Final = 0.05
 
 MIN_DECISIVE_RUNS: Final = 5
-"""Fewest runs that can tell on which side of the threshold a scenario is: all of them, or none, are critical."""
+"""Smallest number of runs that can decide whether a scenario is critical, if all runs agree."""
 
 
 def critical_run_rates(scores: Sequence[Sequence[float]], threshold: float) -> FloatArray:

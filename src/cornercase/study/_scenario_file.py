@@ -42,16 +42,19 @@ def find_explored_scenario(
     if file is None:
         stored = f", or at {meta.scenario}" if search_stored_path and "/" in meta.scenario else ""
         raise InputError(
-            f"{study.path}: its scenario file '{meta.file_name}' was not found beside it, in the current folder, up to"
+            f"{study.path}: the scenario file '{meta.file_name}' was not found beside the study, in the current"
+            " folder, up to"
             f" two folders below{stored}; name it with `scenario`."
         )
     result = add_varied_roads(file if isinstance(file, ScenarioFile) else ScenarioFile.read(file), meta.space)
     if result.fingerprint() != meta.fingerprint:
         missing = result.describe_missing_road()
         if missing:
-            raise InputError(f"{result.path}: differs from what {study.path} was explored with: {missing}.")
+            raise InputError(
+                f"{result.path}: differs from the scenario that {study.path} was explored with: {missing}."
+            )
         raise InputError(
-            f"{result.path}: it, its road or its catalogs have changed since {study.path} was explored; restore"
+            f"{result.path}: the file, its road or its catalogs have changed since {study.path} was explored; restore"
             " them, name the file that was explored with `scenario`, or run `explore` again, into another study."
         )
     return result

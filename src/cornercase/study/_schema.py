@@ -145,13 +145,13 @@ TABLES: Final[dict[str, StudyTable]] = {
         has_totals=False,
     ),
 }
-"""Tables whose rows have checksums; those that refer to others come after them."""
+"""Tables whose rows have checksums; a table comes after the tables that it refers to."""
 
 CREATE_LEASE: Final = (
     "CREATE TABLE lease (token TEXT NOT NULL, host TEXT NOT NULL, machine TEXT NOT NULL, pid INTEGER NOT NULL,"
     " began REAL NOT NULL, beat REAL NOT NULL)"
 )
-"""Creates the table with the process that may write to the study, if there is one."""
+"""SQL that creates the table ``lease``, which names the process that may write to the study."""
 
 CREATE_STATEMENTS: Final = {name: table.create_statement for name, table in TABLES.items()} | {"lease": CREATE_LEASE}
 """SQL that creates each table, as SQLite stores it."""

@@ -746,7 +746,7 @@ class StudyFile:
             raise InputError(f"{self.path}: a Pareto front has no threshold; leave out `critical`.")
         if self.read_estimate() is not None:
             raise InputError(
-                f"{self.path}: its probabilities are for the threshold of the estimate; give `critical` to `estimate`."
+                f"{self.path}: its probabilities hold for one threshold only; estimate again with another `critical`."
             )
         return StudyFile(self._database, critical)
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from cornercase.suite._suite_result import ScenarioResult, SuiteResult
 
 JUNIT_START: Final = b"<?xml version='1.0' encoding='utf-8'?>\n<testsuites "
-"""Start of each file."""
+"""First bytes of each JUnit file."""
 
 
 def write_junit(result: SuiteResult, path: Path) -> None:

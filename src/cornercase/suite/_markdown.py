@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 _MARKDOWN_SPECIAL: Final = re.compile(r"([\\`*_\[\]<>|#~&$!@])")
 
 HEADING_START: Final = b"### "
-"""Start of each file."""
+"""First bytes of each Markdown file."""
 
 
 def write_markdown_summary(result: SuiteResult, path: Path) -> None:

@@ -290,7 +290,7 @@ def _resolve_entities(
     suite = _mark_lacking_entity(suite, roles)
     for required in requirements:
         if ego_name in required.expression.entities:
-            raise InputError(f"`require` {required}: is the ego itself; name another entity.")
+            raise InputError(f"`require` {required}: names the ego itself; name another entity.")
         if not any(required.applies_to(item.file_name, item.cluster_name) for item in suite.scenarios):
             raise InputError(f"`require` {required}: {_describe_no_match(suite, required)}.")
     return suite, (ego_name, others)
@@ -348,7 +348,8 @@ def _choose_simulator(suite: SuiteContents, requested: str | Simulator | None) -
     # Options may name files and programs; the manifest may come from anywhere.
     if colon:
         raise InputError(
-            f"`simulator`: {suite.path} names '{suite.simulator[:100]}', with options; specify the simulator yourself."
+            f"`simulator`: {suite.path} names '{suite.simulator[:100]}', whose options could run programs; give"
+            " `simulator` yourself."
         )
     return name or _BUILTIN
 

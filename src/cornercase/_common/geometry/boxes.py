@@ -10,13 +10,13 @@ import numpy.typing as npt
 from cornercase._common.typing import BoolArray, FloatArray
 
 _CONTACT_TOLERANCE = 1e-9
-"""m; gap at which moving boxes count as touching, so that rounding does not undo a grazing contact."""
+"""Gap in m up to which moving boxes count as touching, so that rounding does not hide a grazing contact."""
 
 _NEGLIGIBLE_ACCELERATION = 1e-12
-"""m/s²; a smaller acceleration is rounding: it takes two weeks for a metre."""
+"""Acceleration in m/s² below which a value is a rounding error: a box would need two weeks for a metre."""
 
 COS_RIGHT_ANGLE_TOLERANCE = 1e-7
-"""Cosine of an angle that rounding cannot distinguish from a right angle."""
+"""Cosine below which rounding errors hide whether an angle is a right angle."""
 
 _SIGNS_ALONG = np.array([1.0, 1.0, -1.0, -1.0])
 _SIGNS_ACROSS = np.array([-1.0, 1.0, 1.0, -1.0])

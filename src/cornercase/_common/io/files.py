@@ -22,7 +22,7 @@ _DEVICE_NAMES: Final = re.compile(r"(con|prn|aux|nul|conin\$|conout\$|com[\d¹²
 _MAX_NAME_BYTES: Final = 150
 _CHUNK_SIZE: Final = 1 << 20
 MAX_FILE_SIZE: Final = 200_000_000
-"""Bytes; largest file that is read."""
+"""Size in bytes of the largest file that is read."""
 
 
 def portable_name(text: str) -> str:
@@ -56,7 +56,7 @@ def read_file(path: Path | str, max_size: int = MAX_FILE_SIZE) -> bytes:
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}).") from error
     if len(content) > max_size:
-        raise InputError(f"{path}: has more than {max_size} bytes, which are not read.")
+        raise InputError(f"{path}: has more than {max_size} bytes; larger files are not read.")
     return content
 
 
@@ -85,15 +85,17 @@ def check_output_differs_from_source(output: Path | str, source: Path | str, nam
     """Raise `InputError` if `output` is the source file, even by another name, or one of SQLite's files beside it."""
     output, source = Path(output), Path(source)
     if output.exists() and source.exists() and output.samefile(source):
-        raise InputError(f"`{name}` {output}: is the file that is read; choose another name.")
+        raise InputError(f"`{name}` {output}: is the input file; choose another name.")
     if _is_side_file(output, source):
-        raise InputError(f"`{name}` {output}: belongs to the file that is read; choose another name.")
+        raise InputError(f"`{name}` {output}: is a file that SQLite keeps beside the input; choose another name.")
 
 
 def check_output_is_not_study(output: Path, study: Path, name: str) -> None:
     """Raise `InputError` if `output` is the study that is being written, or one of SQLite's files beside it."""
     if os.path.realpath(output) == os.path.realpath(study) or _is_side_file(output, study):
-        raise InputError(f"`{name}` {output}: is the study, or belongs to it; choose another name.")
+        raise InputError(
+            f"`{name}` {output}: is the study, or a file that SQLite keeps beside it; choose another name."
+        )
 
 
 def _is_side_file(output: Path, database: Path) -> bool:

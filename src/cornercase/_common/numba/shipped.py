@@ -39,7 +39,7 @@ LEVELS: Final[dict[str, dict[str, tuple[str, ...]]]] = {
 """Processor levels by family, the highest first, and the features that tell whether a machine has them."""
 
 SHIP_VARIABLE: Final = "CORNERCASE_SHIP"
-"""Environment variable: while a wheel is built, the folder into which machine code is written, too."""
+"""Environment variable with the folder that machine code is also written to while a wheel is built."""
 
 
 def runnable_levels() -> list[str]:

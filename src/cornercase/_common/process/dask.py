@@ -52,7 +52,9 @@ def check_cluster(cluster: object) -> str | Client:
 def check_client(client: object) -> None:
     """Raise `InputError` unless the argument `client` is a `distributed.Client`."""
     if isinstance(check_cluster(client), str):
-        raise InputError(f"`client` {client}: give a distributed.Client, of pip install 'cornercase[cluster]'.")
+        raise InputError(
+            f"`client` {client}: give a distributed.Client; it comes with pip install 'cornercase[cluster]'."
+        )
 
 
 def connect(cluster: str | Client, workers: int = 1) -> Client:
@@ -62,7 +64,7 @@ def connect(cluster: str | Client, workers: int = 1) -> Client:
     """
     cluster = check_cluster(cluster)
     if workers > 1 and cluster != LOCAL_CLUSTER:
-        raise InputError("`workers`: the cluster has its own; leave it out.")
+        raise InputError("`workers`: the cluster itself says how many workers it has; leave out `workers`.")
     if not isinstance(cluster, str):
         return cluster
     try:
@@ -72,7 +74,8 @@ def connect(cluster: str | Client, workers: int = 1) -> Client:
     is_file = Path(cluster).is_file()
     if cluster != LOCAL_CLUSTER and not is_file and ":" not in cluster:
         raise InputError(
-            f"`cluster` {cluster}: is no file, and no scheduler answers there; give 'local', an address such"
+            f"`cluster` {cluster}: is not a file, and no scheduler answers at this address; give 'local', an address"
+            " such"
             " as tcp://host:8786, or the file that a scheduler wrote."
         )
     # cornercase reports what users have to know.
@@ -101,7 +104,7 @@ def _check_certificates(cluster: str, address: str) -> None:
 
     if address.startswith("tls://") and Security().get_connection_args("client")["ssl_context"] is None:
         raise InputError(
-            f"`cluster` {cluster}: its scheduler requires a certificate; set the environment variables"
+            f"`cluster` {cluster}: the scheduler requires a certificate; set the environment variables"
             " DASK_DISTRIBUTED__COMM__TLS__CA_FILE, …__TLS__CLIENT__CERT and …__TLS__CLIENT__KEY."
         )
 

@@ -28,7 +28,7 @@ from cornercase.suite.compare._significance import score_difference
 DEFAULT_TOLERANCES: Final = MappingProxyType(
     {"s": 0.1, "m": 0.1, "m/s": 0.1, "m/s²": 0.1, "s²": 0.1, "rad": 0.01, "1": 0.01}
 )
-"""Change of a score that counts as the same, by its unit; 0 for other units."""
+"""Largest change of a score that does not count, by unit of the score; 0 for other units."""
 
 _FindingKind: TypeAlias = Literal["collision", "requirement", "run", "critical", "score"]
 # From the most to the least important.

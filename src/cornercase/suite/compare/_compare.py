@@ -158,8 +158,8 @@ def _require_complete_suite(study: StudyFile) -> None:
     n_pending = sum(row.state == "pending" for row in study.rows())
     if study.meta.suite and n_pending:
         raise InputError(
-            f"{study.path}: {n_pending} of its {study.meta.budget} scenarios have not been run yet; run `test` again,"
-            " which goes on with it."
+            f"{study.path}: {n_pending} of its {study.meta.budget} scenarios have not been run yet; run `test` again"
+            " to complete it."
         )
 
 
@@ -208,10 +208,9 @@ def _run_tests(
         tests_ += test_unpaired_samples((old_scores, new_scores), (shared, new_facts))
     if not tests_ and all(pair.run == "in neither" for pair in pairs):
         raise InputError(
-            f"{old.study.path} and {new.study.path}: no scenario was run with both, and only {n_filling[0]} and"
-            f" {n_filling[1]} scenarios were chosen without looking at scores, where"
-            f" {MIN_SAMPLE_SIZE} are needed; explore"
-            " both with the same `seed`, or with `audit`."
+            f"{old.study.path} and {new.study.path}: no scenario was run in both, and only {n_filling[0]} and"
+            f" {n_filling[1]} scenarios were chosen independently of scores, of at least {MIN_SAMPLE_SIZE} that are"
+            " needed in each; explore both with the same `seed`, or with `audit`."
         )
     return holm_correct(tests_)
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 ALPHA: Final = 0.05
-"""Significance level: the probability that any test finds a difference between two runs of one version."""
+"""Significance level: the probability that any of the tests finds a difference if nothing has changed."""
 
 RunComparison = Literal["the same", "within rounding", "otherwise", "not in one", "in neither"]
 

@@ -205,7 +205,9 @@ def choose_compared_metrics(old: StudyFile, new: StudyFile, metrics: Sequence[st
         versions = (
             f"different versions of the same {subject[:-1]}" if a.file_name == b.file_name else f"other {subject}"
         )
-        raise InputError(f"{pair}: are of {versions} ({a.file_name}, {b.file_name}); compare studies of the same.")
+        raise InputError(
+            f"{pair}: are of {versions} ({a.file_name}, {b.file_name}); compare studies of the same scenarios."
+        )
     if a.space.parameters != b.space.parameters:
         raise InputError(
             f"{pair}: have different parameter spaces ({', '.join(a.space.names) or 'none'};"
