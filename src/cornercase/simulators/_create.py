@@ -1,4 +1,4 @@
-"""Create a simulator by name, in this process or in processes of its own."""
+"""Create a simulator by name, in this process or in worker processes."""
 
 from __future__ import annotations
 
@@ -77,12 +77,12 @@ def create_simulator(
 
 
 def _has_user_driver(options: Mapping[str, Any]) -> bool:
-    """Return whether a user named a driver that does not come with cornercase."""
+    """Return whether an entity has a driver of the user's own, chosen by name."""
     return any(user_driver_spec(driver) is not None for driver in (options.get("drivers") or {}).values())
 
 
 def _can_start_processes() -> bool:
-    """Return whether this process can start others without running the user's script again."""
+    """Return whether this process can start other processes; not so if these would run the user's script again."""
     if current_process().daemon:
         return False
     script = getattr(sys.modules.get("__main__"), "__file__", None)

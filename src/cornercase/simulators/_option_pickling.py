@@ -1,4 +1,4 @@
-"""Send simulator options with users' drivers to another process."""
+"""Send the options of a simulator, which may contain drivers of the user, to another process."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ _DRIVERS_OPTION: Final = "drivers"
 
 @dataclass(frozen=True)
 class DriverSpec:
-    """Name of a driver (``"package.module:Class"`` with options), and description of the driver it stands for."""
+    """Name of a driver (``"package.module:Class"`` with options), and the serialized driver that it must create."""
 
     name: str
     description: str | dict[str, Any]
 
     @classmethod
     def from_driver(cls, driver: str | Driver) -> str | Driver | DriverSpec:
-        """Return what to send for a driver: itself if it was given as an object or is a preset's name."""
+        """Return what to send for a driver: its spec if it was created by class name, else the driver itself."""
         name = user_driver_spec(driver)
         return driver if isinstance(driver, str) or name is None else cls(name, serialize_driver(driver))
 
     def create(self) -> Driver:
-        """Create the driver in this process; `InputError` if it cannot be, or differs from the sender's."""
+        """Create the driver in this process; `InputError` if that fails, or if the driver differs from the sender's."""
         driver = driver_by_name(self.name)
         if serialize_driver(driver) != self.description:
             raise InputError(
@@ -43,9 +43,10 @@ class DriverSpec:
 def pickle_simulator(
     simulator: str | type[Simulator], options: Mapping[str, Any], dumps: Callable[[Any], bytes]
 ) -> bytes:
-    """Pickle name or class and the options of a simulator; the receiver creates drivers that were given by class name.
+    """Pickle a simulator (name or class) and its options.
 
-    Raises `InputError` if a driver or another option cannot be pickled.
+    Drivers that were created by class name are sent as `DriverSpec`. Raises `InputError` if a driver or another option
+    cannot be pickled.
     """
     drivers = {
         entity: DriverSpec.from_driver(driver_spec)
@@ -96,7 +97,7 @@ def _is_picklable(dumps: Callable[[Any], bytes], value: Any) -> bool:
 
 
 def create_drivers_from_specs(options: dict[str, Any]) -> dict[str, Any]:
-    """Create the drivers that received options only name; `InputError` if that fails."""
+    """Replace each `DriverSpec` in received options by a driver; `InputError` if a driver cannot be created."""
     drivers = options.get(_DRIVERS_OPTION)
     if not drivers:
         return options

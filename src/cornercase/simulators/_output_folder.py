@@ -1,4 +1,4 @@
-"""An output folder of recordings, with notes on each recording so that it can be resumed."""
+"""Output folder of recordings, with notes that allow an interrupted command to be resumed."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _SCENARIO_KEY: Final = "scenario"
 
 @dataclass(frozen=True)
 class PlannedRecording:
-    """A recording to be written: its file name, and its scenario with the file as it was read."""
+    """A recording that is to be written: its file name, and its scenario with the parsed file."""
 
     file: str
     concrete_scenario: ConcreteScenario
@@ -44,9 +44,10 @@ class PlannedRecording:
 
 
 class RecordingsFolder:
-    """A folder of recordings with notes; `settings` are what else the recordings depend on.
+    """A folder of recordings, with a file of notes on each recording.
 
-    Raises `InputError` if a file name is taken by a recording of another scenario or settings, or by another file.
+    `settings` are everything that recordings depend on besides their scenarios. Raises `InputError` if a file name is
+    taken, by another file or by a recording of another scenario or with other settings.
     """
 
     def __init__(self, path: Path, planned: Sequence[PlannedRecording], settings: Mapping[str, object]) -> None:
@@ -68,17 +69,17 @@ class RecordingsFolder:
         }
 
     def path_of(self, file: str) -> Path:
-        """Path of a recording."""
+        """Return the path of a recording."""
         return self._path / file
 
     def write_notes(self) -> None:
-        """Write the notes; called before the first recording is written."""
+        """Write the notes; call this before the first recording is written."""
         notes = {"format": _FORMAT, "version": __version__, "settings": self._settings, "recordings": self._recordings}
         with atomic_write(self._path / NOTES_FILE) as temporary:
             temporary.write_text(format_json(notes) + "\n", encoding="utf-8")
 
     def write_table(self, files: Sequence[str]) -> None:
-        """Write the parameter values of finished recordings as a table."""
+        """Write a table of the parameter values of finished recordings."""
         names = list(dict.fromkeys(name for file in files for name in self._planned[file]["values"]))
         several = len({self._planned[file][_SCENARIO_KEY] for file in files}) > 1
         with (

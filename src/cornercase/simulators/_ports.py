@@ -1,4 +1,4 @@
-"""Addresses of the servers of several workers."""
+"""Addresses of the servers that workers use."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from cornercase._common.errors import InputError
 
 
 def worker_address(hosts: str, port: int, worker: int, port_step: int = 1) -> tuple[str, int]:
-    """Return host and port of a worker's own server.
+    """Return host and port of the server that a worker uses alone.
 
-    `hosts` are ``host`` or ``host:port`` separated by ``+``, used in turn; `port` is for those without one. On each
-    host, the first worker gets the given port, the next one the port `step` above it. Raises `InputError` for a port
-    out of range.
+    `hosts` are ``host`` or ``host:port``, separated by ``+``; workers use them in turn. `port` is the default port. On
+    each host, the first worker uses this port, and each further worker a port that is `port_step` higher. Raises
+    `InputError` if a port is out of range.
     """
     all_hosts = [host_text.strip() for host_text in hosts.split("+")]
     host, _, explicit_port = all_hosts[worker % len(all_hosts)].partition(":")

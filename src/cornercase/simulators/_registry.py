@@ -23,7 +23,7 @@ for _name, _target in (
 
 
 def list_simulators() -> dict[str, Availability]:
-    """Return which simulators can run on this machine.
+    """Return all simulators by name, and whether each can run on this machine.
 
     Returns
     -------

@@ -12,7 +12,7 @@ from cornercase.simulators._registry import SIMULATORS
 
 
 class RemoteSimulator(Simulator):
-    """Runs scenarios in other processes; a local instance checks options and scenarios."""
+    """Base class of simulators that run scenarios in other processes; a local instance checks options and scenarios."""
 
     def __init__(self, name: str | type[Simulator], options: dict[str, Any]) -> None:
         self.simulator_class = SIMULATORS.get_class(name)
@@ -25,11 +25,11 @@ class RemoteSimulator(Simulator):
         self._noticed: set[str] = set()
 
     def check_supported(self, scenario: ScenarioFile) -> None:
-        """Let the local instance check if it supports the scenario."""
+        """Refuse a scenario that the local instance does not support."""
         self._local_instance.check_supported(scenario)
 
     def check_runnable(self, concretes: Sequence[ConcreteScenario]) -> None:
-        """Let the local instance check if any scenario can be run."""
+        """Refuse scenarios if the local instance cannot run any of them."""
         self._local_instance.check_runnable(concretes)
 
     def close(self) -> None:

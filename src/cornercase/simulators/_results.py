@@ -1,4 +1,4 @@
-"""Get one result per scenario, whatever a simulator returns."""
+"""Get exactly one result per scenario from any simulator."""
 
 from __future__ import annotations
 
@@ -23,23 +23,24 @@ _NO_RESULT: Final[object] = object()
 
 
 def run_scenarios(simulator: Simulator, concretes: Sequence[ConcreteScenario]) -> Iterator[Outcome]:
-    """Run scenarios and yield one recording or error each, in order.
+    """Run scenarios and yield one recording or error for each, in order.
 
-    If the simulator raises an exception or stops early, the rest is run one by one, so that only the scenario at fault
-    fails. Values are passed as the simulator takes them. Raises `InputError` if none can be run.
+    If the simulator raises an exception or stops early, the remaining scenarios are run one by one, so that only the
+    scenario at fault fails. Parameter values are passed by name or by file, as the simulator requires. Raises
+    `InputError` if no scenario can be run.
     """
     yield from run_scenarios_as_given(simulator, pass_values(simulator, concretes))
 
 
 def pass_values(simulator: Simulator, concretes: Sequence[ConcreteScenario]) -> Sequence[ConcreteScenario]:
-    """Return scenarios with values as a simulator takes them, by name or by file."""
+    """Return scenarios in the form that a simulator requires: parameter values by name, or as in their file."""
     return (
         concretes if simulator.parameter_passing == "file" else [concrete.with_all_values() for concrete in concretes]
     )
 
 
 def run_scenarios_as_given(simulator: Simulator, concretes: Sequence[ConcreteScenario]) -> Iterator[Outcome]:
-    """Like `run_scenarios`, for scenarios whose values are already as the simulator takes them."""
+    """Run scenarios like `run_scenarios`; their values must already be in the form that the simulator requires."""
     results: Iterator[object] | None = None
     last = len(concretes) - 1
     for k in range(len(concretes)):
@@ -69,9 +70,9 @@ def run_scenarios_as_given(simulator: Simulator, concretes: Sequence[ConcreteSce
 def check_simulator_accepts(
     simulator: Simulator, scenarios: Iterable[ScenarioFile], concretes: Sequence[ConcreteScenario] = ()
 ) -> None:
-    """Let a simulator check scenarios before anything is run; `InputError` if it refuses one or fails.
+    """Let a simulator check scenarios before anything is run; `InputError` if it refuses one, or if its check fails.
 
-    Each of `scenarios` has to be supported, and at least one of the sample `concretes` has to be runnable.
+    All of `scenarios` must be supported, and at least one of the sample `concretes` must be runnable.
     """
     with convert_plugin_errors(
         f"The simulator '{simulator.name}'", get_simulator_class(simulator), "in require_means or require_runnable"
@@ -83,9 +84,9 @@ def check_simulator_accepts(
 
 
 def find_refusals(simulator: Simulator, concretes: Sequence[ConcreteScenario]) -> dict[int, str]:
-    """Return which scenario files a simulator cannot run and why, by index, before anything is run.
+    """Return, by index, why a simulator cannot run some scenario files; nothing is run.
 
-    Each concrete scenario has a file of its own. Raises `InputError` if all are refused, or the simulator fails.
+    Each concrete scenario has its own file. Raises `InputError` if all scenarios are refused, or if the check fails.
     """
     if len(concretes) == 1:
         check_simulator_accepts(simulator, [concretes[0].load_file()], concretes)
@@ -106,21 +107,24 @@ def find_refusals(simulator: Simulator, concretes: Sequence[ConcreteScenario]) -
 
 
 def describe_file_error(path: Path, error: InputError) -> str:
-    """Describe why a scenario's file cannot be used, without the file's name and a full stop."""
+    """Describe why a scenario file cannot be used, without the name of the file and a full stop."""
     return remove_file_prefix(str(path), str(error)).removesuffix(".")
 
 
 def list_ignored_content(
     simulator: Simulator, scenario: ScenarioFile, values: Mapping[str, Value] | None = None
 ) -> tuple[Notice, ...]:
-    """List scenario content without effect in a simulator; `InputError` if the simulator's class fails."""
+    """List the content of a scenario that has no effect in a simulator.
+
+    `InputError` if the simulator's method fails.
+    """
     declared = get_simulator_class(simulator)
     with convert_plugin_errors(f"The simulator '{simulator.name}'", declared, "in notices"):
         return tuple(declared.notices(scenario, values))
 
 
 def get_simulator_class(simulator: Simulator) -> type[Simulator]:
-    """Class of a simulator, also if it runs in other processes."""
+    """Return the class of a simulator; of a simulator in other processes, the class that runs there."""
     return simulator.simulator_class if isinstance(simulator, RemoteSimulator) else type(simulator)
 
 

@@ -1,4 +1,4 @@
-"""Warnings about finished runs, and about scenarios without a driver of the ego."""
+"""Warnings about finished runs, and about scenarios in which the ego has no driver."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _MAX_NAMED_ENTITIES: Final = 3
 
 
 class RunNotices:
-    """Collects what users should know about runs, and warns once at the end."""
+    """Collects notices for the user during runs, and issues them as warnings at the end."""
 
     def __init__(self, simulator: Simulator) -> None:
         self._duration = simulator.settings.get("duration")
@@ -36,7 +36,7 @@ class RunNotices:
         self._far_entities: dict[str, tuple[float, float]] = {}
 
     def add_run(self, recording: Recording, get_scenario: Callable[[], ScenarioFile]) -> None:
-        """Check a recording; `scenario` returns its scenario, called only if the simulator reads such files."""
+        """Check a recording; `get_scenario` returns its scenario, and is called only if the scenario is needed."""
         self._n_runs += 1
         self._n_cut_off += recording.is_truncated is True
         is_checked = recording.is_truncated is not None and self._n_runs <= _MAX_CHECKED_RUNS
@@ -77,8 +77,8 @@ def find_entities_far_from_roads(
 ) -> list[tuple[str, float, float]]:
     """List entities far from every road as (name, distance in m, first time in s), in the order of the recording.
 
-    Checked once a second. Far means 10 m from the nearest lane, or 50 m for pedestrians and misc objects, which may be
-    beside a road. Trailers, trains and names in `known` are skipped.
+    Positions are checked once a second. Far means more than 10 m from the nearest lane, or 50 m for pedestrians and
+    misc objects, which may be beside a road. Trailers, trains and the names in `skip` are not checked.
     """
     indices = [
         a
@@ -100,7 +100,7 @@ def find_entities_far_from_roads(
 
 
 def warn_if_ego_has_no_driver(simulator: Simulator, scenarios: Iterable[ScenarioFile], ego: str) -> None:
-    """Warn if the builtin simulator runs scenarios in none of which the ego has a driver."""
+    """Warn if the builtin simulator is used and the ego has no driver in any of the scenarios."""
     drivers = simulator.settings.get("drivers")
     has_driver = isinstance(drivers, dict) and ego in drivers
     # Other simulators drive the ego themselves, or have no drivers.
@@ -116,6 +116,9 @@ def warn_if_ego_has_no_driver(simulator: Simulator, scenarios: Iterable[Scenario
 
 
 def _road_network_of(scenario: ScenarioFile) -> RoadNetwork | None:
-    """Road network of a scenario, if it was read here and is the same for all parameter values."""
+    """Return the road network of a scenario.
+
+    None if it was not read in this process, or depends on parameter values.
+    """
     networks = list(PreparedScenario.from_scenario(scenario).networks.values())
     return networks[0] if len(networks) == 1 else None

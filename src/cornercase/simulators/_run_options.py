@@ -1,4 +1,4 @@
-"""Options of everything that runs scenarios: simulator, settings and drivers, workers and failures."""
+"""Options of all functions that run scenarios: simulator, settings and drivers, workers and failures."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _runs = partial(option, panel="Runs")
 # fmt: off
 @dataclass(frozen=True, kw_only=True)
 class SimulationOptions:
-    """What the recording of a scenario depends on."""
+    """Options that determine the recording of a scenario."""
 
     simulator: str | Simulator = _simulation(
         "builtin", "Simulator that runs the scenarios; options after a colon.", metavar="NAME",
@@ -47,7 +47,7 @@ class SimulationOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class RunOptions:
-    """Where scenarios run, and what happens if a simulator dies or hangs."""
+    """Options that determine where scenarios run, and what happens if a simulator crashes or hangs."""
 
     workers: int = _runs(1, "Number of simulators that run in parallel.", metavar="N", minimum=1, maximum=MAX_WORKERS)
     cluster: str | Client | None = _runs(
@@ -68,7 +68,7 @@ class RunOptions:
 
 
 class RunKeywords(TypedDict, total=False):
-    """`RunOptions` as keyword arguments."""
+    """The fields of `RunOptions`, as keyword arguments."""
 
     workers: int
     cluster: str | Client | None
@@ -78,7 +78,7 @@ class RunKeywords(TypedDict, total=False):
 
 
 class SimulationKeywords(RunKeywords, total=False):
-    """`SimulationOptions` and `RunOptions` as keyword arguments."""
+    """The fields of `SimulationOptions` and `RunOptions`, as keyword arguments."""
 
     simulator: str | Simulator
     time_step: float

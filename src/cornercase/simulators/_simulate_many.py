@@ -209,7 +209,7 @@ def simulate_many(
 
 
 def _read_scenario_files(scenarios: Sequence[Path | str | ScenarioFile]) -> tuple[list[ScenarioFile], dict[str, str]]:
-    """Read scenario files; also return why recordings of unreadable ones are missing, unless none can be read."""
+    """Read scenario files; also return why some cannot be read, by recording name. Raises if none can be read."""
     readable, errors = list[ScenarioFile](), dict[Path, InputError]()
     for item in scenarios:
         try:
@@ -233,7 +233,7 @@ def _recording_file_name(path: Path) -> str:
 
 
 def _plan_from_files(scenarios: Sequence[ScenarioFile], values: Mapping[str, Value]) -> list[PlannedRecording]:
-    """Plan recordings that are named after their scenarios."""
+    """Plan one recording per scenario file, named after the file."""
     if not scenarios:
         raise InputError("`scenario`: name at least one OpenSCENARIO file.")
     scenario_by_name: dict[str, ScenarioFile] = {}
@@ -250,7 +250,7 @@ def _plan_from_files(scenarios: Sequence[ScenarioFile], values: Mapping[str, Val
 def _plan_from_table(
     scenarios: Sequence[ScenarioFile], table: Path, values: Mapping[str, Value]
 ) -> list[PlannedRecording]:
-    """Plan recordings of one scenario with the values of a table."""
+    """Plan one recording per line of a table, all of the same scenario."""
     if len(scenarios) != 1:
         raise InputError(f"`table` {table}: requires one scenario, not {len(scenarios)}.")
     (scenario,) = scenarios
@@ -275,7 +275,7 @@ def _plan_from_table(
 def _run_missing(
     simulator: Simulator, folder: RecordingsFolder, missing: Sequence[PlannedRecording], total: int, progress: bool
 ) -> dict[str, str]:
-    """Run the missing scenarios; return why recordings could not be made."""
+    """Run the scenarios without a recording; return why recordings could not be made, by file name."""
     failures: dict[str, str] = {}
     notes_written, notices = False, RunNotices(simulator)
     done = total - len(missing)

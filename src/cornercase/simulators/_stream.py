@@ -1,4 +1,4 @@
-"""Submit scenarios one at a time, and receive results as they come."""
+"""Submit scenarios one at a time, and receive results as soon as they are ready."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ SimulatorWork = Callable[[Simulator], Any]
 
 @dataclass(eq=False)
 class _WorkQueue:
-    """Work queue of one simulator, and the threads that process it."""
+    """Queue of the work for one simulator, and the threads that process it."""
 
     simulator: Simulator
     queue: SimpleQueue[tuple[int, SimulatorWork] | None] = field(default_factory=SimpleQueue)
@@ -33,10 +33,10 @@ class _WorkQueue:
 
 
 class SimulatorStream:
-    """Runs submitted work on the next free simulator, each in its own thread.
+    """Runs submitted work on the next free instance of a simulator, each instance in its own thread.
 
-    `simulators` are by name; the first determines the number of parallel scenarios. A simulator without parallel
-    instances runs work in the calling thread when a result is taken.
+    `simulators` has simulators by name; the first one determines how many scenarios run in parallel. If a simulator has
+    no parallel instances, its work runs in the calling thread when a result is requested.
     """
 
     def __init__(self, simulators: Mapping[str, Simulator]) -> None:
@@ -47,14 +47,14 @@ class SimulatorStream:
         self._last_counted, self._n_parallel, self._closed = -math.inf, 1, False
 
     def count_parallel(self) -> int:
-        """Current number of parallel scenarios; it changes on a cluster."""
+        """Return how many scenarios can run in parallel now; on a cluster this number changes."""
         if time.monotonic() - self._last_counted > _COUNT_INTERVAL:
             self._n_parallel = max(1, self._start_threads(self._queues[self._first_name]))
             self._last_counted = time.monotonic()
         return self._n_parallel
 
     def _start_threads(self, queue: _WorkQueue) -> int:
-        """Start threads for new parallel instances of a simulator; return their number."""
+        """Start threads for parallel instances of a simulator that have none yet; return the number of instances."""
         instances = queue.simulator.parallel_instances()
         for instance in instances[len(queue.threads) :]:
             thread = Thread(target=self._process_work, args=(queue.queue, instance), daemon=True)
@@ -63,7 +63,7 @@ class SimulatorStream:
         return len(instances)
 
     def _process_work(self, queue: SimpleQueue[tuple[int, SimulatorWork] | None], simulator: Simulator) -> None:
-        """Process work in a thread."""
+        """Process the work in a queue; runs in its own thread."""
         while (job := queue.get()) is not None and not self._closed:
             key, work = job
             try:
@@ -72,7 +72,10 @@ class SimulatorStream:
                 self._results.put((key, None, error))
 
     def submit(self, key: int, work: SimulatorWork, name: str | None = None) -> None:
-        """Submit work under a key, for the simulator `name` or the first one; it may be called in another thread."""
+        """Submit work under a key, for the simulator called `name` or the first one.
+
+        The work may run in another thread.
+        """
         desk = self._queues[self._first_name if name is None else name]
         if desk.threads or self._start_threads(desk):
             desk.queue.put((key, work))
@@ -81,13 +84,13 @@ class SimulatorStream:
 
     @property
     def has_result(self) -> bool:
-        """Whether a result is available now."""
+        """Return whether a result is ready."""
         return not self._results.empty()
 
     def wait_for_result(self, check: Callable[[], None]) -> tuple[int, Any]:
-        """Wait for the next result and return it with its key, or raise the error of the work.
+        """Wait for the next result, and return it with its key; raises the error if the work failed.
 
-        `check` is called now and then while waiting.
+        `check` is called from time to time during the wait.
         """
         while True:
             check()

@@ -1,1 +1,1 @@
-"""The builtin simulator: all concrete scenarios of a batch at once."""
+"""The builtin simulator, which runs all concrete scenarios of a batch at the same time."""

@@ -1,4 +1,4 @@
-"""Run one batch: concrete scenarios of one file."""
+"""A batch: concrete scenarios of one file that run together."""
 
 from __future__ import annotations
 
@@ -36,14 +36,14 @@ _OBJECT_TYPES: Final = {"pedestrian": "pedestrian", "misc": "miscellaneous"}
 
 
 class Batch:
-    """Concrete scenarios that share a file and everything that shapes its storyboard.
+    """Concrete scenarios of one file that run together, since they have the same storyboard.
 
-    `drivers` maps entities to drivers, and overrides the file's controllers. `coupling` is another simulator that moves
-    some of the entities. Raises `UnusableValuesError` if the file cannot be used with these values, `BatchSplitError`
-    if the scenarios have to be split further.
+    `drivers` maps entities to drivers, and overrides the controllers in the file. `coupling` is another simulator that
+    moves some of the entities. Raises `UnusableValuesError` if the file cannot be used with these parameter values, and
+    `BatchSplitError` if the scenarios must be split into smaller batches.
 
-    `failure` is the error of a driver that ended the batch early. It is the result of a single scenario; with several
-    scenarios it is not known which of them failed, and no result is usable.
+    `failure` is the error of a driver that ended the run early. In a batch of one scenario, it is the result. In a
+    larger batch, the scenario at fault is unknown, and no result can be used.
     """
 
     def __init__(
@@ -121,12 +121,15 @@ class Batch:
 
     @property
     def has_python_drivers(self) -> bool:
-        """Whether a driver is not compiled, as users' drivers are."""
+        """Whether the batch has drivers that are not compiled, such as a user's own."""
         return not all(driving.in_fleet for driving in self._driver_actions)
 
     @property
     def remarks(self) -> list[str]:
-        """Sentences about drivers that exceeded vehicle limits, and about deviations from the file, after the run."""
+        """Return sentences about drivers that exceeded vehicle limits, and about deviations from the file.
+
+        Call it after the run.
+        """
         if self.failure is not None and self._world.scenarios > 1:
             return []
         # Actions name their line, and their file only if it is not the scenario file.
@@ -134,9 +137,9 @@ class Batch:
         return [*remarks, *(text for remark in self._driver_actions for text in remark.limit_notices.values())]
 
     def run(self, n_threads: int = 1, gil_lock: Lock | None = None) -> None:
-        """Step until every scenario has ended, or a driver fails.
+        """Run until every scenario has ended or a driver fails.
 
-        `gil_lock` is held in Python and released in compiled code.
+        `gil_lock` is held while Python code runs, and released in compiled code.
         """
         # Failed scenarios are still computed, but their results are not used.
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
@@ -150,11 +153,11 @@ class Batch:
                     self._world.errors[0] = failure.error
 
     def cancel(self) -> None:
-        """Let `run`, in another thread, end soon; its results are unusable then."""
+        """Make `run` in another thread end soon; its results cannot be used."""
         self._stepper.is_cancelled = True
 
     def results(self, scenarios: Sequence[int], gil_lock: Lock | None = None) -> list[Recording | SimulationError]:
-        """Recordings or errors of some scenarios once the batch has run, each with memory of its own."""
+        """Return the recordings or errors of some scenarios after the run; they share no memory with the batch."""
         world, scene = self._world, self._stepper.scene
         motion, placed = copy_motion(scene, np.array(scenarios, dtype=np.int64), gil_lock)
         names, object_types = tuple(world.names), tuple(entity.kind for entity in world.entities)
@@ -192,7 +195,7 @@ class Batch:
         return results
 
     def recording_size(self, scenario: int) -> int:
-        """Bytes of a scenario's recording, once the batch has run."""
+        """Return the size of a scenario's recording in bytes, after the run."""
         return self._recording_sizes[scenario]
 
     @cached_property
@@ -203,7 +206,7 @@ class Batch:
 
     @cached_property
     def _is_cut_off(self) -> BoolArray:
-        """Scenarios ended by the maximum duration before their storyboard did, shape (N,)."""
+        """Return which scenarios reached the maximum duration before the end of their storyboard, shape (N,)."""
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             return np.asarray(
                 (self._stepper.scene.n_frames == self._stepper.max_frames) & self._storyboard.would_continue()
@@ -233,7 +236,7 @@ def _to_parameter_array(value: Any, n_scenarios: int) -> Any:
 
 
 def _read_entity_selections(root: etree._Element, world: World, scope: Scope) -> dict[str, list[int]]:
-    """Rows of the members of each entity selection: named entities, or all of a type."""
+    """Return the rows of the members of each entity selection: entities by name, or all entities of a type."""
     selections: dict[str, list[int]] = {}
     for selection in root.iterfind("Entities/EntitySelection"):
         members = selection.find("Members")

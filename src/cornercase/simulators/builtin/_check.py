@@ -146,13 +146,13 @@ def check(scenario: Path | str | ScenarioFile, space: Path | str | None = None, 
 
 
 def schema_errors(root: etree._Element) -> list[str] | None:
-    """Errors by the schema of the file's version, one line each; None if the schema is not installed."""
+    """Return the errors by the schema of the file's version, one line each; None if the schema is not installed."""
     version, errors = _validate_by_schema(root)
     return None if version is None else errors
 
 
 def _validate_by_schema(root: etree._Element) -> tuple[str | None, list[str]]:
-    """Version of the schema (None if not installed), and at most 20 errors with their lines."""
+    """Return the version of the schema (None if not installed), and at most 20 errors with their lines."""
     header = root.find("FileHeader")
     minor = "" if header is None else header.get("revMinor", "")
     version = _SCHEMA_VERSIONS.get(int(minor) if minor.isdecimal() and len(minor) < 4 else -1, _SCHEMA_VERSIONS[3])

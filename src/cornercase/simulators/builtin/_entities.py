@@ -1,4 +1,4 @@
-"""Read entities of a scenario file, and their trailers."""
+"""Read the entities of a scenario file, and their trailers."""
 
 from __future__ import annotations
 
@@ -45,10 +45,10 @@ _LIMIT_ATTRIBUTES: Final = ("maxSpeed", "maxAcceleration", "maxDeceleration")
 
 
 def read_entities(objects: Sequence[etree._Element], scope: Scope) -> tuple[tuple[Entity, ...], tuple[Tow, ...]]:
-    """Read the file's entities and their trailers, and who tows whom (front first).
+    """Read all entities of a file, and which vehicle pulls which trailer (from front to back).
 
-    The file's entities come first, in order. A trailer without a name of its own has its vehicle's name with ``+``.
-    `InputError` for malformed entities, and trailers that are none.
+    The entities of the file come first, in order, then trailers without a name of their own. Such a trailer is named
+    after its vehicle, with ``+``. Raises `InputError` for malformed entities, and for trailers that cannot be pulled.
     """
     bodies = [_resolve_body(element, element.get("name", ""), scope) for element in objects]
     names = [element.get("name", "") for element in objects]
@@ -128,7 +128,10 @@ def _read_entity(body: etree._Element, name: str, scope: Scope) -> Entity:
 
 
 def _read_bounding_box(body: etree._Element, object_type: str, scope: Scope) -> tuple[float, float, float]:
-    """Length, width and longitudinal centre of the bounding box in m; defaults of the entity's type if missing."""
+    """Return length, width and longitudinal centre of the bounding box in m.
+
+    Defaults for the entity's type if missing.
+    """
     dimensions, center = body.find("BoundingBox/Dimensions"), body.find("BoundingBox/Center")
     length, width, default_center_x = _DEFAULT_SIZES.get(object_type, _DEFAULT_SIZES["car"])
     given = {} if dimensions is None else {key: scope.read_number(dimensions, key, 0.0) for key in ("length", "width")}
@@ -147,7 +150,7 @@ def _read_bounding_box(body: etree._Element, object_type: str, scope: Scope) -> 
 def _iter_trailers(
     body: etree._Element, scope: Scope, vehicle_name: str
 ) -> Iterator[tuple[etree._Element, Scope] | str]:
-    """Yield the trailers behind a vehicle, front first: body and scope, or the name of an entity of its own."""
+    """Yield the trailers behind a vehicle, front first: body and scope, or the name of another entity of the file."""
     for _ in range(MAX_TRAILERS):
         holder = body.find("Trailer")
         if holder is None:
@@ -167,7 +170,7 @@ def _iter_trailers(
 
 
 def _referenced_entity(holder: etree._Element, scope: Scope) -> str:
-    """Name of the entity that is the trailer; empty for none, as an empty reference is no trailer."""
+    """Return the name of the entity that is the trailer; empty if there is none."""
     names = []
     for element in holder.iterchildren("TrailerRef", "EntityRef"):
         names.append(scope.read_text(element, "entityRef", ""))

@@ -1,4 +1,4 @@
-"""Let only one thread be in Python at a time."""
+"""A lock that lets only one thread run Python code at a time."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from threading import Lock
 
 @contextmanager
 def release_gil_lock(gil_lock: Lock | None) -> Iterator[None]:
-    """Release a lock while compiled code runs in the block; None if there is no lock."""
+    """Release the lock while the block runs compiled code; does nothing if there is no lock."""
     if gil_lock is None:
         yield
         return

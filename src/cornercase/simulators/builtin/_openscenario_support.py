@@ -14,7 +14,7 @@ OPENSCENARIO_SUPPORT: Final = SupportTable.from_csv("cornercase.simulators.built
 def check_elements_supported(prepared: PreparedScenario) -> None:
     """Raise `InputError` for the first unsupported element or attribute in the files that were read so far.
 
-    Elements that were checked before are skipped.
+    Elements that were checked in an earlier call are skipped.
     """
     for file, element in prepared.scenario.used_elements():
         # The file holds its elements, so their ids stay valid.

@@ -1,4 +1,4 @@
-"""A scenario file with everything that its batches share."""
+"""A scenario file, with everything that its batches have in common."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _BYTES_PER_ELEMENT: Final = {"Condition": 60, "Action": 150, "Event": 150}
 
 
 class UnusableValuesError(InputError):
-    """A scenario file cannot be used with some values; `names` are the parameters that may be the cause."""
+    """A scenario file cannot be used with some parameter values; `names` are the parameters that may be the cause."""
 
     def __init__(self, message: str, names: set[str]) -> None:
         super().__init__(message)
@@ -41,10 +41,10 @@ class UnusableValuesError(InputError):
 
 
 class PreparedScenario:
-    """A scenario file with what its batches share.
+    """A scenario file, with everything that its batches have in common.
 
-    `split_parameters`: parameters that shape the storyboard, so all scenarios of a batch have the same values of them.
-    `checked_elements`: ids of the elements that were checked for unsupported parts.
+    `split_parameters`: parameters that determine the storyboard; they must be equal in all scenarios of a batch.
+    `checked_elements`: ids of elements that were checked for unsupported content.
     """
 
     def __init__(self, scenario: ScenarioFile) -> None:
@@ -56,25 +56,25 @@ class PreparedScenario:
 
     @classmethod
     def from_scenario(cls, scenario: ScenarioFile) -> PreparedScenario:
-        """The prepared file of a scenario, cached on it."""
+        """Return the prepared form of a scenario file, which is cached on the file."""
         if cls not in scenario.cache:
             scenario.cache[cls] = cls(scenario)
         prepared: PreparedScenario = scenario.cache[cls]
         return prepared
 
     def scope(self, values: Sequence[Mapping[str, Value]]) -> Scope:
-        """Parameters of the file for scenarios with these values."""
+        """Return the parameters of the file for scenarios with these values."""
         return Scope.from_file(str(self.scenario.path), self.scenario.root, values, self.scenario.find_catalog_entry)
 
     def find_invalid_values(self, values: Sequence[Mapping[str, Value]]) -> dict[int, str]:
-        """Reasons, by index, why a scenario has a value that its parameter cannot have."""
+        """Return, by index, why a scenario has a value that its parameter cannot have."""
         return find_type_errors(self.declarations, values)
 
     def describe_value_error(self, error: InputError, values: Mapping[str, Value], build: Callable[[], object]) -> str:
-        """Describe what is wrong with one scenario, for a sentence that names the file itself.
+        """Describe what is wrong with the values of a scenario, as part of a sentence that names the file.
 
-        `error` came with the scenario's values; `build` reads the file with its own values. Raises `error` if the file
-        cannot be used whatever the values are.
+        `error` was raised for these values. `build` reads the file with its default values. If it fails too, the values
+        are not the cause, and `error` is raised.
         """
         names = error.names if isinstance(error, UnusableValuesError) else set(values)
         given = {name: format_value(values[name]) for name in names if name in values}
@@ -93,7 +93,7 @@ class PreparedScenario:
 
     @cached_property
     def _own_values(self) -> dict[str, str]:
-        """The file's own parameter values as texts; empty if they cannot be evaluated."""
+        """Return the default values of the file's parameters as texts; empty if they cannot be evaluated."""
         try:
             values = self.scope([{}]).parameter_values
         except InputError:
@@ -101,7 +101,7 @@ class PreparedScenario:
         return {name: format_value(value) for name, value in values.items()}
 
     def estimate_bytes(self, n_instants: int, has_drivers: bool) -> int:
-        """Estimated memory of one scenario until its recording is made."""
+        """Estimate the memory in bytes of one scenario, until its recording is made."""
         entities, trajectories, elements = self._memory_components
         driven_bytes = _BYTES_PER_DRIVEN_TRAJECTORY * len(trajectories) if has_drivers else 0
         # Five recorded quantities of each entity and instant, and its state.
@@ -109,7 +109,7 @@ class PreparedScenario:
 
     @cached_property
     def _memory_components(self) -> tuple[int, tuple[int, ...], int]:
-        """Number of entities, bytes of each followed trajectory, and bytes of the storyboard's elements."""
+        """Return the number of entities, the bytes of each followed trajectory, and the bytes of the storyboard."""
         roots = [self.scenario.root]
         has_catalogs = any(element.tag == "CatalogReference" for element in roots[0].iter())
         roots += [self.scenario.get_root(file) for file in self.scenario.catalog_files()] if has_catalogs else []
@@ -129,11 +129,11 @@ class PreparedScenario:
 
     @cached_property
     def declarations(self) -> tuple[ParameterDeclaration, ...]:
-        """Declarations of the file's parameters."""
+        """Return the declarations of the file's parameters."""
         return read_declarations(self.scenario.root, str(self.scenario.path))
 
     def road_network(self, reference: str) -> RoadNetwork:
-        """Road network of a referenced file, cached; `InputError` if it cannot be used."""
+        """Return the road network of a referenced file, cached; `InputError` if it cannot be used."""
         path = self.scenario.existing_road_path(reference)
         if path not in self.networks:
             self.networks[path] = RoadNetwork.from_xml(self.scenario.get_root(path), path)
@@ -147,7 +147,7 @@ def _estimate_trajectory_bytes(trajectory: etree._Element) -> int:
 
 
 def _estimate_catalog_trajectory_bytes(follow_action: etree._Element, bytes_by_name: Mapping[str | None, int]) -> int:
-    """Estimated memory of a followed trajectory of a catalog: the largest one if it is not known which."""
+    """Estimate the memory in bytes of a followed trajectory from a catalog; the largest one if it is unknown which."""
     entries = [
         reference.get("entryName", "") for reference in follow_action.iter() if reference.tag == "CatalogReference"
     ]

@@ -1,4 +1,4 @@
-"""cornercase's own simulator: OpenSCENARIO on OpenDRIVE roads, all concrete scenarios at once."""
+"""cornercase's own simulator: OpenSCENARIO on OpenDRIVE roads, for many concrete scenarios at the same time."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ class Builtin(Simulator):
 
     @classmethod
     def availability(cls) -> Availability:
-        """Return version and features; it can always run."""
+        """Return version and features; the simulator is always available."""
         return Availability(
             version=__version__,
             problem="",
@@ -91,7 +91,7 @@ class Builtin(Simulator):
 
     @classmethod
     def notices(cls, scenario: ScenarioFile, values: Mapping[str, Value] | None = None) -> tuple[Notice, ...]:
-        """Notices about parts of a scenario that have no effect here."""
+        """List the parts of a scenario that have no effect in this simulator."""
         return read_and_collect_notices(scenario, values)
 
     def run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Recording | SimulationError]:
@@ -106,7 +106,10 @@ class Builtin(Simulator):
             yield from self._run_portion(portion)
 
     def check_runnable(self, concretes: Sequence[ConcreteScenario]) -> None:
-        """Raise `InputError`, with the first one's problem, if none of the scenarios can be run. Runs none."""
+        """Raise `InputError` with the problem of the first scenario if none of the scenarios can be run.
+
+        Runs nothing.
+        """
         first_error: InputError | None = None
         for concrete in concretes:
             prepared = self._prepare(concrete)
@@ -166,7 +169,7 @@ class Builtin(Simulator):
             self._run_group(run, prepared, group)
 
     def _prepare(self, concrete: ConcreteScenario) -> PreparedScenario:
-        """Prepared file of a concrete scenario: that of the last run, if its content is the same."""
+        """Return the prepared file of a concrete scenario; that of the last run if its content is the same."""
         scenario = concrete.load_file(None if self._prepared is None else self._prepared.scenario)
         if self._prepared is None or self._prepared.scenario is not scenario:
             self._prepared = PreparedScenario.from_scenario(scenario)
@@ -183,7 +186,7 @@ class Builtin(Simulator):
         )
 
     def _run_group(self, run: _PortionRun, prepared: PreparedScenario, indices: list[int]) -> None:
-        """Start to run scenarios that could share a batch; if there is one batch, it has run on return."""
+        """Run scenarios that may share a batch; a single batch has run on return, several run in other threads."""
         parts, started = self._split_by_cores(prepared, indices), list[Future[Batch]]()
         try:
             for part in parts:
@@ -219,7 +222,7 @@ class Builtin(Simulator):
         return [indices[begin:end] for begin, end in pairwise(len(indices) * k // count for k in range(count + 1))]
 
     def _try_make_batch(self, run: _PortionRun, prepared: PreparedScenario, indices: list[int]) -> Batch | None:
-        """Make a batch; None if the file cannot be used with the values of its scenarios."""
+        """Create a batch of scenarios; None if the file cannot be used with their values."""
         try:
             return self._make_batch(prepared, [run.concretes[i] for i in indices])
         except InputError as error:
@@ -234,9 +237,9 @@ class Builtin(Simulator):
 
 
 class _PortionRun(NamedTuple):
-    """The run of scenarios that fit into memory together, in parallel batches.
+    """The run of a portion of the scenarios, which fits into memory, in parallel batches.
 
-    Only one thread is in Python at a time: this avoids GIL contention, which cost a third of the run time.
+    Only one thread runs Python code at a time: this avoids GIL contention, which cost a third of the run time.
     """
 
     concretes: Sequence[ConcreteScenario]
@@ -247,7 +250,7 @@ class _PortionRun(NamedTuple):
     remarks: list[list[str]]
 
     def submit(self, batch: Batch, n_parallel: int) -> Future[Batch]:
-        """Run a batch as one of `n_parallel`; if it is the only one, it has run on return."""
+        """Start a batch, one of `n_parallel`; a single batch has run on return."""
         self.batches.add(batch)
         remarks: list[str] = []
         self.remarks.append(remarks)
@@ -268,7 +271,7 @@ _BatchIndexOrError = tuple[Future[Batch], int] | SimulationError
 
 
 def _iter_results(progress: dict[int, _BatchIndexOrError], gil_lock: Lock) -> Iterator[Recording | SimulationError]:
-    """Yield results, computed a few portions ahead of the caller."""
+    """Yield results in order, computed a few portions ahead of the caller."""
     pending: deque[Future[list[Recording | SimulationError]]] = deque()
     with ThreadPoolExecutor(count_available_cpus()) as executor:
         for begin, end in _split_results(progress):
@@ -284,7 +287,7 @@ def _iter_results(progress: dict[int, _BatchIndexOrError], gil_lock: Lock) -> It
 
 
 def _split_results(progress: Mapping[int, _BatchIndexOrError]) -> Iterator[tuple[int, int]]:
-    """Yield (begin, end) of recordings to make together: few, since only what the caller keeps should take memory."""
+    """Yield (begin, end) of recordings to create at a time: only a few, to limit memory."""
     count, begin, total = len(progress), 0, 0
     future: Future[Batch] | None = None
     for i in range(count):

@@ -1,4 +1,4 @@
-"""Notices about parts of a scenario that have no effect in the builtin simulator, or are not read as written."""
+"""Notices about the parts of a scenario that have no effect in the builtin simulator, or are not read as written."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ from cornercase.simulators.builtin._prepared_file import PreparedScenario
 
 
 def read_and_collect_notices(scenario: ScenarioFile, values: Mapping[str, Value] | None = None) -> tuple[Notice, ...]:
-    """Read a scenario as for a run, and return its notices; parts that depend on parameters are read with `values`.
+    """Read a scenario as for a run, and return its notices; `values` replace parameters.
 
-    If the scenario cannot be run, parts that were not read are not reported.
+    If the scenario cannot be run, reading stops early, and the notices do not cover the rest.
     """
     try:
         Batch(PreparedScenario.from_scenario(scenario), [dict(values or {})], 0.05, 1.0, False, {})
@@ -38,7 +38,7 @@ def read_and_collect_notices(scenario: ScenarioFile, values: Mapping[str, Value]
 
 
 def collect_notices(scenario: ScenarioFile, is_complete: bool = True) -> tuple[Notice, ...]:
-    """Notices about a scenario's files, once it was read (`is_complete`: to its end)."""
+    """Return notices about the files of a scenario after reading it; `is_complete` if it was read to its end."""
     notices: list[Notice] = [*scenario.left_handed_notices(), *profile_controller_notices(scenario.root, scenario.path)]
     scenario.catalog_files()  # Reads catalogs only if the scenario refers to them.
     networks = PreparedScenario.from_scenario(scenario).networks

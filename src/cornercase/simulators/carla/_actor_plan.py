@@ -1,4 +1,4 @@
-"""Decide which entities ScenarioRunner can move by the storyboard, and which need trajectories."""
+"""Decide which entities ScenarioRunner can move by the storyboard, and which need a trajectory."""
 
 from __future__ import annotations
 
@@ -23,8 +23,9 @@ _REFERENCE_ATTRIBUTES: Final = ("entityRef", "masterEntityRef")
 class ActorPlan:
     """How each entity of a scenario is moved.
 
-    `sampled`: entities that move along a trajectory, with reasons; `reacting`: those that react to externally driven
-    ones; `dropped`: driven entities whose events are left out; `notes`: what has no effect or differs.
+    `sampled`: entities that move along a trajectory, with the reasons. `reacting`: entities that react to agent-driven
+    ones. `dropped`: agent-driven entities whose events are left out. `notes`: what has no effect, or another one than
+    in the file.
     """
 
     sampled: dict[str, list[str]] = field(default_factory=dict)
@@ -41,17 +42,16 @@ def plan_actors(
     deviations: Mapping[str, str],
     lowest_speeds: Mapping[str, float],
 ) -> ActorPlan:
-    """Decide how each entity is moved.
+    """Decide how each entity is moved: by an agent, by the storyboard or along a trajectory.
 
-    An entity that does not react to an externally driven one always moves the same way, so a trajectory loses nothing:
-    it gets one wherever ScenarioRunner deviates from the storyboard. An entity that reacts keeps the storyboard as long
-    as ScenarioRunner does something similar.
+    An entity that does not react to agent-driven entities moves the same way in each run. So it can follow a trajectory
+    without loss, and does so if ScenarioRunner deviates from its storyboard. An entity that reacts is moved by the
+    storyboard, as long as ScenarioRunner does something similar.
 
-    `driven` are entities that an agent drives. `carla_map_name` is the map's name, empty if there is a road file
-    (without
-    one, no trajectories can be sampled). `astray` says why ScenarioRunner's controls would lead entities elsewhere.
-    `slowest` is the lowest speed of each entity in the builtin simulator in m/s (missing: 0). Raises `InputError` if an
-    entity needs a trajectory and there is none.
+    `driven` are the entities that an agent drives. `carla_map_name` is the name of CARLA's map, or empty if the
+    scenario has a road file; trajectories need a road file. `deviations` has reasons why ScenarioRunner's own controls
+    would move an entity elsewhere. `lowest_speeds` has the lowest speed of each entity in the builtin simulator in m/s
+    (default 0). Raises `InputError` if an entity needs a trajectory and there is no road file.
     """
     names = [element.get("name", "") for element in root.iterfind("Entities/ScenarioObject")]
     parts = {name: list(_elements_moving(root, name)) for name in names}
@@ -102,9 +102,9 @@ def plan_actors(
 def select_stop_conditions(
     root: etree._Element, actor_plan: ActorPlan, driven: Collection[str]
 ) -> list[etree._Element]:
-    """Return the condition groups of the stop trigger that depend on externally driven entities and stay.
+    """Return the condition groups of the stop trigger that depend on agent-driven entities and can be kept.
 
-    Adds a note to the plan for each group that does not stay.
+    Adds a note to the plan for each group that cannot be kept.
     """
     groups = []
     for group in root.iterfind("Storyboard/StopTrigger/ConditionGroup"):
@@ -122,7 +122,7 @@ def select_stop_conditions(
 
 
 def _drop_events_of_driven(name: str, parts: list[etree._Element], actor_plan: ActorPlan) -> None:
-    """Drop the events of an agent-driven entity if ScenarioRunner would fail at one."""
+    """Drop the events of an agent-driven entity if ScenarioRunner would fail at one of them."""
     for part in parts:
         if part.tag == "ManeuverGroup" and any(
             finding.row.status is HandlingStatus.SAMPLED for finding in find_unsupported(part)
@@ -133,7 +133,7 @@ def _drop_events_of_driven(name: str, parts: list[etree._Element], actor_plan: A
 
 
 def _elements_moving(root: etree._Element, name: str) -> Iterator[etree._Element]:
-    """Storyboard elements that move an entity: its own actions, its maneuver groups, and triggers of their acts."""
+    """Yield the elements that move an entity: initial actions, maneuver groups, and triggers of their acts."""
     yield from (
         element for element in root.iterfind("Storyboard/Init/Actions/Private") if element.get("entityRef") == name
     )
@@ -149,7 +149,7 @@ def _elements_moving(root: etree._Element, name: str) -> Iterator[etree._Element
 
 
 def refuse_unsupported(root: etree._Element, source: Path) -> None:
-    """Raise `InputError` for the first element or attribute that the support table refuses or lacks."""
+    """Raise `InputError` for the first element or attribute that the support table refuses or does not contain."""
     for finding in find_unsupported(root):
         if finding.row.status is HandlingStatus.REFUSED:
             raise InputError(
@@ -174,7 +174,7 @@ def _describe_finding(finding: SupportFinding) -> str:
 
 
 def _find_implicit_deviations(part: etree._Element, root: etree._Element) -> Iterator[SupportFinding]:
-    """Find deviations that no single element or attribute shows."""
+    """Yield deviations of ScenarioRunner that do not belong to a single element or attribute."""
     if part.tag == "Private":
         yield from _find_unsupported_init_actions(part)
     for group in part.iter("ConditionGroup"):
@@ -207,7 +207,7 @@ def _find_implicit_deviations(part: etree._Element, root: etree._Element) -> Ite
 def _find_negative_speeds(
     part: etree._Element, driven: Collection[str], lowest_speeds: Mapping[str, float]
 ) -> Iterator[SupportFinding]:
-    """Find speeds below 0, at which ScenarioRunner stops."""
+    """Yield speeds below 0, since ScenarioRunner stops an entity instead of driving it backwards."""
     for speed in part.iter("AbsoluteTargetSpeed", "AbsoluteSpeed"):
         if float(speed.get("value", "0")) < 0.0:
             yield _sampled_finding(speed, "ScenarioRunner stops at speeds below 0")
@@ -223,7 +223,7 @@ def _find_negative_speeds(
 
 
 def _find_unsupported_init_actions(private: etree._Element) -> Iterator[SupportFinding]:
-    """Find initial actions that ScenarioRunner does not execute, besides the first position and speed."""
+    """Yield the initial actions that ScenarioRunner ignores: all but the first position and the first speed."""
     for action_tag in ("LateralAction", "SynchronizeAction", "LongitudinalDistanceAction", "SpeedProfileAction"):
         for action in private.iter(action_tag):
             yield _sampled_finding(action, "ScenarioRunner does not do it in <Init> as the standard says")
@@ -271,7 +271,7 @@ def _has_cornercase_driver(root: etree._Element, name: str) -> bool:
 def _reacting_entities(
     root: etree._Element, parts: dict[str, list[etree._Element]], driven: Collection[str]
 ) -> set[str]:
-    """Entities whose motion depends on externally driven ones, including these."""
+    """Return the agent-driven entities, and all entities whose motion depends on them."""
     referenced = {
         name: {
             element.get(attribute, "")
@@ -294,7 +294,7 @@ def _reacting_entities(
 
 
 def _is_reference_kept(root: etree._Element, state: etree._Element) -> bool:
-    """Return whether everything that a condition refers to stays in the storyboard, if its actors do."""
+    """Return whether all elements that a condition refers to stay in the storyboard, given the entities that stay."""
     elements = [
         element
         for element in _referenced_elements(root, state)
@@ -309,13 +309,13 @@ def _is_reference_kept(root: etree._Element, state: etree._Element) -> bool:
 
 
 def _referenced_elements(root: etree._Element, state: etree._Element) -> list[etree._Element]:
-    """Storyboard elements with the name that a condition refers to."""
+    """Return the storyboard elements that a condition on a state refers to by name."""
     name = state.get("storyboardElementRef", "").replace("::", "/").rpartition("/")[2]
     return [element for element in root.iterfind("Storyboard/Story//*[@name]") if element.get("name") == name]
 
 
 def _referenced_actors(root: etree._Element, state: etree._Element) -> set[str]:
-    """Entities that act in the storyboard elements that a condition refers to."""
+    """Return the entities that act in the storyboard elements that a condition refers to."""
     return {
         reference.get("entityRef", "")
         for element in _referenced_elements(root, state)
@@ -327,7 +327,7 @@ def _referenced_actors(root: etree._Element, state: etree._Element) -> set[str]:
 def _sample_waiting_entities(
     root: etree._Element, parts: dict[str, list[etree._Element]], actor_plan: ActorPlan, driven: Collection[str]
 ) -> None:
-    """Give trajectories also to entities that wait for events that are replaced."""
+    """Plan trajectories also for entities that wait for events which trajectories replace."""
     waiting = {
         name: {
             actor

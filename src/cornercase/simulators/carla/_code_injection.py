@@ -1,4 +1,4 @@
-"""Refuse scenario content through which ScenarioRunner would execute code."""
+"""Refuse content of scenarios that would make ScenarioRunner execute code."""
 
 from __future__ import annotations
 
@@ -25,7 +25,10 @@ _SUPPORTED_CRITERIA: Final = (
 
 
 def pop_criteria(root: etree._Element) -> dict[str, etree._Element]:
-    """Remove stop trigger groups with criteria of ScenarioRunner, which never become true; return them by name."""
+    """Remove the criteria of ScenarioRunner from the stop trigger, with their groups, and return them by name.
+
+    Such a group never becomes true.
+    """
     declared = {declaration.get("name") for declaration in root.iterfind("ParameterDeclarations/ParameterDeclaration")}
     criteria: dict[str, etree._Element] = {}
     for trigger in root.iter("StopTrigger"):
@@ -41,7 +44,7 @@ def pop_criteria(root: etree._Element) -> dict[str, etree._Element]:
 
 
 def add_criteria(root: etree._Element, criteria: Mapping[str, etree._Element]) -> list[str]:
-    """Add the criteria that ScenarioRunner may judge a run by; return notes on those left out."""
+    """Add the criteria by which ScenarioRunner may judge a run; return notes on those that are left out."""
     stop = root.find("Storyboard/StopTrigger")
     assert stop is not None
     supported = [condition for name, condition in criteria.items() if name in _SUPPORTED_CRITERIA]
@@ -55,10 +58,10 @@ def add_criteria(root: etree._Element, criteria: Mapping[str, etree._Element]) -
 
 
 def refuse_code_injection(root: etree._Element, source: Path) -> None:
-    """Refuse a concrete scenario that names code for ScenarioRunner to run.
+    """Refuse a concrete scenario that names code for ScenarioRunner to execute.
 
-    That is: a user-defined action, a controller module that is not ScenarioRunner's own, or a condition that
-    ScenarioRunner would use as the name of a class.
+    Such code is a user-defined action, or a controller module that does not belong to ScenarioRunner, or a condition
+    whose name ScenarioRunner would use as the name of a class.
     """
     for action in root.iter("UserDefinedAction"):
         command = action.find("CustomCommandAction")

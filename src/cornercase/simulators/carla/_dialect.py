@@ -1,4 +1,4 @@
-"""Tell ScenarioRunner which controller moves each entity of a scenario."""
+"""Write into a scenario which controller ScenarioRunner must use for each entity."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ _INACTIVE_OVERRIDES: Final = (
 class DrivingAgents:
     """Agents that drive entities instead of the storyboard.
 
-    `behaviors`: CARLA's behaviour agents by entity; `agent` and `config`: the user's own agent, which drives the ego,
-    and its configuration.
+    `behaviors`: CARLA's behaviour agents, by entity. `agent`: file of the user's own agent, which drives the ego.
+    `config`: its configuration.
     """
 
     behaviors: Mapping[str, str] = field(default_factory=dict)
@@ -34,18 +34,19 @@ class DrivingAgents:
     config: Path | None = None
 
     def driven_entities(self, ego: str) -> set[str]:
-        """Entities that an agent drives."""
+        """Return the entities that an agent drives."""
         return set(self.behaviors) | ({ego} if self.agent is not None else set())
 
 
 def assign_controllers(
     root: etree._Element, source: Path, ego: str, agents: DrivingAgents, box_offsets: Mapping[str, float]
 ) -> set[Path]:
-    """Assign controllers to entities that ScenarioRunner's own controls do not move; return those that it must find.
+    """Assign controllers to the entities that ScenarioRunner's own controls do not move.
 
-    ScenarioRunner 0.9.16 does not execute routes (its waypoints need times since then), so our own controller follows
-    the initial route. `sampled` are the entities on trajectories, with the distance in m by which the centre of the box
-    is ahead of the reference point. Raises `InputError` if an entity with a behaviour agent has no route.
+    Return the controller files used. Entities with an initial route get a controller of cornercase, since
+    ScenarioRunner 0.9.16 does not execute routes. `box_offsets` has the entities on trajectories, and by how many m the
+    centre of the box is ahead of the reference point. Raises `InputError` if an entity with a behaviour agent has no
+    route.
     """
     controllers = set()
     for private in root.iterfind("Storyboard/Init/Actions/Private"):
@@ -82,7 +83,7 @@ def assign_controllers(
 
 
 def _pop_initial_route(private: etree._Element) -> etree._Element:
-    """Remove an entity's initial route, and return its positions."""
+    """Remove the initial route of an entity, and return an element with its positions."""
     route = etree.Element("route")
     for action in private.findall("PrivateAction"):
         routing = action.find("RoutingAction")

@@ -140,10 +140,10 @@ def convert(
 class ConversionOptions:
     """Options of a converted scenario.
 
-    `agents` drive entities instead of the storyboard; `time_step` and `duration` in s; `open_loop`: an entity may move
-    along a trajectory although it should react to an agent-driven one; `road_file` and `controllers`: path of the
-    copied road file and folder of our controllers, relative to the new file (default: next to it); `judged`:
-    ScenarioRunner judges the run by the scenario's criteria.
+    `agents`: agents that drive entities instead of the storyboard. `time_step`, `duration`: in s. `open_loop`: whether
+    an entity may move along a trajectory although it should react to an agent-driven entity. `road_file`: path of the
+    copied road file, relative to the new file (default: next to it). `controllers`: folder of cornercase's controllers,
+    likewise. `with_criteria`: whether ScenarioRunner judges the run by the criteria of the scenario.
     """
 
     agents: DrivingAgents = field(default_factory=DrivingAgents)
@@ -163,7 +163,7 @@ def write_openscenario_1_0(
     ego: str,
     options: ConversionOptions | None = None,
 ) -> tuple[str, ...]:
-    """Write a concrete scenario for ScenarioRunner, as `convert` does; return notes on differences."""
+    """Write a concrete scenario for ScenarioRunner like `convert`, with more options; return notes on differences."""
     options = options or ConversionOptions()
     scenario.require_declared(list(values))
     scenario.require_entity(ego, "ego")
@@ -199,7 +199,7 @@ def write_openscenario_1_0(
 
 
 def carla_map_name(scenario: ScenarioFile, values: Mapping[str, Value]) -> str:
-    """Return the name of CARLA's map that a scenario names instead of a road file; empty for a file or no road."""
+    """Return the name of the CARLA map that a scenario names instead of a road file; otherwise empty."""
     reference = scenario.road_reference_for(values)
     road = scenario.resolve_path(reference, "road file")
     if not reference or road.exists() or not re.fullmatch(r"\w+", road.name, re.ASCII):
@@ -208,9 +208,9 @@ def carla_map_name(scenario: ScenarioFile, values: Mapping[str, Value]) -> str:
 
 
 def make_concrete_tree(scenario: ScenarioFile, values: Mapping[str, Value]) -> etree._Element:
-    """Return the tree of a concrete scenario without parameters and catalog references.
+    """Return the XML tree of a concrete scenario, with values instead of parameters and entries instead of references.
 
-    Raises `InputError` if a value cannot be evaluated or breaks a constraint, or there are too many entities.
+    Raises `InputError` if a value cannot be evaluated or violates a constraint, or if there are too many entities.
     """
     # The time grows with the square of the number of entities.
     if len(scenario.entities) > _MAX_ENTITIES:
@@ -233,7 +233,7 @@ def make_concrete_tree(scenario: ScenarioFile, values: Mapping[str, Value]) -> e
 def _make_tree_1_0(
     scenario: ScenarioFile, values: Mapping[str, Value], ego: str, options: ConversionOptions, map_name: str
 ) -> tuple[etree._Element, list[str], set[Path]]:
-    """Return the tree of a concrete scenario in OpenSCENARIO 1.0, notes on differences, and needed controllers."""
+    """Return the tree of a scenario in OpenSCENARIO 1.0, notes on differences, and the needed controller files."""
     root = make_concrete_tree(scenario, values)
     criteria = pop_criteria(root)
     refuse_code_injection(root, scenario.path)
@@ -310,7 +310,7 @@ def _rewrite_header(root: etree._Element, source: Path) -> None:
 
 
 def _expand_selections(root: etree._Element) -> None:
-    """Replace entity selections by their members, since ScenarioRunner has no selections."""
+    """Replace entity selections by their members, since ScenarioRunner does not support selections."""
     for selection in root.findall("Entities/EntitySelection"):
         members = [member_element.get("entityRef", "") for member_element in selection.iterfind("Members/EntityRef")]
         object_types = [
@@ -333,7 +333,7 @@ def _expand_selections(root: etree._Element) -> None:
 
 
 def _remove_later_attributes(root: etree._Element) -> None:
-    """Remove attributes introduced after 1.0 that do not change the meaning of the rest."""
+    """Remove attributes that OpenSCENARIO 1.0 does not have and that do not change the meaning of other attributes."""
     for tag, names in _LATER_ATTRIBUTES.items():
         for element in root.iter(tag):
             for name in names:
@@ -341,7 +341,7 @@ def _remove_later_attributes(root: etree._Element) -> None:
 
 
 def _resolve_expressions(element: etree._Element, scope: Scope) -> None:
-    """Replace parameters and expressions by values."""
+    """Replace parameters and expressions in all attributes by their values."""
     if not isinstance(element.tag, str) or element.tag == "ParameterDeclarations":
         return
     inner = scope.nested_scope(element) if element.find("ParameterDeclarations") is not None else scope
@@ -368,7 +368,7 @@ def _resolve_expressions(element: etree._Element, scope: Scope) -> None:
 
 
 def _trim_numbers(root: etree._Element) -> None:
-    """Remove blanks around numbers, which XML allows but ScenarioRunner does not."""
+    """Remove spaces around numbers, which XML allows and ScenarioRunner does not."""
     for element in root.iter("*"):
         for name, text in element.attrib.items():
             if name != "name" and not str(name).endswith("Ref") and _NUMBER_PATTERN.fullmatch(str(text).strip()):
@@ -431,7 +431,7 @@ def _rewrite_conditions(root: etree._Element, source: Path, notes: list[str]) ->
 
 
 def _add_final_speeds(root: etree._Element, scenario: ScenarioFile, notes: list[str]) -> None:
-    """Add a final speed to synchronize actions, which ScenarioRunner requires."""
+    """Add a final speed to synchronize actions without one, since ScenarioRunner requires it."""
     for action in root.iter("SynchronizeAction"):
         final_speed = action.find("FinalSpeed")
         if final_speed is not None and final_speed.find("*/SteadyState") is not None:

@@ -1,4 +1,4 @@
-"""Find entities whose path ScenarioRunner's controls would not follow, and initial heights."""
+"""Find entities that ScenarioRunner's own controls would not keep on their path, and initial heights of entities."""
 
 from __future__ import annotations
 
@@ -22,10 +22,11 @@ _STRIDE: Final = 4
 
 
 def find_deviating_entities(recording: Recording, road: Path | None, scenario: ScenarioFile) -> dict[str, str]:
-    """Return why ScenarioRunner's own controls would move entities elsewhere, by entity; without those that never move.
+    """Return why ScenarioRunner's own controls would move entities elsewhere, by entity.
 
-    The controls move a vehicle along the middle of the nearest lane in its direction, with an arbitrary branch at
-    junctions, and a walker straight ahead. `scenario` caches its road file.
+    The controls move a vehicle along the middle of the nearest lane in its direction, and choose an arbitrary branch at
+    junctions. They move a walker straight ahead. Entities that never move are left out. The road file is cached in
+    `scenario`.
     """
     network = None if road is None else RoadNetwork.from_xml(scenario.get_root(road), road)
     reasons = {}
@@ -72,12 +73,12 @@ def _describe_lane_deviation(network: RoadNetwork, x: FloatArray, y: FloatArray,
 
 
 def _angle_between(heading: FloatArray, other_heading: FloatArray) -> FloatArray:
-    """Absolute angles between directions in rad."""
+    """Return the absolute angles between headings in rad."""
     return np.abs(wrap_angle(heading - other_heading))
 
 
 def initial_heights(recording: Recording, road: Path | None, scenario: ScenarioFile) -> FloatArray:
-    """Initial heights of entities in m, shape (A,), from the elevation of their roads."""
+    """Return the initial heights of entities in m, shape (A,), from the elevation of their roads."""
     elevations = np.zeros(len(recording.names))
     if road is None:
         return elevations

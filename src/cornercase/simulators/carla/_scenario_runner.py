@@ -40,10 +40,10 @@ _ERROR_PATTERN: Final = re.compile(r"^\w*(Error|Exception)\b")
 
 
 class ScenarioRunnerProcess:
-    """Runs OpenSCENARIO 1.0 files, one process per file.
+    """Runs OpenSCENARIO 1.0 files with ScenarioRunner, one process per file.
 
-    Empty arguments stand for the environment variables, as in `Carla`. Raises `InputError` if ScenarioRunner
-    is not found or too old.
+    For empty arguments, the environment variables are used, as in `Carla`. Raises `InputError` if ScenarioRunner is not
+    found or too old.
     """
 
     def __init__(self, folder: str, python: str, carla_root: str) -> None:
@@ -62,11 +62,12 @@ class ScenarioRunnerProcess:
         until_collision: bool,
         silence: float,
     ) -> None:
-        """Run a scenario until it ends, `duration` (s, simulated) or `silence` (s, no frame) passes, or on collision.
+        """Run a scenario until it ends, or a limit is reached.
 
-        The output goes to ``scenario_runner.log`` next to the file. `drivers` is the folder of the controllers, the
-        only addition to Python's path. Raises `SimulationError` if the scenario did not run to the end,
-        `SimulatorError` if the server did not answer.
+        The limits are a collision (if `until_collision`), `duration` s of simulated time, and `silence` s without a
+        frame. The output of ScenarioRunner goes to ``scenario_runner.log`` next to the file. `drivers` is the folder of
+        cornercase's controllers, and is added to Python's path. Raises `SimulationError` if the scenario did not run to
+        the end, and `SimulatorError` if the server did not answer.
         """
         command = [self._python, str(self._folder / "scenario_runner.py"), "--sync", "--openscenario", str(file)]
         command += [str(part) for pair in options.items() for part in pair]
@@ -105,9 +106,9 @@ class ScenarioRunnerProcess:
 
 
 def find_scenario_runner_folder(explicit_folder: str) -> Path:
-    """Return ScenarioRunner's folder: `given`, or that in the variable ``SCENARIO_RUNNER_ROOT``.
+    """Return ScenarioRunner's folder: `explicit_folder`, else the environment variable ``SCENARIO_RUNNER_ROOT``.
 
-    Its files are only read. Raises `InputError` if it is not found, or older than cornercase needs.
+    No file in the folder is changed. Raises `InputError` if ScenarioRunner is not found, or too old.
     """
     text = explicit_folder or os.environ.get(RUNNER_VARIABLE, "")
     if not text:
@@ -133,7 +134,7 @@ def find_scenario_runner_folder(explicit_folder: str) -> Path:
 
 
 def _read_source(path: Path) -> str:
-    """Text of a file; empty if there is none."""
+    """Return the text of a file; empty if there is no such file."""
     try:
         return path.read_text(encoding="utf-8", errors="replace")
     except OSError:
@@ -143,7 +144,10 @@ def _read_source(path: Path) -> str:
 def _wait_for_end(
     process: subprocess.Popen[bytes], tracker: EntityTracker, duration: float, until_collision: bool, silence: float
 ) -> bool:
-    """Wait until the run or the parent process has ended; return True if the run must be stopped."""
+    """Wait until the run or the parent process has ended, or must end.
+
+    Return True if ScenarioRunner must be stopped.
+    """
     has_parent, frames, last_frame_time = make_parent_check(), 0, time.monotonic()
     while process.poll() is None and has_parent():
         tracker.find_entities()
@@ -176,7 +180,7 @@ def _end_process(process: subprocess.Popen[bytes]) -> None:
 
 
 def _last_error_line(output: str) -> str:
-    """Return the last error line of ScenarioRunner's output, else its last line."""
+    """Return the last line of ScenarioRunner's output with an error, else the last line."""
     lines = [line.strip() for line in output.splitlines() if line.strip()]
     errors = [line for line in lines if _ERROR_PATTERN.match(line)]
     return (errors or lines or ["it printed nothing"])[-1][:300]

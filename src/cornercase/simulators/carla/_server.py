@@ -13,14 +13,17 @@ _MESH_OPTIONS: Final = {"vertex_distance": 2.0, "wall_height": 1.0, "additional_
 
 
 class CarlaServer:
-    """A CARLA server that nothing else uses; `patience` is the time in s to wait for an answer."""
+    """A CARLA server that no other program uses; `patience` is the time in s to wait for an answer."""
 
     def __init__(self, host: str, port: int, patience: float) -> None:
         self.host, self.port, self.patience = host, port, patience
         self._client: Any = None
 
     def get_client(self) -> Any:
-        """Return the client, created on first use; `InputError` if no server of the same version answers."""
+        """Return the client, which is created on first use.
+
+        `InputError` if no server of the client's version answers.
+        """
         if self._client is None:
             import carla
 
@@ -42,11 +45,11 @@ class CarlaServer:
         return self._client
 
     def reset_client(self) -> None:
-        """Create a new client next time, since the server may have been restarted."""
+        """Create a new client at the next use, since the server may have been restarted."""
         self._client = None
 
     def prepare_map(self, road: Path | str | None) -> None:
-        """Load a map (OpenDRIVE file or CARLA's name) if another one is loaded, and remove actors of earlier runs."""
+        """Load a map (OpenDRIVE file or name of a CARLA map) unless it is loaded, and remove actors of earlier runs."""
         import carla
 
         client = self.get_client()
@@ -70,7 +73,7 @@ class CarlaServer:
                 actor.destroy()
 
     def leave_synchronous_mode(self) -> None:
-        """Leave synchronous mode, since no client sends ticks any more."""
+        """Leave synchronous mode, in which the server would wait for ticks that no client sends any more."""
         world = self.get_client().get_world()
         settings = world.get_settings()
         if settings.synchronous_mode:
@@ -78,7 +81,7 @@ class CarlaServer:
             world.apply_settings(settings)
 
     def stop_recorder(self) -> None:
-        """Close the recorder's file."""
+        """Stop CARLA's recorder, so that it closes its file."""
         client = self.get_client()
         client.stop_recorder()
         # The server answers this only after it has closed the file.

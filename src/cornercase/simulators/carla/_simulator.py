@@ -162,7 +162,7 @@ class Carla(Simulator):
 
     @cached_property
     def settings(self) -> dict[str, object]:  # type: ignore[override]
-        """What recordings depend on; `InputError` if CARLA's client or ScenarioRunner is missing."""
+        """Settings that recordings depend on; `InputError` if CARLA's client or ScenarioRunner is missing."""
         _require_client()
         # A missing ScenarioRunner is told before anything is run.
         _ = self._runner
@@ -196,7 +196,7 @@ class Carla(Simulator):
 
     @classmethod
     def availability(cls) -> Availability:
-        """Return whether client and ScenarioRunner are installed; the server is checked when it is needed."""
+        """Return whether client and ScenarioRunner are installed; whether a server runs is not checked."""
         try:
             client_version, missing = version("carla"), ""
         except PackageNotFoundError:
@@ -216,7 +216,10 @@ class Carla(Simulator):
         )  # fmt: skip
 
     def run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Recording | SimulationError]:
-        """Run scenarios; `InputError` also if no server answers or its version differs from the client's."""
+        """Run scenarios.
+
+        Also raises `InputError` if no server answers, or a server of another version than the client's.
+        """
         _require_client()
         for concrete in concretes:
             scenario = self._last_scenario = concrete.load_file(self._last_scenario)
@@ -237,7 +240,7 @@ class Carla(Simulator):
         self._behavior_agents(scenario)
 
     def _behavior_agents(self, scenario: ScenarioFile) -> dict[str, str]:
-        """Behaviour agents by entity."""
+        """Return CARLA's behaviour agents by entity."""
         scenario.require_entity(self._ego, "ego")
         for entity in self._drivers:
             scenario.require_entity(entity, "driven entity")

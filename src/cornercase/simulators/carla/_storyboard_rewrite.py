@@ -19,7 +19,7 @@ _ROUTE_ACTIONS: Final = ("AssignRouteAction", "AcquirePositionAction")
 
 
 def remove_ineffective(root: etree._Element) -> None:
-    """Remove content without effect in ScenarioRunner, and global actions."""
+    """Remove all content that has no effect in ScenarioRunner, and all global actions."""
     for finding in list(find_unsupported(root)):
         if finding.row.status is HandlingStatus.WITHOUT_EFFECT:
             _remove_finding(finding)
@@ -38,20 +38,20 @@ def _remove_finding(finding: SupportFinding) -> None:
 
 
 def _enclosing_action(action: etree._Element) -> etree._Element:
-    """Return the ``Action`` around an action of an event; in ``Init``, the action itself."""
+    """Return the ``Action`` element around an event's action; for an initial action, return the action itself."""
     parent = action.getparent()
     return parent if parent is not None and parent.tag == "Action" else action
 
 
 def remove_element(element: etree._Element) -> None:
-    """Remove an element from its parent, if it has one."""
+    """Remove an element from its parent; does nothing if it has none."""
     parent = element.getparent()
     if parent is not None:
         parent.remove(element)
 
 
 def remove_entities_from_storyboard(root: etree._Element, names: Collection[str]) -> None:
-    """Remove entities from the storyboard, and elements that are empty then."""
+    """Remove entities from the storyboard, and then all elements that have become empty."""
     for reference in list(root.iterfind(".//Actors/EntityRef")):
         if reference.get("entityRef") in names:
             remove_element(reference)
@@ -74,9 +74,9 @@ def remove_entities_from_storyboard(root: etree._Element, names: Collection[str]
 def set_initial_state(
     root: etree._Element, recording: Recording, keep_routes_of: Iterable[str], heights: FloatArray
 ) -> None:
-    """Set the initial position and speed of each entity.
+    """Set the initial position and speed of each entity, and remove all other initial actions.
 
-    Everything else in ``Init`` is removed, except routes of the entities `names`. `heights` are in m, shape (A,).
+    The routes of the entities `keep_routes_of` are kept. `heights` are the initial heights in m, shape (A,).
     """
     actions = root.find("Storyboard/Init/Actions")
     assert actions is not None
@@ -122,7 +122,7 @@ def make_speed_action(speed: float) -> etree._Element:
 
 
 def format_number(number: float) -> str:
-    """Format a number to a micrometre, without an exponent."""
+    """Format a number with six decimals at most and without an exponent."""
     text = f"{float(number):.6f}".rstrip("0").rstrip(".")
     return "0" if text in ("-0", "") else text
 
@@ -137,7 +137,7 @@ def make_time_condition(name: str, seconds: float) -> etree._Element:
 
 
 def add_missing_start_triggers(root: etree._Element) -> None:
-    """Add a condition that is always true to events without one, which ScenarioRunner would never start."""
+    """Add a start trigger that is always true to events without one, since ScenarioRunner would never start them."""
     for event in root.iter("Event"):
         trigger = event.find("StartTrigger")
         if trigger is None:
@@ -147,7 +147,7 @@ def add_missing_start_triggers(root: etree._Element) -> None:
 
 
 def set_end_time(root: etree._Element, seconds: float, keep: Collection[etree._Element]) -> None:
-    """End the storyboard after a time, or earlier by the groups of its stop trigger in `keep`."""
+    """End the storyboard at a time in s, or earlier if a condition group in `keep` is true."""
     storyboard = root.find("Storyboard")
     assert storyboard is not None
     stop = storyboard.find("StopTrigger")
@@ -160,7 +160,7 @@ def set_end_time(root: etree._Element, seconds: float, keep: Collection[etree._E
 
 
 def copy_stop_trigger_to_acts(root: etree._Element) -> None:
-    """Copy the storyboard's stop trigger, which ScenarioRunner ignores, to all acts."""
+    """Copy the stop trigger of the storyboard to all acts, since ScenarioRunner ignores it in the storyboard."""
     stop = root.find("Storyboard/StopTrigger")
     groups = [] if stop is None else list(stop)
     for act in root.iter("Act"):
@@ -174,7 +174,7 @@ def copy_stop_trigger_to_acts(root: etree._Element) -> None:
 
 
 def make_names_unique(root: etree._Element) -> None:
-    """Make the names of storyboard elements unique, since ScenarioRunner confuses elements of the same name."""
+    """Make the names of storyboard elements unique, since ScenarioRunner confuses elements with equal names."""
     used_names: set[str] = set()
     renamed: dict[tuple[str, str], str] = {}
     for element in root.iterfind("Storyboard//*"):

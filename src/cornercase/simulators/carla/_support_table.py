@@ -33,11 +33,12 @@ class HandlingStatus(StrEnum):
 
 @dataclass(frozen=True)
 class SupportRow:
-    """How an element or attribute is handled.
+    """How ScenarioRunner handles an element or attribute.
 
-    `element`: its name, with parents if relevant (``"CollisionCondition/ByType"``); `attribute`: empty for the element;
-    `values`: attribute values that the row holds for, empty for all others; `note`: reason or replacement; `matters`:
-    whether leaving it out can change positions, speeds or verdicts.
+    `element`: name of the element, with parents if they matter (``"CollisionCondition/ByType"``). `attribute`: name of
+    the attribute; empty if the row is about the element. `values`: attribute values that the row is about; empty for
+    all other values. `note`: reason or replacement. `matters`: whether leaving the content out can change positions,
+    speeds or verdicts.
     """
 
     element: str
@@ -50,7 +51,10 @@ class SupportRow:
 
 @dataclass(frozen=True)
 class SupportFinding:
-    """An element or attribute that is not simply executed; `what` describes it in messages."""
+    """An element or attribute that ScenarioRunner does not simply execute.
+
+    `description` is its description in messages.
+    """
 
     description: str
     row: SupportRow
@@ -59,7 +63,7 @@ class SupportFinding:
 
 @cache
 def load_support_table() -> dict[tuple[str, str], tuple[SupportRow, ...]]:
-    """Read the rows by last element name and attribute, those with most parents first."""
+    """Read the rows by name of the (last) element and attribute; rows with more parents come first."""
     rows_by_name: dict[tuple[str, str], list[SupportRow]] = {}
     text = (resources.files(__package__) / _TABLE_FILE).read_text(encoding="utf-8")
     for line in csv.DictReader(text.splitlines()):
@@ -73,7 +77,7 @@ def load_support_table() -> dict[tuple[str, str], tuple[SupportRow, ...]]:
 
 
 def find_row(path: tuple[str, ...], attribute: str = "", value: str = "") -> SupportRow | None:
-    """Return the row of an element (path of names) or attribute; None if the table has none."""
+    """Return the row of an element (as a path of names) or of its attribute; None if the table has none."""
     for row in load_support_table().get((path[-1], attribute), ()):
         names = tuple(row.element.split("/"))
         if path[-len(names) :] == names and (not row.values or value in row.values):
@@ -82,9 +86,9 @@ def find_row(path: tuple[str, ...], attribute: str = "", value: str = "") -> Sup
 
 
 def find_unsupported(element: etree._Element) -> Iterator[SupportFinding]:
-    """Yield what is not simply executed in an element and its children; unknown content counts as refused.
+    """Yield the elements and attributes below an element that ScenarioRunner does not simply execute.
 
-    Children of content that is left out, rewritten or replaced as a whole are skipped.
+    Unknown content counts as refused. If an element is left out, rewritten or replaced, its children are skipped.
     """
     path = tuple(str(ancestor.tag) for ancestor in (*reversed(list(element.iterancestors())), element))
     row = find_row(path) or _unknown_row(path[-1], "")

@@ -24,11 +24,11 @@ class _TrackedFrame(NamedTuple):
 
 
 class EntityTracker:
-    """Records all entities of a run, from the first frame in which all exist.
+    """Records the motion of all entities in a run, from the first frame in which all of them exist.
 
-    `client` is a separate CARLA client, `names` are the actors' role names, the run ends with the `ego`, and
-    `time_step` is the time between frames in s. `missing` lists entities that were not found last time. CARLA's
-    left-handed axes are converted: y and headings change sign.
+    `client` is a separate CARLA client, `names` are the role names of the actors, and `time_step` is the time between
+    frames in s. The run ends when the actor `ego` is removed. `missing` lists entities that the last search did not
+    find. CARLA's left-handed axes are converted: y and headings change sign.
     """
 
     def __init__(self, client: Any, names: Sequence[str], ego: str, time_step: float) -> None:
@@ -60,7 +60,7 @@ class EntityTracker:
                 sensor.destroy()
 
     def _store_frame(self, snapshot: Any) -> None:
-        """Store a frame; called in a thread of CARLA's client."""
+        """Store a frame; CARLA's client calls this in its own thread."""
         entity_ids, poses = self._entity_ids, {}
         for actor in snapshot:
             # Until the entities are found, record all new actors.
@@ -73,7 +73,7 @@ class EntityTracker:
         self._frames.append(_TrackedFrame(snapshot.timestamp.frame, snapshot.timestamp.delta_seconds, poses))
 
     def find_entities(self) -> None:
-        """Search for the entities until all are found."""
+        """Search for entities that were not found before."""
         if self._ids:
             return
         world = self._client.get_world()
@@ -106,7 +106,7 @@ class EntityTracker:
 
     @property
     def n_frames(self) -> int:
-        """Number of frames received, including those before the run."""
+        """Number of frames received so far, including frames before the run."""
         return len(self._frames)
 
     def progress(self) -> tuple[float, bool]:
@@ -117,9 +117,10 @@ class EntityTracker:
         return (len(run) - 1) * self._time_step, self._ids[self._ego] not in self._frames[-1].poses
 
     def make_recording(self, source: Path, duration: float, until_collision: bool) -> Recording:
-        """Create the recording, up to `duration` s or the first collision; `source` is named in messages.
+        """Create the recording, up to `duration` s or the first collision; `source` names the run in messages.
 
-        Raises `SimulationError` if the entities never existed at the same time, `SimulatorError` if frames are missing.
+        Raises `SimulationError` if the entities never existed at the same time, and `SimulatorError` if frames are
+        missing.
         """
         frames = self._run_frames()
         if len(frames) < 2:
@@ -145,7 +146,7 @@ class EntityTracker:
         return recording_from_samples(source, tracks, collisions_until_end)
 
     def _run_frames(self) -> list[_TrackedFrame]:
-        """Frames with equal time steps, from the first with all entities, as long as the ego exists."""
+        """Return frames at equal time steps, from the first with all entities to the last with the ego."""
         if not self._ids:
             return []
         ego = self._ids[self._ego]
@@ -162,7 +163,7 @@ class EntityTracker:
         return run
 
     def _first_collisions(self, frames: set[int]) -> list[tuple[int, tuple[str, str]]]:
-        """First frame in which each pair of entities touches, sorted."""
+        """Return the index of the first frame in which each pair of entities touches, and the pair, sorted."""
         names = {number: name for name, number in self._ids.items()}
         first: dict[tuple[str, str], int] = {}
         for frame, a, b in sorted(self._contacts):
@@ -173,7 +174,7 @@ class EntityTracker:
 
 
 def _box_of(actor: Any) -> tuple[str, float, float, float, float]:
-    """Type, length and width in m, and offset of the box centre ahead and to the right of the origin."""
+    """Return object type, box length and width in m, and the offset of the box center ahead and to the right, in m."""
     object_type = actor.attributes.get("base_type", "car")
     if actor.type_id.startswith("walker."):
         object_type = "pedestrian"

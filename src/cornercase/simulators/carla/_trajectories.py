@@ -1,4 +1,4 @@
-"""Trajectories of entities, sampled from a run of the builtin simulator."""
+"""Replace the motion of entities by trajectories from a run of the builtin simulator."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def simulate_builtin(
 ) -> Recording:
     """Run a concrete scenario in the builtin simulator; time step and duration in s.
 
-    Raises `InputError` if it cannot be run, or an entity does not exist at the start.
+    Raises `InputError` if the scenario cannot be run, or if an entity does not exist at the start.
     """
     simulator = Builtin(time_step=time_step, duration=duration)
     (recording,) = simulator.run([ConcreteScenario(scenario.path, dict(values), scenario)])
@@ -53,7 +53,7 @@ def simulate_builtin(
 
 
 def add_trajectories(root: etree._Element, recording: Recording | None, names: list[str], ego: str) -> list[str]:
-    """Add a story in which entities move as recorded, from start to end; return notes on differences.
+    """Add a story in which entities move as in a recording; return notes on differences.
 
     `recording` is None if no entity moves along a trajectory.
     """
@@ -77,7 +77,7 @@ def add_trajectories(root: etree._Element, recording: Recording | None, names: l
 
 
 def _add_maneuver_group(act: etree._Element, entity: str, name: str) -> etree._Element:
-    """Add a maneuver group with one entity, and return its maneuver."""
+    """Add a maneuver group with one entity, and return the maneuver in it."""
     holder = etree.SubElement(act, "ManeuverGroup", name=name, maximumExecutionCount="1")
     actors = etree.SubElement(holder, "Actors", selectTriggeringEntities="false")
     etree.SubElement(actors, "EntityRef", entityRef=entity)
@@ -98,7 +98,7 @@ def _make_speed_action(speed: float) -> etree._Element:
 
 
 def _add_entity_trajectory(act: etree._Element, recording: Recording, name: str) -> list[str]:
-    """Add the trajectories of an entity: one, and another one after each jump; return notes."""
+    """Add the trajectory of an entity, in several parts if it jumps; return notes."""
     k = recording.names.index(name)
     is_present = np.isfinite(recording.x[k])
     count = len(is_present) if is_present.all() else int(np.argmin(is_present))
@@ -156,7 +156,7 @@ def _make_completed_condition(event: str) -> etree._Element:
 
 
 def _extrapolate(vertex: FloatArray, speed: float, time: float) -> FloatArray:
-    """Vertex straight ahead of or behind another one, at another time."""
+    """Return the vertex at another time, if the entity goes straight on at a constant speed."""
     distance = speed * (time - vertex[0])
     return np.array(
         [time, vertex[1] + distance * np.cos(vertex[3]), vertex[2] + distance * np.sin(vertex[3]), vertex[3]]
@@ -164,7 +164,10 @@ def _extrapolate(vertex: FloatArray, speed: float, time: float) -> FloatArray:
 
 
 def _find_jumps(time: FloatArray, x: FloatArray, y: FloatArray, speed: FloatArray) -> list[int]:
-    """Indices of samples whose speed does not match their distance to the previous one; 0 for a wrong first speed."""
+    """Return the samples at which an entity jumps: the distance from the previous sample does not match its speed.
+
+    Index 0 stands for a wrong initial speed.
+    """
     if len(time) < 2:
         return []
     speeds = np.hypot(np.diff(x), np.diff(y)) / np.diff(time)
@@ -173,7 +176,7 @@ def _find_jumps(time: FloatArray, x: FloatArray, y: FloatArray, speed: FloatArra
 
 
 def _make_follow_action(trajectory: FloatArray, name: str) -> etree._Element:
-    """Create the action that follows a trajectory with the columns time, x, y and heading."""
+    """Create the action that follows a trajectory, given as an array with the columns time, x, y and heading."""
     routing = etree.Element("RoutingAction")
     action = etree.SubElement(routing, "FollowTrajectoryAction")
     element = etree.SubElement(action, "Trajectory", name=name, closed="false")
@@ -190,7 +193,7 @@ def _make_follow_action(trajectory: FloatArray, name: str) -> etree._Element:
 
 
 def _select_vertices(trajectory: FloatArray) -> list[int]:
-    """Indices of vertices such that linear interpolation between them reproduces the motion."""
+    """Return the indices of vertices that suffice to reproduce the motion by linear interpolation."""
     indices, last = [0], len(trajectory) - 1
     limit = np.array([_MAX_POSITION_ERROR, _MAX_POSITION_ERROR, _MAX_HEADING_ERROR])
     while indices[-1] < last:

@@ -1,4 +1,4 @@
-"""Drives a vehicle on CARLA along the route of its scenario.
+"""Controller that drives a vehicle on CARLA along the route of its scenario.
 
 ScenarioRunner loads this file by its name, in its own environment with an older Python, so it must not import
 cornercase.
@@ -29,11 +29,10 @@ _LOOKAHEAD = 15.0
 
 
 class CornercaseDriver(NpcVehicleControl):  # type: ignore[misc]
-    """Follows a route as CARLA's behaviour agent, as the user's agent, or at the storyboard's speed.
+    """Follows a route as CARLA's behaviour agent, as the user's agent, or at the speed of the storyboard.
 
-    `args`: ``behavior`` is "cautious", "normal" or "aggressive"; ``agent`` is the file of an ``AutonomousAgent`` and
-    ``agent_config`` its configuration; ``route`` is an XML element with the positions of an OpenSCENARIO route. All
-    optional.
+    The optional `args` are: ``behavior`` ("cautious", "normal" or "aggressive"); ``agent``, the file of an
+    ``AutonomousAgent``; ``agent_config``, its configuration; ``route``, an XML element with the positions of a route.
     """
 
     _init_speed: bool
@@ -81,7 +80,7 @@ class CornercaseDriver(NpcVehicleControl):  # type: ignore[misc]
 
 
 class _UserAgent:
-    """The user's agent, run as ScenarioRunner does in route scenarios only."""
+    """The user's agent, run in the way in which ScenarioRunner runs it in route scenarios."""
 
     def __init__(self, actor: Any, file: str, config: str, targets: List[Any]) -> None:
         sys.path.insert(0, os.path.dirname(file))
@@ -105,7 +104,7 @@ class _UserAgent:
 
 
 def _plan_route(actor: Any, targets: List[Any]) -> List[Tuple[Any, Any]]:
-    """Waypoints and road options from the actor's position along a route, and beyond."""
+    """Return waypoints and road options from the actor's position along a route, and on beyond its end."""
     planner = CarlaDataProvider.get_global_route_planner()
     start = CarlaDataProvider.get_location(actor) or actor.get_location()
     plan: List[Tuple[Any, Any]] = []

@@ -1,4 +1,4 @@
-"""Moves an entity on CARLA along the timed trajectory of its scenario.
+"""Controller that moves an entity on CARLA along the timed trajectory of its scenario.
 
 ScenarioRunner loads this file by its name, in its own environment with an older Python, so it must not import
 cornercase.
@@ -20,9 +20,9 @@ _MAX_DEVIATION = 3.0
 
 
 class CornercaseTrajectory(BasicControl):  # type: ignore[misc]
-    """Moves a vehicle by its velocity, a walker by its steps, and other entities by their position.
+    """Moves a vehicle by its velocity, a walker by its steps, and any other entity by its position.
 
-    ScenarioRunner's own controls go to the nearest lane, or as fast as they can. ``center_x`` in `args` is the distance
+    It replaces ScenarioRunner's own controls, which would leave the trajectory. ``center_x`` in `args` is the distance
     in m by which the centre of the scenario's box is ahead of its reference point.
     """
 
@@ -86,7 +86,7 @@ class CornercaseTrajectory(BasicControl):  # type: ignore[misc]
         self._actor.apply_control(carla.WalkerControl(direction, distance / step if distance > 1e-4 else 0.0, False))
 
     def _leg_at(self, elapsed: float) -> Tuple[int, float]:
-        """Index of the vertex before an instant, and the fraction of the leg to the next one."""
+        """Return the index of the last vertex before a time, and the fraction of the leg to the next vertex."""
         assert self._times is not None
         last = len(self._times) - 1
         k = min(sum(1 for time in self._times if time <= elapsed), last) - 1
@@ -97,7 +97,7 @@ class CornercaseTrajectory(BasicControl):  # type: ignore[misc]
         return k, min(max((elapsed - self._times[k]) / span, 0.0), 1.0) if span > 0.0 else 1.0
 
     def _pose_at(self, elapsed: float) -> Tuple[float, float, float]:
-        """Pose of CARLA's origin of the entity at an instant: x and y in m, yaw in degrees."""
+        """Return the pose of the entity's CARLA actor at a time: x and y in m, yaw in degrees."""
         k, fraction = self._leg_at(elapsed)
         start = self._waypoints[k]
         end = self._waypoints[min(k + 1, len(self._waypoints) - 1)]
@@ -120,5 +120,5 @@ class CornercaseTrajectory(BasicControl):  # type: ignore[misc]
 
 
 def _wrap_degrees(degrees: float) -> float:
-    """Wrap an angle in degrees to half a turn."""
+    """Wrap an angle in degrees to the range of half a turn in either direction."""
     return (degrees + 180.0) % 360.0 - 180.0

@@ -1,4 +1,4 @@
-"""A CarMaker that IPG's own Python module starts and controls."""
+"""Client that starts and controls CarMaker by IPG's own Python module."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ def is_cmapi_installed() -> bool:
 class CmapiClient:
     """Starts CarMaker once, and runs a TestRun with named values.
 
-    The module's event loop runs in a thread. `patience` is the time limit in s of a run and of the start. Raises
-    `InputError` if CarMaker does not start.
+    The event loop of IPG's module runs in its own thread. `timeout` is the time limit in s of the start and of each
+    run. Raises `InputError` if CarMaker does not start.
     """
 
     def __init__(self, project: Path, testrun: str, timeout: float) -> None:
@@ -100,7 +100,8 @@ class CmapiClient:
     def run_testrun(self, values: Mapping[str, Value]) -> Path:
         """Run the TestRun with named values, and return the result file.
 
-        Raises `SimulationError` if it does not end in time or writes no file, `SimulatorError` if the module fails.
+        Raises `SimulationError` if the run does not end in time or writes no file, and `SimulatorError` if IPG's module
+        fails.
         """
         before = ResultFileTracker(self._project)
         future = asyncio.run_coroutine_threadsafe(self._run_testrun_async(values), self._loop)
@@ -149,7 +150,7 @@ class CmapiClient:
         return False
 
     def close(self) -> None:
-        """End the CarMaker that was started here, and wait for it."""
+        """End the CarMaker that this client has started, and wait for its end."""
         # If the start failed, the loop has ended already.
         with suppress(AttributeError, RuntimeError):
             self._loop.call_soon_threadsafe(self._end_event.set)

@@ -156,7 +156,7 @@ class CarMaker(Simulator):
         )
 
     def run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Recording | SimulationError]:
-        """Run scenarios; `InputError` also if CarMaker does not listen, has no licence or lacks an entity."""
+        """Run scenarios; also raises `InputError` if CarMaker does not listen, has no licence or lacks an entity."""
         for concrete in concretes:
             self._last_scenario = concrete.load_file(self._last_scenario)
             self.check_supported(self._last_scenario)
@@ -176,7 +176,7 @@ class CarMaker(Simulator):
                 yield error
 
     def close(self) -> None:
-        """End the CarMaker that was started here; disconnect from any other."""
+        """End the CarMaker that was started here, or disconnect from a running one."""
         if self._api is not None:
             self._api.close()
             self._api = None

@@ -13,10 +13,10 @@ _MAX_REPLY_SIZE, _CONNECT_TIMEOUT = 1_000_000, 60.0
 
 
 class TclClient:
-    """Connection to a CarMaker, which executes Tcl commands and answers each; `InputError` if nothing listens.
+    """Connection to a running CarMaker, which executes Tcl commands; `InputError` if none listens.
 
-    An answer is ``O`` and a value, or ``E`` and an error, ended by an empty line; or an empty line alone. It may arrive
-    in several pieces.
+    CarMaker answers each command: ``O`` and a value, or ``E`` and an error, followed by an empty line; or only an empty
+    line. An answer may arrive in several pieces.
     """
 
     def __init__(self, host: str, port: int) -> None:
@@ -29,10 +29,10 @@ class TclClient:
         self._received = b""
 
     def send(self, command: str, timeout: float) -> str:
-        """Send a Tcl command and return the value of its answer, waiting up to `timeout` s.
+        """Send a Tcl command and return the value in the answer; waits up to `timeout` s.
 
-        Raises `SimulationError` if CarMaker answers with an error, `SimulatorError` if it does not answer in time or at
-        all.
+        Raises `SimulationError` if CarMaker answers with an error, and `SimulatorError` if no complete answer arrives
+        in time.
         """
         deadline = time.monotonic() + timeout
         # Discard the rest of an earlier answer.
@@ -59,7 +59,7 @@ class TclClient:
         return answer[1:].strip()
 
     def _next_answer(self) -> str | None:
-        """Return the next answer if it is complete, else None."""
+        """Return the next answer if it has arrived completely, else None."""
         if self._received.startswith(b"\r\n"):
             self._received = self._received[2:]
             return ""

@@ -1,4 +1,4 @@
-"""A run of a TestRun through CarMaker's command port, from idle to the new result file."""
+"""A run of a TestRun by the command port of CarMaker, from the idle state to the new result file."""
 
 from __future__ import annotations
 
@@ -34,9 +34,10 @@ _POLL_INTERVAL: Final = 0.05
 
 
 class TclTestRun:
-    """Runs a TestRun; `run_timeout` is the time limit in s of the run, `start_timeout` that to start or stop.
+    """Runs a TestRun.
 
-    `WaitForStatus` saves polling, but its answer may be late or an error, so `SimStatus` decides.
+    `run_timeout` is the time limit of the run in s, `start_timeout` the limit for starting or stopping. CarMaker's
+    command `WaitForStatus` makes polling rare. Its answer may be late or an error, so only `SimStatus` counts.
     """
 
     def __init__(
@@ -50,10 +51,11 @@ class TclTestRun:
         )
 
     def run_testrun(self, testrun: str, values: Mapping[str, Value]) -> Path:
-        """Run the TestRun with named values, and return the result file that it wrote.
+        """Run the TestRun with named values, and return the new result file.
 
-        Raises `SimulationError` if CarMaker refuses, does not start or end in time, is paused or writes no result file,
-        `SimulatorError` if it fails or does not stop, and `InputError` if it waits for a licence.
+        Raises `SimulationError` if CarMaker refuses the run, does not start or end it in time, pauses it or writes no
+        result file. Raises `SimulatorError` if CarMaker fails or does not stop, and `InputError` if it waits for a
+        licence.
         """
         self._require_idle()
         before = ResultFileTracker(self._project)
@@ -86,7 +88,7 @@ class TclTestRun:
         return self._poll_status(lambda status: status == _IDLE, self._start_timeout)
 
     def _wait_for_start(self, earlier_files: ResultFileTracker) -> None:
-        """Wait until the run has started; a short run may be over before the first poll."""
+        """Wait until the run has started; a short run may end before the first poll."""
         self._wait_for_state("running", self._start_timeout)
         status = self._poll_status(
             lambda now: (
@@ -115,7 +117,7 @@ class TclTestRun:
         raise SimulationError(f"CarMaker did not end the TestRun within {self._run_timeout:g} s")
 
     def _find_result_file(self, earlier_files: ResultFileTracker) -> Path:
-        """Return the result file of this run, never one that existed before."""
+        """Return the result file of this run; a file that existed before is never returned."""
         deadline = time.monotonic() + min(_RESULT_TIMEOUT, self._start_timeout)
         while True:
             name = self._send("GetLastResultFName")
@@ -135,7 +137,7 @@ class TclTestRun:
         )
 
     def _wait_for_state(self, state: str, seconds: float) -> None:
-        """Let CarMaker wait for a state; the status is polled afterwards in any case."""
+        """Let CarMaker wait for a state, to make polling rare; poll the status afterwards in any case."""
         try:
             self._client.send(f"WaitForStatus {state} {round(1000 * seconds)}", seconds + self._start_timeout)
         except SimulatorError:
@@ -145,7 +147,7 @@ class TclTestRun:
             pass
 
     def _poll_status(self, is_accepted: Callable[[int], bool], seconds: float) -> int:
-        """Poll the status until `enough` accepts it; return the last one."""
+        """Poll the status until `is_accepted` accepts it, or for a number of seconds; return the last status."""
         deadline = time.monotonic() + seconds
         while not is_accepted(status := self._read_status()) and time.monotonic() < deadline:
             time.sleep(_POLL_INTERVAL)

@@ -1,4 +1,4 @@
-"""Read boxes and types of entities from the scenario file, since CarMaker's result files lack them."""
+"""Read boxes and types of entities from the scenario file, since CarMaker's result files contain neither."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _OBJECT_TYPES = {"Pedestrian": "pedestrian", "MiscObject": "misc"}
 
 
 def read_entity_boxes(scenario: ScenarioFile, values: Mapping[str, Value]) -> dict[str, EntityBox]:
-    """Read the box of each entity; a car of 4.5 m x 1.8 m if the file has none."""
+    """Return the box of each entity; an entity without a box in the file becomes a car of 4.5 m x 1.8 m."""
     # Named values that the scenario does not declare are for the TestRun only.
     declared = {name: value for name, value in values.items() if name in scenario.parameters}
     scope = Scope.from_file(str(scenario.path), scenario.root, [declared], scenario.find_catalog_entry)
@@ -29,7 +29,7 @@ def read_entity_boxes(scenario: ScenarioFile, values: Mapping[str, Value]) -> di
 
 
 def warn_about_missing_boxes(scenario: ScenarioFile) -> None:
-    """Warn about entities without a box in the file."""
+    """Warn about entities without a box in the scenario file."""
     scope = Scope.from_file(str(scenario.path), scenario.root, [{}], scenario.find_catalog_entry)
     missing = [
         element.get("name", "")

@@ -51,7 +51,7 @@ _CLOSE_TIMEOUT: Final = 10.0
 
 @dataclass(frozen=True)
 class _ClusterTask:
-    """Scenarios of one Dask task, their attempt, and how often Dask lost the task before it started."""
+    """Scenarios of one Dask task, its attempt, and how often Dask lost the task before it had started."""
 
     indices: tuple[int, ...]
     attempt: JobAttempt
@@ -138,18 +138,18 @@ class ClusterSimulator(RemoteSimulator):
                 self._client.cancel(list(running))
 
     def parallel_instances(self) -> Sequence[Simulator]:
-        """Return this simulator once per slot of the current workers; `InputError` if there are none."""
+        """Return this simulator once for each task that the workers can run at a time; `InputError` without workers."""
         return [self] * self._count_slots()[0]
 
     def cancel(self) -> None:
-        """Cancel what other threads wait for; started tasks are not awaited."""
+        """Cancel the tasks that other threads wait for; tasks that have started continue unobserved."""
         # RuntimeError: another thread adds a future meanwhile; the caller repeats the call.
         with suppress(OSError, CancelledError, TimeoutError, RuntimeError):
             if self._client.status == "running":
                 self._client.cancel(list(self._submitted_futures))
 
     def close(self) -> None:
-        """Close the simulators on the workers, and disconnect; a local cluster ends."""
+        """Close the simulators on the workers and disconnect; a local cluster ends."""
         super().close()
         # A lost cluster has nothing to close.
         with suppress(OSError, CancelledError, TimeoutError):
@@ -160,7 +160,7 @@ class ClusterSimulator(RemoteSimulator):
             disconnect(self._client)
 
     def _count_slots(self) -> tuple[int, dict[str, float]]:
-        """Number of tasks that may run at once, and the worker resources that each takes."""
+        """Return how many tasks can run at a time, and the worker resources that each task requires."""
         resource = self.name.partition(":")[0]
         workers = wait_for_workers(self._client, self._required_resource)
         if offered := sum(int(worker["resources"].get(resource, 0.0)) for worker in workers):
@@ -196,7 +196,7 @@ class ClusterSimulator(RemoteSimulator):
         return future
 
     def _send_bundle(self, scenario: ScenarioFile) -> Future[Any]:
-        """Future of a scenario's bundle on the cluster; sent again if its worker was lost."""
+        """Return a future of a scenario's bundle on the cluster; the bundle is sent again if its worker was lost."""
         key = scenario.fingerprint() + str(scenario.path)
         if key not in self._sent_bundles or self._sent_bundles[key][1].status not in ("pending", "finished"):
             parcel = ScenarioBundle.from_file(scenario)

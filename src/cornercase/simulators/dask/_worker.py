@@ -1,4 +1,4 @@
-"""Code that runs on the workers of a cluster: holds simulators and scenario files, and runs scenarios."""
+"""Code that runs on the workers of a Dask cluster: it stores simulators and scenario files, and runs scenarios."""
 
 from __future__ import annotations
 
@@ -31,9 +31,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class SimulatorJob:
-    """Simulator and settings of one exploration or suite; `version` is that of the sender, `timeout` in s.
+    """A simulator and its settings, for one exploration or suite.
 
-    `options` are those of `pickle_simulator`, since the scheduler may not know the user's classes.
+    `version` is cornercase's version at the sender. `timeout` is in s. `options` are pickled by `pickle_simulator`,
+    since the Dask scheduler may not know the user's classes.
     """
 
     key: str
@@ -47,7 +48,7 @@ class SimulatorJob:
 
 @dataclass(frozen=True)
 class JobAttempt:
-    """Identifies scenarios that run together; at most `lives` workers may start them before they are given up."""
+    """Identifies scenarios that run together; after `lives` workers have been lost with them, they are given up."""
 
     name: str
     lives: int
@@ -55,14 +56,14 @@ class JobAttempt:
 
 @dataclass(frozen=True)
 class BatchResult:
-    """Results of scenarios in order, and sentences for the user."""
+    """Results of scenarios, in order, and sentences for the user."""
 
     outcomes: list[Outcome]
     notices: list[str]
 
 
 class _JobState:
-    """Simulators and files of one job in this process; each simulator is used by one thread at a time."""
+    """Simulators and files of a job in this process; only one thread at a time uses a simulator."""
 
     def __init__(self, job: SimulatorJob) -> None:
         self._job = job
@@ -136,7 +137,7 @@ _LOCK: Final = Lock()
 
 
 def identity_task(bundle: ScenarioBundle) -> ScenarioBundle:
-    """Return the bundle: a task that puts it on the cluster."""
+    """Return the bundle unchanged; as a Dask task, this stores it on the cluster."""
     return bundle
 
 
@@ -146,10 +147,10 @@ def run_scenarios_of_job(
     bundles: Mapping[str, ScenarioBundle],
     scenarios: Sequence[tuple[str, Mapping[str, Value]]],
 ) -> BatchResult | None:
-    """Run scenarios, given as bundle key and values, in this process or a child process that it keeps.
+    """Run scenarios of a job in this process, or in a child process that stays alive.
 
-    Returns None if too many workers were lost with them. Raises `InputError` for another version of cornercase, or if
-    no scenario can be run.
+    Each scenario is a bundle key and parameter values. Returns None if too many workers were lost with these scenarios.
+    Raises `InputError` if the sender has another version of cornercase, or if no scenario can be run.
     """
     if job.version != __version__:
         raise InputError(
@@ -181,11 +182,11 @@ def run_scenarios_of_job(
 
 @contextmanager
 def _mark_started(attempt: JobAttempt) -> Iterator[bool]:
-    """Mark an attempt as started at the scheduler while it runs; yield whether it may start.
+    """Mark an attempt as started while it runs; yield whether it may start.
 
-    The mark of a lost worker stays, so the next one knows; `forget_attempt` removes them. Dask also counts lost workers
-    per task (``allowed-failures``), but with one limit for the whole cluster, and including those that had not started
-    it.
+    The mark is stored at the Dask scheduler. If a worker is lost, its mark remains, so that lost workers can be
+    counted; `forget_attempt` removes it. Dask's own limit (``allowed-failures``) is not enough: it is the same for the
+    whole cluster, and counts workers that had not started the task.
     """
     from distributed import Event, get_client
 
@@ -205,14 +206,14 @@ def _mark_started(attempt: JobAttempt) -> Iterator[bool]:
 
 
 def _restore_sender_paths(text: str, sender_folders: Mapping[str, str]) -> str:
-    """Replace local folders in a text by the folders of the sender."""
+    """Replace folders of this worker in a text by the corresponding folders of the sender."""
     for own_folder, sender_folder in sender_folders.items():
         text = text.replace(own_folder, sender_folder)
     return text
 
 
 def forget_attempt(attempt: JobAttempt, client: Client) -> None:
-    """Remove the marks that lost workers have left of an attempt."""
+    """Remove the marks of lost workers for an attempt from the scheduler."""
     from distributed import Event
 
     for life in range(attempt.lives):

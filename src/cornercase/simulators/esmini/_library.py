@@ -38,7 +38,7 @@ PARAMETER_CALLBACK: Final = ctypes.CFUNCTYPE(None, ctypes.c_void_p)
 
 
 def find_library_path(library: str | None) -> Path:
-    """Return the path of esmini's library: `given`, or that in the variable ``CORNERCASE_ESMINI``."""
+    """Return the path of esmini's library: `library`, else the environment variable ``CORNERCASE_ESMINI``."""
     text = library or os.environ.get(LIBRARY_VARIABLE, "")
     if not text:
         raise InputError(NOT_FOUND_MESSAGE)
@@ -49,7 +49,7 @@ def find_library_path(library: str | None) -> Path:
 
 
 def load_library(path: Path) -> ctypes.CDLL:
-    """Load esmini's library and declare its functions; `InputError` if it cannot be loaded or lacks a function."""
+    """Load esmini's library and declare its functions; `InputError` if that fails, or if a function is missing."""
     try:
         lib = ctypes.CDLL(str(path))
     except OSError as error:
@@ -87,7 +87,7 @@ def load_library(path: Path) -> ctypes.CDLL:
 
 
 def read_state(lib: ctypes.CDLL, object_id: int) -> ObjectState:
-    """Read the state of the object with the id `one`; `InputError` if esmini does not report it."""
+    """Read the state of an object by its id; `InputError` if esmini does not report it."""
     state = ObjectState()
     if lib.SE_GetObjectState(object_id, ctypes.addressof(state)) != 0:
         raise InputError("esmini does not report the state of one of its objects; use another version.")
@@ -95,7 +95,7 @@ def read_state(lib: ctypes.CDLL, object_id: int) -> ObjectState:
 
 
 def check_layout(lib: ctypes.CDLL, object_id: int) -> None:
-    """Raise `InputError` if the library's states have another size or layout than expected."""
+    """Raise `InputError` if the library's object states have an unexpected memory layout."""
     size = ctypes.sizeof(ObjectState)
     buffer = (ctypes.c_ubyte * (2 * size)).from_buffer_copy(bytes([_FILL_BYTE]) * (2 * size))
     if lib.SE_GetObjectState(object_id, ctypes.addressof(buffer)) != 0:
@@ -109,7 +109,7 @@ def check_layout(lib: ctypes.CDLL, object_id: int) -> None:
 
 
 def set_parameter(lib: ctypes.CDLL, name: str, value: Value, parameter_type: str) -> int:
-    """Set a scenario parameter, whose declared type is `parameter_type`; returns 0 if esmini accepts it."""
+    """Set a scenario parameter of the declared type `parameter_type`; returns 0 if esmini accepts the value."""
     key = name.encode()
     if parameter_type == "double":
         return int(lib.SE_SetParameterDouble(key, float(value)))
@@ -122,7 +122,7 @@ def set_parameter(lib: ctypes.CDLL, name: str, value: Value, parameter_type: str
 
 
 def encode_esmini_path(path: Path) -> bytes:
-    """Encode a path as esmini opens it; `InputError` for characters that it cannot open on this platform."""
+    """Encode a path as esmini expects it; `InputError` if esmini cannot open such characters on this platform."""
     try:
         return encode_path(path)
     except UnicodeEncodeError:

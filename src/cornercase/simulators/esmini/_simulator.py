@@ -91,7 +91,7 @@ class Esmini(Simulator):
 
     @cached_property
     def settings(self) -> dict[str, object]:  # type: ignore[override]
-        """What recordings depend on; `InputError` if the library is not found."""
+        """Settings that recordings depend on; `InputError` if the library is not found."""
         path = find_library_path(self._library_path)
         return {
             **self._common_settings,
@@ -112,7 +112,7 @@ class Esmini(Simulator):
         return Availability("", missing, abilities)
 
     def run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Recording | SimulationError]:
-        """Run scenarios; `InputError` also if the library has another memory layout."""
+        """Run scenarios; also raises `InputError` if the library has an unexpected memory layout."""
         if self._library is None:
             self._library = load_library(find_library_path(self._library_path))
         for concrete in concretes:
@@ -201,7 +201,7 @@ class _StateLog:
         self._collisions: dict[tuple[str, str], float] = {}
 
     def record_state(self, time: float) -> bool:
-        """Record the current state; return whether a collision between two entities begins."""
+        """Record the current state; return whether a collision has begun."""
         lib, row, names = self._lib, {}, {}
         ids = [lib.SE_GetId(k) for k in range(lib.SE_GetNumberOfObjects())]
         for object_id in ids:
@@ -223,7 +223,7 @@ class _StateLog:
         return bool(new_pairs)
 
     def make_recording(self, time_step: float, cut_off: bool) -> Recording | SimulationError:
-        """Convert the recorded states to a recording."""
+        """Create a recording of the recorded states; an error if no entity was ever present."""
         if not self._boxes:
             return SimulationError("no entity is ever placed on the map")
         missing = (np.nan,) * 4

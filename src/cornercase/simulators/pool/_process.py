@@ -41,7 +41,7 @@ _START_TIMEOUT, _EXIT_CODE_TIMEOUT, _END_TIMEOUT = 60.0, 0.2, 10.0
 
 @dataclass(frozen=True)
 class WorkerTask:
-    """Scenarios (indices) that a worker runs in one call of its simulator, and how often they were tried before."""
+    """Scenarios (indices) that a worker process runs in one call of its simulator; and earlier attempts."""
 
     indices: tuple[int, ...]
     tries: int = 0
@@ -49,7 +49,7 @@ class WorkerTask:
 
 @dataclass(frozen=True)
 class NoticeMessage:
-    """A sentence for the user."""
+    """Message of a worker process: a sentence for the user."""
 
     sentence: str
 
@@ -58,13 +58,12 @@ WorkerMessage = Outcome | InputError | NoticeMessage | None
 
 
 class WorkerProcess:
-    """A process with a simulator; started when first needed, and again after it has ended.
+    """A process with a simulator; it is started when it is needed, and again after it has ended.
 
-    `timeout` is in s per scenario. `guardian` ends the process if this one cannot, and owns its folder for temporary
-    files.
+    `timeout` is in s per scenario. `guardian` ends the process if this process dies, and owns its temporary folder.
 
-    Attributes: `waiting`, the scenarios of the task without a result, empty if idle; `task`, the last one;
-    `connection`; `deadline`, in `time.monotonic` time.
+    Attributes: `task` is the last task, and `remaining` its scenarios without a result (empty if the process is idle).
+    `connection` leads to the process. `deadline` is the time limit, as a `time.monotonic` time.
     """
 
     connection: Connection
@@ -84,7 +83,7 @@ class WorkerProcess:
         self.deadline = float("inf")
 
     def start_task(self, task: WorkerTask, concretes: Sequence[ConcreteScenario]) -> None:
-        """Start a task; `concretes` are all scenarios; the task has the indices of its own."""
+        """Start a task; the indices in the task refer to `concretes`."""
         if self._process is None or not self._process.is_alive():
             self.stop()
             # Spawned, not forked: threads of numerical libraries do not survive a fork, and Windows has none.
@@ -116,9 +115,9 @@ class WorkerProcess:
             self.deadline = time.monotonic() + self._timeout * len(self.remaining)
 
     def receive(self) -> WorkerMessage:
-        """Receive the next message: a result, an error for the rest, a notice, or None once the simulator has started.
+        """Receive the next message: a result, an error for all remaining scenarios, or a notice; None after the start.
 
-        Raises TimeoutError after the deadline, EOFError or OSError if the process has ended.
+        Raises TimeoutError after the deadline, and EOFError or OSError if the process has ended.
         """
         if not self.connection.poll():
             action = f"end within {self._timeout:g} s" if self._is_started else f"start within {_START_TIMEOUT:g} s"
@@ -133,12 +132,12 @@ class WorkerProcess:
         return answer
 
     def describe_exit(self, process_name: str) -> SimulatorError:
-        """Return the error that describes how the process ended; `RunLostError` if it was killed from outside."""
+        """Return an error that describes how the process ended; `RunLostError` if it was killed from outside."""
         text = f"{process_name} {describe_exit_code(self._exit_code)}"
         return RunLostError(f"{text} from outside") if is_killed_externally(self._exit_code) else SimulatorError(text)
 
     def stop(self) -> None:
-        """End the process at once, if there is one."""
+        """End the process at once; does nothing if there is none."""
         self.remaining, self._exit_code, self._is_started = [], None, False
         if self._process is None:
             return
@@ -151,20 +150,20 @@ class WorkerProcess:
         self._release_process()
 
     def kill(self) -> None:
-        """Kill the process from another thread than the one that waits for it."""
+        """Kill the process; may be called in another thread than the one that waits for it."""
         process = self._process
         if process is not None and process.exitcode is None:
             kill_process_tree(process.pid)
 
     def close_connection(self) -> None:
-        """Close the connection, so that an idle process closes its simulator and ends; a busy one is stopped."""
+        """Close the connection: an idle process closes its simulator and ends; a busy process is stopped."""
         if self.remaining:
             self.stop()
         elif self._process is not None:
             self.connection.close()
 
     def wait_until_ended(self) -> None:
-        """Wait until a process that was told to end has ended; kill it if it does not."""
+        """Wait for the end of a process whose connection was closed; kill it if it does not end."""
         if self._process is None:
             return
         self._process.join(_END_TIMEOUT)
@@ -183,7 +182,7 @@ class WorkerProcess:
 
 
 def _worker_main(connection: Connection, simulator_description: bytes, folder: Path) -> None:
-    """Create a simulator in the worker process, and run tasks until the connection closes."""
+    """Run in the worker process: create a simulator, and run tasks until the connection closes."""
     # Ctrl-C is handled by the main process, which lets this one finish its scenario or stops it.
     detach_from_terminal()
     exit_with_parent()
@@ -207,7 +206,10 @@ def _worker_main(connection: Connection, simulator_description: bytes, folder: P
 
 
 def unpickle_simulator(description: bytes) -> tuple[str | type[Simulator], dict[str, Any]]:
-    """Name or class of a simulator, and its options; modules of the user may be in the current folder."""
+    """Return the name or class of a simulator and its options.
+
+    The user's modules are also searched in the current folder.
+    """
     name, options = unpickle_with_current_folder(description)
     return name, create_drivers_from_specs(options)
 
@@ -226,7 +228,7 @@ def _forward_notice(connection: Connection, sentence: str) -> None:
 
 
 def _send_message(connection: Connection, message: WorkerMessage) -> bool:
-    """Send an answer; return whether there is a receiver."""
+    """Send a message; return whether it could be delivered."""
     # Without a receiver, this process is about to be ended.
     try:
         connection.send(message)

@@ -27,7 +27,7 @@ _MAX_SINGLE_WAIT: Final = 3600.0
 
 @dataclass
 class _FailureCount:
-    """Number of consecutive scenarios without a result, over all processes."""
+    """Number of consecutive scenarios without a result, common to all processes."""
 
     count: int = 0
 
@@ -94,7 +94,7 @@ class WorkerSimulator(RemoteSimulator):
                     worker.stop()
 
     def parallel_instances(self) -> Sequence[WorkerSimulator]:
-        """Return one simulator per process; they are closed with this one."""
+        """Return one simulator per process; closing this simulator closes them."""
         if not self._single_process_simulators:
             self._single_process_simulators = [copy(self) for _ in self._workers]
             for single, worker in zip(self._single_process_simulators, self._workers, strict=True):
@@ -102,7 +102,7 @@ class WorkerSimulator(RemoteSimulator):
         return self._single_process_simulators
 
     def cancel(self) -> None:
-        """Kill the processes at once, even if another thread waits for them; nothing is retried."""
+        """Kill the processes at once, even while another thread waits for them; no scenario is retried."""
         self._retries = -1
         for worker in self._workers:
             worker.kill()
@@ -117,7 +117,7 @@ class WorkerSimulator(RemoteSimulator):
         super().close()
 
     def _wait_for_workers(self) -> list[WorkerProcess]:
-        """Wait for workers that have an answer or exceeded their deadline."""
+        """Wait until workers have sent a message or exceeded their deadline; return these workers."""
         busy = [worker for worker in self._workers if worker.remaining]
         deadline = min(worker.deadline for worker in busy)
         # Operating systems limit the time of a single wait.
@@ -162,10 +162,10 @@ class WorkerSimulator(RemoteSimulator):
         *,
         is_own_result: bool = False,
     ) -> None:
-        """Run scenarios without a result again, or fail them.
+        """Run the remaining scenarios of a failed task again, or record the failure as their result.
 
-        If a batch failed, it is unknown which scenario is at fault, unless `own`: the failure is the result of the
-        first.
+        If a batch failed, the scenario at fault is unknown, so each is run alone. With `is_own_result`, the failure is
+        the result of the first remaining scenario.
         """
         if len(task.indices) > 1 and not is_own_result:
             waiting.extendleft(WorkerTask((k,)) for k in reversed(remaining))
@@ -192,7 +192,7 @@ class WorkerSimulator(RemoteSimulator):
 
 
 def _describe_process(options: Mapping[str, Any]) -> str:
-    """Describe a simulator's process in messages, with the user's drivers, which may have ended it."""
+    """Describe a simulator's process in messages; names the user's drivers, since these may have ended it."""
     drivers = [
         f"the driver of {quote_name(entity)} ({name})"
         for entity, driver in (options.get("drivers") or {}).items()

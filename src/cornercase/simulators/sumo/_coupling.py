@@ -1,4 +1,4 @@
-"""Couple a SUMO simulation with a storyboard, step by step."""
+"""Couple a simulation in SUMO with a storyboard, step by step."""
 
 from __future__ import annotations
 
@@ -53,10 +53,10 @@ _REMOTE_OFFSET: Final = 1e5
 
 
 class SumoCoupling:
-    """A run of SUMO; only one can exist per process.
+    """A run of SUMO that is coupled with a storyboard; a process can have only one.
 
-    `types` are the vehicle types of the entities that SUMO drives; it sees all others. `error` says why SUMO failed,
-    else None.
+    `types` are the vehicle types of the entities that SUMO drives. SUMO sees all other entities. `error` is the reason
+    if SUMO has failed, else None.
     """
 
     def __init__(self, network: Path, types: Mapping[str, str], time_step: float, seed: int) -> None:
@@ -99,9 +99,11 @@ class SumoCoupling:
         self._folder.cleanup()
 
     def step(self, world: World, dt: float) -> None:
-        """Show SUMO the other entities as at the end of the step, let it step, and copy the entities that it drives.
+        """Advance SUMO by a time step.
 
-        `world` holds one scenario and is changed in place; with `dt` 0, entities are only added.
+        SUMO first gets the positions of the other entities at the end of the step. After the step, the entities that
+        SUMO drives are moved in `world`, which must hold a single scenario. With `dt` 0, entities are only added to
+        SUMO.
         """
         if self.error is not None or not world.running[0]:
             return
@@ -163,7 +165,7 @@ class SumoCoupling:
         return name
 
     def _route_ends(self, world: World, e: int) -> tuple[tuple[str, float, int], tuple[str, float, int]]:
-        """Start of an entity's front and end of its route, each as (edge, position, lane)."""
+        """Return where an entity's front is, and where its route ends; each as (edge, position, lane)."""
         x, y = self._front_position(world, e)
         begin = self._sumo.simulation.convertRoad(x, y)
         track = self._lane_track_of(world, e)
@@ -200,7 +202,7 @@ class SumoCoupling:
         self._sumo.vehicle.moveToXY(name, "", -1, x, y, _to_compass(heading), keepRoute=1 if follows_lane else 2)
 
     def _is_on_lane(self, world: World, e: int) -> bool:
-        """Return whether an entity's box reaches into a drivable lane; cached while it does not move."""
+        """Return whether an entity's box reaches into a drivable lane; cached while the entity stands."""
         if world.network is None:
             return True
         pose = (float(world.x[e, 0]), float(world.y[e, 0]), float(world.heading[e, 0]))
@@ -235,7 +237,7 @@ class SumoCoupling:
         )
 
     def _move_from_sumo(self, world: World, e: int, name: str) -> None:
-        """Move an entity to where SUMO has driven it."""
+        """Move an entity to its position in SUMO."""
         sumo = self._sumo
         if name not in sumo.vehicle.getIDList():
             # It has arrived at the end of its route, and stays there.
@@ -261,7 +263,7 @@ def _to_compass(heading: float) -> float:
 
 
 def _format_vehicle_types() -> str:
-    """Vehicle types as SUMO's XML; all are deterministic."""
+    """Return the vehicle types as XML for SUMO; all of them are deterministic."""
     rows = [
         f"<vType id={quoteattr(name)} sigma='0' "
         + " ".join(f"{key}='{value:g}'" for key, value in settings.items())

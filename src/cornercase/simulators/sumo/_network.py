@@ -23,10 +23,11 @@ _CONVERSION_TIMEOUT: Final = 120.0
 def find_or_convert_network(
     scenario: ScenarioFile, network_file: str | None = None, values: Mapping[str, Value] | None = None
 ) -> Path:
-    """Return the ``.net.xml`` of a scenario: `given` if set, else converted from its OpenDRIVE file by netconvert.
+    """Return the SUMO network (``.net.xml``) of a scenario: `network_file`, else converted from its OpenDRIVE file.
 
-    Converted files are cached in the user's cache by the hash of the OpenDRIVE file. `values` may select the road file.
-    Raises `InputError` if there is no such file, the scenario has no roads, or netconvert is missing or fails.
+    netconvert converts the file. Converted networks are cached in the user's cache folder by the checksum of the
+    OpenDRIVE file. `values` may determine the road file. Raises `InputError` if `network_file` does not exist, if the
+    scenario has no roads, or if netconvert is missing or fails.
     """
     if network_file is not None:
         if not Path(network_file).is_file():

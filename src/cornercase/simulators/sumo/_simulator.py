@@ -78,7 +78,7 @@ class Sumo(Simulator):
 
     @cached_property
     def settings(self) -> dict[str, object]:  # type: ignore[override]
-        """What recordings depend on; `InputError` if SUMO is not installed."""
+        """Settings that recordings depend on; `InputError` if SUMO is not installed."""
         _require_installed()
         return {
             **self._common_settings,
@@ -108,11 +108,11 @@ class Sumo(Simulator):
 
     @classmethod
     def notices(cls, scenario: ScenarioFile, values: Mapping[str, Value] | None = None) -> tuple[Notice, ...]:
-        """List content without effect, as for the builtin simulator, whose storyboard is used."""
+        """List content that has no effect, as in the builtin simulator, which runs the storyboard."""
         return read_and_collect_notices(scenario, values)
 
     def run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Recording | SimulationError]:
-        """Run scenarios; `InputError` also if SUMO is not installed."""
+        """Run scenarios; also raises `InputError` if SUMO is not installed."""
         _require_installed()
         prepared = self._prepared
         for concrete in concretes:
@@ -161,7 +161,7 @@ class Sumo(Simulator):
         self._vehicle_types(scenario)
 
     def _vehicle_types(self, scenario: ScenarioFile) -> dict[str, str]:
-        """Vehicle types of the entities that SUMO drives."""
+        """Return the vehicle types of the entities that SUMO drives."""
         all_drivers = {**scenario.drivers, **self._drivers}
         for name, driver in all_drivers.items():
             if isinstance(driver, str) and driver not in VEHICLE_TYPES and not is_registered_driver(driver):
@@ -173,7 +173,7 @@ class Sumo(Simulator):
 
 
 class _SumoDriver(Driver):
-    """Driver that decides nothing, so that the storyboard leaves the entity to SUMO."""
+    """Placeholder driver for an entity that SUMO drives: it decides nothing, but takes control from the storyboard."""
 
     def acceleration(self, situation: Situation) -> FloatArray:
         """Return zero, shape (1,): the coupling sets the speed."""

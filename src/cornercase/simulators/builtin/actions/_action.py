@@ -11,12 +11,13 @@ from cornercase.simulators.builtin.world._world import World
 
 
 class Action:
-    """What an event does to an entity, in some scenarios of a batch, until it has ended there.
+    """An action on an entity, in some scenarios of a batch, from its start until it has ended there.
 
-    Without its own `step` it ends immediately. `domains`: ``"longitudinal"`` and ``"lateral"`` parts of the motion that
-    it controls; when an action starts, it ends those of the same entity with a common domain. `memory_attributes`:
-    names of arrays (N,) shared with kernels. `has_own_timing`: whether it ends at a time of its own. `table_row`: its
-    row in the tables for kernels.
+    `domains`: parts of the motion that it controls, ``"longitudinal"`` and ``"lateral"``; when it starts, it ends other
+    actions of the entity with a common domain. `memory_attributes`: names of arrays (N,) that kernels share.
+    `has_own_timing`: whether it ends at a time of its own. `table_row`: its row in the tables for kernels.
+
+    An action that does not override `step` ends immediately.
     """
 
     domains: tuple[str, ...] = ()
@@ -25,26 +26,29 @@ class Action:
     table_row: int = -1
 
     def kernel_options(self) -> tuple[int, ...]:
-        """Kind, entity and options for the kernels, which need not know every action."""
+        """Return type, entity and options of the action for kernels.
+
+        By default the type of an action without a kernel.
+        """
         return (PYTHON_ACTION,)
 
     def start(self, world: World, where: BoolArray) -> None:
-        """Start in the scenarios of the mask."""
+        """Start the action in the scenarios of a mask."""
         raise NotImplementedError
 
     def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
-        """Act for one time step; return where it has ended, shape (N,)."""
+        """Act for one time step in the scenarios of a mask; return where the action has ended, shape (N,)."""
         return where.copy()
 
     def look_up_positions(self, world: World, where: BoolArray) -> None:
-        """Look up what kernels cannot before the coming frame, in the scenarios of a mask."""
+        """Look up positions that kernels cannot look up, before the coming frame, in the scenarios of a mask."""
 
     def release(self, world: World, where: BoolArray) -> None:
-        """Release the entity when the action is ended early, in the scenarios of a mask."""
+        """Release the entity in the scenarios of a mask, as the action is ended early."""
 
 
 class CompiledAction(Action):
-    """An action whose time steps are compiled: in the loop, or asked for here where the storyboard is evaluated."""
+    """An action whose time steps are compiled."""
 
     def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
         outcomes = world.compiled.apply_action(self.table_row, dt, where)
@@ -59,9 +63,9 @@ class CompiledAction(Action):
         return np.asarray(outcomes >= ACTION_ENDED)
 
     def look_up_present_positions(self, world: World, where: BoolArray) -> None:
-        """Look up what kernels cannot after the actions before this one, in the scenarios of a mask."""
+        """Look up positions that kernels cannot, after earlier actions of the frame, in the scenarios of a mask."""
         self.look_up_positions(world, where)
 
     def leave_track(self, world: World, where: BoolArray) -> None:
-        """Make the entity follow another track as the action ends, in the scenarios of a mask."""
+        """Make the entity follow another track when the action ends, in the scenarios of a mask."""
         self.release(world, where)

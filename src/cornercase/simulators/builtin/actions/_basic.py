@@ -1,4 +1,4 @@
-"""Read actions, and the actions that take effect immediately."""
+"""Reading of actions, and the actions that take effect immediately."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ _GROUPING_TAGS: Final = (
 
 
 def read_action(element: etree._Element, scope: Scope, world: World, entity: int | None) -> Action | None:
-    """Read a ``PrivateAction`` of an entity (by row) or a ``GlobalAction``; None if it has no effect."""
+    """Read a ``PrivateAction`` of an entity (a row) or a ``GlobalAction``; None if the action has no effect."""
     inner = find_action_element(element)
     if element.tag in WITHOUT_EFFECT:
         return None
@@ -70,7 +70,7 @@ def read_action(element: etree._Element, scope: Scope, world: World, entity: int
 
 
 def find_action_element(element: etree._Element) -> etree._Element:
-    """Find the action inside its grouping elements; the element itself if there is none."""
+    """Return the action inside its grouping elements; the element itself if it contains none."""
     inner = next(iter(element.iterchildren("*")), None)
     while inner is not None and inner.tag in _GROUPING_TAGS:
         inner = next(iter(inner.iterchildren("*")), None)

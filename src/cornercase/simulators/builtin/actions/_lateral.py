@@ -40,7 +40,7 @@ _DISTANCE_TOLERANCE: Final = 0.01
 
 
 class LaneChangeAction(CompiledAction):
-    """Moves an entity to another lane; part of its speed becomes lateral motion."""
+    """Moves an entity to another lane; a part of its speed becomes lateral motion."""
 
     domains = (LATERAL,)
     memory_attributes = ("_from", "_to", "_done", "_extent")
@@ -93,12 +93,12 @@ class LaneChangeAction(CompiledAction):
         update_pose_on_track(world, e, where)
 
     def release(self, world: World, where: BoolArray) -> None:
-        """Leave the entity in its current lane, or in the target lane if it follows a route."""
+        """Leave the entity in its present lane, or in the target lane if it follows a route."""
         world.changes_lanes[self._entity][where] = False
         attach_to_lane(world, self._entity, where & (world.route[self._entity] == 0))
 
     def _keep_own_lane(self, world: World, where: BoolArray) -> None:
-        """Take the entity's current lane as the target lane, in the scenarios of a mask."""
+        """Make the entity's present lane the target lane, in the scenarios of a mask."""
         e, own_lane = self._entity, road_pose(world, self._entity).lane
         assert own_lane is not None
         why = f"{world.names[e]} is to change to a lane that does not exist, and stays in its own lane"
@@ -116,7 +116,7 @@ class LaneChangeAction(CompiledAction):
 
 
 class LaneOffsetAction(CompiledAction):
-    """Moves an entity within its lane; the lateral motion does not slow it down."""
+    """Moves an entity sideways within its lane; the lateral motion does not reduce its speed along the lane."""
 
     domains = (LATERAL,)
     memory_attributes = ("_from", "_to", "_elapsed", "_duration")
@@ -212,7 +212,7 @@ class LateralDistanceAction(Action):
         return np.asarray(where & reached & (not self._continuous))
 
     def _lateral_speed(self, world: World, error: FloatArray, dt: float, moves: BoolArray) -> FloatArray:
-        """Lateral speed for the coming step in m/s, shape (N,)."""
+        """Return the lateral speed for the coming step in m/s, shape (N,)."""
         fastest = np.maximum(np.minimum(self._max_speed, np.abs(world.speed[self._entity])) - 1e-6, 0.0)
         springy = np.isfinite(self._max_acceleration)
         stiffness = 0.4 * np.where(springy, self._max_acceleration, 0.0)

@@ -34,7 +34,7 @@ _UNLIMITED: Final = 1e10
 
 
 class SpeedAction(CompiledAction):
-    """Brings an entity to a speed; if it has a driver, sets the driver's target speed."""
+    """Brings an entity to a speed; if a driver controls the entity, sets the driver's target speed instead."""
 
     domains = (LONGITUDINAL,)
     memory_attributes = ("_from", "_to", "_parameter", "_span", "_stretch", "_reached", "_value", "_rate")
@@ -94,7 +94,7 @@ class SpeedAction(CompiledAction):
 class LongitudinalDistanceAction(CompiledAction):
     """Keeps a distance or a time gap to another entity, like a critically damped spring.
 
-    Missing limits are the vehicle's own; without any constraints the entity jumps to its position.
+    Limits that are not set are those of the vehicle. Without dynamic constraints, the entity jumps to its position.
     """
 
     domains = (LONGITUDINAL,)
@@ -162,7 +162,7 @@ class LongitudinalDistanceAction(CompiledAction):
             self._located[where] = self._signed_distance(world)[where]
 
     def _signed_distance(self, world: World) -> FloatArray:
-        """Signed distance ahead to the other entity, shape (N,)."""
+        """Return the distance to the other entity, negative if it is behind, shape (N,)."""
         if self._on_roads:
             other_pose = road_pose(world, self._other)
             along_roads = distance_along_roads(world, self._entity, other_pose)
@@ -174,7 +174,10 @@ class LongitudinalDistanceAction(CompiledAction):
 def _read_limit(
     limits: etree._Element | None, name: str, vehicle_limit: float, default: float, scope: Scope
 ) -> FloatArray:
-    """Limit of dynamic constraints, shape (N,); the vehicle's own if missing or too large, a usual one if 0."""
+    """Read a limit of dynamic constraints, shape (N,).
+
+    A missing limit, or one that is too large, becomes that of the vehicle. A limit of 0 becomes a usual value.
+    """
     vehicle_limit = min(vehicle_limit, _UNLIMITED)
     limit = (
         np.full(scope.n_scenarios, vehicle_limit) if limits is None else scope.read_numbers(limits, name, vehicle_limit)

@@ -24,7 +24,10 @@ _MAX_DELAY: Final = 10.0
 
 
 class ProfileLimits(NamedTuple):
-    """Limits of speed, and of acceleration and jerk up and down; not negative, each of shape (N,)."""
+    """Largest speed, and largest rates of acceleration and jerk upwards and downwards.
+
+    Not negative, shape (N,) each.
+    """
 
     max_speed: FloatArray
     max_acceleration: FloatArray
@@ -34,7 +37,7 @@ class ProfileLimits(NamedTuple):
 
 
 class ProfilePhase(NamedTuple):
-    """Start of a piece of a profile: time, speed, acceleration and jerk, each of shape (N,)."""
+    """State at the start of a phase of a speed profile: time, speed, acceleration and jerk, shape (N,) each."""
 
     time: FloatArray
     speed: FloatArray
@@ -43,11 +46,12 @@ class ProfilePhase(NamedTuple):
 
 
 class SpeedProfileAction(Action):
-    """Takes an entity through speeds at given times.
+    """Brings an entity to given speeds at given times.
 
-    With ``position`` the acceleration between them is constant; with ``follow`` it changes with the allowed jerk, so
-    intermediate speeds are only approached. Where limits leave no room for that, the rest of the profile uses
-    ``position``, and so does the whole profile when the action runs again.
+    With the following mode ``position``, the acceleration between two times is constant. With ``follow``, the
+    acceleration changes with the allowed jerk, so speeds in between are only approached. If the limits do not permit
+    that, the rest of the profile is run as with ``position``. If the action runs again, the whole profile is run like
+    that.
     """
 
     domains = (LONGITUDINAL,)
@@ -109,7 +113,7 @@ class SpeedProfileAction(Action):
         return where & is_over
 
     def _linear_phases(self, world: World, reference_speed: FloatArray, smooth: bool) -> list[ProfilePhase]:
-        """Phases of constant acceleration between targets, and a last one of constant speed."""
+        """Return phases of constant acceleration between the speeds, and a last phase of constant speed."""
         current, time = world.speed[self._entity].copy(), world.time.copy()
         targets = list(zip(self._speeds, self._durations, strict=True))
         zeros = np.zeros(world.scenarios)
@@ -133,7 +137,7 @@ class SpeedProfileAction(Action):
 
 
 def _speed_at(profile: list[ProfilePhase], time: FloatArray) -> tuple[FloatArray, IntArray]:
-    """Speed at a time, and the number of phases passed by then, each of shape (N,)."""
+    """Return the speed at a time, and the number of phases that have ended by then, shape (N,) each."""
     speed = profile[0].speed
     passed, reached = np.zeros(speed.shape, dtype=np.int64), np.ones(speed.shape, dtype=np.bool_)
     for number, phase in enumerate(profile):
@@ -150,7 +154,7 @@ def _signed_jerk(change: FloatArray, limits: ProfileLimits) -> FloatArray:
 
 
 def _is_within_limits(phase: ProfilePhase, limits: ProfileLimits) -> BoolArray:
-    """Check whether a phase starts within the limits on speed and acceleration, shape (N,)."""
+    """Return whether speed and acceleration at the start of a phase are within the limits, shape (N,)."""
     slow = np.abs(phase.speed) <= limits.max_speed + _TINY
     return np.asarray(
         slow
@@ -160,17 +164,18 @@ def _is_within_limits(phase: ProfilePhase, limits: ProfileLimits) -> BoolArray:
 
 
 def _select_phase(where: BoolArray, inside: ProfilePhase, outside: ProfilePhase) -> ProfilePhase:
-    """Select one phase in the scenarios of a mask, and the other one in the rest."""
+    """Return a phase with the values of `inside` in the scenarios of a mask, and those of `outside` in the others."""
     return ProfilePhase(*(np.where(where, a, b) for a, b in zip(inside, outside, strict=True)))
 
 
 def _smooth_corners(
     lines: list[ProfilePhase], acceleration: FloatArray, limits: ProfileLimits
 ) -> tuple[list[ProfilePhase], BoolArray]:
-    """Replace corners between constant accelerations by arcs of constant jerk tangent to both.
+    """Replace each corner between phases of constant acceleration by an arc of constant jerk.
 
-    `acceleration` (N,) is the initial acceleration in m/s². If an arc would begin before the last one ends, or a limit
-    is exceeded, the lines are kept from there on. Returns the phases, and where all of them are smooth, shape (N,).
+    An arc is tangent to the phases before and after. `acceleration` (N,) is the initial acceleration in m/s². If an arc
+    would begin before the previous one ends, or exceeds a limit, the corners from there on are kept. Returns the
+    phases, and where all of them are smooth, shape (N,).
     """
     first, zeros = lines[0], np.zeros_like(acceleration)
     jerk = _signed_jerk(first.acceleration - acceleration, limits)
@@ -213,10 +218,10 @@ def _smooth_corners(
 def _plan_single_target(
     line: ProfilePhase, end: ProfilePhase, acceleration: FloatArray, limits: ProfileLimits
 ) -> tuple[list[ProfilePhase], BoolArray]:
-    """Reach one speed at a given time, or as early as possible, with final acceleration 0.
+    """Plan phases that reach one speed at a given time, or as early as possible, and end with acceleration 0.
 
-    `line` is the constant acceleration to the target `end`; `acceleration` (N,) the initial acceleration in m/s².
-    Returns the phases, and where all of them are within the limits, shape (N,).
+    `line` is the phase of constant acceleration to the target `end`. `acceleration` (N,) is the initial acceleration in
+    m/s². Returns the phases, and where all of them are within the limits, shape (N,).
     """
     j0 = _signed_jerk(line.acceleration - acceleration, limits)
     j1 = np.where(line.acceleration < 0, limits.jerk_up, -limits.jerk_down)

@@ -26,11 +26,11 @@ from cornercase.simulators.builtin.world._world import LONGITUDINAL, World
 
 
 class SynchronizeAction(CompiledAction):
-    """Controls an entity's speed so that it reaches its target when the master reaches its own.
+    """Controls an entity's speed so that it reaches its target when the master entity reaches its own target.
 
-    With a final speed, two phases of constant acceleration end at the target with that speed; the entity stops in
-    between rather than driving backwards. With a steady state it reaches the final speed a distance or a time before
-    the target. Without a final speed its acceleration is constant.
+    Without a final speed, the acceleration is constant. With a final speed, two phases of constant acceleration end at
+    the target with that speed; the entity stops in between rather than driving backwards. With a steady state, it has
+    the final speed already a distance or a time before the target.
     """
 
     domains = (LONGITUDINAL,)

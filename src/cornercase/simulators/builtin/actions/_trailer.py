@@ -29,7 +29,7 @@ class ConnectTrailerAction(Action):
 
 
 class DisconnectTrailerAction(Action):
-    """Disconnects the trailer of a vehicle, which rolls on along its lane."""
+    """Disconnects the trailer of a vehicle; the trailer then rolls on along its lane."""
 
     def __init__(self, vehicle: int) -> None:
         self._vehicle = vehicle
@@ -39,7 +39,7 @@ class DisconnectTrailerAction(Action):
 
 
 def read_trailer_action(element: etree._Element, scope: Scope, world: World, entity: int) -> Action | None:
-    """Read a ``TrailerAction`` of a vehicle (by row); None if the vehicle has no hitch or the trailer no coupler."""
+    """Read a ``TrailerAction`` of a vehicle (a row); None if the vehicle has no hitch or the trailer no coupler."""
     connects, leaves = element.find("ConnectTrailerAction"), element.find("DisconnectTrailerAction")
     if leaves is not None:
         return DisconnectTrailerAction(entity)
