@@ -115,18 +115,21 @@ def declared_options(factory: Callable[..., Any]) -> dict[str, Parameter]:
 
 
 def _remember_options(constructor: Callable[..., None]) -> Callable[..., None]:
-    """Wrap a constructor so that it first stores its arguments in the object."""
+    """Wrap a constructor so that it first stores its arguments in the object, and at last the name that they give."""
 
     @wraps(constructor)
     def construct(self: Configurable, *positional: Any, **options: Any) -> None:
         cls = type(self)
         # A constructor may call that of its base class, which is wrapped too.
-        if _GIVEN_OPTIONS not in vars(self):
-            given = dict(zip(signature(cls).parameters, positional, strict=False)) | options
-            vars(self)[_GIVEN_OPTIONS] = _leave_out_defaults(cls, given)
-            if given and cls.name and isinstance(cls.name, str):
-                self.name = describe_as_text(self)
+        if _GIVEN_OPTIONS in vars(self):
+            constructor(self, *positional, **options)
+            return
+        given = dict(zip(signature(cls).parameters, positional, strict=False)) | options
+        vars(self)[_GIVEN_OPTIONS] = _leave_out_defaults(cls, given)
         constructor(self, *positional, **options)
+        # Errors of the constructor say the short name; it may also choose its own.
+        if given and "name" not in vars(self) and cls.name and isinstance(cls.name, str):
+            self.name = describe_as_text(self)
 
     return construct
 
