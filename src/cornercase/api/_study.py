@@ -430,24 +430,27 @@ class Study(PathLike[str]):
         folder : path
             Folder to write, with a manifest; a reduced set in it is replaced.
         size : int, optional
-            Number of scenarios. Without it and the next three, a tenth of the scenarios.
+            Number of scenarios to select. Without `size`, `share`, `cover` and `archetypes`, a tenth of the scenarios
+            is selected.
         share : float, optional
-            Share of the scenarios, above 0 and up to 1.
+            Fraction of the scenarios to select, above 0 and up to 1.
         cover : float, optional
-            As few as possible, so that none is farther from a selected one than this share of the largest distance.
+            Select the fewest scenarios such that every other scenario has a distance of at most this fraction of the
+            largest distance to a selected one.
         archetypes : int or "auto", optional
-            As in the paper, only prototypes and this number of archetypes of each cluster.
+            Select only prototypes and this number of archetypes of each cluster, as in the paper.
         archetypes_by : {"auto", "hull", "pcha", "parts", "kernel"}, default "auto"
-            How archetypes are found; see `cornercase.reduction.reduce`.
+            Method that finds archetypes; see `cornercase.reduction.reduce`.
         by : str, optional
-            Aspect whose clusters count; by default the first metric.
+            Aspect whose clusters are represented; by default the first metric.
         within : float, optional
-            Share of the median distance within clusters up to which two scenarios are similar; 0.5 by default.
+            Distance up to which scenarios count as alike, as fraction of the median distance within clusters; 0.5 by
+            default.
         threshold : float, optional
-            Score from which a scenario is critical, to select and to evaluate by; by default that of the study.
+            Score from which a scenario is critical, for selection and evaluation; by default that of the study.
         kill_matrix : KillMatrix, optional
-            Which scenarios kill which mutants of the driver, from `cornercase.suite.analyze_mutants`: scenarios that
-            kill as many as possible come first.
+            Which scenarios kill which mutants of the driver, from `cornercase.suite.analyze_mutants`. Scenarios that
+            together kill as many as possible are selected first.
         memory : str or float, default "4 GB"
             Memory limit of the process, in bytes or as text.
         progress : bool, default False
@@ -456,7 +459,7 @@ class Study(PathLike[str]):
         Returns
         -------
         ReducedSet
-            The selected scenarios, why each is selected, and what they leave uncovered.
+            The selected scenarios, why each was selected, and how well they cover the others.
 
         Raises
         ------
@@ -467,7 +470,7 @@ class Study(PathLike[str]):
         Warns
         -----
         NoticeWarning
-            Fewer are selected than asked for, since all others are similar to a selected one.
+            Fewer scenarios than requested were selected, since all others are alike to a selected one.
 
         See Also
         --------

@@ -115,7 +115,7 @@ def convert_scenario(
 ) -> None:
     """Write a concrete scenario as OpenSCENARIO 1.0, as CARLA's ScenarioRunner reads it.
 
-    It reports what is not exactly the same there, and refuses what OpenSCENARIO 1.0 cannot express.
+    It reports parts whose meaning changes slightly, and refuses parts that OpenSCENARIO 1.0 cannot express.
 
     \b
     Example:

@@ -118,7 +118,8 @@ class Summary:
     reduced_set : ReducedSet or None
         None before the study was reduced.
     probability : mapping of str to object, or None
-        Result of `estimate`, as `cornercase.exploration.Estimation.to_json` returns it; None for other studies.
+        Result of `cornercase.exploration.estimate`, in the form of its ``to_json``; None if the study is not an
+        estimate.
     references : mapping of str to ReferenceCount
         Results of the reference drivers that the condition or a requirement names, by name.
     failures : mapping of str to FailureSummary
@@ -179,7 +180,7 @@ def summarize(study: StudyFile | Path | str, *, critical: float | None = None) -
     Parameters
     ----------
     study : Study or path
-        Open, or the file; it is only read.
+        An open study, or its file; it is only read.
     critical : float, optional
         Score from which a scenario is critical, in the unit of the objective; default: that of the study.
 

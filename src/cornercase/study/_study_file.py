@@ -68,7 +68,7 @@ class StudyFile:
     ----------
     database : Database
     critical : float, optional
-        Threshold that replaces that of the study; the file stays as it is.
+        Threshold that replaces that of the study in this object; the file stays as it is.
 
     Attributes
     ----------
@@ -99,7 +99,7 @@ class StudyFile:
         ----------
         path : path
         meta : StudyMeta
-            Its description.
+            Description of the study.
 
         Returns
         -------
@@ -126,8 +126,8 @@ class StudyFile:
         ----------
         path : path
         readonly : bool, default True
-            Open it for reading only. Any number of processes can read at a time, also while one writes; only one at a
-            time can have it open for writing.
+            Open the file for reading only. Any number of processes can read at the same time, even while one process
+            writes. Only one process at a time can have it open for writing.
 
         Returns
         -------
@@ -136,8 +136,8 @@ class StudyFile:
         Raises
         ------
         InputError
-            There is no such file, it is not a study or of another schema version, it is damaged, or another process has
-            it open for writing.
+            There is no such file, it is not a study of this schema version, it is damaged, or another process has it
+            open for writing.
         """
         database: Database | None = None
         try:
@@ -348,12 +348,12 @@ class StudyFile:
         Parameters
         ----------
         scenario : int
-            Its id.
+            Id of the scenario.
 
         Returns
         -------
         dict of str to float
-            By metric, in the metric's unit; empty if it has not run.
+            Score by metric, in the metric's unit; empty if the scenario has not run.
         """
         scores = {name: score for _, name, score in self._database.read_rows("courses", "scenario = ?", scenario)}
         with reraise_as_damage(self.path):
@@ -370,7 +370,7 @@ class StudyFile:
         Returns
         -------
         dict of int to ReferenceOutcome
-            By id of each scenario that was run with it.
+            Outcome by scenario id, for scenarios that were run again with this driver.
         """
         self._database.require_all_rows("courses")
         stored = self._database.read_rows("courses", "metric = ?", reference_metric_name(driver), with_blob=True)
@@ -387,8 +387,8 @@ class StudyFile:
         Returns
         -------
         dict of int to (str or None)
-            By id of each scenario that ran; None if the score is not against a single entity. Empty in a study of
-            one other.
+            Name of the entity by scenario id; None if the score is not measured against a single entity. Empty if the
+            study has one other entity.
 
         Raises
         ------
@@ -418,12 +418,13 @@ class StudyFile:
         Parameters
         ----------
         scenario : int
-            Its id.
+            Id of the scenario.
 
         Returns
         -------
         dict of str to (str or None)
-            By metric; empty in a study of one other, and if the scenario has not run.
+            Name of the entity by metric; None if the score is not measured against a single entity. Empty if the study
+            has one other entity, or if the scenario has not run.
         """
         if len(self.meta.others) == 1:
             return {}
@@ -462,14 +463,14 @@ class StudyFile:
         Parameters
         ----------
         scenario : int
-            Its id.
+            Id of the scenario.
         driver : str
             Name of the reference driver.
 
         Returns
         -------
         ReferenceOutcome or None
-            None if it was not run with this driver.
+            None if the scenario was not run again with this driver.
         """
         condition = "scenario = ? AND metric = ?"
         stored = self._database.read_rows("courses", condition, scenario, reference_metric_name(driver), with_blob=True)
@@ -486,7 +487,7 @@ class StudyFile:
         Returns
         -------
         ndarray of float64, shape (n, 2), or None
-            None if each scenario has one run.
+            Lowest and highest score in the metric's unit; None if each scenario was run once.
 
         Raises
         ------
@@ -516,7 +517,7 @@ class StudyFile:
         Parameters
         ----------
         scenario : int
-            Its id.
+            Id of the scenario.
         metric : str
 
         Returns
@@ -547,7 +548,7 @@ class StudyFile:
         Parameters
         ----------
         scenario : int
-            Its id.
+            Id of the scenario.
 
         Returns
         -------
@@ -578,7 +579,7 @@ class StudyFile:
         Returns
         -------
         dict of int to tuple of Collision
-            By id, in the order in which they were proposed.
+            Collisions by scenario id, in the order in which scenarios were proposed.
         """
         return {scenario: decode_collisions(facts) for scenario, facts in self._iter_facts()}
 
@@ -595,7 +596,7 @@ class StudyFile:
         Yields
         ------
         int
-            Its id.
+            Id of the scenario.
         ScenarioDigest
         """
         ids = [row.id for row in self.finished_rows()]
@@ -614,7 +615,7 @@ class StudyFile:
         Parameters
         ----------
         scenario : int
-            Its id.
+            Id of the scenario.
 
         Returns
         -------
@@ -638,7 +639,7 @@ class StudyFile:
         Returns
         -------
         tuple of Metric
-            Empty if the package of one is missing.
+            Empty if a metric comes from a package that is not installed.
         """
         if self._metrics is None or self._metrics[0] != self.meta.metrics:
             self._metrics = self.meta.metrics, create_metrics(self.meta)
@@ -650,12 +651,12 @@ class StudyFile:
         Parameters
         ----------
         before : int
-            Only those of scenarios with a lower id count.
+            Only recordings of scenarios with a lower id are used.
 
         Returns
         -------
         list of int
-            At most 32, in the order of the ids.
+            Numbers of instants of at most 32 recordings, in the order of scenario ids.
         """
         if self._first_lengths is None or before <= self._first_lengths[0]:
             condition = "scenario IN (SELECT scenario FROM digests WHERE scenario < ? ORDER BY scenario LIMIT ?)"
@@ -672,7 +673,7 @@ class StudyFile:
         Returns
         -------
         dict of int to str
-            By id of each scenario that had run when the study was analyzed.
+            Description by scenario id, for scenarios that had run when the study was clustered.
         """
         rows = self._database.read_rows("outcomes")
         return {scenario: str(outcome) for scenario, outcome in rows}
@@ -683,7 +684,7 @@ class StudyFile:
         Returns
         -------
         dict of int to str
-            By id of each scenario that has a note.
+            Note by scenario id, for scenarios with a note.
         """
         rows = self._database.read_rows("notes")
         with reraise_as_damage(self.path):
@@ -726,7 +727,7 @@ class StudyFile:
         Parameters
         ----------
         critical : float or None
-            Threshold in the unit of the objective; None for no change.
+            Threshold in the unit of the objective; None keeps the current threshold.
 
         Returns
         -------
@@ -770,8 +771,9 @@ class StudyFile:
         Returns
         -------
         ndarray of float64, shape (n, 3), or None
-            Fraction of critical runs and its 90 % interval: if that contains 0.5, it is undecided whether the scenario
-            is critical. None if each scenario has one run, or if there is no threshold of a single metric.
+            Fraction of critical runs, and lower and upper end of its 90 % interval. If the interval contains 0.5, it is
+            undecided whether the scenario is critical. None if each scenario was run once, or if there is no threshold
+            for a single metric.
         """
         criterion = self.criterion
         if criterion.oriented is None or criterion.objective.weights:
@@ -791,12 +793,12 @@ class StudyFile:
         points : ndarray of float64, shape (n, d)
             In the unit cube of this study's space.
         scores : ndarray of float64, shape (n,)
-            To be minimized. None instead of both without a warm start.
+            Scores to minimize. Without a warm start, the result is None instead of both arrays.
 
         Raises
         ------
         InputError
-            They are missing, as after a damage.
+            The points and scores are missing because the study is damaged.
         """
         if not self.meta.elsewhere:
             return None
@@ -826,9 +828,9 @@ class StudyFile:
         Parameters
         ----------
         name : str
-            Its aspect.
+            Aspect of the analysis.
         *array_names : str
-            Names of arrays to read, as large ones take time; all by default.
+            Names of the arrays to read, since reading large arrays takes time; all by default.
 
         Returns
         -------
@@ -838,7 +840,7 @@ class StudyFile:
         Raises
         ------
         InputError
-            There is no such result.
+            The study was not analyzed by this aspect.
         """
         rows = self._database.read_rows("analyses", "name = ?", name)
         if not rows:
@@ -865,7 +867,7 @@ class StudyFile:
         Returns
         -------
         dict or None
-            None before the reduction.
+            None if the study was not reduced.
         """
         return self._read_analysis_info("reduction")
 
@@ -875,7 +877,7 @@ class StudyFile:
         Returns
         -------
         dict or None
-            None if the study is not an estimate, or has not ended.
+            None if the study is not an estimate, or if the estimate has not ended.
         """
         return self._read_analysis_info("estimate")
 
@@ -891,8 +893,8 @@ class StudyFile:
         Returns
         -------
         list of (int, int)
-            Id of each scenario that has ended, and the number of the first round that was proposed, or will be, when
-            the optimizer knew the result; empty in a study with rounds.
+            For each scenario that has ended, in the order of arrival: its id, and the number of the first round that
+            the optimizer proposed (or will propose) with knowledge of the result. Empty for a search in rounds.
         """
         if not self.meta.asynchronous:
             return []
@@ -923,7 +925,7 @@ class StudyFile:
         Returns
         -------
         dict of str to float
-            s, in the order of the stages.
+            Time in s by stage, in the order of the stages.
         """
         rows = self._database.read_rows("elapsed")
         with reraise_as_damage(self.path):
@@ -936,14 +938,13 @@ class StudyFile:
         Returns
         -------
         DataFrame
-            One row per scenario, indexed by its id, with the columns ``round`` and ``state``, and ``audit`` if there
-            are audits; a column for each parameter; for each metric one of the score, and
-            ``lowest …`` and ``highest …`` of its runs if each scenario was run several times, ``critical runs`` as in
-            `critical_run_rates`, and ``runs``, the number of runs that did not fail, if it may vary; with several
-            others ``other by …`` for each metric, the entity that the score is against; ``cluster by …`` for each
-            aspect that the study was analyzed by, -1 for noise; ``outcome`` once it was analyzed; ``note`` if there are
-            notes; ``error``. Empty if there is no value. A parameter with the name of another column becomes
-            ``parameter …``.
+            One row per scenario, indexed by its id. The columns are ``round``, ``state``, ``audit`` if there are
+            audits, and one for each parameter and metric. If scenarios were run several times, there are also ``lowest
+            …`` and ``highest …`` for each metric, ``critical runs`` as in `critical_run_rates`, and ``runs`` (the
+            number of runs that did not fail) if it may vary. If there are several other entities, ``other by …`` names
+            the entity that the score of a metric is measured against. ``cluster by …`` is the cluster by an aspect, -1
+            for noise. Then follow ``outcome`` after an analysis, ``note`` if there are notes, and ``error``. Cells
+            without a value are empty. A parameter with the name of another column becomes ``parameter …``.
         """
         with self.snapshot():
             scores = {}
@@ -988,16 +989,17 @@ class StudyFile:
         Parameters
         ----------
         folder : path
-            Gets ``scenarios.csv`` as in `table`, with underscores for spaces in names of columns, and for each scenario
-            ``recordings/ID.csv`` and ``courses/ID.csv``.
+            Folder for ``scenarios.csv`` and, for each scenario, ``recordings/ID.csv`` and ``courses/ID.csv``.
+            ``scenarios.csv`` holds the columns of `table`, with underscores for spaces in their names.
         parquet : bool, default False
-            Also write ``scenarios.parquet``, ``recordings.parquet`` and ``courses.parquet`` of all scenarios; the last
-            two have their ids in the column ``scenario``.
+            Also write ``scenarios.parquet``, ``recordings.parquet`` and ``courses.parquet`` of all scenarios. The
+            column ``scenario`` of the last two is the scenario id.
 
         Raises
         ------
         InputError
-            The folder cannot be written, or the package that writes Parquet is not installed; no file has changed then.
+            The folder cannot be written, or the package that writes Parquet is not installed. In both cases no file has
+            changed.
         """
         folder = check_folder("folder", folder)
         table = self.table()
@@ -1027,7 +1029,7 @@ class StudyFile:
         Raises
         ------
         InputError
-            As by `recording`.
+            One of the scenarios has not run, or its id is not an integer.
         """
         packed, other_packed = self._read_packed_recording(scenario), other._read_packed_recording(other_scenario)
         recording = self._unpack_recording(packed)
@@ -1039,7 +1041,7 @@ class StudyFile:
         Yields
         ------
         int
-            Its id.
+            Id of the scenario.
         Recording
         dict of str to ndarray of float64, shape (T,)
             Course by metric.
@@ -1058,7 +1060,7 @@ class StudyFile:
         Parameters
         ----------
         scenario : int
-            Its id.
+            Id of the scenario.
 
         Returns
         -------
@@ -1068,7 +1070,7 @@ class StudyFile:
         Raises
         ------
         InputError
-            As by `recording`, or a course has another length than its recording.
+            The scenario has not run, its id is not an integer, or a course has another length than its recording.
         """
         recording = self.recording(scenario)
         courses = {name: self.course(scenario, name) for name in self.meta.metrics}

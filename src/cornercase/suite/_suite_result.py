@@ -90,11 +90,11 @@ class SuiteResult:
     against : Path or None
         Study that the recordings were compared with.
     no_comparison_reason : str
-        Why there is none, as a sentence without a period.
+        Why the recordings were not compared, as a sentence without a period; empty if they were.
     n_ran_before : int
-        Number of scenarios that the study held already, and that were judged without running them again.
+        Number of scenarios whose stored results were judged without running them again.
     kill_matrix : KillMatrix or None
-        Which scenarios, by id, kill which mutants of the ego's driver; None if none were run.
+        Which scenarios, by id, kill which mutants of the ego's driver; None if no mutants were run.
     """
 
     study: Path

@@ -20,13 +20,14 @@ class Verdict:
     Attributes
     ----------
     state : {"passed", "failed", "inconclusive"}
-        Inconclusive if the situation never occurred, was not observed long enough, or the simulator failed.
+        Inconclusive if the situation in the requirement never occurred, if it was not observed long enough, or if the
+        simulator failed.
     requirement : str
         Text of the requirement.
     reason : str
         Reason in one sentence without a period.
     time : float or None
-        Decisive time in s; None if there is none.
+        Time in s that decides the verdict; None if there is none.
     value : float or None
         Value at that time, in the unit of the requirement; None if there is none.
     """

@@ -399,9 +399,9 @@ class Comparison:
         Returns
         -------
         DataFrame
-            One row per pair, indexed by ``old`` and ``new``, the ids in both studies: the parameters, ``run`` (whether
-            the recordings are the same), and for each metric, and for ``outcome`` and ``critical``, a column with
-            ``old`` and one with ``new`` before its name. Empty if a run failed, or without a threshold.
+            One row per pair, indexed by ``old`` and ``new``, the ids in both studies. The columns are the parameters,
+            ``run`` (whether the recordings are the same), and two columns, with ``old`` and ``new`` before the name,
+            for each metric, ``outcome`` and ``critical``. Cells are empty if a run failed, or without a threshold.
         """
         import pandas as pd
 
