@@ -112,12 +112,21 @@ def write_names(page: Path, folder: Path) -> None:
 
 
 def _first_lines() -> str:
-    """List what the package shows: each name stands on the page of its room, so here is a link and its first line."""
+    """List what the package shows: each name stands on the page of its room, so here is a link and its first line.
+
+    Modules that it shows have a page each.
+    """
     package = importlib.import_module("cornercase")
     lines = [".. list-table::", "   :widths: 30 70", ""]
     for name in dir(package):
         shown = getattr(package, name)
-        if name.startswith("_") or name in _WITHOUT_ROOM or inspect.ismodule(shown):
+        if name.startswith("_") or name in _WITHOUT_ROOM:
+            continue
+        if inspect.ismodule(shown):
+            room = shown.__name__.removeprefix("cornercase.")
+            if room in ROOMS:
+                first = (inspect.getdoc(shown) or "").partition("\n")[0]
+                lines += [f"   * - :doc:`cornercase.{name} <api/{room}>`", f"     - {first}"]
             continue
         # Public objects that stand on those of a room have the same name.
         room = next(one for one in ("api", *ROOMS) if name in dir(importlib.import_module(f"cornercase.{one}")))
