@@ -1,1 +1,1 @@
-"""Helpers that all rooms share; imports none of them."""
+"""Helpers for all other packages of cornercase; they import none of those packages."""

@@ -115,7 +115,7 @@ def declared_options(factory: Callable[..., Any]) -> dict[str, Parameter]:
 
 
 def _remember_options(constructor: Callable[..., None]) -> Callable[..., None]:
-    """Wrap a constructor so that it first stores its arguments in the object, and at last the name that they give."""
+    """Wrap a constructor so that it stores its arguments in the object, and then the name that contains them."""
 
     @wraps(constructor)
     def construct(self: Configurable, *positional: Any, **options: Any) -> None:

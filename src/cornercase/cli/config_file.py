@@ -22,9 +22,10 @@ _MAX_BYTES: Final = 1_000_000
 
 
 def read_study_file(path: Path) -> dict[str, Any]:
-    """Read options of `explore` from a TOML file, by parameter name; paths are relative to its folder.
+    """Read options of `explore` from a TOML file; paths in it are relative to the folder of the file.
 
-    InputError if the file is invalid, or names code or an output path.
+    The result is by name of the parameter in Python. InputError if the file is invalid, or if it names code or an
+    output path.
     """
     try:
         table = tomllib.loads(read_file(path, _MAX_BYTES).decode("utf-8-sig"))

@@ -55,7 +55,7 @@ def is_checksum_valid(table: str, stored_row: Sequence[Any]) -> bool:
 def insert_rows(
     connection: sqlite3.Connection, table: str, rows: Iterable[Sequence[Any]], *, replace: bool = True
 ) -> None:
-    """Insert rows within a transaction; `replace` overwrites rows with the same key."""
+    """Insert rows and their checksums; call it within a transaction. `replace` overwrites rows with the same key."""
     definition = TABLES[table]
     columns = ", ".join(definition.stored_columns)
     insert = (
@@ -78,7 +78,7 @@ def insert_rows(
 
 
 def delete_rows(connection: sqlite3.Connection, table: str, condition: str = "1", *values: Any) -> None:
-    """Delete rows within a transaction; all of them without a condition."""
+    """Delete the rows that fit the SQL `condition`, by default all; call it within a transaction."""
     checksums = connection.execute(f"SELECT checksum FROM {table} WHERE {condition}", values).fetchall()
     if checksums:
         connection.execute(f"DELETE FROM {table} WHERE {condition}", values)

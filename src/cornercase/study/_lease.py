@@ -49,7 +49,7 @@ class Lease:
 
     @classmethod
     def acquire(cls, path: Path, connection: sqlite3.Connection) -> Lease:
-        """Acquire the lease of a study; raises `InputError` if another process holds it."""
+        """Acquire the right to write to a study; `InputError` if another process holds it."""
         token = secrets.token_hex(16)
         connection.execute("BEGIN IMMEDIATE")
         try:
@@ -76,7 +76,7 @@ class Lease:
             )
 
     def is_held(self, connection: sqlite3.Connection) -> bool:
-        """Tell whether this lease is stored in the file of a connection."""
+        """Tell whether the file of a connection still stores this lease."""
         return connection.execute("SELECT 1 FROM lease WHERE token = ?", (self.token,)).fetchone() is not None
 
     def abandon(self) -> None:
@@ -112,7 +112,7 @@ class Lease:
 
 
 def require_no_writer(path: Path, connection: sqlite3.Connection) -> None:
-    """Raise `InputError` if another process holds the lease of the study."""
+    """Raise `InputError` if another process holds the lease of the study, which is the right to write to it."""
     for row in connection.execute("SELECT token, host, machine, pid, began, beat FROM lease").fetchall():
         if _is_holder_alive(row):
             is_local = row[2] == _machine_id()

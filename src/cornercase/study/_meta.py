@@ -1,4 +1,4 @@
-"""The description of a study."""
+"""The description of a study: scenario, parameter space, optimizer, simulator and settings."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def count_audits(audit_fraction: float, n_scenarios: int) -> int:
 
 
 def hash_points_and_scores(points: FloatArray, scores: FloatArray) -> str:
-    """SHA-256 of points, shape (n, d), and their scores, shape (n,)."""
+    """Return the SHA-256 of points, shape (n, d), and their scores, shape (n,)."""
     return hashlib.sha256(points.astype("<f8").tobytes() + scores.astype("<f8").tobytes()).hexdigest()
 
 
@@ -170,7 +170,7 @@ class StudyMeta:
 
     @property
     def objective_metrics(self) -> tuple[str, ...]:
-        """Metrics whose scores the optimizer gets; none for imported recordings and suites."""
+        """Metrics whose scores the optimizer minimizes; empty for imported recordings and suites."""
         if self.optimizer == "none":
             return ()
         if self.pareto:
@@ -184,7 +184,7 @@ class StudyMeta:
 
     @property
     def repeats_text(self) -> str:
-        """Number of runs of each scenario, in words."""
+        """Describe how many times each scenario is run."""
         return str(self.repeats) if self.most_repeats is None else f"{self.repeats} to {self.most_repeats}"
 
     @property

@@ -248,11 +248,11 @@ class StudyWriter:
                     write_arrays(connection, name, arrays)
 
     def add_elapsed_time(self, stage: str, seconds: float) -> None:
-        """Add to the time in s spent in a stage."""
+        """Add `seconds` to the stored time that a stage of the work took."""
         self.add_elapsed_times({stage: seconds})
 
     def add_elapsed_times(self, seconds: Mapping[str, float]) -> None:
-        """Add to the times in s spent in several stages, in one transaction."""
+        """Add seconds to the stored times that several stages of the work took, in one transaction."""
         with self._database.transaction() as connection:
             stored = dict(self._database.read_rows("elapsed"))
             insert_rows(

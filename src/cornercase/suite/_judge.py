@@ -114,7 +114,7 @@ def depends_on_reference(requirement: Requirement, recording: Recording, ego: st
 
 
 def judge_study(study: StudyFile) -> dict[int, list[Verdict]]:
-    """Judge all scenarios of an open study that have ended by the requirements stored in the study.
+    """Judge all finished scenarios of an open study by the requirements that the study stores.
 
     Return the verdicts by scenario id, one for each requirement that applies; empty without requirements. A verdict is
     inconclusive if the simulator failed.
@@ -127,7 +127,7 @@ def judge_study(study: StudyFile) -> dict[int, list[Verdict]]:
 
 
 def judge_scenario(study: StudyFile, row: ScenarioRecord, requirements: list[Requirement]) -> list[Verdict]:
-    """Judge one scenario that has ended by each requirement that applies to it."""
+    """Judge one finished scenario by each requirement that applies to it."""
     meta = study.meta
     file, kind = (_entry_of_row(row, names) if meta.suite else "" for names in (meta.files, meta.kinds))
     applicable = [requirement for requirement in requirements if requirement.applies_to(file, kind)]

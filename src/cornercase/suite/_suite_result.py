@@ -68,7 +68,7 @@ class ScenarioResult:
 
     @property
     def reason(self) -> str:
-        """Reason for its state, from the first verdict with that state."""
+        """Reason for the state of the scenario, from the first verdict with that state."""
         worst = worst_state(self.verdicts)
         return next((verdict.reason for verdict in self.verdicts if verdict.state == worst), "no requirement applies")
 
@@ -233,7 +233,7 @@ class SuiteResult:
         return f"<SuiteResult: {self.summary}, in {str(self.study)!r}>"
 
     def to_json(self) -> dict[str, Any]:
-        """Return plain values.
+        """Return the result as values that JSON can store.
 
         Returns
         -------

@@ -105,7 +105,7 @@ def _unit_vectors(vectors: FloatArray) -> FloatArray:
 
 
 def project_on_axes(axes: FloatArray, points: FloatArray) -> FloatArray:
-    """Coordinates (..., n, m) of m points along n directions."""
+    """Return coordinates, shape (..., n, m), of m points along n directions."""
     projected: FloatArray = (axes[..., :, None, :] * points[..., None, :, :]).sum(-1)
     return projected
 

@@ -1,1 +1,1 @@
-"""Files: atomic writing, locks, and XML elements that know which of their parts were read."""
+"""Read and write files: atomic writing, locks, and XML elements that record which parts were read."""

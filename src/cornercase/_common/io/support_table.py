@@ -99,7 +99,7 @@ class Notice:
 
     @property
     def sentence(self) -> str:
-        """The notice with its label, without a full stop."""
+        """The notice as a sentence with its label, without a full stop."""
         return f"{self.label}: {self}"
 
     def __str__(self) -> str:
@@ -340,7 +340,7 @@ def tag_without_namespace(element: etree._Element) -> str:
 
 
 def _own_attributes(element: etree._Element) -> list[tuple[str, str]]:
-    """Names and values of the attributes, without XML's own."""
+    """Return names and values of an element's attributes, without XML's own such as schema locations."""
     pairs = ((str(name), str(value)) for name, value in element.items())
     return [(name, value) for name, value in pairs if not name.startswith(_XML_NAMESPACE_PREFIX)]
 

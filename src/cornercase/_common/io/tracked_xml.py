@@ -56,7 +56,10 @@ class TrackedElement(etree.ElementBase):
         return map(_mark_found, _children(self, *tags, **options))
 
     def iter(self, *tags: Any, **options: Any) -> Any:
-        """The element and its descendants; with tags, those returned count as found."""
+        """Iterate over the element and its descendants.
+
+        If tags are given, only elements with these tags are returned, and they are marked as found.
+        """
         elements = etree.ElementBase.iter(self, *tags, **options)
         return map(_mark_found, elements) if tags else elements
 

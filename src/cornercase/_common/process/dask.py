@@ -253,7 +253,7 @@ def open_connection(
 
 
 def describe_cluster(client: Client) -> str:
-    """Name of the cluster in messages: its address, or ``"local"``."""
+    """Return the name of the cluster for messages: its address, or ``"local"``."""
     if client.cluster is not None:
         return LOCAL_CLUSTER
     scheduler: Any = client.scheduler

@@ -92,7 +92,7 @@ class Reaper:
                 del os.environ[_MARK_VARIABLE]
 
     def make_temporary_folder(self) -> Path:
-        """Make a temporary folder; `InputError` if it cannot be made."""
+        """Make a temporary folder that is removed when this process ends; `InputError` if it cannot be made."""
         try:
             path = Path(tempfile.gettempdir(), f"cornercase-{secrets.token_hex(6)}").absolute()
             # Announced first, so that it never exists without being guarded.

@@ -1,4 +1,4 @@
-"""Figures of courses, coverage, sensitivities and Pareto fronts."""
+"""Figures of metric courses over time, coverage by the reduced set, sensitivities and Pareto fronts."""
 
 from __future__ import annotations
 

@@ -80,7 +80,7 @@ def render_failure_reasons(failed: Sequence[ScenarioRecord]) -> str:
 
 
 def render_provenance(file_name: str, summary: Summary) -> Markup:
-    """Render how the study was made: command, settings and versions; `file_name` is the study's."""
+    """Render how the study was made: command, settings and versions; `file_name` is the name of the study."""
     meta = summary.meta
     settings = {k: v for k, v in meta.settings.items() if k != "drivers" and v not in ({}, [], None, "")}
     facts: dict[str, Any] = {

@@ -1,4 +1,4 @@
-"""Sections on the reduced set and what it leaves out."""
+"""Sections on the reduced set, and on how well it covers the other scenarios."""
 
 from __future__ import annotations
 

@@ -77,7 +77,7 @@ class StudyFollower:
     def snapshot(self) -> tuple[str, StudyMeta | None, list[LiveScenario], StudyProgress]:
         """Return epoch, meta (None without a study), scenarios in the order in which they were read, and progress.
 
-        All four belong to the same moment.
+        All four belong to the same moment. The epoch is a text that identifies the followed study.
         """
         with self._lock:
             return self.epoch, self._meta, list(self._digests), self.state
@@ -85,9 +85,10 @@ class StudyFollower:
     def digests_since(
         self, epoch: str, n_known: int, max_digests: int = _BATCH_SIZE
     ) -> tuple[Sequence[LiveScenario], StudyProgress | None] | None:
-        """Return up to `max_digests` scenarios after the first `n_known`; None if `epoch` is over.
+        """Return up to `max_digests` scenarios after the first `n_known`; None if another study is followed by now.
 
-        The progress is included if no more scenarios follow.
+        `epoch` identifies the study that the first scenarios came from. The progress is included if no more scenarios
+        follow.
         """
         with self._lock:
             if epoch != self.epoch:

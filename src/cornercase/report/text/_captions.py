@@ -51,7 +51,7 @@ def _to_plain_text(caption: Any) -> Any:
 
 
 def describe_cluster_count(analysis: Analysis) -> str:
-    """Describe how many clusters an aspect has."""
+    """Describe how many clusters were found by an aspect (a way to compare scenarios)."""
     count, noise = analysis.clustering.n_clusters, int((analysis.labels < 0).sum())
     if count < 2:
         return describe_informativeness(analysis)
@@ -74,7 +74,7 @@ def describe_most_influential(sensitivity: Sensitivity) -> str:
 
 
 def describe_score_distribution(data: ReportData, metric: Metric) -> str:
-    """Describe the distribution of a metric's scores."""
+    """Describe how the scores by a metric are distributed."""
     scores = data.scores[metric.name]
     low, middle, high = (append_unit(f"{value:.3g}", metric.unit) for value in np.quantile(scores, (0.0, 0.5, 1.0)))
     if low == high:
@@ -156,7 +156,7 @@ def caption_examples(n_not_drawn: int) -> str:
 
 
 def caption_kernel_space(analysis: Analysis) -> str:
-    """Caption of the figure of kernel space."""
+    """Return the caption of the figure of kernel space, in which clusters were found."""
     return (
         "Similar scenarios are near each other; those of a cluster have one colour and one symbol."
         f" {describe_clustering_method(analysis)}"
@@ -164,12 +164,12 @@ def caption_kernel_space(analysis: Analysis) -> str:
 
 
 def caption_courses(metric: Metric) -> str:
-    """Caption of the figure of a metric's courses per cluster."""
+    """Return the caption of the figure of a metric's course over time in each cluster."""
     return f"Course of {metric.name} in each cluster: median, and the band that holds 80 % of its scenarios."
 
 
 def caption_reduced_set(reduced: ReducedSet) -> str:
-    """Caption of the figure of the reduced set in the parameter space."""
+    """Return the caption of the figure of the reduced set in the parameter space."""
     exposing = " or expose mutants of the driver (diamonds)" if reduced.exposing is not None else ""
     return (
         f"The hull of each cluster by {reduced.by}, or of its nearly convex parts, and the kept scenarios: archetypes"
@@ -178,7 +178,7 @@ def caption_reduced_set(reduced: ReducedSet) -> str:
 
 
 def caption_coverage() -> str:
-    """Caption of the figure of coverage."""
+    """Return the caption of the figure of how well the reduced set covers all scenarios."""
     return (
         "Share of all scenarios, and of the critical ones, that have a kept scenario within this DTW distance. For"
         " comparison: k-medoids, and the range of 90 of 100 random choices of the same size. The kept scenarios and"

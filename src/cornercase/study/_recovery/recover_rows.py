@@ -105,7 +105,7 @@ def _iter_checked_rows(connection: sqlite3.Connection, table: str) -> Iterator[t
 def _iter_table_rows(
     connection: sqlite3.Connection, table: str, order_suffix: str = ""
 ) -> Iterator[tuple[int | None, Any]]:
-    """Yield row numbers and values of a table in the order of its keys."""
+    """Yield row number and values of each row of a table, sorted by key."""
     numbered = table in _ROWID_TABLES
     keys = ("rowid",) if numbered else TABLES[table].columns[: TABLES[table].n_key_columns]
     columns = ", ".join(("rowid", *TABLES[table].stored_columns) if numbered else TABLES[table].stored_columns)
@@ -213,7 +213,7 @@ def _read_payload(pages: PageReader, page: bytes, offset: int, length: int, is_t
 
 
 def _decode_record(payload: bytes) -> list[Any]:
-    """Decode the values of a row."""
+    """Decode the values of a row from SQLite's record format."""
     end, offset = _decode_varint(payload, 0)
     types = []
     while offset < end:

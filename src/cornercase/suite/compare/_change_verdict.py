@@ -149,7 +149,10 @@ def _margin_tolerance(requirement: str, tolerances: Mapping[str, float]) -> floa
 
 
 def _group_into_findings(changes: Iterable[PairChange], metrics: Iterable[str]) -> Iterator[Finding]:
-    """Combine the changes of the same kind and direction into one finding; scores are in the order of `metrics`."""
+    """Combine the changes of the same kind and direction into one finding.
+
+    Findings about scores are in the order of `metrics`.
+    """
     order = {name: k for k, name in enumerate(metrics)}
     groups: dict[tuple[_FindingKind, str, ChangeDirection], list[PairChange]] = {}
     for step in changes:

@@ -445,7 +445,7 @@ class Comparison:
         return sum(pair.run == run_comparison for pair in self.pairs)
 
     def to_json(self) -> dict[str, Any]:
-        """Return plain values.
+        """Return the comparison as values that JSON can store.
 
         Returns
         -------
