@@ -29,7 +29,7 @@ from sklearn.metrics import adjusted_mutual_info_score
 from cornercase import LogicalScenario, Recording
 from cornercase.clustering import ASPECTS, ScenarioClustering
 from cornercase.dtw import distance_matrix
-from cornercase.metrics.ending._find_outcome import describe_outcome
+from cornercase.metrics._ending import describe_outcome
 from cornercase.optimizers import Sobol
 from cornercase.reduction._medoids import find_k_medoids
 from cornercase.simulators import Builtin

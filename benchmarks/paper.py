@@ -36,7 +36,7 @@ from cornercase.evidence._sensitivity import estimate_sensitivity
 from cornercase.exploration._explore import explore_config
 from cornercase.exploration._paper_examples import paper_experiment_config
 from cornercase.metrics import METRICS
-from cornercase.metrics.ending._find_outcome import describe_outcome
+from cornercase.metrics._ending import describe_outcome
 from cornercase.reduction import reduce
 from cornercase.reduction._critical_clusters import find_critical_clusters
 from cornercase.reduction._medoids import find_k_medoids

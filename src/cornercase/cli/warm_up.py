@@ -121,7 +121,7 @@ def compile_late_kernels() -> None:
 
     from cornercase import clustering, dtw, metrics
     from cornercase._common.process.parent_death import exit_when_stdin_closes
-    from cornercase.metrics.ending._find_outcome import find_outcome
+    from cornercase.metrics._ending import find_outcome
 
     exit_when_stdin_closes()
     crossing = _crossing_recording()
@@ -147,7 +147,7 @@ def _runs_by_room(folder: Path) -> Iterator[tuple[str, Callable[[], Any]]]:
     from cornercase.exploration._config import ExplorationConfig
     from cornercase.exploration._explore import explore_config
     from cornercase.exploration._paper_examples import paper_experiment_config
-    from cornercase.metrics.ending._find_outcome import find_outcome
+    from cornercase.metrics._ending import find_outcome
 
     for name in ("x-intersection", "t-intersection"):
         config = replace(paper_experiment_config(name, budget=_N_SCENARIOS), duration=_DURATION)

@@ -11,7 +11,7 @@ from scipy.optimize import linear_sum_assignment
 
 from cornercase._common.text.sanitize import quote_name
 from cornercase._common.typing import IntArray
-from cornercase.metrics.ending._outcome import Outcome
+from cornercase.metrics._outcome import Outcome
 from cornercase.study import StudyFile
 
 

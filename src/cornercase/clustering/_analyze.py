@@ -42,7 +42,7 @@ from cornercase.clustering._stored_analysis import (
 from cornercase.clustering.naming._predicates import NamingFacts
 from cornercase.clustering.naming._profiles import profile_clusters
 from cornercase.metrics import METRICS
-from cornercase.metrics.ending._outcome import Outcome
+from cornercase.metrics._outcome import Outcome
 from cornercase.study import StudyFile
 from cornercase.study._digest import downsample, downsampling_stride
 from cornercase.study._study_file import open_study

@@ -18,7 +18,7 @@ from cornercase._common.errors import InputError
 from cornercase._common.text.sanitize import parse_json
 from cornercase._common.typing import Float32Array, FloatArray
 from cornercase.metrics import METRICS, Metric
-from cornercase.metrics.ending._outcome import Encounter, Impact, Outcome
+from cornercase.metrics._outcome import Encounter, Impact, Outcome
 from cornercase.recordings import Collision, Recording
 from cornercase.recordings._entity_series import bearing_series, position_series
 from cornercase.study._codec import pack_arrays, unpack_arrays

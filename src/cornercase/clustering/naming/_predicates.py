@@ -12,7 +12,7 @@ import numpy as np
 from cornercase._common.text.sanitize import quote_name
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.clustering.naming._feature_phrases import FEATURE_PHRASES
-from cornercase.metrics.ending._outcome import Encounter, Impact, Outcome
+from cornercase.metrics._outcome import Encounter, Impact, Outcome
 from cornercase.scenario import Parameter, ParameterSpace, Value
 
 # Bounds of impact speeds in m/s, of gaps in s, of decelerations in m/s², of turns in rad and of shifts in m.

@@ -10,8 +10,8 @@ import numpy as np
 
 from cornercase._common.geometry.boxes import box_corners, box_distance
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
+from cornercase.metrics._outcome import Outcome
 from cornercase.metrics.ending._find_outcome import STANDING_SPEED, existence_mask
-from cornercase.metrics.ending._outcome import Outcome
 from cornercase.recordings import Recording
 
 # Largest rounding error of a distance, in m.

@@ -10,7 +10,7 @@ import numpy as np
 
 from cornercase._common.geometry.boxes import wrap_angle
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
-from cornercase.metrics.ending._outcome import Encounter, Impact, Manner, Outcome
+from cornercase.metrics._outcome import Encounter, Impact, Manner, Outcome
 from cornercase.metrics.ending._path_crossing import BoxPath, find_path_crossing
 from cornercase.recordings import Collision, Recording
 

@@ -10,7 +10,7 @@ import numpy as np
 from cornercase._common.errors import InputError
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.exploration._study_critical_set import is_score_independent
-from cornercase.metrics.ending._find_outcome import find_outcome
+from cornercase.metrics._ending import find_outcome
 from cornercase.recordings import Recording
 from cornercase.recordings._compare import NUMERIC_ARRAYS, are_bitwise_equal
 from cornercase.study import ScenarioRecord, StudyFile, StudyMeta
