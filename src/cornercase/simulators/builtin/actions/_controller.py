@@ -1,4 +1,4 @@
-"""Drivers in control of entities, and the actions that assign them."""
+"""Drivers that control entities, and the actions that assign them."""
 
 from __future__ import annotations
 
@@ -44,10 +44,10 @@ _LANE_PATH_CACHE: WeakKeyDictionary[LanePath, DrivenPath] = WeakKeyDictionary()
 
 
 class DriverError(Exception):
-    """A driver raised an exception, or returned no acceleration, for several scenarios at once.
+    """A driver raised an exception or returned no acceleration, for several scenarios at once.
 
-    `error` is for the scenario at fault. `can_bisect`: whether a run with half of the scenarios shows which half is at
-    fault; otherwise only single runs do.
+    `error` is the error of the scenario at fault. `can_bisect`: whether runs of half of the scenarios can find that
+    scenario; otherwise only single runs can.
     """
 
     def __init__(self, error: SimulationError, splits: bool) -> None:
@@ -56,11 +56,11 @@ class DriverError(Exception):
 
 
 class DriverControl:
-    """One entity of a batch and the driver that decides its speed along lanes and trajectories while active.
+    """An entity of a batch, and the driver that decides its speed on lanes and trajectories while it is active.
 
-    A trajectory with times leaves the driver nothing to decide. `number` is its index in `World.drivers`; `in_fleet`
-    says whether kernels decide for it. `limit_notices`: by limit of the vehicle that the driver exceeded, a sentence
-    without a full stop for a notice; what distinguishes notices of one limit follows a semicolon.
+    On a trajectory with times there is nothing to decide. `number` is the index in `World.drivers`. `in_fleet` says
+    whether kernels make the decisions. `limit_notices` has a sentence without full stop for each vehicle limit that the
+    driver exceeded; a semicolon precedes what differs between notices about the same limit.
     """
 
     def __init__(self, world: World, entity: int, driver: Driver) -> None:
@@ -93,7 +93,7 @@ class DriverControl:
             self._record_exceeded_limit(limit, f"it would go up to {value:.6g} m/s²")
 
     def reset_driver(self) -> None:
-        """Reset the driver when the batch starts; user code may fail or end the process here."""
+        """Reset the driver when the batch starts; this may be user code, which may fail."""
         if self._failure is not None:
             raise self._failure
         if not self.in_fleet:
@@ -108,14 +108,14 @@ class DriverControl:
 
     @property
     def _display_name(self) -> str:
-        """Name of the driver in errors and notices."""
+        """Return the name of the driver in errors and notices."""
         driver_class, entity = type(self.driver), quote_name(self._world.names[self.entity])
         return f"the driver of {entity}" + (
             "" if is_built_in(driver_class) else f" ({driver_class.__module__}:{driver_class.__qualname__})"
         )
 
     def step(self, dt: float) -> None:
-        """Decide the entity's speed at the end of the coming time step."""
+        """Let the driver decide the entity's speed at the end of the coming time step."""
         world, e = self._world, self.entity
         active = world.running & world.present[e] & world.driven[e] & (world.driver[e] == self.number)
         track_numbers = world.track[e]
@@ -125,7 +125,10 @@ class DriverControl:
                 self._set_speed(self._make_situation(k, track, dt, rows), rows)
 
     def _set_speed(self, situation: Situation, rows: BoolArray) -> None:
-        """Ask the driver, and set the speed in the scenarios of a mask; those without an acceleration fail."""
+        """Call the driver, and set the speed in the scenarios of a mask.
+
+        Scenarios without a valid acceleration fail.
+        """
         world, speed = self._world, self._world.speed[self.entity]
         acceleration = self._call_driver(situation)
         is_missing = rows & ~np.isfinite(acceleration)
@@ -163,7 +166,7 @@ class DriverControl:
             raise DriverError(PluginError(why), splits=False) from error
 
     def _clip_acceleration(self, acceleration: FloatArray, rows: BoolArray, time: float) -> FloatArray:
-        """Clip accelerations to what the vehicle can do."""
+        """Clip accelerations to the limits of the vehicle."""
         entity = self._world.entities[self.entity]
         highest, lowest = entity.max_acceleration, -entity.max_deceleration
         if highest == np.inf == -lowest:
@@ -220,7 +223,7 @@ class DriverControl:
         )
 
     def path_of_track(self, track_number: int, track: Track) -> DrivenPath:
-        """Path for the driver of one of its entity's tracks."""
+        """Return the path along one of the entity's tracks, in the form that drivers get."""
         if isinstance(track, LaneTrack):
             if track_number not in self._paths:
                 self._paths[track_number] = _lane_path(track.path)
@@ -238,7 +241,7 @@ def _safe_repr(value: object) -> str:
 
 
 def _lane_path(lane_path: LanePath) -> DrivenPath:
-    """Path along a lane, cached so that plans along it serve all batches."""
+    """Return the path along a lane for drivers; it is cached, so that plans along it serve all batches."""
     if lane_path not in _LANE_PATH_CACHE:
         _LANE_PATH_CACHE[lane_path] = DrivenPath(
             lane_path.distance, lane_path.x, lane_path.y, lane_path.heading, lane_path.curvature
@@ -247,10 +250,10 @@ def _lane_path(lane_path: LanePath) -> DrivenPath:
 
 
 def _sample_trajectory(track: Trajectory) -> DrivenPath:
-    """Samples of a trajectory that may differ between scenarios.
+    """Return samples of a trajectory, which may differ between scenarios, as a path for drivers.
 
-    Distances are the same in all scenarios and extend further than a driver looks, so that what it sees in one scenario
-    does not depend on the others.
+    Distances are the same in all scenarios, and extend further than a driver looks. So what the driver sees in a
+    scenario does not depend on the other scenarios.
     """
     ends = np.minimum(track.lengths, _MAX_LENGTH)
     distances = _SAMPLE_SPACING * np.arange(int(np.ceil((ends.max() + _EXTENSION_LENGTH) / _SAMPLE_SPACING)) + 1)
@@ -269,10 +272,10 @@ def _sample_trajectory(track: Trajectory) -> DrivenPath:
 
 
 class ControllerAction(Action):
-    """Assigns a controller to an entity, or activates the assigned one.
+    """Assigns a controller to an entity, or activates its controller.
 
-    Only controllers with the property ``cornercase.driver`` act; any other leaves the entity to the storyboard. A
-    driver chosen by the user who runs the file stays in control.
+    A controller only has an effect if it has the property ``cornercase.driver``; otherwise the storyboard moves the
+    entity. A driver that the user chose for the entity stays in control.
     """
 
     def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int) -> None:
@@ -307,7 +310,7 @@ class ControllerAction(Action):
 
 
 class VisibilityAction(Action):
-    """Hides an entity from others in the traffic, or shows it again."""
+    """Hides an entity from the drivers of other entities, or shows it again."""
 
     def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int) -> None:
         self._entity, self._seen = entity, scope.read_boolean(element, "traffic", True)

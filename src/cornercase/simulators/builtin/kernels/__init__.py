@@ -1,5 +1,6 @@
-"""Compiled kernels: they run one scenario until its storyboard has to be evaluated in Python.
+"""Compiled kernels, which run a scenario until its storyboard has to be evaluated in Python.
 
-Index names in all of them: `n` scenario, `e` entity, `j` action, `row` track. `state`, `flags` and `numbers` are the
-scenario's float, bool and int tables; their rows are the constants of `world/_state_layout.py`, their columns entities.
+Index names in all kernels: `n` scenario, `e` entity, `j` action, `row` track. `state`, `flags` and `numbers` are the
+tables of floats, booleans and integers of a scenario. Their rows are the constants of `world/_state_layout.py`, their
+columns are entities.
 """

@@ -1,4 +1,4 @@
-"""Tables of a storyboard's actions for compiled code."""
+"""Tables of the actions of a storyboard, for kernels."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ N_SAVED: Final = 8
 
 
 class ActionTable(NamedTuple):
-    """J actions in N scenarios, in the order in which they are applied."""
+    """J actions in N scenarios, in the order in which they are applied, as arrays for kernels."""
 
     options: IntArray  # (J, 8): type, entity and type-specific integers
     memory: FloatArray  # (N, J, 24): what an action remembers of a scenario
@@ -47,18 +47,24 @@ class ActionTable(NamedTuple):
 
 
 class CompilableAction(Protocol):
-    """An action that may have a compiled kernel, and arrays (N,) named in `memory_attributes` that both share."""
+    """An action that may have a kernel; the arrays (N,) named in `memory_attributes` belong to both."""
 
     memory_attributes: tuple[str, ...]
     table_row: int
 
     def kernel_options(self) -> tuple[int, ...]:
-        """Type, entity and type-specific integers of the action; only `PYTHON_ACTION` for one without a kernel."""
+        """Return type and entity of the action, and integers that depend on its type.
+
+        `PYTHON_ACTION` alone without a kernel.
+        """
         ...
 
 
 def build_action_table(actions: Sequence[CompilableAction | None], n_scenarios: int) -> ActionTable:
-    """Build the action tables (None: the action ends at once); arrays that actions remember move into them."""
+    """Build the tables of actions; None stands for an action that ends at once.
+
+    The arrays in the `memory_attributes` of the actions become views of the tables.
+    """
     options = np.zeros((len(actions), N_OPTIONS), dtype=np.int64)
     memory = np.zeros((n_scenarios, len(actions), MEMORY_SIZE))
     for j, action in enumerate(actions):

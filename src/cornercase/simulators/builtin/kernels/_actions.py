@@ -1,4 +1,4 @@
-"""What actions do in one time step, for one scenario at a time."""
+"""Kernels that apply actions for one time step, in one scenario at a time."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, untyped-decorator"
@@ -79,7 +79,7 @@ _inlined_kernel = kernel(error_model="numpy", _nrt=False, forceinline=True)
 
 
 class SavedState(NamedTuple):
-    """What J actions may change of one scenario, saved before each action."""
+    """State of a scenario that J actions may change, saved before each action."""
 
     running: IntArray  # (J + 1,): running actions in order, then -1
     floats: FloatArray  # (J, 10)
@@ -90,7 +90,7 @@ class SavedState(NamedTuple):
 
 @kernel(error_model="numpy")
 def alloc_saved(n_actions):
-    """Allocate the saved state of a scenario's actions."""
+    """Allocate the saved state for the actions of a scenario."""
     floats, flag = np.empty((n_actions, len(_LATERAL_ACTION_ROWS) + 1)), np.empty(n_actions, dtype=np.bool_)
     running, memory = np.empty(n_actions + 1, dtype=np.int64), np.empty((n_actions, N_SAVED))
     return SavedState(running, floats, flag, np.empty(n_actions, dtype=np.bool_), memory)
@@ -98,7 +98,7 @@ def alloc_saved(n_actions):
 
 @_inlined_kernel
 def list_running_actions(actions, saved, n):
-    """List the running actions of a scenario."""
+    """List the running actions of a scenario in `saved`."""
     count = 0
     for j in range(actions.options.shape[0]):
         if actions.is_running[n, j]:
@@ -109,10 +109,10 @@ def list_running_actions(actions, saved, n):
 
 @_inlined_kernel
 def apply_actions(scene, tracks, roads, actions, saved, n, dt):
-    """Apply all actions of a scenario for one time step.
+    """Apply all running actions of a scenario for one time step.
 
-    Returns `ACTION_APPLIED`, or the outcome of the first action that ends or could not be applied; then all changes are
-    undone.
+    Returns `ACTION_APPLIED` if all were applied and go on. Otherwise returns the outcome of the first action that ends
+    or cannot be applied, and undoes all changes.
     """
     i = 0
     while saved.running[i] >= 0:
@@ -130,7 +130,7 @@ def apply_actions(scene, tracks, roads, actions, saved, n, dt):
 
 @_inlined_kernel
 def apply_action(scene, tracks, roads, actions, n, j, dt):
-    """Apply one action of a scenario for one time step, and return the outcome: `ACTION_APPLIED` and so on."""
+    """Apply an action of a scenario for one time step; return the outcome, such as `ACTION_APPLIED`."""
     action_type = actions.options[j, 0]
     if action_type == SPEED_ACTION:
         return _apply_speed_action(scene, actions, n, j, dt)
@@ -229,9 +229,9 @@ def _transition_slope(shape, fraction):
 
 @_kernel
 def _apply_speed_action(scene, actions, n, j, dt):
-    """Memory: from, to, parameter, span, stretch, reached, value, rate.
+    """Apply a speed action: the speed changes while the parameter grows from 0 to the span, in s.
 
-    The speed changes while the parameter grows from 0 to the span, in s.
+    Memory: from, to, parameter, span, stretch, reached, value, rate.
     """
     options, memory, state = actions.options[j], actions.memory[n, j], scene.floats[n]
     e, shape, dimension, reference, factor, continuous = options[1:7]
@@ -275,9 +275,10 @@ def _apply_speed_action(scene, actions, n, j, dt):
 
 @_kernel
 def _apply_trajectory_action(scene, tracks, actions, n, j, dt):
-    """Memory: sign, whether it was oriented, clock offset, number of the trajectory among the entity's tracks.
+    """Apply an action that follows a trajectory.
 
-    The sign is -1 if the entity points against the line, so that driving forwards leads back along it.
+    Memory: sign, whether it was oriented, clock offset, number of the trajectory among the entity's tracks. The sign is
+    -1 if the entity points against the line, so that driving forwards leads back along the line.
     """
     options, memory, state = actions.options[j], actions.memory[n, j], scene.floats[n]
     e, is_timed = options[1], options[2]
@@ -325,7 +326,7 @@ def _apply_trajectory_action(scene, tracks, actions, n, j, dt):
 
 @_kernel
 def _apply_lane_change(scene, tracks, actions, n, j, dt):
-    """Memory: from, to, done, extent."""
+    """Apply a lane change. Memory: from, to, done, extent."""
     options, memory, state, flags = actions.options[j], actions.memory[n, j], scene.floats[n], scene.flags[n]
     e, shape, dimension = options[1], options[2], options[3]
     track = scene.integers[n, TRACK, e]
@@ -377,7 +378,7 @@ def _apply_lane_change(scene, tracks, actions, n, j, dt):
 
 @_kernel
 def _apply_lane_offset(scene, tracks, actions, n, j, dt):
-    """Memory: from, to, elapsed, duration."""
+    """Apply a lane offset action. Memory: from, to, elapsed, duration."""
     options, memory, state = actions.options[j], actions.memory[n, j], scene.floats[n]
     e, shape = options[1], options[2]
     begin, end, elapsed, duration = memory[0], memory[1], memory[2], memory[3]
@@ -400,7 +401,7 @@ def _apply_lane_offset(scene, tracks, actions, n, j, dt):
 
 @kernel(interpreted_seconds=lambda *arguments: 5e-5 * arguments[4].size, error_model="numpy")
 def apply_action_in(scene, tracks, roads, actions, scenarios, j, dt):
-    """Apply an action for one time step in some scenarios, shape (K,), and return the outcomes, shape (K,)."""
+    """Apply an action for one time step in K scenarios, and return the outcomes, shape (K,)."""
     outcomes = np.empty(scenarios.size, dtype=np.int64)
     for i in range(scenarios.size):
         outcomes[i] = apply_action(scene, tracks, roads, actions, scenarios[i], j, dt)

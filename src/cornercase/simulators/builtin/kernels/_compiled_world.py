@@ -1,4 +1,4 @@
-"""What Python asks of compiled code between the runs of the compiled loop: actions, distances and overlaps."""
+"""Calls from Python to kernels between the runs of the compiled loop: actions, distances and overlaps."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, untyped-decorator"
@@ -26,7 +26,7 @@ _NO_POINTS: Final = np.empty((2, 0))
 
 
 class CompiledWorld:
-    """The tables of a batch that compiled code works on; the world refers to it weakly."""
+    """Tables of a batch for kernels, and the calls that Python makes to these; refers to the world only weakly."""
 
     def __init__(
         self, world: World, scene: SimulationState, pool: TrackPool, roads: tuple[object, ...], actions: ActionTable
@@ -38,7 +38,7 @@ class CompiledWorld:
     def apply_action(self, number: int, dt: float, where: BoolArray) -> npt.NDArray[np.int64]:
         """Apply an action for one time step in the scenarios of a mask, and return the outcomes, shape (N,).
 
-        `number` is the action's row in the table. In other scenarios the outcome is `ACTION_APPLIED`.
+        `number` is the row of the action in the table. In all other scenarios, the outcome is `ACTION_APPLIED`.
         """
         outcomes = np.full(where.shape, ACTION_APPLIED)
         tracks, scenarios = self._pool.update(self._world.tracks), np.flatnonzero(where)
@@ -48,15 +48,15 @@ class CompiledWorld:
         return outcomes
 
     def measure_to_entity(self, entity: int, other: int, distance_kind: int) -> FloatArray:
-        """Signed distance in m to another entity, shape (N,); kinds as for `distance_to_entity`."""
+        """Return the signed distance in m to another entity, shape (N,); `distance_kind` as in `distance_to_entity`."""
         return np.asarray(_measure(self._scene, entity, other, _NO_POINTS, distance_kind))
 
     def measure_to_point(self, entity: int, x: FloatArray, y: FloatArray, distance_kind: int) -> FloatArray:
-        """Signed distance in m to a point, shape (N,); kinds as for `distance_to_point`."""
+        """Return the signed distance in m to a point, shape (N,); `distance_kind` as in `distance_to_point`."""
         return np.asarray(_measure(self._scene, entity, -1, np.array([x, y]), distance_kind))
 
     def find_overlaps(self, entity: int, other: int) -> BoolArray:
-        """Return where the boxes of two entities overlap now, shape (N,)."""
+        """Return the scenarios in which the boxes of two entities overlap now."""
         return np.asarray(_measure(self._scene, entity, other, _NO_POINTS, _OVERLAP) > 0.0)
 
 

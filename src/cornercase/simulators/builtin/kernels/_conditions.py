@@ -1,4 +1,4 @@
-"""Conditions in compiled code: whether anything that a trigger depends on has changed."""
+"""Compiled conditions: whether anything has changed that a trigger depends on."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, untyped-decorator"
@@ -71,7 +71,7 @@ _inlined_kernel = kernel(error_model="numpy", _nrt=False, forceinline=True)
 
 
 class LeafCondition(NamedTuple):
-    """A by-entity or by-value condition without edge and delay."""
+    """A condition on an entity or a value, without the edge and the delay of its ``Condition``."""
 
     kind: int  # `TIME_CONDITION` and so on
     other: int = -1  # row of the other entity, or -1
@@ -81,7 +81,7 @@ class LeafCondition(NamedTuple):
 
 
 class ConditionSpec(NamedTuple):
-    """A condition of a trigger, made of leaf conditions."""
+    """A ``Condition`` of a trigger in terms of leaf conditions, one for each triggering entity."""
 
     leaves: list[tuple[int, LeafCondition]]  # with rows of entities (-1 for none); any leaf of an entity has to hold
     for_every_entity: bool  # whether it has to hold for all entities, not any
@@ -89,7 +89,10 @@ class ConditionSpec(NamedTuple):
 
 
 class ConditionTable(NamedTuple):
-    """T triggers of N scenarios with G groups of C conditions with L leaves, and D times that change conditions."""
+    """Conditions of N scenarios as arrays: T triggers, G groups, C conditions and L leaves.
+
+    D is the number of times at which conditions change.
+    """
 
     codes: IntArray  # (L, 5): kind, entity (-1 for none), other entity, rule, option
     values: FloatArray  # (N, L, 4)
@@ -109,9 +112,9 @@ def build_condition_table(
     delays: list[FloatArray],
     n_scenarios: int,
 ) -> ConditionTable:
-    """Build the condition tables of triggers, given by trigger and group, and the delays, arrays (N,).
+    """Build the tables of conditions, given by trigger and group, and of their delays, arrays (N,).
 
-    The leaves of `others`, which belong to no such trigger, come last.
+    The leaves of `others` do not belong to a trigger that kernels evaluate, and come last.
     """
     leaves: list[tuple[int, LeafCondition]] = []
     conditions: list[tuple[int, int, bool]] = []
@@ -146,7 +149,7 @@ def build_condition_table(
 
 
 class Watchlist(NamedTuple):
-    """Conditions that can change in a scenario before its storyboard is evaluated."""
+    """Conditions of a scenario that can change before its storyboard is evaluated in Python."""
 
     groups: IntArray  # (G + 1,): condition groups that may become true, then -1
     leaves: IntArray  # (L + 1,): leaves that may change, then -1
@@ -154,14 +157,17 @@ class Watchlist(NamedTuple):
 
 @kernel(error_model="numpy")
 def alloc_watchlist(table):
-    """Allocate a `Watchlist`."""
+    """Allocate a `Watchlist` for the conditions in a table."""
     groups, changing = table.groups.shape[0] + 1, table.codes.shape[0] + 1
     return Watchlist(np.empty(groups, dtype=np.int64), np.empty(changing, dtype=np.int64))
 
 
 @_kernel
 def fill_watchlist(table, watchlist, n):
-    """Select what can change in a scenario; constants do not change until the storyboard is evaluated."""
+    """Select the conditions of a scenario that can change.
+
+    Constant ones only change when the storyboard is evaluated.
+    """
     n_groups = n_leaves = 0
     for t in range(table.triggers.shape[0]):
         if not table.is_watched[n, t]:
@@ -195,7 +201,7 @@ def _is_never_met(table, n, group):
 
 @_inlined_kernel
 def is_unchanged(scene, table, watchlist, n):
-    """Whether no trigger fires, and nothing has changed for triggers that depend on earlier values."""
+    """Return whether no trigger fires, and nothing has changed that triggers with edges or delays depend on."""
     for d in range(table.pending_since.shape[1]):
         if table.pending_since[n, d] <= scene.time[n] - table.delay[n, d] + TOLERANCE:
             return False
@@ -214,7 +220,7 @@ def is_unchanged(scene, table, watchlist, n):
 
 @_inlined_kernel
 def _group_holds(scene, table, n, group):
-    """Whether all conditions of a group hold, each for any or every one of its entities."""
+    """Return whether all conditions of a group hold, each for any or for all of its entities."""
     for c in range(table.groups[group, 0], table.groups[group, 1]):
         first, last, for_every = table.conditions[c]
         k, holding = first, for_every > 0
@@ -241,7 +247,7 @@ def store_leaf_values(scene, table, n):
 
 @_inlined_kernel
 def leaf_holds(scene, table, n, leaf):
-    """Whether a leaf condition holds for its entity now."""
+    """Return whether a leaf condition holds for its entity now."""
     kind, e, rule, values = table.codes[leaf, 0], table.codes[leaf, 1], table.codes[leaf, 3], table.values[n, leaf]
     time = scene.time[n]
     if kind == CONSTANT_CONDITION:
@@ -266,7 +272,7 @@ def leaf_holds(scene, table, n, leaf):
 
 @_kernel
 def _remaining_leaf_holds(scene, table, n, leaf):
-    """Whether a leaf of the remaining kinds holds for its entity, which is present."""
+    """Return whether a leaf condition of a less frequent kind holds for its entity, which must be present."""
     kind, e, other = table.codes[leaf, 0], table.codes[leaf, 1], table.codes[leaf, 2]
     rule, option, values = table.codes[leaf, 3], table.codes[leaf, 4], table.values[n, leaf]
     state = scene.floats[n]

@@ -27,9 +27,10 @@ _kernel = kernel(error_model="numpy", _nrt=False)
 
 @_kernel
 def vector_component(state, x_row, y_row, e, axes_entity, option):
-    """Component of the vector in rows `x_row`, `y_row` of `state`, of entity `e`, in the axes of another entity.
+    """Return a component of a vector of entity `e`, along the axes of another entity.
 
-    `option`: `LONGITUDINAL_COMPONENT`, `LATERAL_COMPONENT` or `VERTICAL_COMPONENT`.
+    `x_row` and `y_row` are the rows of `state` with the vector. `option` is `LONGITUDINAL_COMPONENT`,
+    `LATERAL_COMPONENT` or `VERTICAL_COMPONENT`.
     """
     cos, sin = math.cos(state[HEADING, axes_entity]), math.sin(state[HEADING, axes_entity])
     if option == LONGITUDINAL_COMPONENT:
@@ -39,7 +40,7 @@ def vector_component(state, x_row, y_row, e, axes_entity, option):
 
 @_kernel
 def closing_speed(state, e, other):
-    """Speed in m/s with which `e` closes the gap to another entity, along the other's direction of motion."""
+    """Return the speed in m/s at which `e` closes the gap to another entity, along the other's direction of motion."""
     x, y = state[GONE_X, other], state[GONE_Y, other]
     if abs(x) < TOLERANCE and abs(y) < TOLERANCE:
         return state[SPEED, e]
@@ -50,9 +51,10 @@ def closing_speed(state, e, other):
 
 @_kernel
 def distance_to_entity(scene, n, e, other, distance_kind):
-    """Signed distance in m to another entity, seen from `e`: negative behind, and to the right for lateral distances.
+    """Return the signed distance in m from `e` to another entity.
 
-    `distance_kind` is a kind of distance, except the Euclidean one between boxes.
+    It is negative if the other is behind, or to the right for a lateral distance. All distance kinds are supported
+    except the Euclidean distance between boxes.
     """
     state = scene.floats[n]
     cos, sin = math.cos(state[HEADING, e]), math.sin(state[HEADING, e])
@@ -72,7 +74,10 @@ def distance_to_entity(scene, n, e, other, distance_kind):
 
 @_kernel
 def _box_extent(scene, n, e, other, is_lateral):
-    """Range of coordinates of another's box relative to the centre of `e`, to the left (`is_lateral`) or ahead."""
+    """Return the range of coordinates of another's box relative to the centre of `e`.
+
+    The coordinates are positive to the left if `is_lateral`, otherwise ahead.
+    """
     state, boxes = scene.floats[n], scene.dimensions
     cos, sin = math.cos(state[HEADING, e]), math.sin(state[HEADING, e])
     turned_cos, turned_sin = math.cos(state[HEADING, other]), math.sin(state[HEADING, other])
@@ -91,7 +96,7 @@ def _box_extent(scene, n, e, other, is_lateral):
 
 @_kernel
 def distance_to_point(scene, n, e, x, y, distance_kind):
-    """Signed distance in m to a point, seen from `e`: negative behind, and to the right for lateral distances."""
+    """Return the signed distance in m from `e` to a point: negative behind, or to the right for a lateral distance."""
     state, dimensions, is_free_space = scene.floats[n], scene.dimensions[e], distance_kind >= FREE_SPACE
     dx, dy = x - state[X, e], y - state[Y, e]
     cos, sin = math.cos(state[HEADING, e]), math.sin(state[HEADING, e])

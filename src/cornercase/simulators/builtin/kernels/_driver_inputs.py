@@ -1,4 +1,4 @@
-"""Copy what a driver in Python is given."""
+"""Copy the state that a driver in Python gets."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, untyped-decorator"
@@ -29,7 +29,10 @@ OTHERS_ROWS: Final = (X, Y, HEADING, SPEED)
 
 @kernel(interpreted_seconds=lambda floats, *_: 1e-5 * floats.shape[0] * floats.shape[2], error_model="numpy")
 def copy_driver_inputs(floats, flags, entity, own, others):
-    """Copy the state of an entity, (7, N), and of the A others, (4, A, N), NaN for those that it does not see."""
+    """Copy the state of an entity to `own` (7, N), and that of A other entities to `others` (4, A, N).
+
+    It is NaN for entities that the driven entity cannot see, since they are absent or hidden by an action.
+    """
     for n in range(floats.shape[0]):
         for q in range(len(OWN_ROWS)):
             own[q, n] = floats[n, OWN_ROWS[q], entity]

@@ -66,10 +66,10 @@ _inlined_kernel = kernel(error_model="numpy", _nrt=False, forceinline=True)
 
 @_inlined_kernel
 def move_entities(scene, tracks, n, dt, activity):
-    """Advance every entity of a scenario by one time step at its present speed, and the clock.
+    """Move all entities of a scenario by one time step at their present speeds, and advance its clock.
 
-    With `dt` 0, entities are only placed on their tracks. `activity`, shape (E,), is updated. Returns whether an entity
-    is near the point where its lane's path is cut.
+    With `dt` 0, entities are only placed on their tracks. `activity` (E,) is updated. Returns whether an entity is near
+    the end of its lane path, and the lanes go on there.
     """
     state, flags, numbers = scene.floats[n], scene.flags[n], scene.integers[n]
     entities, needs_lane = state.shape[1], False
@@ -114,7 +114,7 @@ def move_entities(scene, tracks, n, dt, activity):
 
 @_inlined_kernel
 def _is_resting(state, flags, e):
-    """Whether an entity that did not move stood before, too, so that the next frame computes the same."""
+    """Return whether an entity did not move, in this step and before, so that the next frame has the same result."""
     is_moving = (
         state[SPEED, e] != 0.0 or state[VELOCITY, e] != 0.0 or state[GONE_X, e] != 0.0 or state[GONE_Y, e] != 0.0
     )
@@ -144,7 +144,7 @@ def _move_along_track(scene, tracks, n, e, row, dt):
 def advance_along_track(scene, tracks, n, e, row, step, arrival_time):
     """Move an entity along its track by `step` m (negative: backwards), and to its lateral offset.
 
-    `arrival_time` is the time in s since when it is at the end of its road, if it gets there.
+    `arrival_time` is the time in s that is stored as its arrival if it reaches the end of the road.
     """
     state = scene.floats[n]
     if tracks.kind[row] == LANE_TRACK:
@@ -169,7 +169,7 @@ def place_on_track(scene, tracks, n, e, row):
 
 @_kernel
 def set_speed(scene, n, e, speed):
-    """Set an entity's speed in m/s, or its driver's target speed."""
+    """Set an entity's speed in m/s; if a driver controls the entity, set the driver's target speed instead."""
     state, flags = scene.floats[n], scene.flags[n]
     state[TARGET_SPEED, e] = speed
     if not flags[DRIVEN, e]:
@@ -179,7 +179,7 @@ def set_speed(scene, n, e, speed):
 
 @_inlined_kernel
 def _stop_at_road_ends(scene, tracks, n, dt, activity):
-    """Stop entities at the end of their road if the last step moved them neither ahead nor sideways, as in esmini."""
+    """Stop entities at the end of their road that the last step moved neither ahead nor sideways, as in esmini."""
     state, flags = scene.floats[n], scene.flags[n]
     for e in range(state.shape[1]):
         if activity[e] == RESTING or not (flags[PRESENT, e] and state[AT_END_SINCE, e] < scene.time[n] + 0.5 * dt):
@@ -192,7 +192,7 @@ def _stop_at_road_ends(scene, tracks, n, dt, activity):
 
 @_kernel
 def _move_trailer(scene, n, tow):
-    """Move a trailer behind its vehicle: its axle follows the hitch as on a rod."""
+    """Move a trailer behind its vehicle; its axle follows the hitch as if pulled by a rod."""
     state, flags = scene.floats[n], scene.flags[n]
     e, trailer = int(scene.trailers[tow, 0]), int(scene.trailers[tow, 1])
     hitch, coupler = scene.trailers[tow, 2], scene.trailers[tow, 3]
@@ -244,7 +244,8 @@ def _velocity_along_heading(state, e):
 def record_frame(scene, n, first_scenario, dt, activity):
     """Record the state of all entities of a scenario; return whether a collision has begun.
 
-    `first_scenario` is the first of the scenarios that run together with `n`; `activity` as in `move_entities`.
+    `first_scenario` is the first of the scenarios that run together with scenario `n`. `activity` is as in
+    `move_entities`.
     """
     state, flags, numbers, frame = scene.floats[n], scene.flags[n], scene.integers[n], scene.n_frames[n]
     entities = state.shape[1]

@@ -1,4 +1,4 @@
-"""Copy recordings from their pages."""
+"""Copy recordings from the pages in which kernels store them."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, untyped-decorator, call-arg, var-annotated"
@@ -20,10 +20,9 @@ from cornercase.simulators.builtin.kernels._simulation_state import PAGE_LENGTH,
 def copy_motion(
     scene: SimulationState, scenarios: IntArray, gil_lock: Lock | None
 ) -> tuple[list[FloatArray], BoolArray]:
-    """Copy the motion of S scenarios, and tell which had any entity placed.
+    """Return the motion of S scenarios, arrays (5, E, T); and which scenarios had any entity placed, (S,).
 
-    Returns arrays (5, E, T) of the recorded quantities, and a mask (S,). `gil_lock` is released while compiled code
-    runs.
+    `gil_lock` is released while compiled code runs.
     """
     shape = len(RECORDED_QUANTITIES), scene.pages.shape[2]
     motion = [np.empty((*shape, instants)) for instants in scene.n_frames[scenarios].tolist()]

@@ -1,4 +1,4 @@
-"""Run the time loop, compiled or, for a few scenarios on a machine where it is not, interpreted."""
+"""Run the compiled time loop; or interpret it for a few scenarios, if it has not been compiled on this machine."""
 
 # What a kernel has beside its call is not declared.
 # mypy: disable-error-code="attr-defined"
@@ -26,7 +26,7 @@ def run_scenarios(
     first: int,
     last: int,
 ) -> None:
-    """Call `run_until_storyboard`; scenarios are interpreted one by one as long as that takes less than compiling."""
+    """Call `run_until_storyboard` for scenarios; interpret it one by one while that is faster than compiling it."""
     arguments = (scene, tracks, roads, fleet, actions, conditions, loop, options, first, last)
     if not can_interpret(0.0, is_loop=True) or run_until_storyboard.is_ready(*arguments):
         run_until_storyboard(*arguments)

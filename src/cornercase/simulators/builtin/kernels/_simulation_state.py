@@ -1,4 +1,4 @@
-"""State and recordings of a batch, as arrays for compiled code."""
+"""State and recordings of a batch, as arrays for kernels."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ PAGE_LENGTH: Final = 32
 
 
 class SimulationState(NamedTuple):
-    """State of E entities in N scenarios, and their recordings, stored in pages of 32 instants."""
+    """State of E entities in N scenarios, and their recordings, which are stored in pages of 32 instants."""
 
     floats: FloatArray  # (N, K, E): the world's table; rows as in `world/_state_layout.py`
     flags: BoolArray  # (N, K, E)
@@ -38,7 +38,10 @@ class SimulationState(NamedTuple):
 
 
 def make_state_arrays(world: World, max_instants: int) -> SimulationState:
-    """Share the state of a world with compiled code; `max_instants` is the maximum length of a recording."""
+    """Create arrays for kernels that share the state of a world.
+
+    `max_instants` is the largest length of a recording.
+    """
     scenarios, entities, max_pages = world.scenarios, world.entities, -(-max_instants // PAGE_LENGTH)
     boxes = [
         (

@@ -1,4 +1,4 @@
-"""What actions do that synchronize an entity with another, or keep a distance."""
+"""Kernels of actions that synchronize an entity with another, or keep a distance to it."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, untyped-decorator"
@@ -159,7 +159,7 @@ def apply_synchronize_action(scene, tracks, roads, actions, n, j, dt):
 def apply_distance_action(scene, actions, n, j, dt):
     """Apply a `LongitudinalDistanceAction` with limits for one time step, and return the outcome.
 
-    It acts like a critically damped spring. Python measures distances along roads, in each frame.
+    The action behaves like a critically damped spring. Distances along roads are measured in Python, in each frame.
     """
     e, other, continuous = actions.options[j, 1], actions.options[j, 2], actions.options[j, 3]
     between_boxes, is_time_gap, is_along_roads = actions.options[j, 4], actions.options[j, 5], actions.options[j, 6]
@@ -197,7 +197,7 @@ def _sign(speed):
 
 @_kernel
 def _road_position(scene, tracks, n, e, row):
-    """Road and s of an entity on a lane; -1 if it has to be located on the road."""
+    """Return road and s of an entity on a lane; -1 if the entity must be located on the road first."""
     state, flags = scene.floats[n], scene.flags[n]
     if not flags[PRESENT, e] or (flags[CHANGES_LANES, e] and not abs(state[OFFSET, e]) < MAX_LANE_OFFSET):
         return -1, 0.0
@@ -207,10 +207,10 @@ def _road_position(scene, tracks, n, e, row):
 
 @_kernel
 def _distance_to_destination(scene, tracks, roads, memory, destination, n, e):
-    """Outcome, and distance to an entity's destination in m, negative once passed.
+    """Return an outcome, and the distance in m from an entity to its destination, negative once it has passed.
 
-    It is measured along the road's reference line, else along the trajectory. Where an entity on a lane has to be
-    located on its road is known only after the actions before.
+    The distance is measured along the road's reference line, else along the trajectory. If the entity must be located
+    on its road first, the outcome says so, since that is only possible after the earlier actions.
     """
     state, track = scene.floats[n], scene.integers[n, TRACK, e]
     row = tracks.rows[e, track] if track >= 0 else -1
@@ -237,10 +237,10 @@ def _distance_to_destination(scene, tracks, roads, memory, destination, n, e):
 
 @_kernel
 def _speed_along_road(scene, tracks, roads, n, e):
-    """Whether an entity's speed along its road is known, and the absolute speed of the last step in m/s.
+    """Return whether the speed along the road is known, and the absolute speed of the last step in m/s.
 
-    In a bend it is the speed along the chord, projected onto the road's direction at the end of the step; without
-    roads, onto the heading.
+    In a bend this is the speed along the chord, projected onto the direction of the road at the end of the step.
+    Without roads it is projected onto the heading.
     """
     state, numbers = scene.floats[n], scene.integers[n]
     track = numbers[TRACK, e]
@@ -268,7 +268,7 @@ def _speed_along_road(scene, tracks, roads, n, e):
 
 @_kernel
 def _speed_for_arrival(speed, has_driver, memory, distance, time, is_approaching, dt):
-    """Speed at the end of the step, with one constant acceleration."""
+    """Return the speed at the end of the step for arrival with one constant acceleration."""
     mean_speed = distance / time
     if has_driver:
         return mean_speed
@@ -281,7 +281,10 @@ def _speed_for_arrival(speed, has_driver, memory, distance, time, is_approaching
 
 @_kernel
 def _speed_for_arrival_with_final_speed(speed, road_speed, memory, distance, time, final_speed, is_approaching, dt):
-    """Speed at the end of the step, with a final speed; `road_speed` is the speed along the road."""
+    """Return the speed at the end of the step for arrival with a final speed.
+
+    `road_speed` is the speed along the road.
+    """
     divisor = max(abs(final_speed), 1e-9)
     steady_distance = memory[_STEADY_TIME] * final_speed if memory[_STEADY_TIME] > 0.0 else memory[_STEADY_DISTANCE]
     if steady_distance > 0.0 and memory[_PHASE] != AT_FINAL_SPEED:
@@ -324,7 +327,7 @@ def _speed_for_arrival_with_final_speed(speed, road_speed, memory, distance, tim
 
 @_kernel
 def _speed_in_first_phase(speed, road_speed, memory, distance, time, final_speed, dt):
-    """Speed at the end of the step in the first of two phases."""
+    """Return the speed at the end of the step in the first of two phases."""
     rate, apex = _first_phase(road_speed, final_speed, distance, time)
     if (rate < 0.0) if memory[_IS_FASTER_FIRST] > 0.0 else (rate > 0.0):
         memory[_PHASE] = LAST_PHASE
@@ -343,11 +346,11 @@ def _speed_in_first_phase(speed, road_speed, memory, distance, time, final_speed
 
 @_kernel
 def _first_phase(start_speed, end_speed, distance, time):
-    """Acceleration of the first of two phases, and speed at its end.
+    """Return the acceleration in the first of two phases, and the speed at its end.
 
-    The phases have accelerations a and -a, cover `distance` in `time`, begin with v0 and end with v1. With vx between
-    them after the time x: distance = x (v0 + vx) / 2 + (time - x) (v1 + vx) / 2 and (vx - v0) / x =
-    (vx - v1) / (time - x).
+    The phases have accelerations a and -a, cover `distance` in `time`, begin with v0 and end with v1. If the speed
+    between them is vx, after the time x: distance = x (v0 + vx) / 2 + (time - x) (v1 + vx) / 2 and (vx - v0) / x = (vx
+    - v1) / (time - x).
     """
     mean_speed = distance / time
     if abs(end_speed - start_speed) < _EPSILON:

@@ -1,4 +1,4 @@
-"""Distances between entities in the coordinate systems of conditions."""
+"""Distances between entities, in the coordinate systems that conditions can name."""
 
 from __future__ import annotations
 
@@ -40,10 +40,10 @@ _KERNEL_KINDS: Final = {
 
 @dataclass(frozen=True)
 class DistanceMeasure:
-    """How a condition measures a distance.
+    """The way in which a condition measures a distance.
 
-    `kind`: euclidean, longitudinal or lateral. `along_road`: in road coordinates instead of the entity's.
-    `is_free_space`: between boxes instead of reference points.
+    `kind`: euclidean, longitudinal or lateral. `along_road`: in road coordinates, not in those of the entity.
+    `is_free_space`: between bounding boxes, not between reference points.
     """
 
     kind: str
@@ -51,7 +51,10 @@ class DistanceMeasure:
     is_free_space: bool
 
     def measure_to_entity(self, world: World, e: int, other: int) -> FloatArray:
-        """Signed distance in m to another entity, shape (N,); negative behind, and to the right if lateral."""
+        """Return the signed distance in m to another entity, shape (N,).
+
+        Negative behind, or to the right if lateral.
+        """
         if self.kind == "euclidean" and self.is_free_space:
             is_behind = world.compiled.measure_to_entity(e, other, LONGITUDINAL_DISTANCE + FREE_SPACE) < 0.0
             return np.where(is_behind, -1.0, 1.0) * _box_distance(world, e, other)
@@ -74,7 +77,7 @@ class DistanceMeasure:
         return free_space_to_entity_on_road(world, e, other, False, shortened)
 
     def measure_to_point(self, world: World, e: int, pose: Pose) -> FloatArray:
-        """Signed distance in m to a point, shape (N,); negative behind, and to the right if lateral."""
+        """Return the signed distance in m to a point, shape (N,); negative behind, or to the right if lateral."""
         if self.kind == "euclidean" or not self.along_road:
             return world.compiled.measure_to_point(e, pose.x, pose.y, self._kernel_kind)
         entity, along_roads = world.entities[e], distance_along_roads(world, e, pose)
@@ -98,12 +101,12 @@ class DistanceMeasure:
 
     @property
     def _kernel_kind(self) -> int:
-        """Its number in compiled code, which measures along the entity's axes."""
+        """Return the kind of distance in kernels, which measure along the axes of the entity."""
         return _KERNEL_KINDS[self.kind] + (FREE_SPACE if self.is_free_space else 0)
 
 
 def read_distance_measure(element: etree._Element, scope: Scope) -> DistanceMeasure:
-    """Read how an element's distance is measured; `InputError` for an unknown system or type."""
+    """Read how an element measures a distance; `InputError` for an unknown coordinate system or distance type."""
     kind = scope.read_text(element, "relativeDistanceType", "euclidianDistance")
     system = scope.read_text(element, "coordinateSystem", "entity")
     kinds = {

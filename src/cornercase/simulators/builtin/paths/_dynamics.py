@@ -1,4 +1,4 @@
-"""Transitions of values over time: shapes and dimensions of ``TransitionDynamics``."""
+"""Transitions of a value over time: shapes and dimensions of ``TransitionDynamics``."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _EPSILON: Final = 1e-6
 
 
 class TransitionDynamics:
-    """A change from one value to another, as an element's shape, dimension and value describe it."""
+    """A transition from one value to another, with the shape, dimension and value that a file gives."""
 
     def __init__(self, element: etree._Element, scope: Scope) -> None:
         self.shape = scope.read_text(element, "dynamicsShape")
@@ -38,11 +38,11 @@ class TransitionDynamics:
     def speed_change_duration(
         self, start: FloatArray, end: FloatArray, unlimited_end: FloatArray, max_slope: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Duration of a change of speed, and the factor by which it is stretched, each (N,).
+        """Return the duration in s of a change of speed, and the factor by which it is stretched, shape (N,) each.
 
-        `unlimited_end` is `end` without the vehicle's maximum speed; `max_slope` the largest slope in m/s², which the
-        stretched change does not exceed. All speeds in m/s. The duration at a rate is left to kernels, as it changes
-        with the speed of another entity.
+        A change is stretched so that its slope does not exceed `max_slope` in m/s². `unlimited_end` is `end` without
+        the limit of the vehicle's maximum speed. Speeds are in m/s. With the dimension rate, kernels compute the
+        duration, since it depends on the speed of another entity.
         """
         change, peak = np.abs(end - start), _PEAK_SLOPE[self.shape]
         if self.shape == "step":
@@ -57,11 +57,11 @@ class TransitionDynamics:
             return span, np.maximum(slope / np.maximum(max_slope, _EPSILON), 1.0)
 
     def is_immediate(self, span: FloatArray) -> BoolArray:
-        """Whether the change is immediate, shape (N,)."""
+        """Return in which scenarios the change is immediate, shape (N,)."""
         return np.asarray((span < _EPSILON) & (self.shape == "step" or self.dimension != "rate"))
 
     def lateral_extent(self, start: FloatArray, end: FloatArray) -> FloatArray:
-        """Duration or distance of a lateral change, shape (N,)."""
+        """Return the duration in s or distance in m of a lateral change, shape (N,)."""
         if self.shape == "step":
             return np.zeros_like(start)
         if self.dimension != "rate":
@@ -84,7 +84,7 @@ class TransitionDynamics:
 
 
 def check_dynamics_shape(shape: str, element: etree._Element, scope: Scope) -> None:
-    """Raise `InputError` if a ``dynamicsShape`` does not exist."""
+    """Raise `InputError` if there is no such ``dynamicsShape``."""
     if shape not in _PEAK_SLOPE:
         raise InputError(
             f"{scope.file_name}, line {element.sourceline}: dynamicsShape '{shape}' of <{element.tag}> is not one of"
@@ -93,7 +93,10 @@ def check_dynamics_shape(shape: str, element: etree._Element, scope: Scope) -> N
 
 
 def duration_at_peak_acceleration(shape: str, change: FloatArray, max_acceleration: FloatArray) -> FloatArray:
-    """Duration in s of a lateral change by `change` m that peaks at `max_acceleration` m/s²; linear as cubic."""
+    """Return the duration in s of a lateral change by `change` m that peaks at `max_acceleration` m/s².
+
+    A linear change is treated like a cubic one.
+    """
     with np.errstate(divide="ignore"):
         if shape == "step":
             return np.zeros_like(change)

@@ -1,4 +1,4 @@
-"""OpenSCENARIO positions, resolved for all scenarios of a batch when they are needed."""
+"""OpenSCENARIO positions, which are resolved when they are needed, for all scenarios of a batch."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ _END_TOLERANCE: Final = 0.1
 
 
 def read_position(holder: etree._Element, scope: Scope, world: World) -> PositionResolver:
-    """Read the position inside `holder`, as a function that resolves it in a world.
+    """Read the position inside an element; return a function that resolves it in a world.
 
-    `InputError` if there is none, its kind is not supported, or it refers to something that does not exist.
+    Raises `InputError` if there is none, its type is not supported, or it refers to something that does not exist.
     """
     element = next(iter(holder.iterchildren("*")), None)
     if element is None:
@@ -41,13 +41,13 @@ def read_position(holder: etree._Element, scope: Scope, world: World) -> Positio
 
 
 def is_static_position(holder: etree._Element) -> bool:
-    """Whether the position inside `holder` is the same at all times."""
+    """Return whether the position inside an element is the same at all times."""
     element = next(iter(holder.iterchildren("*")), None)
     return element is not None and element.tag in ("WorldPosition", "LanePosition", "RoadPosition")
 
 
 def read_entity_index(element: etree._Element, scope: Scope, world: World, attribute: str = "entityRef") -> int:
-    """Row of the entity that an attribute names."""
+    """Return the row of the entity that an attribute names."""
     name = scope.read_text(element, attribute)
     if name not in world.names:
         raise InputError(
@@ -58,7 +58,10 @@ def read_entity_index(element: etree._Element, scope: Scope, world: World, attri
 
 
 def read_entity_refs(holder: etree._Element, scope: Scope, world: World) -> list[int]:
-    """Rows of the entities that ``EntityRef`` elements name, directly or as members of a selection; no duplicates."""
+    """Return the rows of the entities that ``EntityRef`` elements name, also as members of a selection.
+
+    No duplicates.
+    """
     rows = []
     for element in holder.iterfind("EntityRef"):
         name = scope.read_text(element, "entityRef")
@@ -134,13 +137,16 @@ def _read_relative_lane_position(element: etree._Element, scope: Scope, world: W
 
 
 def shift_lane(lane: IntArray, n_lanes: IntArray) -> IntArray:
-    """Lane number `n_lanes` lanes to the left seen along s (negative: right), each (N,). There is no lane 0."""
+    """Return the lane number that is `n_lanes` lanes to the left (negative: right), seen along s, shape (N,).
+
+    Lane numbers skip 0.
+    """
     moved = lane + n_lanes
     return np.where((moved == 0) | (np.sign(moved) != np.sign(lane)), moved + np.sign(n_lanes), moved)
 
 
 def _move_along_roads(world: World, base: Pose, ds: FloatArray) -> Pose:
-    """Move `base` along the roads by `ds` m (negative: against s)."""
+    """Return a pose moved along the roads by `ds` m, positive along s."""
     assert world.network is not None
     road, lane, start = base.road_coordinates()
     road, lane, s = road.copy(), lane.copy(), start + ds
@@ -161,7 +167,7 @@ def _move_along_roads(world: World, base: Pose, ds: FloatArray) -> Pose:
 
 
 def _mark_end_of_road(pose: Pose, moved: Pose, element: etree._Element, scope: Scope) -> Pose:
-    """Pose with `is_beyond_road` set where the path to it ended with the road."""
+    """Return the pose, marked as beyond the road where `moved` is, since the road ended on the path to it."""
     assert pose.is_beyond_road is not None
     assert moved.is_beyond_road is not None
     location = f"{Path(scope.file_name).name}, line {element.sourceline}"
@@ -216,7 +222,7 @@ def _pose_from_road_coordinates(
 
 
 def _clip_to_road(world: World, road: IntArray, s: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Coordinate s clipped to the roads, and whether it was beyond them, each (N,)."""
+    """Clip coordinates s to the length of the roads; also return which were beyond it, shape (N,) each."""
     assert world.network is not None
     lengths = world.network.road_lengths[road]
     return np.clip(s, 0.0, lengths), (s < -_END_TOLERANCE) | (s > lengths + _END_TOLERANCE)
@@ -259,7 +265,7 @@ def _read_route_position(element: etree._Element, scope: Scope, world: World) ->
 def _walk_route(
     network: RoadNetwork, waypoints: list[Pose], distance: FloatArray
 ) -> tuple[IntArray, FloatArray, BoolArray]:
-    """Road, s, and whether the route runs along s, `distance` m after the first waypoint, each (N,)."""
+    """Return road, s and direction (whether along s) at distances in m along a route, shape (N,) each."""
     roads = np.stack([pose.road_coordinates()[0] for pose in waypoints])
     _, first_lane, first_s = waypoints[0].road_coordinates()
     section = np.zeros(len(distance), dtype=np.int64)
@@ -285,9 +291,10 @@ RouteResolver = Callable[[World], list[Pose]]
 
 
 def read_route(holder: etree._Element, scope: Scope, world: World) -> RouteResolver:
-    """Read the ``Route`` or ``CatalogReference`` in `holder`, as a function that resolves its waypoints in a world.
+    """Read the ``Route`` or ``CatalogReference`` in an element.
 
-    `InputError` if there is none, or it has fewer than two waypoints.
+    Return a function that resolves its waypoints in a world. Raises `InputError` if there is none, or if it has fewer
+    than two waypoints.
     """
     element, scope = scope.resolve_element_or_reference(holder, "Route")
     waypoints = [
@@ -319,7 +326,7 @@ def _read_trajectory_position(element: etree._Element, scope: Scope, world: Worl
 
 
 def _read_offset_position(element: etree._Element, scope: Scope, world: World) -> PositionResolver:
-    """Read a ``RelativeObjectPosition`` (in the entity's axes) or a ``RelativeWorldPosition``."""
+    """Read a ``RelativeObjectPosition`` (along the axes of the entity) or a ``RelativeWorldPosition``."""
     entity = read_entity_index(element, scope, world)
     dx, dy = scope.read_numbers(element, "dx"), scope.read_numbers(element, "dy")
     turn, relative = _read_orientation(element, scope)

@@ -1,4 +1,4 @@
-"""Trajectory shapes as files and catalogs define them."""
+"""Shapes of trajectories in files and catalogs."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ PositionReader = Callable[[etree._Element, Scope, World], PositionResolver]
 
 
 class WorldPosition:
-    """A position given by coordinates; its road is looked up only when needed."""
+    """A position given by coordinates in the plane; its road is looked up only when it is needed."""
 
     def __init__(self, pose: Pose) -> None:
         self.pose = pose
 
     def __call__(self, world: World) -> Pose:
-        """Return the pose with its road."""
+        """Return the pose with its road coordinates."""
         if world.network is None:
             return self.pose
         return replace(self.pose, **world.network.locate(self.pose.x, self.pose.y)._asdict())
@@ -47,15 +47,15 @@ _TIME_TOLERANCE: Final = 1e-6
 
 @dataclass(frozen=True)
 class TimeConversion:
-    """Conversion of a file's times into a trajectory's: scaled, then shifted, each (N,)."""
+    """Conversion of times in a file into times of a trajectory, by a factor and then an offset, shape (N,) each."""
 
     scale: FloatArray
     shift: FloatArray
 
     def convert(self, file_times: FloatArray) -> FloatArray:
-        """Convert times of the file, each (N, V).
+        """Convert times of the file, shape (N, V).
 
-        If they go back before the latest one, time stands still until it is reached again.
+        If a time is earlier than a previous one, the previous one is repeated, so that times never decrease.
         """
         times = file_times * self.scale[:, None] + self.shift[:, None]
         latest = np.maximum.accumulate(times, axis=1)
@@ -63,9 +63,9 @@ class TimeConversion:
 
 
 class TrajectoryBuilder(Protocol):
-    """Builds a trajectory in the world's current state.
+    """Function that builds a trajectory for the current state of a world.
 
-    `smooth` is the following mode ``follow``; without `clock` the trajectory has no times; `entity` follows it.
+    `smooth` selects the following mode ``follow``. Without `clock`, the trajectory has no times. `entity` follows it.
     """
 
     def __call__(
@@ -78,9 +78,9 @@ class TrajectoryBuilder(Protocol):
 def read_trajectory(
     holder: etree._Element, scope: Scope, world: World, read_position: PositionReader
 ) -> TrajectoryBuilder:
-    """Read the ``Trajectory`` or ``CatalogReference`` in `holder`; `read_position` reads positions of its vertices.
+    """Read the ``Trajectory`` or ``CatalogReference`` in an element; `read_position` reads the positions in it.
 
-    `InputError` if there is none, or it is malformed.
+    Raises `InputError` if there is none, or if it is malformed.
     """
     element, inner = scope.resolve_element_or_reference(holder, "Trajectory")
     shape = element.find("Shape")
@@ -103,10 +103,10 @@ def read_trajectory(
 
 
 def has_times(holder: etree._Element, scope: Scope) -> bool:
-    """Whether the trajectory in `holder` has different times.
+    """Return whether the trajectory in an element has times that differ.
 
-    `InputError` if it has, but is closed: no time says when its first vertex is reached again. `BatchSplitError` if it
-    has in some scenarios only.
+    Raises `InputError` for a closed trajectory with times, since its return to the first vertex has none. Raises
+    `BatchSplitError` if only some scenarios have times.
     """
     element, inner = scope.resolve_element_or_reference(holder, "Trajectory")
     timed = [
@@ -172,7 +172,7 @@ _Vertices = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 def _read_vertices(
     element: etree._Element, vertices: list[etree._Element], scope: Scope, world: World, read_position: PositionReader
 ) -> Callable[[World], _Vertices]:
-    """Read the vertices of a polyline; the returned function resolves them in a world."""
+    """Read the vertices of a polyline; return a function that resolves them in a world."""
     constant = cached_on_element(
         element, "corners", lambda: _read_constant_vertices(vertices, scope, world, read_position)
     )
@@ -198,7 +198,7 @@ def _read_vertices(
 def _read_constant_vertices(
     vertices: list[etree._Element], scope: Scope, world: World, read_position: PositionReader
 ) -> tuple[FloatArray, ...] | None:
-    """Rows of vertices, each (V,), if no parameter changes them and all are world positions; else None."""
+    """Return the vertices as rows, shape (V,) each, if they are world positions without parameters; else None."""
     elements = [_require_position(vertex, scope) for vertex in vertices]
     if any(len(element) != 1 or element[0].tag != "WorldPosition" or len(element[0]) for element in elements):
         return None
@@ -267,7 +267,7 @@ def _read_clothoids(
 def _read_segment_times(
     element: etree._Element, segments: list[etree._Element], length: FloatArray, scope: Scope
 ) -> FloatArray:
-    """Times at which spline segments begin, and the last one ends; evenly interpolated where not given."""
+    """Return the times at which spline segments begin, and the end of the last; missing times are interpolated."""
     given: dict[int, FloatArray] = {
         k: scope.read_numbers(segment, "timeStart")
         for k, segment in enumerate(segments)
@@ -313,7 +313,7 @@ def _read_nurbs(
 
 
 def _resolve_coordinates(position: PositionResolver, world: World) -> Pose:
-    """Current pose; with a road only if the position is given by its road."""
+    """Return the present pose of a position; it has a road only if the position is given on a road."""
     return position.pose if isinstance(position, WorldPosition) else position(world)
 
 

@@ -1,4 +1,4 @@
-"""Storyboard elements, their states and transitions."""
+"""Elements of the storyboard, their states and their transitions."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ _TRANSITIONS: Final = {
 
 
 class StateWatcher:
-    """State of an element as a condition sees it, or its transition since the condition was last evaluated.
+    """The state or transition of an element for which a condition waits.
 
-    A change is seen once, by the next evaluation, however late; as in esmini, one that is cleared before is never seen.
-    `state` is the awaited state or transition, such as ``"runningState"``; `where` starts error messages.
+    `state` is its name, such as ``"runningState"``; `location` starts error messages. The next evaluation sees a
+    transition once, however late it is. As in esmini, a transition that is cleared before is never seen.
     """
 
     def __init__(self, state: str, scenarios: int, location: str) -> None:
@@ -43,7 +43,7 @@ class StateWatcher:
         self._has_changed, self._was_matched = (np.zeros(scenarios, dtype=np.bool_) for _ in range(2))
 
     def __call__(self, world: World, where: BoolArray) -> BoolArray:
-        """Check the element's state, or its transition since the last call, shape (N,)."""
+        """Return where the awaited state holds, or the awaited transition has occurred since the last call, (N,)."""
         result = (
             self._was_matched
             if self._state is None
@@ -69,32 +69,33 @@ class StateWatcher:
 
 
 class ElementTrigger(Protocol):
-    """Interface of triggers for elements."""
+    """Interface of the triggers of elements."""
 
     def fires(self, world: World, where: BoolArray) -> BoolArray:
-        """Scenarios of the mask in which it fires, shape (N,)."""
+        """Return the scenarios of a mask in which the trigger fires, shape (N,)."""
         ...
 
     def reset(self, where: BoolArray) -> None:
-        """Reset in the scenarios of the mask."""
+        """Reset the trigger in the scenarios of a mask."""
         ...
 
     def may_fire(self, world: World) -> BoolArray:
-        """Scenarios in which it may ever fire, shape (N,)."""
+        """Return the scenarios in which the trigger can still fire at some time, shape (N,)."""
         ...
 
     @property
     def groups(self) -> list[list[Any]]:
-        """All its conditions, by group."""
+        """Return all conditions of the trigger, by group."""
         ...
 
 
 class Element:
-    """A storyboard element with a state in every scenario, ndarray of int8 (N,).
+    """An element of the storyboard, with a state in each scenario, ndarray of int8 (N,).
 
-    A state change takes effect immediately: elements later in the file see it in the same frame, the others in the
-    next. `kind` is as in ``storyboardElementType``. Without a start trigger the element starts as soon as it can.
-    `times` is the number of executions until it is complete; None if it is complete once it has ended.
+    A change of state takes effect immediately: elements that come later in the file see it in the same frame, all
+    others in the next. `kind` is a ``storyboardElementType``. Without a start trigger, the element starts as soon as it
+    can. `times` is the number of executions until the element is complete; None means that it is complete when it has
+    ended.
     """
 
     def __init__(
@@ -117,11 +118,11 @@ class Element:
             child._parent = self
 
     def add_watcher(self, watcher: StateWatcher) -> None:
-        """Report all changes to a condition from now on."""
+        """Report all changes of state to a condition from now on."""
         self._watches.append(watcher)
 
     def iter_triggers(self) -> Iterator[tuple[ElementTrigger, int]]:
-        """Yield the element's triggers, and the state in which each may fire."""
+        """Yield the triggers of the element, each with the state in which it can fire."""
         if self._start is not None:
             yield self._start, STANDBY
         if self._stop is not None:
@@ -129,7 +130,7 @@ class Element:
 
     @property
     def has_no_start_trigger(self) -> bool:
-        """Whether it has no start trigger."""
+        """Return whether the element has no start trigger."""
         return self._start is None
 
     def set_state(self, where: BoolArray, state: int, transition: int) -> None:
@@ -140,7 +141,7 @@ class Element:
             self.state[where] = state
 
     def end(self, where: BoolArray) -> None:
-        """End the element and its running children in the scenarios of a mask; the last child ends its parent."""
+        """End the element and its running children in the scenarios of a mask; the parent ends with its last child."""
         where = where & (self.state != COMPLETE)
         if not any_true(where):
             return

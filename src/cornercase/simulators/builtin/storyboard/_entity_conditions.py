@@ -1,4 +1,4 @@
-"""Conditions on one entity, evaluated for every scenario of a batch."""
+"""Conditions on a single entity, evaluated for all scenarios of a batch."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ _RULES: Final[dict[str, Callable[[Any, Any], Any]]] = {
 def read_comparison_rule(
     element: etree._Element, scope: Scope, rules: Mapping[str, Callable[[Any, Any], Any]] = _RULES
 ) -> Callable[[Any, Any], Any]:
-    """Comparison function for an element's ``rule``."""
+    """Return the comparison function for the ``rule`` of an element."""
     rule = scope.read_text(element, "rule")
     if rule not in rules:
         raise InputError(
@@ -67,7 +67,7 @@ def read_comparison_rule(
 
 
 def comparison_rule_index(rule: Callable[[Any, Any], Any]) -> int:
-    """Index of a comparison in the kernels."""
+    """Return the number of a comparison rule in kernels."""
     return list(_RULES.values()).index(rule)
 
 
@@ -107,7 +107,7 @@ def _speed_condition(element: etree._Element, scope: Scope, world: World) -> Ent
 
 
 def _read_velocity_leaf(kind: int, element: etree._Element, scope: Scope, other: int = -1) -> LeafCondition:
-    """Read the rule, the value and the component that a condition on a velocity or acceleration compares."""
+    """Read the rule, value and component of a condition on a velocity or an acceleration."""
     rule, value = read_comparison_rule(element, scope), scope.read_numbers(element, "value")
     option = _COMPONENTS.get(scope.read_text(element, "direction", ""), distances.VERTICAL_COMPONENT)
     return LeafCondition(kind, other, comparison_rule_index(rule), option, (value,))
@@ -185,7 +185,7 @@ def _distance_condition(element: etree._Element, scope: Scope, world: World) -> 
 
 
 def _kernel_gap_option(gap: DistanceMeasure, to_entity: bool) -> int | None:
-    """Option by which kernels measure a gap; None if they cannot."""
+    """Return the option for which kernels measure a gap; None if kernels cannot measure it."""
     options = {
         "euclidean": distances.EUCLIDEAN_DISTANCE,
         "longitudinal": distances.LONGITUDINAL_DISTANCE,

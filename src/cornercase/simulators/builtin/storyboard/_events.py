@@ -1,4 +1,4 @@
-"""Storyboard elements: actions, events, and their groups."""
+"""Elements of the storyboard: actions, events, and groups such as maneuvers."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from cornercase.simulators.builtin.world._world import World
 
 
 class ActionElement(Element):
-    """An action of one event for one actor; without effect if `action` is None.
+    """An action of an event for a single actor; it has no effect if `action` is None.
 
-    `rivals`: all actions of the same entity, to which this one is added. `chosen`: scenarios in which the actor takes
-    part, evaluated at the start. `place`: line, element and name for errors.
+    `entity_actions` lists all actions of the same entity; this one is added. `takes_part` returns the scenarios in
+    which the actor takes part, and is called when the action starts. `location` is line, element and name, for errors.
     """
 
     def __init__(
@@ -39,7 +39,7 @@ class ActionElement(Element):
 
     @property
     def is_instantaneous(self) -> bool:
-        """Whether it is done as soon as it has started, and ends in the same frame."""
+        """Whether the action takes effect when it starts, and ends in the same frame."""
         return self.action is None or type(self.action).step is Action.step
 
     def start(self, where: BoolArray) -> None:
@@ -56,7 +56,7 @@ class ActionElement(Element):
             self._world.has_leaf_values = False
 
     def end_conflicting_actions(self, where: BoolArray) -> None:
-        """End all actions of the same entity with a common domain, in the scenarios of a mask."""
+        """End all other actions of the entity that control the same part of its motion, in the scenarios of a mask."""
         for rival in self._entity_actions:
             if rival is not self and not set(rival.domains).isdisjoint(self.domains):
                 rival.end(where & (rival.state == RUNNING))
@@ -72,7 +72,7 @@ class ActionElement(Element):
             self._end_without_release(is_done)
 
     def look_up_positions(self, where: BoolArray) -> None:
-        """Look up what kernels cannot before the action acts, in the scenarios of a mask."""
+        """Look up positions that kernels cannot look up, before the action acts, in the scenarios of a mask."""
         where = where & (self.state == RUNNING)
         if self.action is not None and any_true(where):
             self._world.current_action = self._location
@@ -97,10 +97,10 @@ class ActionElement(Element):
 
 
 class Event(Element):
-    """An event: when its trigger fires, its actions start.
+    """An event, which starts its actions when its trigger fires; without a trigger it starts immediately.
 
-    Without a trigger it fires immediately. `times`: number of executions. `priority`: ``"overwrite"`` ends the other
-    events of its maneuver, ``"skip"`` does not start while one of them runs.
+    `times` is the number of executions. With the `priority` ``"overwrite"``, the event ends the other events of its
+    maneuver; with ``"skip"``, it does not start while one of them runs.
     """
 
     def __init__(
@@ -117,7 +117,7 @@ class Event(Element):
         self._priority = priority
 
     def evaluate_triggers(self, world: World, where: BoolArray) -> None:
-        """Start where the maneuver runs and the trigger fires."""
+        """Start the event where its maneuver runs and its trigger fires."""
         waiting = where & (self.state == STANDBY)
         if any_true(waiting):
             fired = waiting if self._start is None else self._start.fires(world, waiting)
@@ -125,7 +125,7 @@ class Event(Element):
             self._start_actions(fired)
 
     def start(self, where: BoolArray) -> None:
-        """Become ready as the maneuver starts."""
+        """Make the event ready to fire when its maneuver starts."""
         self.set_state(where & (self.state == INIT), STANDBY, NOTHING)
 
     def step(self, dt: float, where: BoolArray) -> None:
@@ -158,7 +158,7 @@ class Event(Element):
 
 
 class ElementGroup(Element):
-    """A maneuver, maneuver group, act or story: runs its children until all of them have ended."""
+    """A maneuver, maneuver group, act or story, which runs its children until all of them have ended."""
 
     def __init__(
         self,
@@ -174,7 +174,7 @@ class ElementGroup(Element):
         self._parts = children
 
     def evaluate_triggers(self, world: World, where: BoolArray) -> None:
-        """Evaluate the triggers of the element and its descendants, where its parent runs."""
+        """Evaluate the triggers of the group and its descendants, in scenarios where its parent runs."""
         if self._stop is not None:
             self.stop(self._stop.fires(world, where & (self.state == RUNNING)))
         waiting = where & (self.state == STANDBY)
@@ -188,7 +188,7 @@ class ElementGroup(Element):
                 child.evaluate_triggers(world, running)
 
     def start(self, where: BoolArray) -> None:
-        """Start with the parent, or wait for the start trigger."""
+        """Start together with the parent, or wait for the start trigger."""
         new = where & (self.state == INIT)
         if self._start is not None:
             self.set_state(new, STANDBY, NOTHING)
@@ -203,7 +203,7 @@ class ElementGroup(Element):
                 child.step(dt, where)
 
     def has_pending_stop(self, world: World) -> BoolArray:
-        """Where it runs and its stop trigger may fire later, but does not fire now, shape (N,)."""
+        """Return where the group runs and its stop trigger does not fire now, but can fire later, shape (N,)."""
         if self._stop is None:
             return np.zeros(world.scenarios, dtype=np.bool_)
         running = self.state == RUNNING

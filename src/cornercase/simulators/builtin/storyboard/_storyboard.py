@@ -1,4 +1,4 @@
-"""The storyboard: a tree of elements, each with its own state in every scenario of a batch."""
+"""The storyboard: a tree of elements, each with a state in every scenario of a batch."""
 
 from __future__ import annotations
 
@@ -40,9 +40,9 @@ _RELATIVE_POSITION_TAGS: Final = (
 
 
 class Storyboard:
-    """A file's storyboard for all scenarios of a batch.
+    """The storyboard of a file, for all scenarios of a batch.
 
-    `actions`: all of its actions in the order in which they act. `triggers`: all triggers, in a fixed order.
+    `actions` has all actions in the order in which they act. `triggers` has all triggers, in a fixed order.
     """
 
     def __init__(self, scenario: ScenarioFile, scope: Scope, world: World) -> None:
@@ -84,7 +84,7 @@ class Storyboard:
         self._action_rows = [rows[action] for action in self.actions]
 
     def find_waiting_triggers(self) -> BoolArray:
-        """Where each trigger may fire in the next frame, shape (T, N)."""
+        """Return where each trigger can fire in the next frame, shape (T, N)."""
         return np.concatenate(
             [
                 np.ones((1, self._world.scenarios), dtype=np.bool_),
@@ -93,19 +93,19 @@ class Storyboard:
         )
 
     def find_running_actions(self) -> BoolArray:
-        """Where each of `actions` runs, shape (J, N)."""
+        """Return where each of the `actions` runs, shape (J, N)."""
         return np.asarray(self._states[self._action_rows] == RUNNING)
 
     def waits_without_trigger(self) -> BoolArray:
-        """Scenarios in which an element without a start trigger waits for the next frame, shape (N,)."""
+        """Return where an element without a start trigger will start in the next frame, shape (N,)."""
         return np.asarray(self._stopped | (self._states[self._untriggered_rows] == STANDBY).any(axis=0))
 
     def watch_element(self, kind: str, name: str, watch: StateWatcher, location: str) -> None:
-        """Connect a condition to the element of a kind and name once all elements are read."""
+        """Connect a condition to the element with a type and name, as soon as all elements are read."""
         self._watches.append((kind, name, watch, location))
 
     def find_element(self, kind: str, name: str) -> Element | None:
-        """Find the element of a kind and name; names may include those of parents, as in ``Act::Group``."""
+        """Return the element with a type and name; the name may include those of parents, as in ``Act::Group``."""
         path = tuple(name.split("::"))
         for element, parents in self._elements.get((kind, path[-1]), ()):
             # A name need not include all parents.
@@ -115,9 +115,9 @@ class Storyboard:
         return None
 
     def evaluate_triggers(self, dt: float) -> None:
-        """Evaluate all triggers at the start of a frame of `dt` s, and start elements.
+        """Evaluate all triggers at the start of a frame, and start elements.
 
-        `dt` is 0 in the first frame, which places entities.
+        `dt` is the duration of the frame in s; it is 0 in the first frame, which places entities.
         """
         world = self._world
         if dt == 0.0:
@@ -141,10 +141,10 @@ class Storyboard:
             story.evaluate_triggers(world, world.running & self._is_active)
 
     def would_continue(self) -> BoolArray:
-        """Scenarios that would end later although all elements have run, shape (N,).
+        """Return the scenarios that do not end yet although all elements have run, shape (N,).
 
-        The storyboard, or a running act, has a stop trigger that may fire, or an entity follows a trajectory with
-        times.
+        They wait for a stop trigger of the storyboard or of a running act that can still fire, or for an entity that
+        follows a trajectory with times.
         """
         all_scenarios = np.ones(self._world.scenarios, dtype=np.bool_)
         result = self._stop.may_fire(self._world)
@@ -157,12 +157,12 @@ class Storyboard:
         return result & ~self._stopped & ~self._stop.fires(self._world, all_scenarios)
 
     def look_up_positions(self, where: BoolArray) -> None:
-        """Look up what kernels cannot before the actions act, in the scenarios of a mask."""
+        """Look up positions that kernels cannot look up, before the actions act, in the scenarios of a mask."""
         for action in self.actions:
             action.look_up_positions(where)
 
     def end_instantaneous_actions(self) -> None:
-        """End the actions that were done when they started; later actions cannot tell the difference."""
+        """End all actions that are done when they start; this has no influence on later actions."""
         for action in self._momentary:
             action.step(0.0, self._world.running)
 
@@ -208,7 +208,10 @@ class Storyboard:
         return self._register_element(ElementGroup("act", name, scope.n_scenarios, groups, start, stop))
 
     def _read_start_trigger(self, element: etree._Element, scope: Scope) -> Trigger | None:
-        """Start trigger of an act or event; None, which fires immediately, if missing or empty."""
+        """Return the start trigger of an act or event.
+
+        None if it is missing or empty, so that the element starts at once.
+        """
         trigger = read_trigger(element.find("StartTrigger"), scope, self._world, self)
         return None if trigger.is_empty else trigger
 
@@ -302,7 +305,7 @@ class Storyboard:
 
 
 def _sort_init_actions(actions: list[etree._Element], scope: Scope) -> list[etree._Element]:
-    """Sort initial actions so that entities are placed before others are placed relative to them."""
+    """Sort the initial actions, so that an entity is placed before others that are placed relative to it."""
     remaining = [_InitAction.from_element(element, scope) for element in actions]
     ordered: list[etree._Element] = []
     while remaining:
@@ -322,7 +325,7 @@ def _sort_init_actions(actions: list[etree._Element], scope: Scope) -> list[etre
 
 @dataclass(frozen=True, eq=False)
 class _InitAction:
-    """An initial action: its entity, the entities it refers to, and whether it adds or places its entity."""
+    """An initial action: its entity, the entities it refers to, and whether it adds or places the entity."""
 
     element: etree._Element
     entity: str

@@ -1,4 +1,4 @@
-"""Conditions and triggers, evaluated for every scenario of a batch."""
+"""Conditions and triggers, evaluated for all scenarios of a batch."""
 
 from __future__ import annotations
 
@@ -50,18 +50,19 @@ _TEXT_RULES: Final[dict[str, Callable[[Any, Any], Any]]] = {
 
 
 class ElementLookup(Protocol):
-    """Storyboard elements by name, available once the whole storyboard is read."""
+    """Access to storyboard elements by name, available once the whole storyboard is read."""
 
     def watch_element(self, kind: str, name: str, watch: StateWatcher, location: str) -> None:
-        """Connect a condition to the element of a kind and name once all elements are read."""
+        """Connect a condition to the element with a type and name, as soon as all elements are read."""
         ...
 
 
 class Condition:
-    """One condition with its edge and its delay in s, shape (N,).
+    """A condition with its edge, and its delay in s, shape (N,).
 
     `test` takes the world and a mask of scenarios, and returns a boolean array (N,). `edge` is ``"none"``,
-    ``"rising"``, ``"falling"`` or ``"risingOrFalling"``. With a delay, the value of that long ago counts.
+    ``"rising"``, ``"falling"`` or ``"risingOrFalling"``. With a delay, the condition has the value that it had before
+    the delay.
     """
 
     def __init__(self, test: Test, edge: str, delay: FloatArray) -> None:
@@ -91,7 +92,7 @@ class Condition:
 
     @property
     def kernel_spec(self) -> ConditionSpec | None:
-        """What kernels evaluate for it; None if they cannot."""
+        """Return the form of the condition that kernels can evaluate; None if they cannot."""
         test, plain = self.test, self._edge == "none" and self._past is None
         if isinstance(test, EntityCondition):
             return None if test.leaves is None else ConditionSpec(test.leaves, test.requires_all, plain)
@@ -100,31 +101,34 @@ class Condition:
         return ConditionSpec([], True, False) if isinstance(test, StateWatcher) else None
 
     def use_leaf_values(self, leaf_values: BoolArray) -> None:
-        """Take the values of the leaves of its `kernel_spec` from here, a view (N, L) of what kernels evaluate."""
+        """Use the values of the leaves that kernels evaluate, from a view of shape (N, L)."""
         if isinstance(self.test, EntityCondition | ValueCondition):
             self.test.leaf_values = leaf_values
 
     def constant_value(self, world: World) -> BoolArray | None:
-        """Its value (N,) if only the storyboard or a signal controller can change it; otherwise None."""
+        """Return the value (N,) of a condition that only the storyboard or a signal controller can change.
+
+        Otherwise None.
+        """
         test = self.test
         return test.value(world) if isinstance(test, ValueCondition) and test.value is not None else None
 
     @property
     def changes_by_itself(self) -> bool:
-        """Whether a signal controller can change it."""
+        """Whether a signal controller can change the value."""
         return isinstance(self.test, ValueCondition) and self.test.changes_by_itself
 
     @property
     def delay_buffer(self) -> DelayBuffer | None:
-        """Its delayed values, if it has a delay."""
+        """Return the buffer of the delayed values; None without a delay."""
         return self._past
 
     def reset_edge(self, where: BoolArray) -> None:
-        """See no edge at the next evaluation in the scenarios of the mask."""
+        """Make the next evaluation detect no edge, in the scenarios of a mask."""
         self._last_value[where] = -1
 
     def reset_delay(self, where: BoolArray) -> None:
-        """Restart delays in the scenarios of the mask."""
+        """Restart the delay in the scenarios of a mask."""
         if self._past is not None:
             self._past.clear(where)
         if isinstance(self.test, StateWatcher):
@@ -132,9 +136,9 @@ class Condition:
 
 
 class DelayBuffer:
-    """Earlier values of a condition with a delay in s, shape (N,).
+    """Earlier values of a condition, for a delay in s, shape (N,).
 
-    `is_sudden`: whether its value may change in the next frame although its inputs have not.
+    `is_sudden`: whether the value may be different in the next frame although its inputs have not changed.
     """
 
     def __init__(self, delay: FloatArray, is_sudden: bool) -> None:
@@ -144,9 +148,9 @@ class DelayBuffer:
         self._newest_value, self._current_value = (np.full(len(delay), -1, dtype=np.int8) for _ in range(2))
 
     def delayed_value(self, world: World, value: BoolArray, where: BoolArray) -> BoolArray:
-        """Store the current value, and return the delayed one, shape (N,).
+        """Store the present value, and return the delayed value, shape (N,).
 
-        Of several values since the last call, any true one counts.
+        If several stored values have become due since the last call, the result is true if any of them is.
         """
         new, time = where & (self._newest_value != value), world.time
         self._newest_value[new] = value[new]
@@ -177,7 +181,7 @@ class DelayBuffer:
         return self._delay
 
     def oldest_pending_time(self) -> FloatArray:
-        """Time in s of the oldest change that waits for its delay, infinite if none, shape (N,)."""
+        """Return the time in s of the oldest change that is not yet due, shape (N,); infinite if there is none."""
         result = np.full(len(self._delay), np.inf)
         for then, _, changed in self._frames:
             result = np.where(changed, np.minimum(result, then), result)
@@ -191,28 +195,28 @@ class DelayBuffer:
 
 
 class Trigger:
-    """Condition groups; the trigger fires when all conditions of one group hold, and never without groups."""
+    """Groups of conditions; it fires when all conditions of a group hold. Without groups it never fires."""
 
     def __init__(self, groups: list[list[Condition]]) -> None:
         self._groups = groups
 
     @property
     def groups(self) -> list[list[Condition]]:
-        """All conditions, by group."""
+        """Return all conditions, by group."""
         return self._groups
 
     @property
     def is_empty(self) -> bool:
-        """Whether there are no conditions, so that it never fires."""
+        """Whether the trigger has no conditions, so that it never fires."""
         return not self._groups
 
     @property
     def entities(self) -> list[int]:
-        """Entities that may trigger it by themselves, in order."""
+        """Return the rows of the entities that may trigger it, in order."""
         return list(dict.fromkeys(entity for test in self._entity_conditions() for entity in test.entities))
 
     def is_triggered_by(self, entity: int) -> BoolArray:
-        """Scenarios in which a condition was last true for an entity, shape (N,)."""
+        """Return the scenarios in which a condition was true for an entity at the last evaluation, shape (N,)."""
         return np.asarray(
             np.any(
                 [test.last_result_for(entity) for test in self._entity_conditions() if entity in test.entities], axis=0
@@ -224,7 +228,7 @@ class Trigger:
         return [test for test in tests if isinstance(test, EntityCondition)]
 
     def fires(self, world: World, where: BoolArray) -> BoolArray:
-        """Scenarios of the mask in which the trigger fires, shape (N,)."""
+        """Return the scenarios of a mask in which the trigger fires, shape (N,)."""
         fired = np.zeros(len(where), dtype=np.bool_)
         if not any_true(where):
             return fired
@@ -242,7 +246,7 @@ class Trigger:
         return fired
 
     def may_fire(self, world: World) -> BoolArray:
-        """Scenarios in which no constant condition prevents all groups from holding, shape (N,)."""
+        """Return the scenarios in which at least one group is not prevented by a constant condition, shape (N,)."""
         result = np.zeros(world.scenarios, dtype=np.bool_)
         for group in self._groups:
             constants = [condition.constant_value(world) for condition in group if not condition.changes_by_itself]
@@ -300,9 +304,9 @@ def _read_condition_test(condition: etree._Element, scope: Scope, world: World, 
 
 
 class EntityCondition:
-    """A condition on entities: true for any, or for all, triggering entities.
+    """A condition on entities, true if it holds for any (or for all) of the triggering entities.
 
-    `leaf_values` (N, L): values of its leaves, which kernels have evaluated.
+    `leaf_values` (N, L) are the values of its leaves, which kernels have evaluated.
     """
 
     def __init__(self, entities: list[int], requires_all: bool, test: EntityTest) -> None:
@@ -314,7 +318,7 @@ class EntityCondition:
 
     @property
     def leaves(self) -> list[tuple[int, LeafCondition]] | None:
-        """Leaves to evaluate for each entity; None if kernels cannot."""
+        """Return the leaves to evaluate for each entity; None if kernels cannot evaluate the condition."""
         return [(e, leaf) for e in self.entities for leaf in self._test] if isinstance(self._test, tuple) else None
 
     def __call__(self, world: World, where: BoolArray) -> BoolArray:
@@ -329,15 +333,15 @@ class EntityCondition:
         return np.asarray(results.all(axis=0) if self.requires_all else results.any(axis=0))
 
     def last_result_for(self, entity: int) -> BoolArray:
-        """Scenarios in which it was last true for an entity, shape (N,)."""
+        """Return the scenarios in which the condition was true for an entity at the last evaluation, shape (N,)."""
         return np.asarray(self._last_results[self.entities.index(entity)])
 
 
 class ValueCondition:
-    """A condition on time, which kernels evaluate, or on values that the storyboard or a signal controller changes.
+    """A condition on the time, or on a value that only the storyboard or a signal controller changes.
 
-    `value` returns an array (N,); None for a condition on time. `changes_by_itself`: a signal controller may change it.
-    `leaf_values` (N, 1): what kernels have evaluated.
+    `value` returns an array (N,). It is None for a condition on the time, which kernels evaluate into `leaf_values` (N,
+    1). `changes_by_itself`: whether a signal controller can change the value.
     """
 
     def __init__(

@@ -1,1 +1,1 @@
-"""Compiled functions on tracks: poses, lengths and projections."""
+"""Kernels for tracks: poses, lengths and projections."""

@@ -16,7 +16,7 @@ _kernel = kernel(error_model="numpy", forceinline=True, _nrt=False)
 
 @_kernel
 def pose_on_spline(tracks, row, n, distance, offset):
-    """x, y (m) and heading (rad) at a distance along a spline, and an offset to the left."""
+    """Return x, y (m) and heading (rad) at a distance along a spline and an offset to its left."""
     length, chord = (
         spline_length(tracks, row, n),
         floats_at_address(tracks.addresses[row, track_layout.CHORD], n + 1)[n],
@@ -44,20 +44,20 @@ def pose_on_spline(tracks, row, n, distance, offset):
 
 @_kernel
 def spline_length(tracks, row, n):
-    """Length of a spline in m."""
+    """Return the length of a spline in m."""
     return floats_at_address(tracks.addresses[row, track_layout.LENGTH], n + 1)[n]
 
 
 @_kernel
 def spline_end_time(tracks, row, n):
-    """Time in s at which a spline with times ends, on its own clock."""
+    """Return the time in s, on the spline's own clock, at which a spline with times ends."""
     count = tracks.n_curvatures[row]
     return floats_at_address(tracks.addresses[row, track_layout.TIME] + 8 * count * n, count)[count - 1]
 
 
 @_kernel
 def spline_distance_at_time(tracks, row, n, time):
-    """Distance in m along a spline at a time in s of its own clock."""
+    """Return the distance in m along a spline at a time in s on its own clock."""
     count = tracks.n_curvatures[row]
     times = floats_at_address(tracks.addresses[row, track_layout.TIME] + 8 * count * n, count)
     table = floats_at_address(tracks.addresses[row, track_layout.DISTANCE] + 8 * count * n, count)
@@ -71,7 +71,7 @@ def spline_distance_at_time(tracks, row, n, time):
 
 @_kernel
 def spline_time_and_speed(tracks, row, n, distance):
-    """Time in s of its own clock, and speed in m/s, at a distance along a spline with times."""
+    """Return the time in s on its own clock and the speed in m/s at a distance along a spline with times."""
     count = tracks.n_curvatures[row]
     times = floats_at_address(tracks.addresses[row, track_layout.TIME] + 8 * count * n, count)
     table = floats_at_address(tracks.addresses[row, track_layout.DISTANCE] + 8 * count * n, count)

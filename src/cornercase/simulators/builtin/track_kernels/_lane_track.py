@@ -26,13 +26,13 @@ _JUMP_RATIO = 0.2
 
 @kernel(error_model="numpy", forceinline=True, _nrt=False)
 def pose_on_lane(tracks, row, distance, offset):
-    """x, y (m) and heading (rad) at a distance along a lane, and an offset to the left."""
+    """Return x, y (m) and heading (rad) at a distance along a lane and an offset to its left."""
     return pose_on_lane_path(tracks.addresses[row], tracks.size[row], distance, offset)
 
 
 @kernel(error_model="numpy", forceinline=True, _nrt=False)
 def pose_on_lane_path(addresses, n_samples, distance, offset):
-    """Same as `pose_on_lane`, for a lane path given by the addresses of its columns and `n_samples` samples."""
+    """Return the same as `pose_on_lane`, for a lane path of `n_samples` samples given by its array addresses."""
     table = floats_at_address(addresses[track_layout.DISTANCE], n_samples)
     step = table[1]
     if math.isnan(distance) or not step > 0.0:
@@ -51,7 +51,7 @@ def pose_on_lane_path(addresses, n_samples, distance, offset):
 
 @kernel(error_model="numpy", forceinline=True, _nrt=False)
 def advance_on_lane(tracks, row, distance, offset, step):
-    """Distance in m along a lane after a step of `step` m (negative: backwards) along the reference line."""
+    """Return the distance in m along a lane after a step of `step` m along the reference line (negative: backwards)."""
     return _advance_on_samples(
         tracks.addresses[row], tracks.size[row], tracks.n_curvatures[row], distance, offset, step
     )
@@ -59,9 +59,9 @@ def advance_on_lane(tracks, row, distance, offset, step):
 
 @kernel(interpreted_seconds=lambda *arguments: 1e-4 * len(arguments[-1]), error_model="numpy")
 def advance_on_lane_path(addresses, n_samples, n_curvatures, distance, offset, steps):
-    """Distances in m, shape (R,), along a lane path after steps along the reference line.
+    """Return the distances in m along a lane path after steps along the reference line, shape (R,).
 
-    `n_samples` and `n_curvatures` are the numbers of samples and of curvatures.
+    `n_samples` and `n_curvatures` are the numbers of samples and of curvatures of the path.
     """
     result = np.empty(len(distance))
     for i in range(len(distance)):
@@ -98,7 +98,10 @@ def _advance_on_samples(addresses, n_samples, n_curvatures, distance, offset, st
 
 @kernel(error_model="numpy", forceinline=True, _nrt=False)
 def _correct_step_over_ground(table, reference, heading, count, distance, offset, step, reached):
-    """Distance after a step to `reached` on the reference line, corrected if the distance over ground differs."""
+    """Return the distance after a step that reaches `reached` by the reference line.
+
+    It is corrected if the distance that the entity covers on the ground differs from the step.
+    """
     if abs(
         _move_over_ground(table, heading, count, distance, offset, reached, math.inf)[1] - abs(step)
     ) <= _STEP_TOLERANCE * abs(step):
@@ -113,10 +116,11 @@ def _correct_step_over_ground(table, reference, heading, count, distance, offset
 
 @kernel(error_model="numpy", _nrt=False)
 def _move_over_ground(table, heading, count, begin, offset, end, max_length):
-    """Distance reached from `begin` towards `end` beside a path, at most `max_length` m over ground, and length.
+    """Move from `begin` towards `end` beside a path, by at most `max_length` m on the ground.
 
-    Inside a corner, the entity turns on the spot where the path bends by more than its offset: each cell of the path
-    counts with its length over ground, backwards too.
+    Returns the distance reached along the path, and the length covered on the ground. Where the path bends by more than
+    the offset allows, the entity turns on the spot; each cell of the path counts with its length on the ground, even
+    backwards.
     """
     covered, position = 0.0, begin
     sign = 1 if end > begin else -1
@@ -151,7 +155,7 @@ def _find_cell(table, count, x):
 
 @kernel(error_model="numpy", forceinline=True, _nrt=False)
 def road_position_on_lane(tracks, row, distance):
-    """Road index, lane number, s in m, and whether the track runs along s, at a distance along a lane."""
+    """Return road index, lane number, s in m, and whether the track runs along s, at a distance along a lane."""
     count, address = tracks.size[row], tracks.addresses[row]
     table = floats_at_address(address[track_layout.DISTANCE], count)
     reference = floats_at_address(address[track_layout.REFERENCE_DISTANCE], count)
@@ -169,7 +173,7 @@ def road_position_on_lane(tracks, row, distance):
 
 @kernel(error_model="numpy", forceinline=True, _nrt=False)
 def needs_next_lane(tracks, row, distance):
-    """Whether another track continues at a distance along a lane."""
+    """Return whether another track continues at a distance along a lane."""
     first, last = tracks.span[row, 0], tracks.span[row, 1]
     return (distance < first) | (distance > last)
 
@@ -181,7 +185,7 @@ def _interpolate_cell(values, k, fraction):
 
 @kernel(error_model="numpy", forceinline=True, _nrt=False)
 def _find_sample(table, count, x):
-    """Last element of an evenly spaced table that is not beyond x; -1 before its beginning."""
+    """Return the last index of an evenly spaced table with a value up to x; -1 if there is none."""
     if x < table[0]:
         return -1
     if not x < table[count - 1]:
@@ -196,7 +200,7 @@ def _find_sample(table, count, x):
 
 @kernel(error_model="numpy", forceinline=True, _nrt=False)
 def _find_last_not_beyond(table, count, x, start):
-    """Last element of an ascending table that is not beyond x, searched from `start` on; -1 before its beginning."""
+    """Return the last index of an ascending table with a value up to x, searching from `start`; -1 if there is none."""
     if table[start] <= x:
         low, high, step = start, start + 1, 1
         while high < count and table[high] <= x:
@@ -220,7 +224,7 @@ def _find_last_not_beyond(table, count, x, start):
 
 @kernel(error_model="numpy", forceinline=True, _nrt=False)
 def _interpolate_at(positions, values, count, x, j):
-    """Interpolated value at x as by `numpy.interp`; j is the last of `positions` that is not beyond x."""
+    """Return the interpolated value at x, like `numpy.interp`; `j` is the last index with a position up to x."""
     if j < 0:
         return values[0]
     if j >= count - 1 or positions[j] == x:

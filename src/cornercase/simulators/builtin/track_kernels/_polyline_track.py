@@ -22,7 +22,7 @@ _kernel = kernel(error_model="numpy", forceinline=True, _nrt=False)
 
 @_kernel
 def pose_on_polyline(tracks, row, n, distance, offset):
-    """x, y (m) and heading (rad) at a distance along a polyline, and an offset to the left."""
+    """Return x, y (m) and heading (rad) at a distance along a polyline and an offset to its left."""
     table = floats_at_address(_vertex_array_address(tracks, row, n, track_layout.DISTANCE), tracks.size[row])
     distance = _wrap_closed(tracks, row, table, distance)
     clipped, segment, fraction = _locate_on_segment(table, distance, 0.0)
@@ -40,7 +40,7 @@ def pose_on_polyline(tracks, row, n, distance, offset):
 
 @_kernel
 def polyline_length(tracks, row, n):
-    """Length of a polyline in m, inf for a closed one."""
+    """Return the length of a polyline in m; infinite if it is closed."""
     count, closed = tracks.size[row], tracks.is_closed[row]
     length = floats_at_address(_vertex_array_address(tracks, row, n, track_layout.DISTANCE), count)[count - 1]
     return math.inf if closed else length
@@ -48,7 +48,7 @@ def polyline_length(tracks, row, n):
 
 @_kernel
 def polyline_direction(tracks, row, n, distance):
-    """Direction of the polyline in rad, whatever the entity's heading is."""
+    """Return the direction of the line in rad at a distance; the heading of the entity may differ."""
     table = floats_at_address(_vertex_array_address(tracks, row, n, track_layout.DISTANCE), tracks.size[row])
     segment = _locate_on_segment(table, _wrap_closed(tracks, row, table, distance), VERTEX_TOLERANCE)[1]
     return floats_at_address(_direction_array_address(tracks, row, n), tracks.size[row] - 1)[segment]
@@ -56,7 +56,7 @@ def polyline_direction(tracks, row, n, distance):
 
 @_kernel
 def polyline_has_heading(tracks, row, n, distance):
-    """Whether the file gives the heading at a distance."""
+    """Return whether the file defines the heading at a distance."""
     table, last = (
         floats_at_address(_vertex_array_address(tracks, row, n, track_layout.DISTANCE), tracks.size[row]),
         tracks.size[row] - 1,
@@ -73,7 +73,7 @@ def polyline_has_heading(tracks, row, n, distance):
 
 @_kernel
 def polyline_end_time(tracks, row, n):
-    """Time in s at which a polyline with times ends, on its own clock."""
+    """Return the time in s, on the polyline's own clock, at which a polyline with times ends."""
     return floats_at_address(_vertex_array_address(tracks, row, n, track_layout.TIME), tracks.size[row])[
         tracks.size[row] - 1
     ]
@@ -81,7 +81,7 @@ def polyline_end_time(tracks, row, n):
 
 @_kernel
 def polyline_distance_at_time(tracks, row, n, time):
-    """Distance in m along a polyline at a time in s of its own clock."""
+    """Return the distance in m along a polyline at a time in s on its own clock."""
     count = tracks.size[row]
     times = floats_at_address(_vertex_array_address(tracks, row, n, track_layout.TIME), count)
     table = floats_at_address(_vertex_array_address(tracks, row, n, track_layout.DISTANCE), count)
@@ -105,7 +105,7 @@ def polyline_distance_at_time(tracks, row, n, time):
 
 @_kernel
 def polyline_time_and_speed(tracks, row, n, distance):
-    """Time in s of its own clock, and speed in m/s, at a distance along a polyline with times."""
+    """Return the time in s on its own clock and the speed in m/s at a distance along a polyline with times."""
     count = tracks.size[row]
     table = floats_at_address(_vertex_array_address(tracks, row, n, track_layout.DISTANCE), count)
     times = floats_at_address(_vertex_array_address(tracks, row, n, track_layout.TIME), count)
@@ -129,13 +129,13 @@ def _direction_array_address(tracks, row, n):
 
 @_kernel
 def _wrap_closed(tracks, row, table, distance):
-    """Distance within one lap of a closed polyline, as `numpy.mod` computes it."""
+    """Return the distance within one lap of a closed polyline, rounded as by `numpy.mod`."""
     return distance % table[table.size - 1] if tracks.is_closed[row] else distance
 
 
 @_kernel
 def _find_segment(table, value, tolerance):
-    """Last segment that begins `tolerance` before `value`; at least the first one."""
+    """Return the last segment that begins at most `tolerance` after `value`; the first segment if there is none."""
     low, high = 0, table.size - 1
     while high - low > 1:
         middle = (low + high) // 2
@@ -148,7 +148,7 @@ def _find_segment(table, value, tolerance):
 
 @_kernel
 def _locate_on_segment(table, distance, tolerance):
-    """Distance clipped to the line, its segment, and the fraction of the segment."""
+    """Return a distance clipped to the line, the segment there, and the fraction of the segment."""
     clipped = max(distance, 0.0)
     clipped = min(clipped, table[table.size - 1])
     segment = _find_segment(table, clipped, tolerance)

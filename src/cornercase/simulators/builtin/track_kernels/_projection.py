@@ -26,9 +26,10 @@ _COARSE_STRIDE = 64
 
 @kernel(interpreted_seconds=lambda *arguments: 1e-3 * len(arguments[-1]), error_model="numpy")
 def project_on_lane_path(addresses, n_samples, max_sample_gap, x, y, after):
-    """Distances in m, shape (R,), along a lane path of its points nearest to (x, y), the first ones after `after`.
+    """Return the distances along a lane path of its points nearest to (x, y), in m, shape (R,).
 
-    `n_samples` is the number of samples, `max_sample_gap` the largest gap between consecutive samples in m.
+    If the path passes a point several times, the first time after the distance `after` counts. `n_samples` is the
+    number of samples, `max_sample_gap` the largest gap between consecutive samples in m.
     """
     result = np.empty(len(x))
     for i in range(len(x)):
@@ -71,7 +72,7 @@ def _project_on_samples(addresses, n_samples, max_sample_gap, x, y, after):
 
 @kernel(error_model="numpy")
 def _find_nearest_samples(px, py, n_samples, max_sample_gap, x, y, gaps, samples):
-    """Fill in the nearest samples, nearest first, and return their number."""
+    """Fill `gaps` and `samples` with the nearest samples, nearest first; return their number."""
     limit, n_found, n_wanted = _upper_bound_of_gap(px, py, n_samples, x, y), 0, min(_N_NEAREST_SAMPLES, n_samples)
     i = 0
     while i < n_samples:
@@ -95,7 +96,7 @@ def _find_nearest_samples(px, py, n_samples, max_sample_gap, x, y, gaps, samples
 
 @kernel(error_model="numpy")
 def _upper_bound_of_gap(px, py, n_samples, x, y):
-    """Upper bound of the gap to the `_N_NEAREST_SAMPLES` nearest samples."""
+    """Return an upper bound of the gaps to the `_N_NEAREST_SAMPLES` nearest samples."""
     best, least = 0, math.inf
     for i in range(0, n_samples, _COARSE_STRIDE):
         squared = (px[i] - x) * (px[i] - x) + (py[i] - y) * (py[i] - y)

@@ -1,7 +1,8 @@
-"""Tables of tracks for compiled code.
+"""Tables of tracks for kernels.
 
-The constants are columns of `TrackTable.addresses`: arrays of a track. Arrays of a lane, in the order of its path's
-arrays, have an element per sample or curvature; arrays of a polyline have a row of vertices or segments per scenario.
+The constants are columns of `TrackTable.addresses`, the addresses of the arrays of a track. A lane has the arrays of
+its path, in the same order, with an item per sample or curvature. A polyline has arrays with one row per scenario, and
+an item per vertex or segment.
 """
 
 from __future__ import annotations
@@ -65,7 +66,7 @@ AT_VERTICES: Final = 2
 
 
 class TrackTable(NamedTuple):
-    """Tables of G tracks of E entities."""
+    """G tracks of E entities, as arrays for kernels."""
 
     rows: IntArray  # (E, K): index of each entity's tracks among all tracks; -1 for none
     kind: IntArray  # (G,): `LANE_TRACK`, `POLYLINE_TRACK` or `CLOTHOID_TRACK`
@@ -82,7 +83,7 @@ class TrackTable(NamedTuple):
 
 
 def alloc_track_table(n_tracks: int) -> TrackTable:
-    """Allocate the tables of tracks that no entity follows."""
+    """Allocate the table of tracks that no entity follows."""
     n = n_tracks
     kind, size, n_curvatures, heading_interpolation = (np.zeros(n, dtype=np.int64) for _ in range(4))
     is_closed, has_times, is_uniform = (np.zeros(n, dtype=np.bool_) for _ in range(3))
@@ -94,7 +95,10 @@ def alloc_track_table(n_tracks: int) -> TrackTable:
 
 
 def make_trajectory_table(kind: int, is_uniform: bool, arrays: Sequence[FloatArray | IntArray | None]) -> TrackTable:
-    """Make the tables of one trajectory from its arrays, in the order of the columns; None for missing times."""
+    """Create the table of a single trajectory from its arrays, in the order of the columns.
+
+    None stands for missing times.
+    """
     table = alloc_track_table(1)
     table.kind[0], table.is_uniform[0] = kind, is_uniform
     for column, array in enumerate(arrays):

@@ -24,18 +24,19 @@ _MIN_BEND: Final = 1e-7
 
 
 class ClothoidSpline(Trajectory):
-    """A trajectory whose curvature changes linearly over each of its K segments.
+    """A trajectory of K segments with linearly changing curvature.
 
-    It is travelled on chords of 1 m, as in esmini: within millimetres of the curve, and much faster to compute.
+    As in esmini, the entity moves on chords of 1 m, which are within millimetres of the curve and much faster to
+    compute.
 
-    The start pose has shape (N,); `start`, `end` (curvatures in 1/m) and `length` have (N, K). `times`, (N, K + 1), are
-    times in s at which segments begin, and the last one ends; each is travelled at constant speed. `segment_starts` are
-    start poses of segments that do not continue the previous one, `heading_offsets`, (N, K), heading offsets in rad at
-    their beginning.
+    The start pose has shape (N,). `start` and `end` (curvatures in 1/m) and `length` have shape (N, K). `times` (N, K +
+    1) are the times in s at which segments begin, and the end of the last; the speed on a segment is constant.
+    `segment_starts` are start poses of segments that do not continue the previous one. `heading_offsets` (N, K) are
+    heading offsets in rad at the beginning of segments.
 
-    Attributes: `segment_distances`, (N, K + 1), distances in m at which segments begin, and the last one ends. `x`,
-    `y`, `heading`, (N, C) or (1, C) if `is_uniform` (the same in all scenarios), ends of the chords. `chord_length`,
-    (N,), length in m of all chords but the last. `last_chord`, (N,), index of the last chord.
+    Attributes: `segment_distances` (N, K + 1), distances in m at which segments begin, and the end of the last. `x`,
+    `y`, `heading`, ends of the chords, shape (N, C), or (1, C) if `is_uniform` (the same in all scenarios).
+    `chord_length` (N,), length in m of all chords but the last. `last_chord` (N,), index of the last chord.
     """
 
     _scenario_arrays = ("_start", "_rate", "segment_distances", "lengths", "_x", "_y", "_node_headings", "_times")
@@ -134,7 +135,7 @@ class ClothoidSpline(Trajectory):
         )
 
     def _segment_and_node(self, distance: FloatArray, rows: IntArray) -> tuple[IntArray, IntArray]:
-        """Flat indices of each scenario's segment, and of the node before it."""
+        """Return flat indices of the segment at each distance, and of the integration node before it."""
         count = self._start.shape[1]
         k = np.zeros(len(rows), dtype=np.int64)
         first = rows * (count + 1)
@@ -175,9 +176,9 @@ class ClothoidSpline(Trajectory):
 def evaluate_clothoid(
     distance: FloatArray, start: FloatArray, rate: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Local coordinates (m) and turn (rad) after a distance along clothoids, each (N,).
+    """Return local coordinates (m) and turn (rad) after a distance along clothoids, shape (N,) each.
 
-    `start` is the curvature at the beginning in 1/m, `rate` its change in 1/m².
+    `start` is the curvature at the beginning in 1/m, and `rate` its rate of change in 1/m².
     """
     turn = start * distance + 0.5 * rate * distance**2
     is_curved = np.abs(rate) * distance**2 >= _MIN_BEND

@@ -1,4 +1,4 @@
-"""A track along a lane and the lanes that follow it."""
+"""A track along a lane and the lanes that follow."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ _MAX_MARGIN_BEHIND: Final = 250.0
 
 
 class LaneTrack(Track):
-    """The centre line of a lane and its successors, the same for all scenarios.
+    """The centre line of a lane and its successors, the same in all scenarios.
 
-    `span` is the range of distances in m where it is followed; beyond it another track continues. `is_continued` says
-    whether there is such a track at all.
+    `span` is the range of distances in m in which the track is followed. If `is_continued` is set, another track
+    follows beyond it.
     """
 
     def __init__(self, path: LanePath) -> None:
@@ -42,7 +42,7 @@ class LaneTrack(Track):
     def from_lane(
         cls, network: RoadNetwork, road: int, lane: int, s: float, along: bool, via: tuple[tuple[int, int, float], ...]
     ) -> LaneTrack | None:
-        """Track through a point on a lane, along s or against it; None if there is no lane."""
+        """Return the track through a point on a lane, along s or against it; None if there is no such lane."""
         path = network.lane_path_from(road, lane, s, along, via)
         return None if path is None else cls(path)
 
@@ -54,19 +54,19 @@ class LaneTrack(Track):
         return table
 
     def distance_at_s(self, s: FloatArray) -> FloatArray:
-        """Distance along the track for s on the road that it was made for."""
+        """Return the distance along the track for an s on the road for which it was created."""
         return self.path.distance_of_s(s)
 
     def s_at(self, distance: FloatArray) -> FloatArray:
-        """Road coordinate s at distances along the track, in m, shape (R,)."""
+        """Return the road coordinate s at distances along the track, in m, shape (R,)."""
         return self.evaluate(distance, np.zeros_like(distance), np.zeros(distance.shape, dtype=np.int64)).s
 
     def advance(self, distance: FloatArray, offset: FloatArray, step: FloatArray) -> FloatArray:
-        """Distance along the track after a step, each (R,) in m.
+        """Return the distance along the track after a step, in m, shape (R,).
 
-        As in esmini, a step is made along the reference line, and scaled by the curvature at its beginning. If the
-        distance driven differs by more than 0.1 % (changing curvature, or a lane at an angle), the step is made along
-        the lane.
+        As in esmini, a step is made along the reference line and scaled by the curvature at its beginning. If the
+        resulting distance is wrong by more than 0.1 % (where the curvature changes, or a lane is at an angle), the step
+        is made along the lane.
         """
         path = self.path
         return np.asarray(

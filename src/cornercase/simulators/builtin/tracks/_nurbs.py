@@ -23,11 +23,11 @@ _MIN_DERIVATIVE: Final = 1e-9
 def evaluate_nurbs(
     x: FloatArray, y: FloatArray, time: FloatArray, weights: FloatArray, knots: FloatArray, order: int
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Points of a NURBS, tangent directions and times there, each (N, samples).
+    """Return points of a NURBS, and tangent directions and times at these points, shape (N, samples) each.
 
-    `x`, `y`, `time`: control points, shape (N, C). `order` is the degree plus one; there are C + order knots. The time
-    of a control point is reached where its influence is largest, and grows evenly in between. The last point is
-    repeated at least once, and more often if another scenario has more points.
+    `x`, `y` and `time` of the control points have shape (N, C). `order` is the degree plus one; there are C + order
+    knots. The curve has the time of a control point where this point has most influence, and times in between are
+    interpolated. The last point is repeated at least once, and more often if another scenario has more points.
     """
     # Imported late: slow to import, and rarely needed.
     from scipy.interpolate import BSpline
@@ -61,7 +61,7 @@ def evaluate_nurbs(
 
 
 def _tangent_directions(x: FloatArray, y: FloatArray, dx: FloatArray, dy: FloatArray) -> FloatArray:
-    """Unwrapped tangent directions at points with given derivatives, each (N, S)."""
+    """Return unwrapped tangent directions at points with given derivatives, shape (N, S)."""
     # If control points coincide the derivative vanishes, and the direction to the next point is used.
     is_singular = np.hypot(dx, dy) < _MIN_DERIVATIVE
     if is_singular.any():
@@ -73,7 +73,7 @@ def _tangent_directions(x: FloatArray, y: FloatArray, dx: FloatArray, dy: FloatA
 
 
 def _weighted_sums(controls: FloatArray, weights: FloatArray) -> FloatArray:
-    """Weighted sums of control points, (N, C) and (S, C) to (N, S).
+    """Return weighted sums of control points; (N, C) and (S, C) give (N, S).
 
     A matrix product would round differently for one scenario than for many.
     """
@@ -84,5 +84,5 @@ def _weighted_sums(controls: FloatArray, weights: FloatArray) -> FloatArray:
 
 
 def _time_weights(u: FloatArray, peaks: FloatArray) -> FloatArray:
-    """Weight of each control point in the time at each parameter, shape (C, samples)."""
+    """Return the weight of each control point in the time at each parameter value, shape (C, samples)."""
     return np.stack([np.interp(u, peaks, row) for row in np.eye(len(peaks))])

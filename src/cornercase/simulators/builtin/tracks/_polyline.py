@@ -18,14 +18,14 @@ from cornercase.simulators.builtin.tracks._track import Trajectory, is_uniform
 class Polyline(Trajectory):
     """A trajectory through V vertices.
 
-    `x`, `y` (m), `heading` (rad; NaN: direction of the segment) and `time` (s, not decreasing) have shape (N, V). A
-    `closed` one is a loop. `heading_interpolation` says where the heading changes: over whole segments, near corners,
-    or at the vertices. With `begin_speed`, (N,), in m/s, acceleration is constant on each segment, so that the next
-    vertex is reached in time; without it, speed is.
+    `x`, `y` (m), `heading` (rad; NaN for the direction of the segment) and `time` (s, not decreasing) have shape (N,
+    V). A `closed` polyline is a loop. `heading_interpolation` says where the heading changes: along whole segments,
+    near corners, or at the vertices. By default the speed is constant on each segment. With `begin_speed` (N,) in m/s,
+    the acceleration is constant instead, such that the next vertex is reached in time.
 
     Attributes at vertices, (N, V): `distance` along the line in m; `vertex_headings`, unwrapped heading in rad;
-    `speeds` in m/s, and `accelerations`, accelerations in m/s² on the segment that begins there. `directions`, (N, V -
-    1), in rad. `is_uniform`: all of that is the same in all scenarios.
+    `speeds` in m/s; `accelerations` in m/s² on the segment that begins there. `directions` (N, V - 1) are those of
+    segments in rad. `is_uniform`: all arrays are the same in all scenarios.
     """
 
     _scenario_arrays = (
@@ -120,16 +120,19 @@ class Polyline(Trajectory):
 
 
 def _unwrap_shortest(heading: FloatArray, nudged: FloatArray) -> FloatArray:
-    """Headings with full turns added, so that each change is the shorter one; the first stays.
+    """Return headings with full turns added, so that each change is the shorter one; the first heading stays.
 
-    Half a turn goes in the direction of `nudged`.
+    A change of half a turn goes in the direction of `nudged`.
     """
     turns = np.round((np.unwrap(np.mod(nudged, 2 * np.pi), axis=1) - heading) / (2 * np.pi))
     return np.asarray(heading + 2 * np.pi * (turns - turns[:, :1]))
 
 
 def _segment_directions(x: FloatArray, y: FloatArray, segment_lengths: FloatArray) -> FloatArray:
-    """Segment directions; without a length, that of the segment before it, or of the first with a length."""
+    """Return the directions of segments.
+
+    A segment without a length has the direction of the segment before it, else of the first one with a length.
+    """
     dx, dy = np.diff(x), np.diff(y)
     direction = np.arctan2(dy, dx)
     rows, first = np.arange(len(x)), (segment_lengths > VERTEX_TOLERANCE).argmax(axis=1)
@@ -143,7 +146,7 @@ def _segment_directions(x: FloatArray, y: FloatArray, segment_lengths: FloatArra
 def _speeds_and_accelerations(
     segment_lengths: FloatArray, spans: FloatArray, start_speed: FloatArray | None
 ) -> tuple[FloatArray, FloatArray]:
-    """Speeds at vertices, and accelerations of the segments that begin there, each (N, V)."""
+    """Return speeds at vertices, and accelerations on the segments that begin there, shape (N, V) each."""
     has_duration = spans > VERTEX_TOLERANCE
     mean = np.where(has_duration, segment_lengths / np.where(has_duration, spans, 1.0), 0.0)
     if start_speed is None:

@@ -18,7 +18,7 @@ NO_TRACK: Final = -1
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """A position and heading for each scenario, arrays (N,), with road coordinates if known."""
+    """Position and heading in each scenario, arrays (N,), with road coordinates if they are known."""
 
     x: FloatArray
     y: FloatArray
@@ -35,7 +35,7 @@ class Pose:
     )
 
     def road_coordinates(self) -> tuple[IntArray, IntArray, FloatArray]:
-        """Road, lane and s, which the pose must have."""
+        """Return road, lane and s, which the pose must have."""
         assert self.road is not None
         assert self.lane is not None
         assert self.s is not None
@@ -43,13 +43,13 @@ class Pose:
 
 
 def is_uniform(*arrays: FloatArray | None) -> bool:
-    """Whether each array, shape (N, …), is bitwise the same in all scenarios; None is skipped."""
+    """Return whether each array, shape (N, …), is bitwise the same in all scenarios; None is skipped."""
     bits = (array.view(np.int64) for array in arrays if array is not None)
     return all(bool((array == array[:1]).all()) for array in bits)
 
 
 class TrackPoints(NamedTuple):
-    """Points of a track in R scenarios, each (R,)."""
+    """Points of a track in R scenarios, shape (R,) each."""
 
     x: FloatArray
     y: FloatArray
@@ -62,23 +62,23 @@ class TrackPoints(NamedTuple):
 
 
 class Track(ABC):
-    """A curve that an entity follows, by distance along it; compiled code evaluates it.
+    """A curve that an entity follows, as a function of the distance along it; kernels evaluate it.
 
-    It may differ between scenarios; methods take R scenarios, the `rows`.
+    A track may differ between scenarios. Methods take R scenarios, the `rows`.
     """
 
     _table: TrackTable | None = None
 
     @property
     def table(self) -> TrackTable:
-        """Tables for compiled code with this track alone; another object after each change."""
+        """Return a table for kernels with this track alone; a new object after each change of the track."""
         if self._table is None:
             self._table = self._make_table()
         return self._table
 
     @abstractmethod
     def _make_table(self) -> TrackTable:
-        """Make the tables of this track, which keeps the arrays alive."""
+        """Create the table for kernels; the track keeps the arrays in it alive."""
 
     def evaluate(self, distance: FloatArray, offset: FloatArray, rows: IntArray) -> TrackPoints:
         """Evaluate the track at distances and left offsets in m, each (R,)."""
@@ -89,23 +89,23 @@ class Track(ABC):
     def pose_at(
         self, distance: FloatArray, offset: FloatArray, rows: IntArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """x, y (m) and heading (rad) at distances and left offsets in m, each (R,)."""
+        """Return x, y (m) and heading (rad) at distances and left offsets in m, shape (R,) each."""
         return self.evaluate(distance, offset, rows)[:3]
 
     @abstractmethod
     def nearest_distance(
         self, x: FloatArray, y: FloatArray, rows: IntArray, after: FloatArray | None = None
     ) -> FloatArray:
-        """Distance along the track, in m, of its point nearest to (x, y).
+        """Return the distance in m along the track of its point nearest to (x, y).
 
-        If it passes the point more than once, the first time after the distance `after` counts.
+        If the track passes this point several times, the first time after the distance `after` counts.
         """
 
 
 class Trajectory(Track):
     """A track that a scenario file defines, with or without times.
 
-    `lengths`, shape (N,), in m, is inf for closed ones. `version` counts the changes by `copy_rows_from`.
+    `lengths` (N,) are in m, and infinite for closed trajectories. `version` is the number of calls of `copy_rows_from`.
     """
 
     lengths: FloatArray
@@ -114,14 +114,14 @@ class Trajectory(Track):
     @property
     @abstractmethod
     def times(self) -> FloatArray | None:
-        """Times in s of its vertices, or of start and end, shape (N, V); None without times."""
+        """Return the times of the vertices, or of start and end, in s, shape (N, V); None without times."""
 
     @abstractmethod
     def curvature_at(self, distance: FloatArray, rows: IntArray) -> FloatArray:
-        """Curvature in 1/m, positive to the left, at distances of shape (R,)."""
+        """Return the curvature in 1/m, positive to the left, at distances in m, shape (R,)."""
 
     def copy_rows_from(self, other: Trajectory, rows: BoolArray) -> None:
-        """Copy another trajectory of the same kind in the scenarios of a mask, shape (N,)."""
+        """Copy the scenarios of a mask from another trajectory of the same type."""
         for name in self._scenario_arrays:
             own = getattr(self, name)
             if own is not None:

@@ -1,4 +1,4 @@
-"""Tables of all tracks of a batch for compiled code."""
+"""Tables of all tracks of a batch, for kernels."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from cornercase.simulators.builtin.tracks._track import Track
 
 
 class TrackPool:
-    """Collects the tracks of all entities of a batch for compiled code."""
+    """Collects the tracks of all entities of a batch for kernels."""
 
     def __init__(self) -> None:
         self._counts: list[int] | None = None
@@ -22,9 +22,9 @@ class TrackPool:
         self._tracks = alloc_track_table(0)
 
     def update(self, tracks_by_entity: Sequence[Sequence[Track]]) -> TrackTable:
-        """Return the tables of each entity's tracks; another object only if tracks were added.
+        """Return the tables of all tracks; a new object only if tracks were added.
 
-        `tracks_by_entity` lists the tracks by entity; compared to earlier calls it may only grow.
+        `tracks_by_entity` lists the tracks of each entity. Between calls, tracks may only be added.
         """
         counts = [len(tracks) for tracks in tracks_by_entity]
         for g, track in self._rows.values():

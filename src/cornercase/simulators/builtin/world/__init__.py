@@ -1,1 +1,1 @@
-"""State of all entities of a batch, what is asked of it, and how it changes."""
+"""State of all entities of a batch, and functions that query or change it."""

@@ -10,7 +10,7 @@ from cornercase.simulators.builtin.world._world import World
 
 
 def update_overlaps(world: World) -> None:
-    """Update which boxes overlap."""
+    """Update which bounding boxes overlap."""
     entities = range(len(world.entities))
     for a in entities:
         for b in entities[a + 1 :]:
@@ -18,7 +18,7 @@ def update_overlaps(world: World) -> None:
 
 
 def all_box_corners(world: World) -> FloatArray:
-    """Corners of all boxes in m, shape (E, N, 4, 2)."""
+    """Return the corners of all bounding boxes in m, shape (E, N, 4, 2)."""
     center_x = np.array([[entity.center_x] for entity in world.entities])
     length = np.array([[entity.length] for entity in world.entities])
     width = np.array([[entity.width] for entity in world.entities])

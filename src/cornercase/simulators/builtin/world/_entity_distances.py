@@ -21,8 +21,8 @@ def locate_target(
 ) -> None:
     """Locate a fixed target on the track that an entity follows, in the scenarios of a mask.
 
-    Stores the track's number and the distance along it in m, (N,); infinite if the track does not lead to the target.
-    A trajectory leads to its point nearest to the target.
+    Stores the number of the track, and the distance of the target along it in m, shape (N,). On a trajectory this is
+    the distance of the point nearest to the target. The distance is infinite if the track does not lead to the target.
     """
     for k, track, rows in world.iter_followed_tracks(entity, where & np.isfinite(target.x + target.y)):
         new = rows[(number[rows] != k) | np.isnan(distance[rows])]
@@ -32,9 +32,9 @@ def locate_target(
 
 
 def distance_along_roads(world: World, entity: int, target: Pose) -> FloatArray:
-    """Distance to a target along the track, else along roads, in m, (N,).
+    """Return the distance to a target along the entity's track, else along roads, in m, shape (N,).
 
-    Negative behind the entity, infinite if no road connects them.
+    It is negative behind the entity, and infinite if no road leads to the target.
     """
     result = np.full(world.scenarios, np.inf)
     for _, track, rows in world.iter_followed_tracks(entity, np.isfinite(target.x + target.y)):
@@ -54,9 +54,9 @@ def distance_along_roads(world: World, entity: int, target: Pose) -> FloatArray:
 def _distance_on_track(
     world: World, entity: int, track: Track, target: Pose, rows: IntArray, *, allow_any_lateral: bool = False
 ) -> FloatArray:
-    """Distance along a track to a target in m, shape (R,); infinite if the track does not lead there.
+    """Return the distance to a target along a track in m, shape (R,); infinite if the track does not lead there.
 
-    With `allow_any_lateral`, a trajectory leads to targets at any lateral distance.
+    With `allow_any_lateral`, a target at any lateral distance from a trajectory counts.
     """
     along = track.nearest_distance(target.x[rows], target.y[rows], rows, world.distance[entity][rows])
     x, y, _ = track.pose_at(along, np.zeros(len(rows)), rows)
@@ -65,15 +65,15 @@ def _distance_on_track(
 
 
 def offset_of_entity(world: World, entity: int, other: int) -> FloatArray:
-    """Offset of another entity from this one's track in m, shape (N,); positive to the left."""
+    """Return the offset of another entity from the entity's track in m, shape (N,), positive to the left."""
     is_present, (x, y) = world.present[other], _position_after_lateral_step(world, other)
     return offset_of_point(world, entity, np.where(is_present, x, np.nan), np.where(is_present, y, np.nan))
 
 
 def offset_of_point(world: World, entity: int, x: FloatArray, y: FloatArray) -> FloatArray:
-    """Offset of a point (m, NaN if none) from an entity's track in m, shape (N,); positive to the left.
+    """Return the offset of a point (in m, NaN if none) from an entity's track in m, shape (N,), positive to the left.
 
-    It is measured across the entity's heading if it follows no track.
+    If the entity follows no track, the offset is measured across its heading.
     """
     cos, sin = np.cos(world.heading[entity]), np.sin(world.heading[entity])
     result = (y - world.y[entity]) * cos - (x - world.x[entity]) * sin + world.offset[entity]
@@ -85,7 +85,7 @@ def offset_of_point(world: World, entity: int, x: FloatArray, y: FloatArray) -> 
 
 
 def _position_after_lateral_step(world: World, entity: int) -> tuple[FloatArray, FloatArray]:
-    """Position of an entity after the lateral motion of the coming step, each (N,)."""
+    """Return the position of an entity after the lateral motion of the coming step, shape (N,) each."""
     x, y = world.x[entity].copy(), world.y[entity].copy()
     for _, track, rows in world.iter_followed_tracks(entity, world.present[entity] & ~world.moved[entity]):
         x[rows], y[rows], _ = track.pose_at(world.distance[entity][rows], world.offset[entity][rows], rows)
@@ -93,7 +93,7 @@ def _position_after_lateral_step(world: World, entity: int) -> tuple[FloatArray,
 
 
 def box_lengths_between_references(world: World, entity: int, other: int) -> tuple[float, float]:
-    """Box lengths between two reference points in m: with the other ahead, and with it behind."""
+    """Return the box length in m between two reference points: if the other is ahead, and if it is behind."""
     own_box, other_box = world.entities[entity], world.entities[other]
     fronts = [0.5 * box.length + box.center_x for box in (own_box, other_box)]
     rears = [0.5 * box.length - box.center_x for box in (own_box, other_box)]

@@ -1,4 +1,4 @@
-"""Free space between boxes along and across their common road."""
+"""Free space between bounding boxes, along and across their common road."""
 
 from __future__ import annotations
 
@@ -19,9 +19,10 @@ _MAX_ITERATIONS: Final = 6
 def free_space_to_entity_on_road(
     world: World, entity: int, other: int, lateral: bool, default: FloatArray
 ) -> FloatArray:
-    """Smallest difference in s (or t if `lateral`) between the corners of two boxes in m, shape (N,).
+    """Return the smallest difference in s (or in t if `lateral`) between the corners of two boxes, in m, shape (N,).
 
-    It is 0 if side by side, and `default` on different roads. s is positive ahead, t to the left of the road.
+    It is 0 if the boxes are side by side, and `default` if they are on different roads. It is positive if the other is
+    ahead, or to the left of the road if `lateral`.
     """
     own_pose, other_pose = road_pose(world, entity), road_pose(world, other)
     if own_pose.road is None or other_pose.road is None:
@@ -46,9 +47,10 @@ def free_space_to_entity_on_road(
 def free_space_to_point_on_road(
     world: World, entity: int, target: Pose, lateral: bool, default: FloatArray
 ) -> FloatArray:
-    """Smallest difference in s (or t if `lateral`) between the corners of a box and a point in m, (N,).
+    """Return the smallest difference in s (or in t if `lateral`) between the corners of a box and a point, in m, (N,).
 
-    It is 0 if side by side, and `default` on different roads. s is positive ahead, t to the left of the road.
+    It is 0 if they are side by side, and `default` if they are on different roads. It is positive if the point is
+    ahead, or to the left of the road if `lateral`.
     """
     own_pose = road_pose(world, entity)
     if own_pose.road is None or target.road is None or target.s is None:
@@ -65,7 +67,10 @@ def free_space_to_point_on_road(
 
 
 def lateral_distance_on_road(world: World, entity: int, target: Pose, default: FloatArray) -> FloatArray:
-    """Difference in t from an entity to a point on its road in m, (N,), positive left; `default` on other roads."""
+    """Return the difference in t from an entity to a point on its road in m, shape (N,), positive to the left.
+
+    It is `default` if the point is on another road.
+    """
     own_pose = road_pose(world, entity)
     if own_pose.road is None or target.road is None or target.s is None:
         return default
@@ -78,12 +83,15 @@ def lateral_distance_on_road(world: World, entity: int, target: Pose, default: F
 
 
 def _sign_along_road(world: World, pose: Pose) -> FloatArray:
-    """1 if the heading of a pose is along s, else -1, shape (N,)."""
+    """Return 1 if the heading of a pose is along s, else -1, shape (N,)."""
     return np.where(is_heading_along_road(world, pose), 1.0, -1.0)
 
 
 def _project_onto_road(world: World, pose: Pose, points: FloatArray, where: BoolArray, lateral: bool) -> FloatArray:
-    """s, or t, of P points near a pose on the pose's road, shape (N, P); 0 outside the mask."""
+    """Return s (or t if `lateral`) of P points near a pose, on the road of the pose, shape (N, P).
+
+    0 outside the mask.
+    """
     assert world.network is not None
     assert pose.road is not None
     assert pose.s is not None

@@ -1,4 +1,4 @@
-"""Place entities, and make them follow lanes and other tracks."""
+"""Place entities, and make them follow lanes or other tracks."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _SEAM_TOLERANCE: Final = 0.5
 
 
 def place_entity(world: World, entity: int, pose: Pose, where: BoolArray) -> None:
-    """Place an entity at a pose; from there it follows its lane, or its heading without a lane."""
+    """Place an entity at a pose; it then follows the lane there, or goes straight on if there is no lane."""
     lost = ~np.isfinite(pose.x + pose.y + pose.heading)
     if pose.is_beyond_road is not None and pose.relative_location:
         why = f"{world.names[entity]} would be beyond the end of the road, and is placed at that end"
@@ -46,7 +46,7 @@ def place_entity(world: World, entity: int, pose: Pose, where: BoolArray) -> Non
 
 
 def attach_to_lane(world: World, entity: int, where: BoolArray, pose: Pose | None = None) -> None:
-    """Make an entity follow the lane at its position (or `pose`) in the direction of its heading."""
+    """Make an entity follow the lane at its position (or at `pose`), in the direction of its heading."""
     world.track[entity][where] = NO_TRACK
     world.stranded[entity][where] = False
     if world.network is None:
@@ -82,13 +82,16 @@ def attach_to_lane(world: World, entity: int, where: BoolArray, pose: Pose | Non
 
 
 def _iter_groups(keys: IntArray, where: BoolArray) -> Iterator[tuple[tuple[int, ...], BoolArray]]:
-    """Yield the distinct columns of keys in the scenarios of a mask, sorted, and where each occurs, (N,)."""
+    """Yield each distinct column of `keys` in the scenarios of a mask, sorted, with a mask of its scenarios."""
     for key in sorted({*zip(*keys[:, where].tolist(), strict=True)}):
         yield key, where & (keys == np.array(key)[:, None]).all(axis=0)
 
 
 def change_lane(world: World, entity: int, lane: IntArray, where: BoolArray) -> BoolArray:
-    """Make an entity follow another lane of its road from beside it; return where that lane exists, (N,)."""
+    """Make an entity follow another lane of its road, and return where this lane exists, shape (N,).
+
+    The entity stays where it is, and is then beside the new lane.
+    """
     assert world.network is not None
     pose = road_pose(world, entity)
     assert pose.s is not None
@@ -115,7 +118,7 @@ def change_lane(world: World, entity: int, lane: IntArray, where: BoolArray) -> 
 
 
 def extend_lane_path(world: World, entity: int, track_number: int) -> None:
-    """Make an entity near the end of its lane's cut path (track `track_number`) follow the next part."""
+    """Make an entity follow the next part of its lane path, if it is near the end of the present part."""
     assert world.network is not None
     track = world.tracks[entity][track_number]
     assert isinstance(track, LaneTrack)
@@ -146,7 +149,7 @@ def extend_lane_path(world: World, entity: int, track_number: int) -> None:
 
 
 def _remaining_route(world: World, entity: int, where: BoolArray) -> IntArray:
-    """Route of an entity without the roads it has passed, to which a new path would lead back, (N,)."""
+    """Return the route of an entity without the roads that it has passed, since a new path would lead back to them."""
     result: IntArray = world.route[entity].copy()
     for _, track, at in world.iter_followed_tracks(entity, where & (world.route[entity] > 0)):
         if not isinstance(track, LaneTrack):
@@ -173,7 +176,7 @@ def _move_to_new_path(
 
 
 def assign_route(world: World, entity: int, roads: tuple[int, ...], where: BoolArray) -> None:
-    """Make an entity pass roads (by index), and continue as before if it is already on the way."""
+    """Make an entity drive along roads (indices); nothing changes if it is already on this route."""
     via = tuple((road, 0, 0.0) for road in roads)
     if via not in world.routes:
         world.routes.append(via)
@@ -186,7 +189,7 @@ def assign_route(world: World, entity: int, roads: tuple[int, ...], where: BoolA
 
 
 def follow_track(world: World, entity: int, track: Track, distance: FloatArray, where: BoolArray) -> None:
-    """Make an entity follow a track from a distance in m on, (N,)."""
+    """Make an entity follow a track, from a distance along it in m, shape (N,)."""
     tracks = world.tracks[entity]
     if track not in tracks:
         tracks.append(track)
@@ -195,9 +198,9 @@ def follow_track(world: World, entity: int, track: Track, distance: FloatArray, 
 
 
 def get_lane_track(world: World, road: int, lane: int, s: float, along: bool, route: int) -> LaneTrack | None:
-    """Track along a lane and its successors, cached per lane section; None if there is no such lane.
+    """Return the track along a lane and its successors, cached per lane section; None if there is no such lane.
 
-    `s` in m on the road, `along`: in the direction of s; `road` and `route` are indices.
+    `s` is in m on the road. `along` means in the direction of s. `road` and `route` are road indices.
     """
     assert world.network is not None
     section = int(world.network.roads[road].section_at(np.array([s]))[0])
@@ -208,7 +211,7 @@ def get_lane_track(world: World, road: int, lane: int, s: float, along: bool, ro
 
 
 def _road_section_direction(world: World, pose: Pose, where: BoolArray) -> tuple[IntArray, IntArray, BoolArray]:
-    """Road, lane section, and whether the heading points along s, each (N,)."""
+    """Return road, lane section, and whether the heading is along s, shape (N,) each."""
     assert world.network is not None
     assert pose.road is not None
     assert pose.s is not None

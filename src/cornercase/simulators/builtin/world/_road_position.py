@@ -1,4 +1,4 @@
-"""Positions of entities on the roads."""
+"""Positions of entities on roads."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from cornercase.simulators.builtin.world._world import World
 
 
 def follows_lane(world: World, entity: int) -> BoolArray:
-    """Check whether the entity follows a lane, shape (N,)."""
+    """Return in which scenarios the entity follows a lane, shape (N,)."""
     result = np.zeros(world.scenarios, dtype=np.bool_)
     for k, track in enumerate(world.tracks[entity]):
         if isinstance(track, LaneTrack):
@@ -25,7 +25,7 @@ def follows_lane(world: World, entity: int) -> BoolArray:
 
 
 def road_pose(world: World, entity: int) -> Pose:
-    """Pose of an entity with its road position; without a road if there is no network."""
+    """Return the pose of an entity with its road coordinates; without these if there are no roads."""
     pose = Pose(world.x[entity].copy(), world.y[entity].copy(), world.heading[entity].copy())
     if world.network is None:
         return pose
@@ -46,7 +46,7 @@ def road_pose(world: World, entity: int) -> Pose:
 
 
 def is_on_road(world: World, entity: int) -> BoolArray:
-    """Check whether an entity's reference point is within the width of a road, shape (N,)."""
+    """Return in which scenarios an entity's reference point is on a road, shape (N,)."""
     assert world.network is not None
     location = world.network.locate(world.x[entity], world.y[entity])
     width = np.zeros(world.scenarios)
@@ -71,7 +71,7 @@ def is_on_road(world: World, entity: int) -> BoolArray:
 
 
 def road_heading(world: World, pose: Pose) -> FloatArray:
-    """Direction of the road's s at a pose in rad, shape (N,)."""
+    """Return the direction of s at a pose, in rad, shape (N,)."""
     assert world.network is not None
     assert pose.road is not None
     assert pose.s is not None
@@ -79,12 +79,12 @@ def road_heading(world: World, pose: Pose) -> FloatArray:
 
 
 def is_heading_along_road(world: World, pose: Pose) -> BoolArray:
-    """Check whether a pose points along its road's s, shape (N,); exactly across counts as along."""
+    """Return whether a pose points along its road's s, shape (N,); a pose exactly across the road counts as along."""
     return is_facing_forward(pose.heading - road_heading(world, pose))
 
 
 def locate_on_road(world: World, entity: int, where: BoolArray) -> None:
-    """Locate an entity on its road, for kernels in the coming frame, in the scenarios of a mask."""
+    """Locate an entity on its road for the kernels of the coming frame, in the scenarios of a mask."""
     if world.network is None:
         return
     follows = follows_lane(world, entity)
@@ -101,7 +101,7 @@ def locate_on_road(world: World, entity: int, where: BoolArray) -> None:
 
 
 def _road_headings(network: RoadNetwork, road: IntArray, s: FloatArray) -> FloatArray:
-    """Direction of the roads' s at positions on them, shape (R,)."""
+    """Return the direction of s at positions on roads, in rad, shape (R,)."""
     heading = np.zeros(len(s))
     for number in np.unique(road):
         rows = road == number
@@ -110,9 +110,9 @@ def _road_headings(network: RoadNetwork, road: IntArray, s: FloatArray) -> Float
 
 
 def distance_ahead_on_road(world: World, entity: int, target: Pose, default: FloatArray) -> FloatArray:
-    """Distance in m to a target along the entity's reference line, (N,), negative behind.
+    """Return the distance to a target along the reference line of the entity's road in m, shape (N,), negative behind.
 
-    `default` applies if the target is on another road.
+    It is `default` if the target is on another road.
     """
     if world.network is None or target.road is None or target.s is None:
         return default
@@ -124,7 +124,7 @@ def distance_ahead_on_road(world: World, entity: int, target: Pose, default: Flo
 
 
 def relative_lane(world: World, pose: Pose, other: Pose) -> IntArray:
-    """Number of lanes from `pose` to `other`, positive to the left in driving direction, (N,)."""
+    """Return the number of lanes from `pose` to `other`, shape (N,), positive to the left in driving direction."""
     assert pose.lane is not None
     assert other.lane is not None
     # Lane 0 is the centre line, not a lane.
@@ -135,7 +135,10 @@ def relative_lane(world: World, pose: Pose, other: Pose) -> IntArray:
 
 
 def is_opposite_direction(world: World, entity: int, pose: Pose) -> BoolArray:
-    """Check whether the pose's road runs opposite to the entity's road along its lane, (N,); False if not connected."""
+    """Return whether the s of the pose's road is opposite to that of the entity's road, shape (N,).
+
+    The directions are compared along the entity's lane. False if the roads are not connected.
+    """
     assert pose.road is not None
     result = np.zeros(world.scenarios, dtype=np.bool_)
     for _, track, rows in world.iter_followed_tracks(entity, world.present[entity]):
@@ -153,7 +156,7 @@ def is_opposite_direction(world: World, entity: int, pose: Pose) -> BoolArray:
 
 
 def has_drivable_lane_in_range(world: World, pose: Pose, first: int, last: int, opposite: bool) -> BoolArray:
-    """Check for a drivable lane from `first` to `last` lanes left of a pose (inclusive), shape (N,).
+    """Return whether there is a drivable lane between `first` and `last` lanes to the left of a pose, shape (N,).
 
     `opposite`: whether lanes of the opposite direction count.
     """

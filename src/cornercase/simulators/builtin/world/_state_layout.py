@@ -1,6 +1,6 @@
-"""Rows of the state tables of a batch, indexed (scenario, row, entity).
+"""Layout of the state tables of a batch: the constants are rows, in tables indexed (scenario, row, entity).
 
-A kernel that works on one scenario works on one block of memory.
+A kernel that works on one scenario therefore works on one block of memory.
 """
 
 from __future__ import annotations

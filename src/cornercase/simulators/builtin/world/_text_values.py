@@ -1,4 +1,4 @@
-"""Text values of variables and parameters, and whether a file's conditions use them."""
+"""Values of variables and parameters as texts, and whether conditions in a file use them."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def read_text_value(element: etree._Element, scope: Scope, values: npt.NDArray[n
 
 
 def is_unused_by_conditions(element: etree._Element, *conditions: str) -> bool:
-    """Check that no condition with one of the tags is in an element's file; False if catalogs could contain some."""
+    """Return whether no condition with one of the tags is in the file of an element; False if catalogs may have one."""
     root = element.getroottree().getroot()
     # This search must not mark elements as read.
     found_conditions = iter_descendants_untracked(root, *conditions)

@@ -14,7 +14,7 @@ from cornercase.simulators.builtin.world._world import World
 
 
 def update_off_road_times(world: World, where: BoolArray) -> None:
-    """Update since when entities are off the road, in the scenarios of a mask."""
+    """Update the times since which entities are off the road, in the scenarios of a mask."""
     # As in esmini, no entity is off the road before the first time step.
     current_time = np.where(world.last_step > 0.0, world.time, np.inf)
     for e, since in enumerate(world.off_road_since):
@@ -23,7 +23,7 @@ def update_off_road_times(world: World, where: BoolArray) -> None:
 
 
 def extend_lane_paths(world: World) -> None:
-    """Make entities near the end of their lane's cut path follow the next part."""
+    """Make entities near the end of their lane path follow its next part."""
     for e, tracks in enumerate(world.tracks):
         for k, track in enumerate([*tracks]):
             if isinstance(track, LaneTrack) and track.is_continued:
@@ -31,25 +31,25 @@ def extend_lane_paths(world: World) -> None:
 
 
 def heading_velocity(world: World) -> tuple[FloatArray, FloatArray]:
-    """Velocity in x and y along the headings in m/s, each (E, N)."""
+    """Return the components in x and y of velocities along the headings, in m/s, shape (E, N) each."""
     return world.speed * np.cos(world.heading), world.speed * np.sin(world.heading)
 
 
 def heading_acceleration(world: World) -> FloatArray:
-    """Acceleration along the heading in the last step in m/s², shape (E, N)."""
+    """Return the acceleration along the heading in the last step, in m/s², shape (E, N)."""
     return np.asarray(
         world.step_acceleration[0] * np.cos(world.heading) + world.step_acceleration[1] * np.sin(world.heading)
     )
 
 
 def update_pose_on_track(world: World, entity: int, where: BoolArray) -> None:
-    """Update an entity's pose from its position on the track immediately."""
+    """Update an entity's pose from its position on the track at once."""
     for _, track, at in world.iter_followed_tracks(entity, where):
         _set_pose_from_track(world, entity, track, at)
 
 
 def shift_along_track(world: World, entity: int, where: BoolArray, distance: FloatArray) -> None:
-    """Shift an entity by `distance` m (N,) along its track before it moves in the frame."""
+    """Shift an entity by `distance` m, shape (N,), along its track, before the frame moves it."""
     for _, track, at in world.iter_followed_tracks(entity, where):
         before = world.distance[entity][at]
         world.distance[entity][at] = (
@@ -63,7 +63,7 @@ def shift_along_track(world: World, entity: int, where: BoolArray, distance: Flo
 def set_external_motion(
     world: World, entity: int, x: FloatArray, y: FloatArray, heading: FloatArray, speed: FloatArray
 ) -> None:
-    """Set the motion of an entity that another simulator moves, at the end of the coming step, each (N,)."""
+    """Set the motion of an entity that another simulator moves, at the end of the coming step, shape (N,) each."""
     world.x[entity], world.y[entity], world.heading[entity], world.speed[entity] = x, y, heading, speed
     world.moved[entity] = True
     for _, track, at in world.iter_followed_tracks(entity, world.running):

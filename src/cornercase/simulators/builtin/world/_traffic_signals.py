@@ -1,4 +1,4 @@
-"""Traffic signal controllers, which cycle through their phases."""
+"""Traffic signal controllers, which repeat a cycle of phases."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ _TINY: Final = 1e-6
 
 
 class SignalController:
-    """Switches traffic signals at the start of each phase; in between, a signal keeps any other state it is given.
+    """Switches traffic signals at the start of each phase; other changes of a signal last until the next phase.
 
-    `states`: state of each signal in each of P phases; `durations` (P, N) and `delay` (N,) in s.
+    `states` has the state of each signal in each of P phases. `durations` (P, N) and `delay` (N,) are in s.
     """
 
     def __init__(
@@ -39,24 +39,27 @@ class SignalController:
         self._phase = np.full(len(delay), -1)
 
     def phase_at(self, time: FloatArray) -> IntArray:
-        """Index of the phase at times in s, shape (N,)."""
+        """Return the index of the phase at times in s, shape (N,)."""
         since = np.mod(time - self._cycle_start + _TINY, self._phase_ends[-1])
         return np.asarray(np.minimum((self._phase_ends <= since).sum(axis=0), len(self.names) - 1), dtype=np.int64)
 
     def next_phase_start(self, time: FloatArray) -> FloatArray:
-        """Time in s at which the next phase begins, shape (N,); the present one if signals are not yet set for it."""
+        """Return the time in s at which the next phase begins, shape (N,).
+
+        If the signals have not been set for the present phase, the start of the present phase is returned.
+        """
         since = np.mod(time - self._cycle_start + _TINY, self._phase_ends[-1])
         ends = np.take_along_axis(self._phase_ends, self.phase_at(time)[None], axis=0)[0]
         return np.where(self._phase < 0, time, time + (ends - since))
 
     def start_phase(self, phase: int, time: FloatArray, where: BoolArray) -> None:
-        """Start a phase now in the scenarios of a mask, and continue from there."""
+        """Start a phase now in the scenarios of a mask; the cycle continues from there."""
         begins = self._phase_ends[phase - 1] if phase else np.zeros(self._phase_ends.shape[1])
         self._cycle_start[where] = (time - begins)[where]
         self._phase[where] = -1
 
     def update_signals(self, signals: dict[str, npt.NDArray[np.str_]], time: FloatArray, where: BoolArray) -> None:
-        """Set the signals where a phase has begun, in the scenarios of a mask."""
+        """Set the signals in scenarios of a mask in which a new phase has begun."""
         phases = np.where(where, self.phase_at(time), self._phase)
         for k in np.unique(phases[phases != self._phase]):
             has_begun = (phases == k) & (phases != self._phase)
@@ -103,14 +106,17 @@ def read_signal_controllers(root: etree._Element, scope: Scope) -> dict[str, Sig
 
 
 def require_signal_controller(controllers: dict[str, SignalController], name: str, location: str) -> SignalController:
-    """Return the controller with a name; raise `InputError`, starting with `location`, if there is none."""
+    """Return the controller with a name; raises `InputError` if there is none. `location` starts the message."""
     if name not in controllers:
         raise InputError(f"{location}: there is no signal controller '{name}'; {suggest_name(name, controllers)}")
     return controllers[name]
 
 
 def require_phase_index(controller: SignalController, name: str, location: str) -> int:
-    """Index of the phase with a name; raises `InputError`, starting with `location`, if there is none."""
+    """Return the index of the phase with a name; raises `InputError` if there is none.
+
+    `location` starts the message.
+    """
     if name not in controller.names:
         raise InputError(
             f"{location}: the signal controller has no phase '{name}'; {suggest_name(name, controller.names)}"

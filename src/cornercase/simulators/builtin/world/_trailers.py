@@ -1,4 +1,4 @@
-"""Trailers, which follow the vehicles that pull them."""
+"""Trailers, and the vehicles that pull them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ MAX_TRAILERS: Final = 20
 
 
 def read_tow(vehicle: int, trailer: int, entities: Sequence[Entity]) -> Tow:
-    """Read where a trailer is connected to a vehicle (rows); raise `InputError` without hitch or coupler."""
+    """Read how a trailer is connected to a vehicle (both rows); raises `InputError` without hitch or coupler."""
     bodies = entities[vehicle].body, entities[trailer].body
     assert bodies[0] is not None
     assert bodies[1] is not None
@@ -31,7 +31,7 @@ def read_tow(vehicle: int, trailer: int, entities: Sequence[Entity]) -> Tow:
 
 
 def sort_front_to_back(tows: Sequence[Tow]) -> tuple[Tow, ...]:
-    """Sort trailers from front to back."""
+    """Sort pairs of vehicle and trailer from front to back."""
     behind = {tow.trailer: tow.vehicle for tow in tows}
 
     def depth(entity: int) -> int:
@@ -60,6 +60,6 @@ def align_trailers(world: World, entity: int, where: BoolArray) -> None:
 
 
 def place_trailers(world: World) -> None:
-    """Place trailers without a position straight behind their vehicles."""
+    """Place trailers that have no position straight behind their vehicles."""
     for tow in world.tows:
         align_trailers(world, tow.vehicle, world.running & world.present[tow.vehicle] & np.isnan(world.x[tow.trailer]))

@@ -1,6 +1,6 @@
 """State of all entities in all concrete scenarios of a batch.
 
-Arrays are indexed (entity, scenario), so that an entity's row is contiguous over the scenarios.
+Arrays are indexed (entity, scenario), so that the values of an entity are contiguous in memory.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ LONGITUDINAL, LATERAL = "longitudinal", "lateral"
 
 
 class SpeedController(Protocol):
-    """Decides the speed of an entity while in control of it."""
+    """Decides the speed of an entity that it controls."""
 
     def step(self, dt: float) -> None:
         """Decide the entity's speed at the end of the coming time step."""
@@ -51,10 +51,10 @@ class SpeedController(Protocol):
 class Entity:
     """Constant properties of an entity.
 
-    `kind`: vehicle category, ``"pedestrian"`` or ``"misc"``. Box in m; limits in m/s and m/s², infinite if not set.
-    `slides`: follows trajectories with any heading they prescribe. `polyline_turning`: where its heading turns along a
-    polyline (`ALONG_SEGMENTS`, `AT_CORNERS`, `AT_VERTICES`), or None if the following mode decides. `body`: its
-    element and scope.
+    `kind`: vehicle category, ``"pedestrian"`` or ``"misc"``. The box is in m; limits are in m/s and m/s², infinite if
+    not set. `slides`: whether it follows trajectories with any heading that they define. `polyline_turning`: where its
+    heading turns along a polyline (`ALONG_SEGMENTS`, `AT_CORNERS`, `AT_VERTICES`); None if the following mode decides.
+    `body`: its element in the file, and the scope to read it in.
     """
 
     name: str
@@ -72,9 +72,10 @@ class Entity:
 
 @dataclass(frozen=True)
 class Tow:
-    """A vehicle and a trailer (rows) that it pulls, or may pull later.
+    """A vehicle and a trailer (both rows) that it pulls, or may pull later.
 
-    `hitch`: connection ahead of the vehicle's reference point, `coupler`: ahead of the trailer's, in m.
+    `hitch` is the distance of the connection ahead of the vehicle's reference point in m; `coupler` is its distance
+    ahead of the trailer's reference point.
     """
 
     vehicle: int
@@ -84,22 +85,29 @@ class Tow:
 
 
 class World:
-    """State of E entities in N concrete scenarios; rows of the tables are documented in `layout_revision`.
+    """State of E entities in N concrete scenarios; `_state_layout` documents the rows of its tables.
 
-    The (E, N) arrays are views of `floats`, `flags` and `numbers` (N, K, E): write into them, never replace them.
-    `overlapping` (E, E, N) is a view of `overlaps` (N, E, E). `time` and `last_step` (N,) in s differ between
-    scenarios. `running` (N,): scenarios in the current frame. `changed` (N,): scenarios whose storyboard has changed in
-    this frame. `started`: the first frame, in which nothing moves, is over. `step_velocity` and `step_acceleration`:
-    velocity in m/s and acceleration in m/s² of the last step, as x and y. `needs_road_check`: a condition asks for
-    entities off the road. `variables` and `parameters`: values (N,) as numbers or texts; `signals`: states (N,) as
-    texts. `selections`: rows of entities. `positioned_entity`: row of the entity whose position is being resolved.
-    `drivers`: all that may control entities; `has_fixed_driver` (E): the driver was chosen by the user, and the file
-    cannot change it. `tracks`: all tracks that an entity has followed. `routes`: all assigned routes, as (road, lane,
-    s). `lane_tracks`: cache of tracks along lanes. `current_action`: line and name of the acting action, for errors.
-    `errors`: by scenario. `compiled`: what compiled code answers, once the run is prepared. `evaluate_leaves`:
-    evaluates the leaves of all conditions in the running scenarios; `has_leaf_values`: that has been done, and no
-    action has changed the state since. `notices`: sentences on deviations from the file, without a full stop, each
-    once.
+    The arrays (E, N) are views of `floats`, `flags` and `numbers` (N, K, E): write into them, and never replace them.
+    `overlapping` (E, E, N) is a view of `overlaps` (N, E, E).
+
+    Time: `time` and `last_step` (N,) in s. `running` (N,): scenarios in the current frame. `changed` (N,): scenarios
+    whose storyboard has changed in this frame. `started`: whether the first frame is over, in which nothing moves.
+
+    Motion: `step_velocity` in m/s and `step_acceleration` in m/s² of the last step, as x and y. `needs_road_check`:
+    whether a condition asks for entities off the road. `tracks`: all tracks that each entity has followed. `routes`:
+    all assigned routes, as (road, lane, s). `lane_tracks`: cache of tracks along lanes.
+
+    Storyboard: `variables` and `parameters`: values (N,), numbers or texts. `signals`: states (N,), texts.
+    `selections`: rows of entities. `positioned_entity`: row of the entity whose position is being resolved.
+    `current_action`: line and name of the action that acts, for errors. `evaluate_leaves`: evaluates the leaves of all
+    conditions in the running scenarios. `has_leaf_values`: whether that was done since an action last changed the
+    state.
+
+    Drivers: `drivers`: all that may control entities. `has_fixed_driver` (E): whether the user chose the driver, so
+    that the file cannot change it.
+
+    Results: `errors`: by scenario. `notices`: sentences on deviations from the file, without full stop, each once.
+    `compiled`: the calls to kernels, once the run is prepared.
     """
 
     x: FloatArray
@@ -187,7 +195,7 @@ class World:
             self.pulled_by[tow.trailer] = tow.vehicle
 
     def iter_followed_tracks(self, entity: int, where: BoolArray) -> Iterator[tuple[int, Track, IntArray]]:
-        """Yield the tracks that an entity follows in the mask: number, track, and scenarios."""
+        """Yield each track that an entity follows in the scenarios of a mask: number, track, and its scenarios."""
         for number, track in enumerate(self.tracks[entity]):
             rows = np.flatnonzero(where & (self.track[entity] == number))
             if rows.size:
@@ -205,20 +213,20 @@ class World:
         self.running &= ~where
 
     def add_notice(self, location: str, subject: str, reason: str, where: BoolArray) -> None:
-        """Record that `subject` at `location` (file and line) is not run as written, but as `reason` says."""
+        """Note that `subject` at `location` (file and line) is not run as written, but as `reason` says."""
         first = np.flatnonzero(where & self.running)
         sentence = f"{NoticeLabel.ADAPTED}: {subject} ({location}): {reason}"
         if first.size and not any(notice.startswith(f"{sentence}; ") for notice in self.notices):
             self.notices[f"{sentence}; first at {self.time[first[0]]:.6g} s"] = None
 
     def update_leaf_values(self) -> None:
-        """Evaluate the leaves of all conditions, unless that has been done."""
+        """Evaluate the leaves of all conditions, unless they are up to date."""
         if not self.has_leaf_values:
             self.evaluate_leaves()
             self.has_leaf_values = True
 
     def set_speed(self, entity: int, where: BoolArray, speed: FloatArray) -> None:
-        """Set an entity's speed, or its driver's target speed, in the scenarios of the mask."""
+        """Set an entity's speed (or the target speed of its driver) in the scenarios of a mask."""
         self.target_speed[entity][where] = speed[where]
         undriven = where & ~self.driven[entity]
         self.speed[entity][undriven] = speed[undriven]
@@ -227,7 +235,7 @@ class World:
     def assign_control(
         self, entity: int, where: BoolArray, driver: int | None = None, activated: bool | None = None
     ) -> None:
-        """Assign a driver (-1 for none) or activate longitudinal control; None leaves it unchanged."""
+        """Assign a driver (-1 for none), or activate or deactivate it; an argument of None changes nothing."""
         if driver is not None:
             self.driver[entity][where] = driver
         if activated is not None:
