@@ -229,7 +229,7 @@ def test_progress_reaches_the_end(capsys):
         ([[1.0], [2.0]], {"local_cost": "manhattan"}, "local_cost is 'manhattan'"),
         ([[1.0], [2.0]], {"dtype": "int32"}, "dtype is 'int32'"),
         ([np.zeros((4, 9))], {}, "at most 8 are supported"),
-        ([[1.0], [2.0]], {"resume": True}, "give out"),
+        ([[1.0], [2.0]], {"resume": True}, "as out"),
         ([[1.0], [2.0]], {"device": "tpu"}, "device is 'tpu'"),
     ],
 )

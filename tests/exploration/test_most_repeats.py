@@ -262,7 +262,7 @@ def test_a_study_is_run_again_as_it_was(tmp_path):
     [
         ({"max_repeats": 3}, "`max_repeats` 3: is less than `repeats` 5"),
         ({"repeats": 1}, "`max_repeats` 17: .* set `repeats` to 2 or more"),
-        ({"repeats": 3, "max_repeats": 4}, "`max_repeats` 4: fewer than 5 runs never decide a scenario"),
+        ({"repeats": 3, "max_repeats": 4}, "`max_repeats` 4: fewer than 5 runs never show if a scenario is critical"),
         ({"critical": None}, "no default threshold; give one with `critical`"),
         ({"critical": None, "critical_if": "collision", "repeats": 1}, "leave `max_repeats` out"),
         ({"critical": None, "weights": {"distance": 1.0}}, "leave out `weights`"),

@@ -110,9 +110,9 @@ def test_names_are_taken_once_and_a_star_is_everybody_else():
     assert resolve_others("*", "Ego", ("A", "Ego", "B")) == ("A", "B")
     assert resolve_others(["B", "*"], "Ego", ("A", "Ego", "B")) == ("B", "A")
     assert resolve_others("A,B", "Ego", ("A,B", "A", "B", "Ego")) == ("A,B",)
-    with pytest.raises(InputError, match="`other` A, B: is not an entity; give several one by one"):
+    with pytest.raises(InputError, match="`other` A, B: is not an entity; give several entities one by one"):
         resolve_others("A, B", "Ego", ("A", "Ego", "B"))
-    with pytest.raises(InputError, match="there is no entity but Ego"):
+    with pytest.raises(InputError, match="there is no entity besides Ego"):
         resolve_others("*", "Ego", ("Ego",))
 
 

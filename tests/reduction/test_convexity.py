@@ -139,7 +139,7 @@ def test_all_ways_keep_scenarios_of_the_cluster_and_as_many_as_wanted():
     [
         (lambda: find_archetypes(np.empty((0, 2))), "have no archetypes"),
         (lambda: find_archetypes(np.array([[1.0], [2.0]]), 0), "`k` 0"),
-        (lambda: find_archetypes(np.array([[1.0], [2.0]]), max_k=0), "`most` 0"),
+        (lambda: find_archetypes(np.array([[1.0], [2.0]]), max_k=0), "`max_k` 0"),
         (
             lambda: classify_cluster_shapes(np.zeros((3, 1)), np.zeros(3, dtype=np.int64), method="hul"),  # type: ignore[arg-type]
             "did you mean 'hull'",

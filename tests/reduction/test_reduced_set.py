@@ -108,8 +108,8 @@ def test_medoids_leave_nearly_the_smallest_mean_there_is():
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({}, "give one of them"),
-        ({"size": 3, "cover": 0.1}, "give one of them"),
+        ({}, "give exactly one of them"),
+        ({"size": 3, "cover": 0.1}, "give exactly one of them"),
         ({"size": 0}, "selects nothing"),
         ({"cover": 2.0}, "`cover` 2: give a number"),
     ],
@@ -241,7 +241,7 @@ def test_another_scenario_file_than_the_one_that_was_explored_is_refused(explore
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"size": 3, "share": 0.1}, "`size`, `share`, `cover`, `archetypes`: give one of them"),
+        ({"size": 3, "share": 0.1}, "`size`, `share`, `cover`, `archetypes`: give only one of them"),
         ({"share": 1.5}, "`share` 1.5: give a number above 0 and up to 1"),
         ({"archetypes_by": "hul"}, "`archetypes_by` hul: did you mean 'hull'"),
         ({"within": 0.0}, "`within` 0: give a number above 0"),

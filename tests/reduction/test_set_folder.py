@@ -172,7 +172,7 @@ def test_a_folder_of_a_stranger_reaches_nothing_outside_of_it(tmp_path):
         (hidden / "outside.txt").write_text("worse")
         if not (folder / "away").is_symlink():
             (folder / "away").symlink_to(tmp_path)
-        with pytest.raises(InputError, match="not a file in the folder"):
+        with pytest.raises(InputError, match="which is not a file in the folder"):
             complete_replacement(folder)
         assert outside.read_text() == "mine"
         (folder / "away").unlink()

@@ -112,7 +112,7 @@ def test_where_there_can_be_no_mutants_one_sentence_says_so(study, tmp_path):
     with pytest.raises(InputError, match="mutants cannot be judged with a reference driver"):
         cc.run_suite(tmp_path / "reduced", tmp_path / "run.db", require=["no collision unless rss collides"], mutants=5)
     assert not (tmp_path / "run.db").exists()
-    with pytest.raises(InputError, match="`kill_matrix`, `cover`: give one of them"):
+    with pytest.raises(InputError, match="`kill_matrix`, `cover`: give only one of them"):
         cc.reduce(study, tmp_path / "none", cover=0.2, kill_matrix=analyze_mutants(study, 1, scenario=T), scenario=T)
     refused = cornercase("reduce", study, "--require", "ttc > 1", "-o", tmp_path / "none")
     assert (refused.returncode, refused.stdout) == (2, "")

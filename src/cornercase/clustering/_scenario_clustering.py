@@ -227,7 +227,8 @@ class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
         matrix = np.asarray(distances, dtype=np.float64)
         if matrix.ndim != 2 or matrix.shape[1] != self.n_features_in_:
             raise InputError(
-                f"Distances of shape {matrix.shape} do not fit the {self.n_features_in_} scenarios that were clustered."
+                f"Distances of shape {matrix.shape} do not fit the {self.n_features_in_} scenarios that were"
+                f" clustered; give shape (m, {self.n_features_in_})."
             )
         if not np.isfinite(matrix).all() or (matrix < 0.0).any():
             raise InputError("A distance is negative or not finite; give finite distances of at least 0.")
@@ -369,5 +370,5 @@ def _check_distance_matrix(distances: npt.ArrayLike) -> FloatArray:
         i, j = np.argwhere(~np.isfinite(array) | (array < 0))[0]
         raise InputError(f"The distance of {i} and {j} is {array[i, j]}; give finite distances of at least 0.")
     if not np.array_equal(array, array.T) or array.diagonal().any():
-        raise InputError("The distance matrix is not symmetric with a zero diagonal; give distances both ways.")
+        raise InputError("The distance matrix has to be symmetric, with zeros on its diagonal.")
     return array

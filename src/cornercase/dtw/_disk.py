@@ -65,7 +65,7 @@ def fill_matrix_file(
     elif not resume and path.exists():
         raise InputError(f"{path}: already exists; continue it with resume=True, or give another path.")
     elif resume and path.exists() and not journal.exists():
-        raise InputError(f"{path}: {journal.name} is missing, so its content is unknown; give another path.")
+        raise InputError(f"{path}: {journal.name} is missing, so the finished part is unknown; give another path.")
     elif not path.exists():
         journal.unlink(missing_ok=True)
     existed = path.exists()
@@ -152,7 +152,7 @@ def _path_of_memmap(out: FloatMap, size: int, dtype: np.dtype[Any]) -> str:
     if out.shape != (size, size) or out.dtype != dtype:
         raise InputError(f"out is {out.dtype} of shape {out.shape}; give {dtype} of shape ({size}, {size}).")
     if out.filename is None or not isinstance(out.base, mmap.mmap) or not out.flags.c_contiguous:
-        raise InputError("out is not a map of a whole file in row-major order; give such a numpy.memmap, or a path.")
+        raise InputError("out does not map a whole file in row-major order; give a numpy.memmap that does, or a path.")
     if out.mode not in ("r+", "w+"):
         raise InputError(f"out is open in mode {out.mode!r}; open it with 'r+'.")
     return os.fspath(out.filename)
@@ -169,7 +169,10 @@ def _open_memmap(path: Path, size: int, dtype: np.dtype[Any], *, new: bool) -> F
     except ValueError as error:
         raise InputError(f"{path}: is not a NumPy file; give another path.") from error
     if view.shape != (size, size) or view.dtype != dtype or not view.flags.c_contiguous:
-        raise InputError(f"{path}: holds {view.dtype} of shape {view.shape}, which does not match.")
+        raise InputError(
+            f"{path}: holds {view.dtype} of shape {view.shape} instead of {dtype} of shape ({size}, {size}); give"
+            " another path."
+        )
     return view
 
 
@@ -212,7 +215,8 @@ def _read_or_create_journal(journal: Path, fingerprint: str) -> dict[tuple[int, 
         journal.write_text(fingerprint + "\n", encoding="utf-8", newline="\n")
     if first != fingerprint:
         raise InputError(
-            f"{journal}: belongs to other series or settings; give those again, or delete it and the matrix."
+            f"{journal}: belongs to other series or settings; give the same ones again, or delete this file and the"
+            " matrix."
         )
     checksums = {}
     for line in squares:

@@ -99,7 +99,7 @@ def distance_matrix(
     settings = _check_settings(local_cost, window, dtype, n_jobs, device, client)
     arrays = _validate_series(series)
     if resume and out is None:
-        raise InputError("resume needs a matrix on disk; give out.")
+        raise InputError("resume needs a matrix on disk; give its path as out.")
     if len(arrays) < 2 and out is None:
         return np.zeros((len(arrays), len(arrays)), dtype=settings.dtype)
     arrays = _subtract_common_mean(arrays, settings.dtype, len(arrays))
@@ -111,7 +111,7 @@ def distance_matrix(
         if isinstance(out, np.ndarray) and not isinstance(out, np.memmap):
             raise InputError("out is an array in memory; give a path or a numpy.memmap.")
         if not arrays:
-            raise InputError("There are no series to fill out with.")
+            raise InputError("There are no series, so out would be empty; give at least one series.")
         return disk.fill_matrix_file(
             arrays, out, resume=resume, settings=settings, report_progress=advance, client=client
         )
@@ -319,7 +319,9 @@ def _validate_series(
             raise InputError(f"{name} {index} has {dims} dimensions; at most {MAX_DIMENSIONS} are supported.")
         if not np.isfinite(array).all():
             instant = int(np.argmin(np.isfinite(array).all(axis=1)))
-            raise InputError(f"{name} {index} is not finite at instant {instant}; fill or cap it, or leave it out.")
+            raise InputError(
+                f"{name} {index} is not finite at instant {instant}; replace the value, or leave the series out."
+            )
         arrays.append(array)
     return arrays
 

@@ -108,7 +108,7 @@ class ExplorationConfig(ExplorationOptions):
             raise InputError(f"`max_repeats` {limit}: is less than `repeats` {self.repeats}; give a larger number.")
         if limit < MIN_DECISIVE_RUNS:
             raise InputError(
-                f"`max_repeats` {limit}: fewer than {MIN_DECISIVE_RUNS} runs never decide a scenario; give"
+                f"`max_repeats` {limit}: fewer than {MIN_DECISIVE_RUNS} runs never show if a scenario is critical; give"
                 f" {MIN_DECISIVE_RUNS} or more, or only `repeats` {limit}."
             )
         return limit

@@ -119,7 +119,7 @@ def estimate(
     run_options = check_options("estimate", RUN_OPTIONS, options)
     with StudyFile.open(study_file, readonly=True) as source:
         if _ESTIMATE_OPTIMIZER_NAME.fullmatch(source.meta.optimizer):
-            raise InputError(f"{study_file}: is an estimate itself; name the study that it is based on.")
+            raise InputError(f"{study_file}: is the result of an estimate; give the explored study instead.")
         config = _estimate_config(source, scenario, budget, critical, seed, simulator, drivers or {})
         config = replace(config, **run_options)
         learn, n_known = _stored_sample_sizes(output_file, round(_LEARNING_FRACTION * budget))
@@ -155,7 +155,7 @@ def _estimate_config(
 ) -> ExplorationConfig:
     """Return the study's configuration with another budget and seed."""
     if study.meta.pareto:
-        raise InputError(f"{study.path}: was searched for a Pareto front, so it has no threshold.")
+        raise InputError(f"{study.path}: was searched for a Pareto front, so it has no threshold; give another study.")
     config = config_from_study(study, study.path, scenario, simulator, drivers)
     # Draws need none of the other search settings.
     return replace(

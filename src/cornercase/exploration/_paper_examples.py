@@ -71,7 +71,7 @@ def _copy_example_files(example: Path, folder: Path) -> Path:
             with atomic_write(copy) as temporary:
                 temporary.write_bytes(content)
         elif read_file(copy) != content:
-            raise InputError(f"{copy}: differs from the example's file; choose another folder, or remove it.")
+            raise InputError(f"{copy}: differs from the example's file; choose another folder, or remove the file.")
     return folder
 
 

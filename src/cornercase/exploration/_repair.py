@@ -153,7 +153,9 @@ def _reword_file_errors(file: Path) -> Iterator[None]:
         yield
     except (OSError, sqlite3.Error) as error:
         reason = error.strerror if isinstance(error, OSError) else error
-        raise InputError(f"{file}: cannot be repaired ({reason}); make room, or copy it elsewhere.") from error
+        raise InputError(
+            f"{file}: cannot be repaired ({reason}); make room, or copy the file to another disk."
+        ) from error
 
 
 @contextmanager

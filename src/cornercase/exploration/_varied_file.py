@@ -32,7 +32,8 @@ def open_logical_scenario(
     if isinstance(scenario, LogicalScenario):
         if space is not None or ranges or vary or continuous:
             raise InputError(
-                "`space`, `ranges`, `vary` and `continuous` apply to scenario files only; this scenario has a space."
+                "`space`, `ranges`, `vary` and `continuous` apply to scenario files only; this scenario has a space"
+                " already."
             )
         yield scenario
         return

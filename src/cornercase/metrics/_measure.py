@@ -176,7 +176,7 @@ def evaluate_metrics(
     """Evaluate metrics on a recording; return the results by name of the metric.
 
     Other entities that never exist in the recording are skipped. Contacts count as in `Metric.score_with_contact`.
-    Raises PartError if a metric raises an exception or returns no numbers.
+    Raises PluginError if a metric raises an exception or returns no numbers.
     """
     named = (other,) if isinstance(other, str) else tuple(other)
     others = present_others(recording, named)

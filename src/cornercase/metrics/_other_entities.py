@@ -34,10 +34,10 @@ def resolve_others(other: object, ego: str, entity_names: Sequence[str]) -> tupl
     for name in given:
         parts = [part.strip() for part in name.split(",")]
         if name not in entity_names and len(parts) > 1 and set(parts) <= set(entity_names):
-            raise InputError(f"`other` {name}: is not an entity; give several one by one.")
+            raise InputError(f"`other` {name}: is not an entity; give several entities one by one.")
     everyone = [name for name in entity_names if name != ego]
     if ALL_OTHERS in given and not everyone:
-        raise InputError(f"`other` {ALL_OTHERS}: there is no entity but {ego}.")
+        raise InputError(f"`other` {ALL_OTHERS}: there is no entity besides {ego}; add another one to the scenario.")
     return tuple(dict.fromkeys(name for entry in given for name in (everyone if entry == ALL_OTHERS else [entry])))
 
 

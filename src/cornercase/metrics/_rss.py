@@ -85,7 +85,7 @@ class Rss(Metric):
         check_nonnegative_options(self.name, lateral_acceleration=lateral_acceleration, lateral_margin=lateral_margin)
         for braking in (min_braking, max_braking, correct_braking, lateral_braking):
             if not 0.0 < braking < np.inf:
-                raise InputError(f"{self.name} cannot take a braking of {braking} m/s²; give one above 0.")
+                raise InputError(f"{self.name} cannot take a braking of {braking} m/s²; give a number above 0.")
         if term not in get_args(Term):
             raise InputError(f"{self.name} has no term '{term}'; {suggest_name(term, get_args(Term))}")
         self.response_time, self.acceleration = response_time, acceleration

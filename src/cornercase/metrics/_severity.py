@@ -157,5 +157,5 @@ def _mass_of_entity(recording: Recording, name: str, masses: Mapping[str, float]
 def _validate_masses(metric: str, masses: Mapping[str, float] | None) -> dict[str, float]:
     for name, mass in (masses or {}).items():
         if not 0.0 < mass < np.inf:
-            raise InputError(f"{metric} cannot take a mass of {mass} kg for '{name}'; give one above 0.")
+            raise InputError(f"{metric} cannot take a mass of {mass} kg for '{name}'; give a number above 0.")
     return dict(masses or {})

@@ -42,7 +42,7 @@ class Grid(Optimizer):
                 raise InputError(
                     f"`budget` {budget}: its grid has more than {_MAX_POINTS} points, which would"
                     f" take gigabytes of memory;"
-                    " give less, or search with 'sobol'."
+                    " give a smaller budget, or use the optimizer sobol."
                 )
         grid = space.full_factorial(steps)
         grid = grid[_space_filling_order(steps)]

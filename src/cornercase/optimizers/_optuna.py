@@ -45,7 +45,7 @@ class Optuna(Optimizer):
 
     def __init__(self, sampler: str = "tpe") -> None:
         if sampler not in _SAMPLERS:
-            raise InputError(f"There is no sampler '{sampler}' of Optuna here; {suggest_name(sampler, _SAMPLERS)}")
+            raise InputError(f"The optimizer optuna has no sampler '{sampler}'; {suggest_name(sampler, _SAMPLERS)}")
         self._sampler_name = sampler
 
     def prepare(self, space: ParameterSpace, seed: int) -> None:

@@ -54,7 +54,7 @@ def find_archetypes(points: FloatArray, k: int | None = None, *, max_k: int = MA
     if points.ndim != 2 or not len(points):
         raise InputError(f"Points of shape {points.shape} have no archetypes; give shape (n, d) with n at least 1.")
     if (max_k if k is None else k) < 1:
-        raise InputError(f"`{'most' if k is None else 'k'}` {max_k if k is None else k}: give at least 1.")
+        raise InputError(f"`{'max_k' if k is None else 'k'}` {max_k if k is None else k}: give at least 1.")
     distinct = np.unique(points, axis=0)
     variance = float(((points - points.mean(axis=0)) ** 2).sum())
     if len(distinct) <= (1 if k is None else k) or variance == 0.0:

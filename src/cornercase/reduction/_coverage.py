@@ -124,7 +124,7 @@ def measure_coverage(
     if not len(indices):
         raise InputError("No scenario is selected, so nothing is covered; select at least one.")
     if indices[0] < 0 or indices[-1] >= n:
-        raise InputError(f"A selected scenario is not among the {n} of the distance matrix; give indices from 0.")
+        raise InputError(f"A selected scenario is not in the distance matrix; give indices from 0 to {n - 1}.")
     names = np.arange(n) if ids is None else np.asarray(ids, dtype=np.int64)
     extent = float(matrix.max())
     all_gaps = (

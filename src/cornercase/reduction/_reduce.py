@@ -146,9 +146,9 @@ def reduce(
     cornercase.analyze : Finds the clusters.
     """
     if sum(option is not None for option in (size, share, cover, archetypes)) > 1:
-        raise InputError("`size`, `share`, `cover`, `archetypes`: give one of them.")
+        raise InputError("`size`, `share`, `cover`, `archetypes`: give only one of them.")
     if kill_matrix is not None and (cover is not None or archetypes is not None):
-        raise InputError(f"`kill_matrix`, `{'cover' if archetypes is None else 'archetypes'}`: give one of them.")
+        raise InputError(f"`kill_matrix`, `{'cover' if archetypes is None else 'archetypes'}`: give only one of them.")
     size_requested = size is not None or share is not None
     size = None if size is None else check_int("size", size, minimum=1)
     share = None if share is None else check_float("share", share, above=0.0)

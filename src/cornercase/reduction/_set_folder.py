@@ -251,7 +251,8 @@ def _safe_path(folder: Path, relative_path: str) -> Path:
         part in ("", ".", "..") or ":" in part or "\0" in part for part in parts
     ) or not file.parent.resolve().is_relative_to(folder.resolve()):
         raise InputError(
-            f"{folder}: the manifest lists {relative_path[:100]}, not a file in the folder; run `reduce` again."
+            f"{folder}: the manifest lists {relative_path[:100]}, which is not a file in the folder; run `reduce`"
+            " again."
         )
     return file
 

@@ -71,7 +71,7 @@ def area_visits(recording: Recording, ego: str, other: str, area: Area | None) -
 def validate_area(metric: str, area: Area | None) -> Area | None:
     """Return the rectangle `area` unchanged; InputError if it is invalid."""
     if area is not None and (len(area) != 5 or not np.isfinite(area).all() or min(area[3:]) <= 0.0):
-        raise InputError(f"{metric} cannot take {area} for its area; give x, y, heading, length > 0, width > 0.")
+        raise InputError(f"{metric} cannot take the area {area}; give x, y, heading, and a length and width above 0.")
     return area
 
 

@@ -63,7 +63,7 @@ def select_scenarios(
     of the first. `shaped_clusters` defaults to `classify_cluster_shapes`.
     """
     if (size is None) == (cover is None):
-        raise InputError("`size`, `cover`: give one of them.")
+        raise InputError("`size`, `cover`: give exactly one of them.")
     if size is not None and size < 1:
         raise InputError(f"`size` {size}: selects nothing; give 1 or more.")
     if cover is not None and not 0.0 < cover <= 1.0:
