@@ -24,8 +24,8 @@ _MAX_BYTES: Final = 1_000_000
 def read_study_file(path: Path) -> dict[str, Any]:
     """Read options of `explore` from a TOML file; paths in it are relative to the folder of the file.
 
-    The result is by name of the parameter in Python. InputError if the file is invalid, or if it names code or an
-    output path.
+    The keys of the result are the names of the parameters in Python. InputError if the file is invalid, or if it names
+    code or an output path.
     """
     try:
         table = tomllib.loads(read_file(path, _MAX_BYTES).decode("utf-8-sig"))

@@ -31,7 +31,8 @@ def explore(
 ) -> None:
     """Search a logical scenario for its critical concrete scenarios.
 
-    Run the same command again to resume. With --check-proposals, exit code 1 means that a proposal differs.
+    Run the same command again to resume. With --check-proposals, exit code 1 means that the optimizer would propose
+    other scenarios than the stored ones.
 
     \b
     Example:

@@ -25,7 +25,7 @@ def metrics(
 ) -> None:
     """List the criticality metrics, with those of other packages, or print definitions.
 
-    A metric takes options after a colon, those of its class in the documentation: --metric ttc:accelerating=true
+    Options of a metric follow a colon: --metric ttc:accelerating=true. The documentation of its class lists them.
 
     \b
     Example:

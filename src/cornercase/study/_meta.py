@@ -253,7 +253,7 @@ class StudyMeta:
         Parameters
         ----------
         scenario : int
-            Its id.
+            Id of the scenario.
 
         Returns
         -------

@@ -22,15 +22,15 @@ class ScenarioRecord:
     Attributes
     ----------
     id, round : int
-        Both from 1 on.
+        Id of the scenario, and number of its round; both count from 1.
     point : ndarray of float64, shape (d,)
-        Point in the unit cube.
+        Point in the unit cube of the parameter space.
     values : dict of str to float or str
         Parameter values.
     state : {"pending", "done", "failed"}
-        Whether it has run.
+        Whether the scenario has not run yet, has run, or has failed.
     error : str or None
-        Why it failed.
+        Why the scenario failed; None if it has not failed.
     """
 
     id: int

@@ -270,9 +270,9 @@ def _resolve_entities(
     requirements: Sequence[Requirement],
     drivers: Mapping[str, object],
 ) -> tuple[SuiteContents, tuple[str, tuple[str, ...]]]:
-    """Return the names of the ego and the others, and the suite with scenarios marked that lack one of these entities.
+    """Return the suite, in which scenarios that lack an entity are marked, and the names of the ego and the others.
 
-    `InputError` if all scenarios lack one.
+    `InputError` if all scenarios lack one of the entities.
     """
     for role, given, own in (("ego", ego, suite.ego), ("other", other, suite.other)):
         if given is None and not own:

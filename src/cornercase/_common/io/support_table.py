@@ -147,7 +147,7 @@ def sort_notices(notices: Iterable[Notice]) -> tuple[Notice, ...]:
 def adapted_notices(element: etree._Element, file: Path | str) -> tuple[Notice, ...]:
     """Return notices about parts that violate the standard but could be read.
 
-    They are about the element, its descendants and its ancestors.
+    They are about an element, its descendants and its ancestors.
     """
     return merge_notices(
         Notice((what,), why, Path(file), (line_number(part),), NoticeLabel.ADAPTED, rule)

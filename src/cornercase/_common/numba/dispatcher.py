@@ -94,7 +94,7 @@ class KernelDispatcher(CPUDispatcher):
 
 
 def _kind(value):
-    """Type of an argument, found quickly; of a tuple, not what it holds."""
+    """Return a key for the type of an argument, faster than numba does; the elements of a tuple are not looked at."""
     if isinstance(value, np.ndarray):
         return value.dtype, value.ndim, value.flags.c_contiguous
     return type(value)

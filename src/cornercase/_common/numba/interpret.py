@@ -69,15 +69,15 @@ def compile_loops_at_once() -> Iterator[None]:
 
 
 def must_interpret() -> bool:
-    """Whether machine code is left aside."""
+    """Whether kernels are interpreted even if they are compiled; see `interpret_always`."""
     return _Clock.is_forced
 
 
 @contextmanager
 def interpret_always() -> Iterator[None]:
-    """Within the block, interpret what can be, however long it takes, unless this process has called it before.
+    """Within the block, interpret all kernels that can be, to compare Python's results with those of machine code.
 
-    So the results of Python and of machine code can be compared.
+    Kernels that this process has called before stay compiled.
     """
     before, _Clock.is_forced = _Clock.is_forced, True
     try:
