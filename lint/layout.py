@@ -28,7 +28,6 @@ LARGE_FUNCTIONS = {
     "cli/study.py reduce": _OPTIONS,
     "cli/test.py test_suite": _OPTIONS,
     "api/_study.py cluster": _VERB,
-    "api/_study.py explore": _VERB,
     "api/_study.py reduce": _VERB,
     "api/_suite.py run": _VERB,
     "clustering/_analyze.py analyze": _API,
@@ -43,7 +42,8 @@ PUBLIC_MODULES = ("simulators/carla/cornercase_driver.py", "simulators/carla/cor
 # Names that several modules or classes have, and why.
 SHARED_STEMS: dict[str, str] = {"study": "cli has the commands, api the object"}
 SHARED_CLASSES: dict[str, str] = {
-    "Comparison": "suite compares studies, api writes the page too; a formula compares numbers"
+    "Encounter": "metrics measure the motion of two entities, an outcome says how their paths met",
+    "Comparison": "suite compares studies, api writes the page too; a formula compares numbers",
 }
 
 # Objects of other packages, whose versions differ in what they have; and drivers, which need no base class.

@@ -121,7 +121,7 @@ class Option:
         return self.default in (None, (), {})
 
     def with_default_of(self, source: str) -> Option:
-        """Return the option without a default, for a function that takes the default from elsewhere.
+        """Return the option without a default, for a function that takes the default from another source.
 
         The documentation says ``default: {source}`` instead.
         """

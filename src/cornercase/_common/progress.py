@@ -1,4 +1,4 @@
-"""Progress bars in terminals and notebooks; elsewhere, lines of text."""
+"""Progress bars in terminals and notebooks, lines of text in files."""
 
 from __future__ import annotations
 

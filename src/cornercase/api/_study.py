@@ -506,7 +506,7 @@ class Study(PathLike[str]):
         memory: str | float = DEFAULT_MEMORY,
         progress: bool = False,
     ) -> Page:
-        """Write the report as one HTML page that loads nothing from elsewhere.
+        """Write the report as one HTML page without external references.
 
         Parameters
         ----------

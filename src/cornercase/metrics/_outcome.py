@@ -77,7 +77,7 @@ class Outcome:
 
     @property
     def collision(self) -> str | None:
-        """With whom the ego collides first; if it does not, which others collide."""
+        """The entity that the ego collides with first; if there is none, the others that collide."""
         if self.impacts:
             return self.impacts[0].entity
         return " and ".join(self.other_collisions[0].entities) if self.other_collisions else None

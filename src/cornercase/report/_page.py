@@ -1,4 +1,4 @@
-"""Report of a study: one HTML file that loads nothing from elsewhere."""
+"""Report of a study: one HTML file without external references."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def write_report(
     memory: str | float = DEFAULT_MEMORY,
     progress: bool = False,
 ) -> Path:
-    """Write the report of a study as one HTML page that loads nothing from elsewhere.
+    """Write the report of a study as one HTML page without external references.
 
     Parameters
     ----------

@@ -99,7 +99,7 @@ def interpret(kernel: Any, args: tuple[Any, ...]) -> Any:
 def _interpreted_function(function: FunctionType) -> FunctionType:
     path = function.__code__.co_filename
     code = _codes_of_file(path)[function.__name__, function.__code__.co_firstlineno]
-    return FunctionType(code, _Globals.of_module(function.__globals__), function.__name__, function.__defaults__)
+    return FunctionType(code, _Globals.from_module(function.__globals__), function.__name__, function.__defaults__)
 
 
 @cache
@@ -266,7 +266,7 @@ class _Globals(dict[str, Any]):
     modules: Final[dict[int, _Globals]] = {}
 
     @classmethod
-    def of_module(cls, namespace: dict[str, Any]) -> _Globals:
+    def from_module(cls, namespace: dict[str, Any]) -> _Globals:
         """Return the global variables for the functions of a module; they are made once per module."""
         made = cls.modules.get(id(namespace))
         if made is None:

@@ -310,7 +310,7 @@ def wait_any(client: Client, futures: Collection[Future[Any]], resource: str | N
 
 
 def pop_result(client: Client, future: Future[Any]) -> tuple[Any, Exception | None]:
-    """Return the result and the exception of a finished task, one of which is None, and release the task.
+    """Return the result and the exception of a finished task (one of the two is None), and release the task.
 
     A task that is not released would be run again if the worker that holds its result died.
     """

@@ -1,4 +1,4 @@
-"""Page of a comparison: one HTML file that loads nothing from elsewhere."""
+"""Page of a comparison: one HTML file without external references."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Page of a replay: one HTML file that loads nothing from elsewhere."""
+"""Page of a replay: one HTML file without external references."""
 
 from __future__ import annotations
 
