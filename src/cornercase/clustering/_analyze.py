@@ -99,10 +99,10 @@ def analyze(
     method : {"dbscan", "hdbscan"}, optional
         Algorithm that finds the clusters; by default DBSCAN.
     window : float, optional
-        s; largest difference in time of two instants that are matched, beyond the difference of the recordings'
-        lengths. By default any, as in the paper: then waiting costs nothing by itself.
+        Largest difference in time, in s, of two instants that are matched, beyond the difference of the recordings'
+        lengths. By default any difference is allowed, as in the paper: then waiting costs nothing by itself.
     keep_clusters : bool, default False
-        Keep the existing clusters of the study, and assign the scenarios that were run since to them, as in
+        Keep the existing clusters of the study, and assign scenarios that were run later to these clusters, as in
         `ScenarioClustering.predict`.
     critical : float, optional
         Score from which a scenario is critical, to compare the clusters with; by default that of the study, which is

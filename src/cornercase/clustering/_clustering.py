@@ -33,15 +33,16 @@ class Candidate:
         Validity on the given distances, -1 to 1; NaN if not computed.
     stability : float
         Mean adjusted Rand index of these clusters and those of ten random parts of 80 %; 1 by construction if all
-        scenarios are one group, or noise. Like validity it is computed for the best candidates, and for the best of a
-        few numbers of clusters; NaN for others.
+        scenarios are one group, or noise. Like validity, it is computed only for the best candidates overall, and for
+        the best candidates with a few numbers of clusters; NaN for others.
     score : float
         Objective of ``"auto"``; -inf without a search. An upper bound if the stability is NaN.
     n_components, min_samples : int
         Dimensions of the embedding, and scenarios in a dense neighbourhood; 0 in a study of an early version.
     agreement : float
-        Match of these clusters and those that the distances show, 0 to 1: the mean F-measure over the latter, or over
-        the former if that is less, so that small clusters count as much as large ones. NaN without a search.
+        Match of these clusters with the clusters that the distances show, 0 to 1. It is the mean F-measure over the
+        clusters of one or of the other, whichever is less, so that small clusters count as much as large ones. NaN
+        without a search.
     """
 
     gamma: float
@@ -68,9 +69,9 @@ class Clustering:
     embedding : ndarray of float64, shape (n, n_components)
         Coordinates in kernel space. Each axis is signed so that its entry of largest magnitude is positive.
     gamma, eps : float
-        Given or found.
+        Kernel width and neighbourhood radius, as given or found.
     min_samples : int
-        Given or found.
+        Number of scenarios in a dense neighbourhood, as given or found.
     scale : float
         Divisor of the distances; 0 if all distances are 0.
     explained : float
@@ -81,8 +82,8 @@ class Clustering:
     landmarks : ndarray of int64, shape (m,)
         Scenarios that span the kernel space; empty if all do.
     error : float
-        Relative error of the kernel approximated by landmarks, between other scenarios: root mean square of the
-        difference over that of the kernel; 0 without landmarks.
+        Relative error of the kernel that landmarks approximate, between all other scenarios: root mean square of the
+        difference over that of the kernel. It is 0 without landmarks.
     """
 
     labels: IntArray

@@ -36,7 +36,7 @@ class Analysis:
     unit : str
         Unit of the distances; ``"1"`` for none.
     window : float or None
-        s; largest difference in time of two instants that were matched; None for any.
+        Largest difference in time, in s, of two instants that were matched; None for any.
     ids : ndarray of int64, shape (n,)
         Scenarios.
     clustering : Clustering
@@ -49,7 +49,7 @@ class Analysis:
         Adjusted mutual information of the clusters and facts about the scenarios, by fact; empty in a study of an early
         version.
     stride : int
-        One of this many instants was compared.
+        Every `stride`-th instant was compared.
     embedding_error : float or None
         Mean error of the distances between scenarios that are no landmarks, as a share of the mean distance; None if
         all pairs were compared.
@@ -192,7 +192,7 @@ def read_analysis(study: StudyFile, by: str) -> Analysis:
     Raises
     ------
     InputError
-        The study was not analysed by it, or what it holds is damaged.
+        The study was not analysed by this aspect, or the stored analysis is damaged.
     """
     run = {row.id for row in study.finished_rows()}
     arrays, info = study.read_analysis(by, "ids", "labels", "embedding", "landmarks")
@@ -290,13 +290,14 @@ def read_distances(study: StudyFile, by: str) -> Distances:
     Returns
     -------
     ndarray of float64, shape (n, n), or EmbeddedDistances
-        Dynamic Time Warping between the scenarios in `Analysis.ids`, in the unit of the aspect. If scenarios were
-        compared with landmarks only, they are computed on demand from an embedding; index them like a matrix.
+        Distances by Dynamic Time Warping between the scenarios in `Analysis.ids`, in the unit of the aspect. If
+        scenarios were compared with landmarks only, the distances are computed on demand from an embedding; index them
+        like a matrix.
 
     Raises
     ------
     InputError
-        The study was not analysed by it, or what it holds is damaged.
+        The study was not analysed by this aspect, or the stored analysis is damaged.
     """
     if study.read_analysis(by, "ids")[1].get("inexact") is not None:
         arrays, _ = study.read_analysis(by, "ids", "places")

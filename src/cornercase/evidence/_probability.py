@@ -32,7 +32,7 @@ class Probability:
     error : float or None
         Relative standard error; None if the event did not occur, or if only a part of a finite space was run.
     scenarios, met : int
-        Number of scenarios, and of those in which the event occurred.
+        Number of scenarios, and number of scenarios in which the event occurred.
     effective : float
         Effective sample size of the scenarios in which the event occurred.
     largest : float

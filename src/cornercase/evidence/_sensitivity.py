@@ -41,7 +41,7 @@ class Sensitivity:
         Fraction of the variance that a parameter explains alone (first-order index), and with interactions (total
         index).
     first_interval, total_interval : tuple of (float, float)
-        Their 90 % credible intervals, from draws of the process.
+        90 % credible intervals of these indices, from draws of the process.
     predicted : float
         Fraction of the variance of the scores that the process predicts by leave-one-out, of at most 4,096 scenarios:
         how reliable the indices are.

@@ -20,12 +20,12 @@ class SetDifference:
     old, new : Estimate
         Critical fractions of the space.
     change : Estimate
-        The new one less the old one.
+        New critical fraction less the old one.
     gained, lost : Estimate
         Fractions of the space that are critical in the new set only, and in the old set only.
     middles : tuple of (Estimate, Estimate, Estimate) or None, length d
-        For each parameter its mean over the old set, over the new set, and the difference, in the parameter's unit;
-        None for one with choices.
+        For each parameter its mean over the old set, over the new set, and the difference, in the parameter's unit.
+        None for a parameter with choices.
     """
 
     old: Estimate

@@ -82,7 +82,7 @@ def estimate(
     simulator : str or Simulator, optional
         Default: that of the study, without options.
     drivers : mapping of str to str or Driver, optional
-        Your own drivers by entity, if the study has such; presets are taken from the study.
+        Your own drivers by entity, if the study was explored with any; presets are taken from the study.
     progress : bool, default False
         Show progress on standard error.
     **options

@@ -70,11 +70,12 @@ class Estimation:
     encounter_gap : float
         Gap in m up to which two entities have an encounter.
     critical, collision, encounter : Probability
-        That a scenario is critical; that the ego and the other collide; that they have an encounter.
+        Probability that a scenario is critical, that the ego and the other entity collide, and that they have an
+        encounter.
     critical_given_encounter, collision_given_encounter : Probability or None
-        None if unknown.
+        Conditional probabilities, given that there is an encounter; None if unknown.
     scenarios, n_learning, failed : int
-        Number of scenarios in total; used for learning only; failed.
+        Numbers of scenarios: in total, used for learning only, and failed.
     warnings : tuple of str
         Reasons not to trust the result, as sentences.
     interrupted : bool
@@ -137,7 +138,7 @@ class Estimation:
         Returns
         -------
         dict of str to object
-            By words; ``cornercase estimate --json`` prints identifiers instead.
+            The keys are words; ``cornercase estimate --json`` prints identifiers instead.
         """
         conditional = {
             "critical given an encounter": self.critical_given_encounter,

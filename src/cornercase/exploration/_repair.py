@@ -84,7 +84,7 @@ def repair(
     simulator : str, optional
         Default: that of the study, without options.
     drivers : mapping of str to str or Driver, optional
-        Your own drivers by entity, if the study has such; presets are taken from the study.
+        Your own drivers by entity, if the study was explored with any; presets are taken from the study.
     workers : int, default 1
         Number of simulators that run in parallel.
     memory : str or float, default "4 GB"

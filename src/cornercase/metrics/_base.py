@@ -156,7 +156,7 @@ class Metric(Configurable, ABC):
         score : float
             Score of the course.
         velocity_change : float
-            Of the entity whose velocity changes more, in m/s.
+            Velocity change in m/s of the entity whose velocity changes more.
 
         Returns
         -------

@@ -123,7 +123,8 @@ class CriticalIf(Metric):
         ego : str
             Name of an entity.
         other : str or sequence of str
-            Names of one or several others; of several the nearest counts, and the worst score.
+            Names of one or several other entities. If there are several, the nearest counts for a collision, and the
+            most critical score for a metric.
 
         Returns
         -------

@@ -325,8 +325,8 @@ def compute_features(recordings: Iterable[Recording | None], ego: str, other: st
     ego : str
         Name of an entity.
     other : str or sequence of str
-        Names of one or several others. Of several, the one is taken that the ego collides with first in a recording,
-        else the one whose box comes nearest to the ego's.
+        Names of one or several other entities. If there are several, the features are about the one that the ego
+        collides with first. Without a collision, they are about the one whose box comes nearest to the ego's.
 
     Returns
     -------

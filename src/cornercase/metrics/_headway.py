@@ -44,7 +44,7 @@ class Thw(Metric):
     Parameters
     ----------
     accelerating : bool, default False
-        Let the ego keep its present acceleration until it stands; inf if it stops before.
+        Let the ego keep its present acceleration until it stands. The value is inf if it stops before it gets there.
     """
 
     name = "thw"

@@ -43,8 +43,8 @@ class Optimizer(Configurable, ABC):
         of an optimizer that requires the budget depend on it, so its studies keep their initial budget. The `tell` of
         one that requires features takes them as third argument, shape (m, f), NaN for a scenario that failed.
     is_stateful_ask : bool, default False
-        Whether its proposals also depend on earlier calls of `ask`. If a search without rounds is resumed, these are
-        repeated.
+        Whether its proposals also depend on earlier calls of `ask`. If a search without rounds is resumed, these calls
+        are repeated.
 
     See Also
     --------
@@ -137,7 +137,7 @@ class Optimizer(Configurable, ABC):
         space : ParameterSpace
         seed : int
         *further, **required
-            What it `requires`, by name.
+            Arguments that the optimizer `requires`, by name.
 
         Raises
         ------

@@ -39,7 +39,7 @@ class Bayes(CandidateOptimizer):
     Parameters
     ----------
     candidates : int, default 2000
-        Number of points from which a round is chosen; drawn anew for each round.
+        Number of candidates from which the points of a round are chosen; drawn again for each round.
     features : int, default 500
         Number of random features that approximate the kernel.
     filling : float, default 0.3

@@ -48,7 +48,7 @@ class Committee(WarmStartOptimizer):
     Parameters
     ----------
     candidates : int, default 4096
-        Number of points from which a round is chosen; 85 % of them near critical scenarios.
+        Number of candidates from which the points of a round are chosen; 85 % of them are near critical scenarios.
     filling : float, default 0.15
         Fraction of the points that fills the space.
     """

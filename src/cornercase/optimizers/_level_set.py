@@ -61,7 +61,7 @@ class LevelSet(WarmStartOptimizer):
     Parameters
     ----------
     candidates : int, default 20000
-        Number of points from which is chosen.
+        Number of candidates from which the points are chosen.
     filling : float, default 0.2
         Least fraction of the points that fills the space; below 1.
     """

@@ -32,7 +32,7 @@ class Coverage:
     kept : int
         Number of scenarios selected.
     largest, mean : float
-        Of these distances.
+        Largest and mean distance.
     worst : int
         The scenario at the largest distance: by index, or by id if ids were given.
     largest_relative, mean_relative : float
@@ -42,8 +42,8 @@ class Coverage:
     better_largest, better_mean : float
         Shares of the random selections with a larger maximum, and with a larger mean, than the set.
     medoids_largest, medoids_mean : float
-        The same figures of as many k-medoids, which minimise the mean. These and the two before are NaN in a study that
-        an early version reduced.
+        The same figures of k-medoids of the same number, which minimise the mean. Like `better_largest` and
+        `better_mean`, they are NaN in a study that an early version reduced.
     held_out : HeldOut or None, default None
         Cross-validated; None if not measured.
     """

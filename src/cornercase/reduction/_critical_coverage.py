@@ -40,9 +40,9 @@ class CriticalCoverage:
         Share of the critical scenarios that were run, and of those on the boundary of the critical set, that are
         similar to a selected one; None if there are none.
     random, medoids : float or None
-        `critical` for random selections of as many, the median of 100, and for k-medoids.
+        The value of `critical` for the baselines: the median of 100 random selections of the same size, and k-medoids.
     largest, mean : float or None
-        Distance of these critical scenarios to the nearest selected one.
+        Largest and mean distance of the critical scenarios that were run to the nearest selected one.
     medoids_largest, medoids_mean : float or None
         The same for k-medoids.
     unlike : Estimate or None

@@ -51,9 +51,9 @@ class HeldOut:
     scenarios : int
         Number of scenarios that were held out.
     largest, mean : float
-        Of these distances.
+        Largest and mean distance.
     random_largest, random_mean : float
-        Medians of the same figures over random selections of as many of the same scenarios.
+        Medians of the same figures over random selections of the same size, from the same scenarios.
     better_largest, better_mean : float
         Shares of the random selections with a larger maximum, and with a larger mean.
     medoids_largest, medoids_mean : float
@@ -84,7 +84,7 @@ class HeldOutCritical:
     boundary : float or None
         The same for those on the boundary of the critical set; None if there are none.
     random, medoids : float
-        `critical` for random selections of as many, the median of 100, and for k-medoids.
+        The value of `critical` for the baselines: the median of 100 random selections of the same size, and k-medoids.
     """
 
     scenarios: int

@@ -34,7 +34,8 @@ class KillMatrix:
     kills : ndarray of bool, shape (n, m)
         Whether a scenario kills a mutant.
     held_out : KillMatrix or None
-        The same for other mutants of the driver in the same scenarios, which evaluate what these select.
+        Kill matrix of other mutants of the driver in the same scenarios. It evaluates a selection by the mutants of
+        this matrix.
     """
 
     driver: str
@@ -191,11 +192,11 @@ class MutantSelection:
     candidates : int
         Number of scenarios that were run with the mutants.
     chosen_by : MutationScore
-        For the mutants by which scenarios were selected.
+        Mutation score for the mutants by which scenarios were selected.
     held_out : MutationScore or None
-        For other mutants, which did not influence the selection; None if there are none.
+        Mutation score for other mutants, which did not influence the selection; None if there are none.
     without : MutationScore or None
-        The same for the set that `reduce` selects without mutants.
+        Mutation score, for the other mutants, of the set that `reduce` selects without mutants.
     """
 
     driver: str

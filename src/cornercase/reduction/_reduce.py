@@ -101,7 +101,8 @@ def reduce(
     share : float, optional
         Share of all scenarios to select, above 0 and up to 1.
     cover : float, optional
-        Select as few as leave no scenario farther from a selected one than this share of the largest distance.
+        Select as few scenarios as possible, such that the distance of each scenario to a selected one is at most this
+        share of the largest distance.
     archetypes : int or "auto", optional
         Select only the prototype of each cluster and at most this many archetypes, as the paper does; ``"auto"``
         selects about a tenth of all scenarios.

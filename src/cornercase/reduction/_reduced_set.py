@@ -75,7 +75,7 @@ class ReducedSet:
     exposing : MutantSelection or None
         Result of selecting by mutants; None without.
     threshold : float or None
-        Score from which a scenario was critical when they were selected; None without a threshold.
+        Score from which a scenario was critical when the set was selected; None without a threshold.
     """
 
     by: str

@@ -108,7 +108,7 @@ def read_reduction(study: StudyFile) -> ReducedSet | None:
     Raises
     ------
     InputError
-        What it holds is damaged.
+        The stored reduced set is damaged.
     """
     info = study.read_reduction()
     if info is None:

@@ -38,9 +38,9 @@ class Rule:
     text : str
         Bounds of the parameters, as ``"ego_start <= 45.2 m and pedestrian_wait > 6.1 s"``.
     covers : float
-        Share of the cluster's scenarios that lie there (recall).
+        Share of the cluster's scenarios that lie in this part (recall).
     purity : float
-        Share of the scenarios there that belong to the cluster (precision).
+        Share of the scenarios in this part that belong to the cluster (precision).
     """
 
     text: str

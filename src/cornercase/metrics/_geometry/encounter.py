@@ -83,7 +83,7 @@ class Encounter:
         Returns
         -------
         float
-            s.
+            Time in s.
         """
         time = self.recording.time
         return float(time[instant] - time[0])
@@ -109,12 +109,12 @@ class Encounter:
         Parameters
         ----------
         instant : int or None
-            One at which it exists; None for the end.
+            Instant at which the ego exists; None for the end of the recording.
 
         Returns
         -------
         float
-            m; 0 if it never exists.
+            Distance in m; 0 if the ego never exists.
         """
         if instant is None:
             return float(self._driven_distances[-1])
@@ -171,12 +171,13 @@ class Encounter:
         Parameters
         ----------
         instant : int
-            One at which the ego exists.
+            Instant at which the ego exists.
 
         Returns
         -------
         ahead, left, speed : float
-            m, m and m/s; 100 m ahead, standing, if the other does not exist then.
+            Position in m, and speed in m/s. If the other entity does not exist at the instant, it counts as standing
+            100 m ahead.
         """
         if instant not in self.other_instants:
             return NEVER_MET_DISTANCE, 0.0, 0.0
