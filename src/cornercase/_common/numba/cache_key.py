@@ -75,7 +75,7 @@ class _DigestWalk:
 
     def _walk_function(self, function: FunctionType) -> Iterator[bytes]:
         names: set[str] = set()
-        yield from _walk_bytecode(function.__code__, names)
+        yield from _walk_bytecode(function.__code__, names, function.__doc__)
         yield from self._walk_names(function.__globals__, frozenset(names))
         yield repr(function.__defaults__).encode()
 
@@ -90,13 +90,18 @@ def _is_external(module: str) -> bool:
     return module.partition(".")[0] in _EXTERNAL_PACKAGES
 
 
-def _walk_bytecode(code: CodeType, names: set[str]) -> Iterator[bytes]:
-    """Yield the instructions and constants of a code object without line numbers; add the names it uses to `names`."""
+def _walk_bytecode(code: CodeType, names: set[str], docstring: str | None = None) -> Iterator[bytes]:
+    """Yield the instructions and constants of a code object; add the names it uses to `names`.
+
+    Line numbers and the docstring are left out, as they change nothing.
+    """
     names.update(code.co_names)
     yield f"{code.co_varnames} {code.co_freevars} {code.co_names} {code.co_argcount}".encode()
     yield code.co_code + code.co_exceptiontable
-    for constant in code.co_consts:
-        if isinstance(constant, CodeType):
+    for k, constant in enumerate(code.co_consts):
+        if k == 0 and docstring is not None and constant == docstring:
+            yield b"docstring"
+        elif isinstance(constant, CodeType):
             yield from _walk_bytecode(constant, names)
         elif isinstance(constant, frozenset):
             yield repr(sorted(map(repr, constant))).encode()
