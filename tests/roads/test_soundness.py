@@ -27,9 +27,9 @@ def written(folder, old, new):
     ("old", "new", "words"),
     [
         ('road id="1" ', 'road ', "line 1: a <road> has no id"),
-        ('laneSection s="0"', 'laneSection s="100"', "its first <laneSection> begins at s = 100 m; let it begin at 0"),
-        ('laneSection s="0"', 'laneSection s="600"', "its first <laneSection> begins at s = 600 m"),
-        ('laneSection s="0"', 'laneSection s="-1e300"', "its first <laneSection> begins at s = -1e[+]300 m"),
+        ('laneSection s="0"', 'laneSection s="100"', "the first <laneSection> begins at s = 100 m; it must begin at 0"),
+        ('laneSection s="0"', 'laneSection s="600"', "the first <laneSection> begins at s = 600 m"),
+        ('laneSection s="0"', 'laneSection s="-1e300"', "the first <laneSection> begins at s = -1e[+]300 m"),
         ("</planView>", '<geometry s="20" x="300" y="50" hdg="0" length="480"><line/></geometry></planView>',
          "the <geometry> at s = 20 m begins 284 m away from the end of the one before"),
         (' x="0"', ' x="1e308"', "lies more than 100000 km from the origin"),

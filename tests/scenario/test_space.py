@@ -239,7 +239,7 @@ def test_bad_distributions_are_refused_by_file_and_parameter(tmp_path, law):
 @pytest.mark.parametrize(
     ("body", "says"),
     [
-        ("", "varies no parameter"),
+        ("", "the file varies no parameter"),
         ('<Deterministic><DeterministicMultiParameterDistribution/></Deterministic>', "must set the same parameters"),
         (2 * '<Deterministic><DeterministicSingleParameterDistribution parameterName="a"><DistributionSet><Element '
          'value="1"/></DistributionSet></DeterministicSingleParameterDistribution></Deterministic>', "a is varied twice"),

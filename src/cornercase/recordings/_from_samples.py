@@ -58,7 +58,7 @@ def require_loadable_size(path: Path, n_entities: int, n_instants: int) -> None:
     if n_entities * n_instants > _MAX_SAMPLES:
         raise InputError(
             f"{path}: has {n_entities} entities and {n_instants} instants; at most {_MAX_SAMPLES}"
-            f" pairs of both are read."
+            f" states (entities times instants) are read."
         )
 
 

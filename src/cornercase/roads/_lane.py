@@ -112,7 +112,7 @@ def read_lane_sections(
                 side_sections.append(_SideSection(start, _read_lanes(element, side, location)))
     starts = sorted({section.start for side_sections in sides.values() for section in side_sections})
     if starts and abs(starts[0]) > _MAX_FIRST_START:
-        raise InputError(f"{location}: its first <laneSection> begins at s = {starts[0]:g} m; let it begin at 0.")
+        raise InputError(f"{location}: the first <laneSection> begins at s = {starts[0]:g} m; it must begin at 0.")
     starts = sorted({*starts, *(cut for cut in forced_starts if starts[0] < cut < length)})
     for start, end in zip(starts, [*starts[1:], length], strict=True):
         count = int(np.ceil((end - start) / _MAX_SECTION_LENGTH))

@@ -41,11 +41,16 @@ class ScenarioBundle:
         for file, content in contents.items():
             # With symbolic links, equal normalized paths may be different files.
             if packed.setdefault(os.path.abspath(file), content) != content:
-                raise InputError(f"{scenario.path}: {file} leads to different files; give each its own path.")
+                raise InputError(
+                    f"{scenario.path}: {file} stands for different files, depending on symbolic links; give each file"
+                    " its own path."
+                )
         try:
             folder = os.path.commonpath([os.path.dirname(path) for path in packed])
         except ValueError as error:
-            raise InputError(f"{scenario.path}: names files of several drives; put them on one.") from error
+            raise InputError(
+                f"{scenario.path}: the scenario's files are on several drives; put them on the same drive."
+            ) from error
         return cls(
             common_folder=folder,
             files={_relative_posix_path(folder, path): content for path, content in packed.items()},
@@ -62,7 +67,9 @@ class ScenarioBundle:
                 target.parent.mkdir(parents=True, exist_ok=True)
                 target.write_bytes(content)
             except OSError as error:
-                raise InputError(f"{target}: cannot be written ({error.strerror}); make room for it.") from error
+                raise InputError(
+                    f"{target}: cannot be written ({error.strerror}); free some disk space or change the permissions."
+                ) from error
         return ScenarioFile(folder / self.scenario_path, self.fingerprint, self.varied_roads)
 
 

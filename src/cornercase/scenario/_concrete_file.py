@@ -189,7 +189,7 @@ def read_companion_file(source: Path, root_tag: str) -> bytes:
     The check matters for untrusted scenarios: they could name any file of this machine.
     """
     if not source.is_file():
-        raise InputError(f"{source}: is needed by the scenario but does not exist.")
+        raise InputError(f"{source}: the scenario needs this file, but it does not exist.")
     content = read_file(source)
     tag = parse_xml(content, source).tag
     if tag != root_tag:

@@ -28,7 +28,7 @@ def read_distribution_file(path: Path | str, cache: XmlFileCache | None = None) 
                 parameters.append(reader(element, str(path)))
     with locate_input_errors(distribution, str(path)):
         if not parameters:
-            raise InputError(f"{path}: varies no parameter.")
+            raise InputError(f"{path}: the file varies no parameter; add a distribution for at least one.")
         require_unique_names([name for p in parameters for name in p.assigned_names], str(path))
     return [_add_unit(parameter, distribution) for parameter in parameters]
 

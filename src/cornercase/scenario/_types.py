@@ -151,7 +151,7 @@ def convert_parameter_to_type(parameter: Parameter, type_name: str, file_name: s
             " `space` file with a <DistributionSet>."
         )
     if parameter.size > _MAX_CHOICES:
-        raise InputError(f"{where}, and its range has {parameter.size} values; it may have {_MAX_CHOICES}.")
+        raise InputError(f"{where}, and its range has {parameter.size} values; at most {_MAX_CHOICES} are possible.")
     values = [parameter.low + k * float(parameter.step or 1.0) for k in range(parameter.size)]
     return _parameter_with_choices(parameter, tuple(format_value(float(f"{value:.12g}")) for value in values))
 
@@ -171,7 +171,7 @@ def _convert_range_to_integer(parameter: Parameter, type_name: str, location: st
     typed = replace(parameter, low=low, high=high, step=step, is_integer=True)
     if typed.distribution is not None and (typed.size or 0) > _MAX_WEIGHTED_VALUES:
         raise InputError(
-            f"{location}, and its distribution has {typed.size} values; it may have {_MAX_WEIGHTED_VALUES}."
+            f"{location}, and its distribution has {typed.size} values; at most {_MAX_WEIGHTED_VALUES} are possible."
         )
     return typed
 

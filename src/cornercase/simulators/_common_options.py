@@ -66,6 +66,8 @@ def split_common_options(
     own = {key: value for key, value in given_options(simulator).items() if key in _DEFAULT_OPTIONS}
     for key, value in own.items():
         if common[key] not in (None, _DEFAULT_OPTIONS[key], value):
-            raise InputError(f"`{key}`: the simulator {simulator!r} has another value; give it once.")
+            raise InputError(
+                f"`{key}`: the simulator {simulator!r} was created with another value; give the option only once."
+            )
     declared = declared_options(type(simulator))
     return simulator.with_options(**{key: declared[key].default for key in own}), common | own

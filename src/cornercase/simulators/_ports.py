@@ -22,5 +22,5 @@ def worker_address(hosts: str, port: int, worker: int, port_step: int = 1) -> tu
         ) from None
     worker_port = first + port_step * (worker // len(all_hosts))
     if not host or not 0 < worker_port < 65536:
-        raise InputError(f"{host}:{worker_port} is not possible; give a host, and a port from 1 to 65535.")
+        raise InputError(f"{host}:{worker_port} is not a valid address; give a host, and a port from 1 to 65535.")
     return host, worker_port

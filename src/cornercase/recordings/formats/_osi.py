@@ -159,7 +159,9 @@ def _refuse_oversized_records(path: Path) -> None:
     """
     size = path.stat().st_size
     if size > _MAX_FILE_SIZE:
-        raise InputError(f"{path}: has more than {_MAX_FILE_SIZE} bytes, which are not read.")
+        raise InputError(
+            f"{path}: has more than {_MAX_FILE_SIZE} bytes, the largest size that is read; split the trace."
+        )
     with open(path, "rb") as file:
         at = _MAGIC_SIZE
         while at + _RECORD_HEADER_SIZE <= size - _MAGIC_SIZE:

@@ -84,7 +84,9 @@ class Batch:
             if not objects:
                 raise InputError("has no entities, so there is nothing to simulate.")
             if len(objects) > _MAX_ENTITIES:
-                raise InputError(f"has {len(objects)} entities; the builtin simulator supports {_MAX_ENTITIES}.")
+                raise InputError(
+                    f"has {len(objects)} entities; the builtin simulator supports at most {_MAX_ENTITIES}."
+                )
         entities, tows = read_entities(objects, scope)
         self._world = World(entities, scope.n_scenarios, network, tows)
         self._world.signal_controllers = read_signal_controllers(scenario.root, scope)

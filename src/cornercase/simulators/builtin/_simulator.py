@@ -206,7 +206,7 @@ class Builtin(Simulator):
             names = sorted(split.parameter_names)
             if len({tuple(run.concretes[i].values.get(name) for name in names) for i in indices}) < 2:
                 path = prepared.scenario.path
-                raise InputError(f"{path}: an attribute that must be one value {split}.") from None
+                raise InputError(f"{path}: an attribute that must be the same in all scenarios {split}.") from None
             prepared.split_parameters |= split.parameter_names
             for group in _group_by_split_parameters(prepared, run.concretes, indices):
                 self._run_group(run, prepared, group)

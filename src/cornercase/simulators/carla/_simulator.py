@@ -321,7 +321,7 @@ class Carla(Simulator):
         self._server.stop_recorder()
         if not path.is_file():
             raise SimulationError(
-                f"CARLA wrote no recording {path}; the server needs access to that folder; set it with carla:folder="
+                f"CARLA wrote no recording {path}; choose a folder that the server can write to, with carla:folder="
             )
         try:
             recording = read_carla_log(path)

@@ -124,7 +124,7 @@ class CarMaker(Simulator):
             raise InputError(f"The name of the TestRun '{testrun}' contains a special character of Tcl.")
         if not (0.0 < duration < float("inf") and 0.0 < speedup < float("inf")):
             raise InputError(
-                f"A duration of {duration:g} s at a speed-up of {speedup:g} is not possible; give both above 0."
+                f"A duration of {duration:g} s at a speed-up of {speedup:g} is not possible; both must be above 0."
             )
         self._testrun, self._project = testrun, Path(projects[worker % len(projects)])
         self._host, self._port = worker_address(hosts, port, worker)

@@ -154,7 +154,8 @@ def run_scenarios_of_job(
     """
     if job.version != __version__:
         raise InputError(
-            f"`cluster`: a worker has cornercase {__version__}, this machine has {job.version}; install the same."
+            f"`cluster`: a worker has cornercase {__version__}, this machine has {job.version}; install"
+            " the same version on both."
         )
     with _LOCK:
         site = _JOB_STATES[job.key] if job.key in _JOB_STATES else _JOB_STATES.setdefault(job.key, _JobState(job))

@@ -135,7 +135,7 @@ def _wrap_closed(tracks, row, table, distance):
 
 @_kernel
 def _find_segment(table, value, tolerance):
-    """Return the last segment that begins at most `tolerance` after `value`; the first segment if there is none."""
+    """Return the last segment that begins at least `tolerance` before `value`; the first segment if there is none."""
     low, high = 0, table.size - 1
     while high - low > 1:
         middle = (low + high) // 2

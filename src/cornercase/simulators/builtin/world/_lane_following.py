@@ -176,7 +176,7 @@ def _move_to_new_path(
 
 
 def assign_route(world: World, entity: int, roads: tuple[int, ...], where: BoolArray) -> None:
-    """Make an entity drive along roads (indices); nothing changes if it is already on this route."""
+    """Make an entity drive along roads (indices); if it follows a lane, it goes on from its present position."""
     via = tuple((road, 0, 0.0) for road in roads)
     if via not in world.routes:
         world.routes.append(via)

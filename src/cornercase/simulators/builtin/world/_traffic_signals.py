@@ -46,7 +46,7 @@ class SignalController:
     def next_phase_start(self, time: FloatArray) -> FloatArray:
         """Return the time in s at which the next phase begins, shape (N,).
 
-        If the signals have not been set for the present phase, the start of the present phase is returned.
+        Where the signals have not been set yet, this is the present time.
         """
         since = np.mod(time - self._cycle_start + _TINY, self._phase_ends[-1])
         ends = np.take_along_axis(self._phase_ends, self.phase_at(time)[None], axis=0)[0]
