@@ -46,13 +46,14 @@ class Simulator(Configurable, ABC):
     """Runs concrete scenarios; the base class of all simulators.
 
     Your own simulator is a subclass with `settings` and `run`, registered in the entry-point group
-    ``cornercase.simulators``. The other declarations have defaults for a program that runs one scenario at a time.
+    ``cornercase.simulators``. The other members have defaults for a program that runs one scenario at a time.
 
-    Its constructor starts nothing and needs nothing installed: an object describes a simulator, and one like it is made
-    where it runs. Constructor options are keyword arguments. Those of ``time_step`` and ``duration`` in s,
-    ``on_collision`` (``"continue"`` or ``"stop"``) and ``drivers`` (driver or its name, by entity) that the constructor
-    declares are passed; drivers for a simulator that does not declare them are refused. Further options come after the
-    colon of its name (``"esmini:seed=3"``); undeclared ones are refused, also if it takes ``**options``.
+    The constructor must not start anything, and must work if the program is not installed: the object only describes a
+    simulator, and may be created again in another process. All options of the constructor are keyword arguments. If it
+    declares them, it gets ``time_step`` and ``duration`` in s, ``on_collision`` (``"continue"`` or ``"stop"``) and
+    ``drivers`` (drivers or their names, by entity). Drivers are refused if it does not declare them. Other options
+    follow the name of the simulator after a colon (``"esmini:seed=3"``). They must be declared by name: ``**options``
+    does not accept them.
 
     Attributes
     ----------
@@ -120,8 +121,8 @@ class Simulator(Configurable, ABC):
         Yields
         ------
         Recording or SimulationError
-            One per scenario, in order; an error if the scenario cannot be run. If there are fewer results than
-            scenarios, the rest is run again one by one.
+            One result per scenario, in order; an error if the scenario cannot be run. If there are fewer results than
+            scenarios, the remaining scenarios are run again one by one.
 
         Raises
         ------

@@ -36,15 +36,15 @@ def create_simulator(
     cluster: str | Client | None = None,
     max_failures: int = DEFAULT_MAX_FAILURES,
 ) -> Simulator:
-    """Create a simulator by name or like an object, in this process, in worker processes or on a Dask cluster.
+    """Create a simulator from a name or an object, in this process, in worker processes or on a Dask cluster.
 
     A simulator with `in_process` runs in this process unless there are several workers, a time-out or a user's driver
     given by name. Otherwise it runs in worker processes, where a crash or hang costs only the scenario at fault.
-    Drivers given as objects need no worker process, since they may not be picklable. Nor do drivers by name in a script
-    without ``__name__ == "__main__"``, which would start again in the worker process.
+    Drivers given as objects do not cause the use of worker processes, since they may not be picklable. Neither do named
+    drivers in a script without ``__name__ == "__main__"``, since a worker process would run this script again.
 
-    Of `options` (``time_step``, ``duration``, ``on_collision``, ``drivers``; picklable) it gets those that its
-    constructor declares; `timeout` is in s per scenario. Raises `InputError` for an unknown simulator, values out of
+    The simulator gets the `options` that its constructor declares (``time_step``, ``duration``, ``on_collision``,
+    ``drivers``; all picklable). `timeout` is in s per scenario. Raises `InputError` for an unknown simulator, values out of
     range, or undeclared drivers or ``on_collision``; warns if a time step or duration has no effect.
 
     >>> from cornercase.simulators._create import create_simulator

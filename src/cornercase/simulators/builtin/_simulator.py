@@ -43,7 +43,7 @@ class Builtin(Simulator):
     Parameters
     ----------
     time_step : float, default 0.05
-        s.
+        In s.
     duration : float, default 60
         Maximum duration of a scenario in s.
     on_collision : {"continue", "stop"}, default "continue"
