@@ -1,4 +1,4 @@
-"""Positions, speeds and directions of entities as series that are finite at each instant."""
+"""Positions, speeds and directions of entities as time series without missing values."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from cornercase.recordings._recording import Recording
 
 
 def position_series(recording: Recording, entity: str, fallback_entity: str | None = None) -> FloatArray:
-    """Centre of an entity's box in m, shape (T, 2); of `fallback_entity` if it never exists."""
+    """Center of an entity's box in m, shape (T, 2). If the entity never exists, that of `fallback_entity`."""
     center = recording.box_center(entity)
     if fallback_entity is not None and not np.isfinite(center).all(axis=1).any():
         return position_series(recording, fallback_entity)
@@ -22,7 +22,7 @@ def speed_series(recording: Recording, entity: str) -> FloatArray:
 
 
 def relative_position_series(recording: Recording, ego: str, other: str) -> FloatArray:
-    """Position of the other in the ego's frame in m, shape (T, 2)."""
+    """Position of the other entity in the ego's coordinate frame in m, shape (T, 2)."""
     x, y = (position_series(recording, other, ego) - position_series(recording, ego)).T
     heading = _fill_missing(recording.heading[recording.entity_index(ego)][:, None])[:, 0]
     cos, sin = np.cos(heading), np.sin(heading)
@@ -30,14 +30,14 @@ def relative_position_series(recording: Recording, ego: str, other: str) -> Floa
 
 
 def bearing_series(recording: Recording, ego: str, other: str) -> FloatArray:
-    """Direction in which the ego sees the other as a unit vector, shape (T, 2); null if both are at one point."""
+    """Direction from the ego to the other entity as a unit vector, shape (T, 2); zero if both are at the same point."""
     relative = relative_position_series(recording, ego, other)
     distance = np.hypot(relative[:, :1], relative[:, 1:])
     return np.divide(relative, distance, out=np.zeros_like(relative), where=distance > 0.0)
 
 
 def _fill_missing(values: FloatArray) -> FloatArray:
-    """Fill instants at which an entity does not exist with its last values, or its first ones before it appears."""
+    """Fill instants at which an entity does not exist with its last values before, else with its first values."""
     exists = np.isfinite(values).all(axis=1)
     if exists.all():
         return values

@@ -44,8 +44,8 @@ def create_simulator(
     drivers in a script without ``__name__ == "__main__"``, since a worker process would run this script again.
 
     The simulator gets the `options` that its constructor declares (``time_step``, ``duration``, ``on_collision``,
-    ``drivers``; all picklable). `timeout` is in s per scenario. Raises `InputError` for an unknown simulator, values out of
-    range, or undeclared drivers or ``on_collision``; warns if a time step or duration has no effect.
+    ``drivers``; all picklable). `timeout` is in s per scenario. Raises `InputError` for an unknown simulator, values
+    out of range, or undeclared drivers or ``on_collision``; warns if a time step or duration has no effect.
 
     >>> from cornercase.simulators._create import create_simulator
     >>> with create_simulator("builtin", {"duration": 20.0}) as simulator:
