@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import sqlite3
+import zipfile
 from contextlib import closing
 from dataclasses import replace
 
@@ -20,6 +22,7 @@ from cornercase.metrics.ending._find_outcome import find_outcome
 from cornercase.recordings import Collision, Recording
 from cornercase.study import StudyFile, verify
 from cornercase.study._checksums import delete_rows
+from cornercase.study._codec import pack_arrays, unpack_arrays
 from cornercase.study._digest import decode_digest, decode_facts, downsample, encode_digest, make_digest
 from helpers.synthetic_study import SPACE, about
 
@@ -148,3 +151,18 @@ def test_a_digest_that_does_not_fit_the_study_is_refused():
         decode_digest(decode_facts(facts) | {"endings": []}, packed, meta)
     with pytest.raises(ValueError, match="series"):
         decode_digest(decode_facts(facts), packed, replace(meta, other=("B", "C")))
+
+
+@pytest.mark.parametrize("compress", [True, False])
+def test_archives_are_those_of_zipfile(compress):
+    arrays = {"series": np.arange(300.0).reshape(100, 3), "names": np.array(["Ego", "B"]), "empty": np.zeros((0, 2))}
+    buffer = io.BytesIO()
+    method = zipfile.ZIP_DEFLATED if compress else zipfile.ZIP_STORED
+    with zipfile.ZipFile(buffer, "w", method, compresslevel=1) as archive:
+        for name, array in arrays.items():
+            content = io.BytesIO()
+            np.save(content, array)
+            archive.writestr(zipfile.ZipInfo(f"{name}.npy"), content.getvalue(), method, 1)
+    assert pack_arrays(arrays, compress) == buffer.getvalue()
+    for name, array in unpack_arrays(pack_arrays(arrays, compress)).items():
+        np.testing.assert_array_equal(array, arrays[name])

@@ -9,14 +9,14 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import astuple, dataclass
-from typing import Any, Final
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import numpy as np
 
 from cornercase._common.errors import InputError
 from cornercase._common.text.sanitize import parse_json
-from cornercase._common.typing import Float32Array, FloatArray
+from cornercase._common.typing import Float32Array, FloatArray, IntArray
 from cornercase.metrics import METRICS, Metric
 from cornercase.metrics._outcome import Encounter, Impact, Outcome
 from cornercase.recordings import Collision, Recording
@@ -24,6 +24,9 @@ from cornercase.recordings._entity_series import bearing_series, position_series
 from cornercase.study._codec import pack_arrays, unpack_arrays
 from cornercase.study._damage import require_value
 from cornercase.study._meta import StudyMeta
+
+if TYPE_CHECKING:
+    from cornercase.metrics.ending._poses import Poses
 
 COURSE_POINTS: Final = 48
 """Points of a course as a line of the page; the replay has all points."""
@@ -33,6 +36,7 @@ N_STRIDE_RECORDINGS: Final = 32
 """Number of recordings, the first of a study, that decide the stride of the stored series."""
 
 Bounds = tuple[float, float, float, float]
+_Array = TypeVar("_Array", FloatArray, IntArray)
 
 # Columns of the stored series: time, position of the ego; then of each other one its position and its bearing.
 _EGO_COLUMNS: Final = slice(1, 3)
@@ -98,14 +102,13 @@ def make_digest(
     `metrics` are those of the study, by default created anew.
     """
     # Kernels take long to import, and readers of digests do not need them.
-    from cornercase.metrics.ending._ego_features import measure_features
+    from cornercase.metrics.ending._ego_features import measure_all_features
     from cornercase.metrics.ending._find_outcome import find_outcomes
+    from cornercase.metrics.ending._poses import Poses
 
     entities = recording.with_absent_entities((meta.ego, *meta.others))
-    outcomes = find_outcomes(entities, meta.ego, meta.others)
-    columns = [recording.time[:, None], position_series(entities, meta.ego)]
-    for other in meta.others:
-        columns += [position_series(entities, other, meta.ego), bearing_series(entities, meta.ego, other)]
+    poses = Poses.from_recording(entities)
+    outcomes = find_outcomes(entities, meta.ego, meta.others, poses=poses)
     n_instants = len(recording.time)
     whole = {name: course for name, course in courses.items() if len(course) == n_instants}
     missing = np.full(n_instants, math.nan)
@@ -122,11 +125,32 @@ def make_digest(
         collisions=recording.collisions,
         stride=stride,
         outcomes=outcomes,
-        features=tuple(measure_features(entities, outcome) for outcome in outcomes),
-        series=downsample(np.hstack(columns), stride),
-        courses=downsample(np.column_stack([whole.get(name, missing) for name in meta.metrics]), stride),
+        features=measure_all_features(entities, outcomes, poses),
+        series=_thin_series(entities, meta, downsample(np.arange(n_instants), stride), poses),
+        courses=downsample(
+            np.array([whole.get(name, missing) for name in meta.metrics]).reshape(-1, n_instants).T, stride
+        ),
         lines=lines,
     )
+
+
+def _thin_series(recording: Recording, meta: StudyMeta, instants: IntArray, poses: Poses) -> FloatArray:
+    """Series of a digest at some instants, shape (M, 3 + 4 others); `poses` are those of the recording."""
+    centers = np.array([poses.x, poses.y])
+    if np.isfinite(centers).all() and np.isfinite(recording.heading).all():
+        i = recording.entity_index(meta.ego)
+        j = [recording.entity_index(other) for other in meta.others]
+        x, y = centers[:, :, instants]
+        x_offset, y_offset, cos, sin = x[j] - x[i], y[j] - y[i], poses.cos[i, instants], poses.sin[i, instants]
+        relative = np.array([cos * x_offset + sin * y_offset, cos * y_offset - sin * x_offset])
+        distance = np.hypot(*relative)
+        bearing = np.divide(relative, distance, out=np.zeros_like(relative), where=distance > 0.0)
+        others = np.concatenate(([x[j], y[j]], bearing)).transpose(1, 0, 2).reshape(-1, len(instants))
+        return np.concatenate(([recording.time[instants], x[i], y[i]], others)).T.copy()
+    columns = [recording.time[:, None], position_series(recording, meta.ego)]
+    for other in meta.others:
+        columns += [position_series(recording, other, meta.ego), bearing_series(recording, meta.ego, other)]
+    return np.hstack(columns)[instants]
 
 
 def create_metrics(meta: StudyMeta) -> tuple[Metric, ...]:
@@ -142,7 +166,7 @@ def downsampling_stride(lengths: Sequence[int]) -> int:
     return max(1, math.ceil(float(np.median(lengths)) / MAX_INSTANTS))
 
 
-def downsample(series: FloatArray, stride: int) -> FloatArray:
+def downsample(series: _Array, stride: int) -> _Array:
     """Take every `stride`-th instant of a series, shape (T,) or (T, k), and the last one."""
     if stride == 1:
         return series
@@ -164,13 +188,18 @@ def resample_course(time: FloatArray, course: Float32Array, lower_is_critical: b
 
 def find_bounds(recording: Recording) -> Bounds | None:
     """Bounding box of all reference points; None if nothing exists."""
-    low, high = np.full(2, np.inf), np.full(2, -np.inf)
-    for k, values in enumerate((recording.x, recording.y)):
-        low[k] = np.min(values, initial=np.inf, where=np.isfinite(values))
-        high[k] = np.max(values, initial=-np.inf, where=np.isfinite(values))
-    if not np.isfinite(low).all():
-        return None
-    return (float(low[0]), float(low[1]), float(high[0]), float(high[1]))
+    bounds = []
+    for values in (recording.x, recording.y):
+        # These ignore NaN as long as there is any number.
+        low, high = float(np.fmin.reduce(values, axis=None)), float(np.fmax.reduce(values, axis=None))
+        if not (math.isfinite(low) and math.isfinite(high)):
+            finite = values[np.isfinite(values)]
+            if not finite.size:
+                return None
+            low, high = float(finite.min()), float(finite.max())
+        bounds.append((low, high))
+    (x_min, x_max), (y_min, y_max) = bounds
+    return x_min, y_min, x_max, y_max
 
 
 def encode_digest(digest: ScenarioDigest) -> tuple[str, bytes]:
@@ -186,7 +215,8 @@ def encode_digest(digest: ScenarioDigest) -> tuple[str, bytes]:
             for outcome, features in zip(digest.outcomes, digest.features, strict=True)
         ],
     }
-    packed = pack_arrays({"series": digest.series, "courses": digest.courses, "lines": digest.lines})
+    # Compression would save a third of these bytes, but take four times as long.
+    packed = pack_arrays({"series": digest.series, "courses": digest.courses, "lines": digest.lines}, compress=False)
     return json.dumps(facts, separators=(",", ":")), packed
 
 
@@ -199,11 +229,13 @@ def _encode_outcome(outcome: Outcome) -> dict[str, Any]:
     }
 
 
+_ENCOUNTER_FIELDS: Final = tuple(field.name for field in fields(Encounter))
 _FLAGS: Final = ("exists", "moves", "stops", "waits", "yields")
 
 
 def _encode_encounter(encounter: Encounter) -> list[Any]:
-    return [_encode_float(value) if isinstance(value, float) else value for value in astuple(encounter)]
+    values = [getattr(encounter, name) for name in _ENCOUNTER_FIELDS]
+    return [_encode_float(value) if isinstance(value, float) else value for value in values]
 
 
 def _encode_float(value: float) -> float | None:

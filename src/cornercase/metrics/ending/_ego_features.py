@@ -4,21 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Final
 
 import numpy as np
 
-from cornercase._common.geometry.boxes import box_corners, box_distance
-from cornercase._common.typing import BoolArray, FloatArray, IntArray
+from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.metrics._outcome import Outcome
-from cornercase.metrics.ending._find_outcome import STANDING_SPEED, existence_mask
+from cornercase.metrics.ending._box_gap import smallest_box_gap
+from cornercase.metrics.ending._find_outcome import STANDING_SPEED
+from cornercase.metrics.ending._poses import Poses
 from cornercase.recordings import Recording
-
-# Largest rounding error of a distance, in m.
-_ROUNDING: Final = 1e-6
+from cornercase.recordings._recording import MOTION_ARRAYS
 
 
-def measure_features(recording: Recording, outcome: Outcome) -> dict[str, float]:
+def measure_features(recording: Recording, outcome: Outcome, poses: Poses | None = None) -> dict[str, float]:
     """Measure how a scenario went for the ego: features by name, NaN for what did not happen.
 
     - ``"impact speed"``, ``"impact time"``: of the ego's first collision, in m/s and s
@@ -31,46 +29,48 @@ def measure_features(recording: Recording, outcome: Outcome) -> dict[str, float]
     - ``"way"``, ``"duration"``: distance and time that it travels, in m and s
     - ``"turn"``, ``"shift"``: change of heading to the left in rad, and lateral offset to the left at the end, in m;
       ``"aside"``: lateral offset of the other to the left at the beginning, in m
+
+    `poses` are those of the recording, by default computed anew.
     """
+    return measure_all_features(recording, (outcome,), poses)[0]
+
+
+def measure_all_features(
+    recording: Recording, outcomes: Sequence[Outcome], poses: Poses | None = None
+) -> tuple[dict[str, float], ...]:
+    """Measure how a scenario went for the ego, for its outcomes with several other entities."""
+    poses = Poses.from_recording(recording) if poses is None else poses
+    ego_features: dict[str, float] = {}
+    if outcomes:
+        i = recording.entity_index(outcomes[0].ego)
+        ego_features = _measure_ego_features(recording, i, poses.exists[i])
+    return tuple(ego_features | _measure_encounter(recording, outcome, poses) for outcome in outcomes)
+
+
+def _measure_encounter(recording: Recording, outcome: Outcome, poses: Poses) -> dict[str, float]:
     i, j = recording.entity_index(outcome.ego), recording.entity_index(outcome.encounter.entity)
-    gap, exists = outcome.encounter.gap, existence_mask(recording, outcome.ego)
-    traits = _measure_ego_features(recording, i, exists)
-    traits |= {
+    gap, nearest, nearest_time, first_distance, aside = outcome.encounter.gap, *[math.nan] * 4
+    shared = poses.exists[i] & poses.exists[j]
+    begin = int(shared.argmax())
+    if shared[begin]:
+        nearest, instant, first_distance = smallest_box_gap(
+            shared, poses.x[i], poses.y[i], poses.cos[i], poses.sin[i], poses.size[i],
+            poses.x[j], poses.y[j], poses.cos[j], poses.sin[j], poses.size[j],
+        )  # fmt: skip
+        nearest_time = float(recording.time[instant])
+        x, y = (float(center[j, begin]) - float(center[i, begin]) for center in (poses.x, poses.y))
+        aside = float(poses.cos[i, begin]) * y - float(poses.sin[i, begin]) * x
+    return {
         "impact speed": outcome.impacts[0].speed if outcome.impacts else math.nan,
         "impact time": outcome.impacts[0].time if outcome.impacts else math.nan,
         "entry": outcome.encounter.enters,
         "gap": gap if gap >= 0.0 else math.nan,
         "mean speed of the other": _finite_mean(np.abs(recording.speed[j])),
-    } | dict.fromkeys(("nearest", "nearest time", "first distance", "aside"), math.nan)
-    if (shared := np.flatnonzero(exists & existence_mask(recording, outcome.encounter.entity))).size:
-        centers = [recording.box_center(recording.names[k])[shared] for k in (i, j)]
-        nearest, instant, first_gap = _smallest_box_gap(recording, (i, j), shared, centers)
-        offset = centers[1][0] - centers[0][0]
-        heading = recording.heading[i, shared[0]]
-        aside = float(np.cos(heading) * offset[1] - np.sin(heading) * offset[0])
-        traits |= {
-            "nearest": nearest,
-            "nearest time": float(recording.time[instant]),
-            "first distance": first_gap,
-            "aside": aside,
-        }
-    return traits
-
-
-def _smallest_box_gap(
-    recording: Recording, entity_indices: tuple[int, int], instants: IntArray, centers_of_both: Sequence[FloatArray]
-) -> tuple[float, int, float]:
-    """Smallest gap between two boxes in m, the first instant of it, and the gap at the first instant."""
-    center_distances = np.hypot(*(centers_of_both[1] - centers_of_both[0]).T)
-    length, width = recording.length[list(entity_indices)], recording.width[list(entity_indices)]
-    # The gap is at least the centre distance less both circumscribed radii, and at most that less both inscribed radii.
-    reach, inner = 0.5 * float(np.hypot(length, width).sum()), 0.5 * float(np.minimum(length, width).sum())
-    is_candidate = center_distances - reach <= max(float(center_distances.min()) - inner, 0.0) + _ROUNDING
-    is_candidate[0] = True
-    x, y = np.stack([center[is_candidate] for center in centers_of_both]).transpose(2, 0, 1)
-    headings = recording.heading[list(entity_indices)][:, instants[is_candidate]]
-    gaps = box_distance(*box_corners(x, y, headings, length[:, None], width[:, None]))
-    return float(gaps.min()), int(instants[is_candidate][gaps.argmin()]), float(gaps[0])
+        "nearest": nearest,
+        "nearest time": nearest_time,
+        "first distance": first_distance,
+        "aside": aside,
+    }
 
 
 def _measure_ego_features(recording: Recording, ego_index: int, exists: BoolArray) -> dict[str, float]:
@@ -80,23 +80,18 @@ def _measure_ego_features(recording: Recording, ego_index: int, exists: BoolArra
     )  # fmt: skip
     if not exists.any():
         return dict.fromkeys(names, math.nan)
-    time, signed_speed, heading = (
-        recording.time[exists],
-        recording.speed[ego_index, exists],
-        recording.heading[ego_index, exists],
-    )
-    x, y, speed = (
-        recording.x[ego_index, exists],
-        recording.y[ego_index, exists],
-        np.abs(recording.speed[ego_index, exists]),
-    )
-    slowing = np.where(speed >= STANDING_SPEED, -np.sign(signed_speed) * recording.acceleration[ego_index, exists], 0.0)
+    arrays = (recording.time, *(getattr(recording, name)[ego_index] for name in MOTION_ARRAYS))
+    if not exists.all():
+        arrays = tuple(array[exists] for array in arrays)
+    time, x, y, heading, signed_speed, acceleration = arrays
+    speed, stands = np.abs(signed_speed), np.abs(signed_speed) < STANDING_SPEED
+    slowing = np.where(stands, 0.0, -np.sign(signed_speed) * acceleration)
     values = (
-        np.nanmin(speed), np.nanmax(speed), _finite_mean(speed), speed[0], speed[-1],
-        np.append(np.diff(time), 0.0)[speed < STANDING_SPEED].sum(),
+        speed.min(), speed.max(), speed.mean(), speed[0], speed[-1],
+        np.append(time[1:] - time[:-1], 0.0)[stands].sum(),
         max(float(np.nan_to_num(slowing).max()), 0.0),
-        np.hypot(np.diff(x), np.diff(y)).sum(), time[-1] - time[0],
-        np.unwrap(heading)[-1] - heading[0],
+        np.hypot(x[1:] - x[:-1], y[1:] - y[:-1]).sum(), time[-1] - time[0],
+        _unwrapped_end(heading) - heading[0],
         np.cos(heading[0]) * (y[-1] - y[0]) - np.sin(heading[0]) * (x[-1] - x[0]),
     )  # fmt: skip
     return {name: float(value) for name, value in zip(names, values, strict=True)}
@@ -105,3 +100,8 @@ def _measure_ego_features(recording: Recording, ego_index: int, exists: BoolArra
 def _finite_mean(values: FloatArray) -> float:
     is_finite = np.isfinite(values)
     return float(values[is_finite].mean()) if is_finite.any() else math.nan
+
+
+def _unwrapped_end(heading: FloatArray) -> float:
+    steps = np.abs(heading[1:] - heading[:-1])
+    return float((np.unwrap(heading) if (steps >= np.pi).any() else heading)[-1])

@@ -9,9 +9,10 @@ from typing import Final
 import numpy as np
 
 from cornercase._common.geometry.boxes import wrap_angle
-from cornercase._common.typing import BoolArray, FloatArray, IntArray
+from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.metrics._outcome import Encounter, Impact, Manner, Outcome
 from cornercase.metrics.ending._path_crossing import BoxPath, find_path_crossing
+from cornercase.metrics.ending._poses import Poses
 from cornercase.recordings import Collision, Recording
 
 STANDING_SPEED: Final = 0.1
@@ -34,28 +35,33 @@ def find_outcome(recording: Recording, ego: str, other: str, *, others: bool = T
 
 
 def find_outcomes(
-    recording: Recording, ego: str, main_others: Sequence[str], *, others: bool = True
+    recording: Recording, ego: str, main_others: Sequence[str], *, others: bool = True, poses: Poses | None = None
 ) -> tuple[Outcome, ...]:
-    """Determine how a recorded scenario ended for the ego, with each of some entities as the main other one."""
-    exists = existence_mask(recording, ego)
-    path = BoxPath.from_recording(recording, ego, exists)
-    speed = np.nan_to_num(np.abs(recording.speed[recording.entity_index(ego)]))
+    """Determine how a recorded scenario ended for the ego, with each of some entities as the main other one.
+
+    `poses` are those of the recording, by default computed anew.
+    """
+    scene = _Scene(recording, ego, Poses.from_recording(recording) if poses is None else poses)
+    exists, path = scene.poses.exists[scene.ego_index], scene.path(ego)
+    speed = scene.speeds[scene.ego_index]
     has_moved = np.maximum.accumulate(speed) >= STANDING_SPEED
     moving = [
         name
         for name in (recording.names if others else ())
-        if name != ego and _highest_speed(recording, name) >= STANDING_SPEED and set(main_others) != {name}
+        if name != ego and scene.has_moved(name) and set(main_others) != {name}
     ]
-    further_encounters = [_find_encounter(recording, path, ego, name) for name in moving]
+    further_encounters = [_find_encounter(scene, path, name) for name in moving]
     impacts = tuple(
-        _impact_from_collision(recording, ego, collision)
+        _impact_from_collision(recording, ego, collision, scene.poses)
         for collision in recording.collisions
         if ego in collision.entities
     )
     other_collisions = tuple(collision for collision in recording.collisions if ego not in collision.entities)
+    exists_ever, moves = bool(exists.any()), bool(has_moved[-1])
+    stops = moves and bool((has_moved & exists & (speed < STANDING_SPEED)).any())
     outcomes = []
     for other in main_others:
-        encounter = _find_encounter(recording, path, ego, other, extrapolate=True)
+        encounter = _find_encounter(scene, path, other, extrapolate=True)
         waits, yields = _find_yielding(recording.time, speed, has_moved, ego, encounter)
         outcome = Outcome(
             ego=ego,
@@ -63,14 +69,33 @@ def find_outcomes(
             others=tuple(further for further in further_encounters if further.entity != other),
             impacts=impacts,
             other_collisions=other_collisions,
-            exists=bool(exists.any()),
-            moves=bool(has_moved.any()),
-            stops=bool((has_moved & exists & (speed < STANDING_SPEED)).any()),
+            exists=exists_ever,
+            moves=moves,
+            stops=stops,
             waits=waits,
             yields=yields,
         )
         outcomes.append(outcome)
     return tuple(outcomes)
+
+
+class _Scene:
+    """A recording, the ego, and what several questions about them need; `speeds` in m/s, without sign and NaN."""
+
+    def __init__(self, recording: Recording, ego: str, poses: Poses):
+        self.recording, self.ego, self.poses = recording, ego, poses
+        self.ego_index = recording.entity_index(ego)
+        self.speeds: FloatArray = np.nan_to_num(np.abs(recording.speed))
+        self._top_speeds = self.speeds.max(axis=1, initial=0.0).tolist()
+        self._paths: dict[str, BoxPath] = {}
+
+    def has_moved(self, entity: str) -> bool:
+        return bool(self._top_speeds[self.recording.entity_index(entity)] >= STANDING_SPEED)
+
+    def path(self, entity: str) -> BoxPath:
+        if entity not in self._paths:
+            self._paths[entity] = BoxPath.from_poses(self.poses, self.recording.entity_index(entity))
+        return self._paths[entity]
 
 
 def describe_outcome(recording: Recording, ego: str, other: str) -> str:
@@ -83,89 +108,70 @@ def describe_outcome(recording: Recording, ego: str, other: str) -> str:
     return find_outcome(recording, ego, other, others=False).text
 
 
-def existence_mask(recording: Recording, entity: str) -> BoolArray:
-    """Mask of the instants at which an entity exists, shape (T,)."""
-    i = recording.entity_index(entity)
-    # A sum is finite if all its terms are.
-    exists: BoolArray = np.isfinite(recording.x[i] + recording.y[i] + recording.heading[i] + recording.speed[i])
-    return exists
-
-
-def _highest_speed(recording: Recording, entity: str) -> float:
-    return float(np.nan_to_num(np.abs(recording.speed[recording.entity_index(entity)])).max(initial=0.0))
-
-
-def _find_encounter(
-    recording: Recording, ego_path: BoxPath, ego_name: str, other: str, extrapolate: bool = False
-) -> Encounter:
-    same_direction = _compare_directions(recording, ego_name, other)
+def _find_encounter(scene: _Scene, ego_path: BoxPath, other: str, extrapolate: bool = False) -> Encounter:
+    same_direction = _compare_directions(scene, other)
     if same_direction is None:
-        both_exist = existence_mask(recording, ego_name).any() and existence_mask(recording, other).any()
+        both_exist = all(scene.poses.exists[scene.recording.entity_index(name)].any() for name in (scene.ego, other))
         return Encounter(other, "apart" if both_exist else "absent")
     is_same_direction, is_adjacent, lane_encounter = same_direction
     if is_same_direction and is_adjacent:
         return lane_encounter
-    other_path = BoxPath.from_recording(recording, other, existence_mask(recording, other))
+    other_path = scene.path(other)
     crossing = find_path_crossing(ego_path, other_path)
     if is_same_direction:
         # On a bend, an entity far ahead is off to the side.
         return lane_encounter if crossing else Encounter(other, "apart")
     if crossing is None:
-        return (
-            _encounter_after_end(recording, ego_path, other_path, ego_name, other)
-            if extrapolate
-            else Encounter(other, "apart")
-        )
+        return _encounter_after_end(scene, ego_path, other_path, other) if extrapolate else Encounter(other, "apart")
     if crossing.enters < crossing.other_enters:
-        first, gap = ego_name, crossing.other_enters - crossing.leaves
+        first, gap = scene.ego, crossing.other_enters - crossing.leaves
     else:
         first, gap = other, crossing.enters - crossing.other_leaves
     return Encounter(other, "crossing", first=first, enters=crossing.enters, leaves=crossing.other_leaves, gap=gap)
 
 
-def _encounter_after_end(
-    recording: Recording, ego_path: BoxPath, other_path: BoxPath, ego_name: str, other: str
-) -> Encounter:
+def _encounter_after_end(scene: _Scene, ego_path: BoxPath, other_path: BoxPath, other: str) -> Encounter:
     """Who alone reached the point where both paths would cross if they went straight on after the end."""
     # An entity that never moves has no path to extrapolate.
-    if min(_highest_speed(recording, ego_name), _highest_speed(recording, other)) < STANDING_SPEED:
+    if not (scene.has_moved(scene.ego) and scene.has_moved(other)):
         return Encounter(other, "apart")
     crossing = find_path_crossing(ego_path.extrapolate(), other_path.extrapolate())
     if crossing is None or min(crossing.enters, crossing.other_enters) > ego_path.end_time:
         return Encounter(other, "apart")
     if crossing.enters < crossing.other_enters:
-        return Encounter(other, "crossing", first=ego_name, enters=crossing.enters)
+        return Encounter(other, "crossing", first=scene.ego, enters=crossing.enters)
     return Encounter(other, "crossing", first=other, leaves=min(crossing.other_leaves, ego_path.end_time))
 
 
-def _compare_directions(recording: Recording, ego: str, other: str) -> tuple[bool, bool, Encounter] | None:
+def _compare_directions(scene: _Scene, other: str) -> tuple[bool, bool, Encounter] | None:
     """Whether both move in the same direction, whether in one lane or adjacent ones, and their encounter if so."""
-    shared = np.flatnonzero(existence_mask(recording, ego) & existence_mask(recording, other))
-    if not len(shared):
+    i, j = scene.ego_index, scene.recording.entity_index(other)
+    shared = scene.poses.exists[i] & scene.poses.exists[j]
+    begin = int(shared.argmax())
+    if not shared[begin]:
         return None
-    ends_of_shared = shared[[0, -1]]
-    headings = recording.heading[:, ends_of_shared]
-    heading_difference = np.abs(
-        wrap_angle(headings[recording.entity_index(other)] - headings[recording.entity_index(ego)])
-    )
-    along, across = _relative_position(recording, ego, other, ends_of_shared)
-    first_ahead, last_ahead = (other if offset > 0.0 else ego for offset in along.tolist())
-    encounter = Encounter(other, "lane", first=last_ahead, ahead=first_ahead)
-    return (
-        bool((heading_difference < _SAME_DIRECTION_ANGLE).all()),
-        bool((np.abs(across) <= _ADJACENT_LANE_DISTANCE).all()),
-        encounter,
-    )
+    is_same_direction = is_adjacent = True
+    entities_ahead = []
+    for instant in (begin, len(shared) - 1 - int(shared[::-1].argmax())):
+        is_same_direction &= _heading_difference(scene.recording, i, j, instant) < _SAME_DIRECTION_ANGLE
+        along, across = _relative_position(scene.poses, i, j, instant)
+        is_adjacent &= abs(across) <= _ADJACENT_LANE_DISTANCE
+        entities_ahead.append(other if along > 0.0 else scene.ego)
+    first_ahead, last_ahead = entities_ahead
+    return is_same_direction, is_adjacent, Encounter(other, "lane", first=last_ahead, ahead=first_ahead)
 
 
-def _relative_position(recording: Recording, ego: str, other: str, instants: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Distance of the other's centre ahead of the ego's and to its left at some instants, in m, shape (k,) each."""
-    i, j = recording.entity_index(ego), recording.entity_index(other)
-    heading = recording.heading[:, instants]
-    cos, sin, center_offset = np.cos(heading), np.sin(heading), recording.center_x[:, None]
-    x, y = recording.x[:, instants] + center_offset * cos, recording.y[:, instants] + center_offset * sin
-    x, y = x[j] - x[i], y[j] - y[i]
-    return cos[i] * x + sin[i] * y, cos[i] * y - sin[i] * x
+def _heading_difference(recording: Recording, ego_index: int, other_index: int, instant: int) -> float:
+    difference = float(recording.heading[other_index, instant]) - float(recording.heading[ego_index, instant])
+    return abs(float(wrap_angle(difference)))
+
+
+def _relative_position(poses: Poses, ego_index: int, other_index: int, instant: int) -> tuple[float, float]:
+    """Distance of the other's centre ahead of the ego's and to its left at an instant, in m."""
+    x = float(poses.x[other_index, instant]) - float(poses.x[ego_index, instant])
+    y = float(poses.y[other_index, instant]) - float(poses.y[ego_index, instant])
+    cos, sin = float(poses.cos[ego_index, instant]), float(poses.sin[ego_index, instant])
+    return cos * x + sin * y, cos * y - sin * x
 
 
 def _find_yielding(
@@ -187,19 +193,17 @@ def _find_yielding(
     return False, bool(slows_down and speeds_up)
 
 
-def _impact_from_collision(recording: Recording, ego: str, collision: Collision) -> Impact:
+def _impact_from_collision(recording: Recording, ego: str, collision: Collision, poses: Poses) -> Impact:
     (entity,) = (name for name in collision.entities if name != ego)
     instant = int(np.abs(recording.time - collision.time).argmin())
     i, j = recording.entity_index(ego), recording.entity_index(entity)
     velocities = [
-        recording.speed[k, instant]
-        * np.array([np.cos(recording.heading[k, instant]), np.sin(recording.heading[k, instant])])
-        for k in (i, j)
+        recording.speed[k, instant] * np.array([poses.cos[k, instant], poses.sin[k, instant]]) for k in (i, j)
     ]
     manner: Manner = "otherwise"
     if abs(recording.speed[i, instant]) < STANDING_SPEED:
         manner = "while it stands"
-    elif abs(wrap_angle(recording.heading[j, instant] - recording.heading[i, instant])) < _SAME_DIRECTION_ANGLE:
-        along, _ = _relative_position(recording, ego, entity, np.array([instant]))
-        manner = "from behind" if along[0] > 0.0 else "its rear"
+    elif _heading_difference(recording, i, j, instant) < _SAME_DIRECTION_ANGLE:
+        along, _ = _relative_position(poses, i, j, instant)
+        manner = "from behind" if along > 0.0 else "its rear"
     return Impact(entity, collision.time, float(np.hypot(*(velocities[1] - velocities[0]))), manner)

@@ -1,4 +1,4 @@
-"""Compiled overlap tests of boxes along two paths."""
+"""Compiled sampling of paths, and overlap tests of boxes along two of them."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, untyped-decorator"
@@ -9,7 +9,12 @@ import math
 
 import numpy as np
 
-from cornercase._common.geometry.aabb_tree import append_run, next_overlapping_leaf, node_after_subtree
+from cornercase._common.geometry.aabb_tree import (
+    append_run,
+    fill_inner_nodes,
+    next_overlapping_leaf,
+    node_after_subtree,
+)
 from cornercase._common.numba.kernel import kernel
 
 _MARGIN = 1e-3
@@ -18,10 +23,193 @@ _MARGIN = 1e-3
 _N_BISECTIONS = 20
 """Number of bisections of a step to find the instant of contact, to a millionth of the step."""
 
+_MAX_SUBSTEPS = 50
+"""Largest number of parts of a time step."""
+
+_STANDING_TOLERANCE = 1e-9
+"""Largest change of a pose between two instants of a standing entity."""
+
 
 @kernel(error_model="numpy")
-def find_overlap_runs(poses_a, size_a, poses_b, size_b, tree):
-    """Return which boxes of path a overlap which of path b, as runs for `OverlapRuns`.
+def sample_path(time, exists, x, y, cos, sin, max_spacing):
+    """Return times, shape (n,), and poses, shape (4, n), of boxes along a path that are at most `max_spacing` apart.
+
+    While the entity stands, the first and the last instant are enough.
+    """
+    n_instants, n_kept = len(time), 0
+    kept = np.empty(n_instants, dtype=np.int64)
+    is_still = False
+    for k in range(n_instants):
+        if not exists[k]:
+            is_still = False
+            continue
+        stays = (
+            k + 1 < n_instants
+            and exists[k + 1]
+            and abs(x[k + 1] - x[k]) <= _STANDING_TOLERANCE
+            and abs(y[k + 1] - y[k]) <= _STANDING_TOLERANCE
+            and abs(cos[k + 1] - cos[k]) <= _STANDING_TOLERANCE
+            and abs(sin[k + 1] - sin[k]) <= _STANDING_TOLERANCE
+        )
+        if not (is_still and stays):
+            kept[n_kept] = k
+            n_kept += 1
+        is_still = stays
+    n_parts, n_boxes = np.ones(n_kept, dtype=np.int64), n_kept
+    for i in range(n_kept - 1):
+        k, after = kept[i], kept[i + 1]
+        step_length = math.hypot(x[after] - x[k], y[after] - y[k])
+        n_parts[i] = int(min(max(np.ceil(step_length / max(max_spacing, 1e-3)), 1.0), _MAX_SUBSTEPS))
+        n_boxes += n_parts[i] - 1
+    times, poses = np.empty(n_boxes), np.empty((4, n_boxes))
+    has_parts, box = n_boxes > n_kept, 0
+    for i in range(n_kept):
+        k, after = kept[i], kept[min(i + 1, n_kept - 1)]
+        for part in range(n_parts[i]):
+            # Rounded as a position along the whole path.
+            share = (i + part / n_parts[i]) - i
+            times[box] = (time[after] - time[k]) * share + time[k]
+            poses[0, box] = (x[after] - x[k]) * share + x[k]
+            poses[1, box] = (y[after] - y[k]) * share + y[k]
+            poses[2, box] = (cos[after] - cos[k]) * share + cos[k]
+            poses[3, box] = (sin[after] - sin[k]) * share + sin[k]
+            if has_parts:
+                norm = max(math.hypot(poses[2, box], poses[3, box]), 1e-12)
+                poses[2, box] /= norm
+                poses[3, box] /= norm
+            box += 1
+    return times, poses
+
+
+@kernel(error_model="numpy")
+def find_first_crossing(time_a, poses_a, size_a, time_b, poses_b, size_b):
+    """Return whether two paths overlap, and when each is in the overlap that is reached first.
+
+    Pairs of boxes that overlap belong to one overlap of the paths if each is connected with the next through some of
+    its eight neighbours. Times are those of the first and last contact of path a, then of path b, in s.
+    """
+    nothing = (False, math.nan, math.nan, math.nan, math.nan)
+    if _bounding_boxes_are_apart(poses_a, size_a, poses_b, size_b):
+        return nothing
+    runs = _find_overlap_runs(poses_a, size_a, poses_b, size_b, _build_tree(poses_b))
+    if not len(runs):
+        return nothing
+    roots = _connect_runs(runs)
+    earliest, first = math.inf, nothing
+    for root in range(len(runs)):
+        if roots[root] != root:
+            continue
+        overlap = runs[roots == root]
+        enters, leaves = _contact_times(time_a, poses_a, size_a, poses_b, size_b, overlap)
+        other_enters, other_leaves = _contact_times_of_other(time_b, poses_b, size_b, poses_a, size_a, overlap)
+        if min(enters, other_enters) < earliest or not first[0]:
+            earliest, first = min(enters, other_enters), (True, enters, leaves, other_enters, other_leaves)
+    return first
+
+
+@kernel(error_model="numpy", _nrt=False)
+def _bounding_boxes_are_apart(poses_a, size_a, poses_b, size_b):
+    reach = 0.5 * (math.hypot(size_a[0], size_a[1]) + math.hypot(size_b[0], size_b[1]))
+    for k in range(2):
+        low_a, high_a, low_b, high_b = math.inf, -math.inf, math.inf, -math.inf
+        for i in range(poses_a.shape[1]):
+            low_a, high_a = min(low_a, poses_a[k, i]), max(high_a, poses_a[k, i])
+        for j in range(poses_b.shape[1]):
+            low_b, high_b = min(low_b, poses_b[k, j]), max(high_b, poses_b[k, j])
+        if low_a > high_b + reach or low_b > high_a + reach:
+            return True
+    return False
+
+
+@kernel(error_model="numpy")
+def _build_tree(poses):
+    """Build the AABB tree of the centres of a path."""
+    leaves = 1
+    while leaves < poses.shape[1]:
+        leaves *= 2
+    tree = np.empty((2 * leaves, 4))
+    for node in range(2 * leaves):
+        for k in range(2):
+            tree[node, k], tree[node, k + 2] = math.inf, -math.inf
+    for i in range(poses.shape[1]):
+        for k in range(2):
+            tree[leaves + i, k] = tree[leaves + i, k + 2] = poses[k, i]
+    fill_inner_nodes(tree)
+    return tree
+
+
+@kernel(error_model="numpy")
+def _connect_runs(runs):
+    """Return for each run the first run of its connected component."""
+    roots = np.arange(len(runs))
+    before, step = 0, 0
+    for run in range(len(runs)):
+        if runs[run, 0] != runs[step, 0]:
+            before, step = step, run
+        if step == 0 or runs[before, 0] != runs[run, 0] - 1:
+            continue
+        for near in range(before, step):
+            if runs[near, 1] <= runs[run, 2] + 1 and runs[near, 2] >= runs[run, 1] - 1:
+                root, other_root = _find_root(roots, run), _find_root(roots, near)
+                roots[max(root, other_root)] = min(root, other_root)
+    for run in range(len(runs)):
+        roots[run] = roots[roots[run]]
+    return roots
+
+
+@kernel(error_model="numpy", _nrt=False)
+def _find_root(roots, run):
+    while roots[run] != run:
+        roots[run] = roots[roots[run]]
+        run = roots[run]
+    return run
+
+
+@kernel(error_model="numpy")
+def _contact_times(time, poses, size, other_poses, other_size, runs):
+    """When path a is in an overlap: first and last contact of its boxes with boxes of path b."""
+    first, last = runs[0, 0], runs[-1, 0]
+    enters, leaves = time[first], time[last]
+    for step, neighbour in ((first, first - 1), (last, last + 1)):
+        if not 0 <= neighbour < len(time):
+            continue
+        is_touched = np.zeros(other_poses.shape[1], dtype=np.bool_)
+        for run in range(len(runs)):
+            if runs[run, 0] == step:
+                is_touched[runs[run, 1] : runs[run, 2] + 1] = True
+        share = _contact_fraction(poses, size, neighbour, step, other_poses, other_size, is_touched)
+        contact = time[neighbour] + share * (time[step] - time[neighbour])
+        if neighbour < step:
+            enters = contact
+        else:
+            leaves = contact
+    return enters, leaves
+
+
+@kernel(error_model="numpy")
+def _contact_times_of_other(time, poses, size, other_poses, other_size, runs):
+    """When path b is in an overlap: first and last contact of its boxes with boxes of path a."""
+    first, last = runs[:, 1].min(), runs[:, 2].max()
+    enters, leaves = time[first], time[last]
+    for step, neighbour in ((first, first - 1), (last, last + 1)):
+        if not 0 <= neighbour < len(time):
+            continue
+        is_touched = np.zeros(other_poses.shape[1], dtype=np.bool_)
+        for run in range(len(runs)):
+            if runs[run, 1] <= step <= runs[run, 2]:
+                is_touched[runs[run, 0]] = True
+        share = _contact_fraction(poses, size, neighbour, step, other_poses, other_size, is_touched)
+        contact = time[neighbour] + share * (time[step] - time[neighbour])
+        if neighbour < step:
+            enters = contact
+        else:
+            leaves = contact
+    return enters, leaves
+
+
+@kernel(error_model="numpy")
+def _find_overlap_runs(poses_a, size_a, poses_b, size_b, tree):
+    """Return which boxes of path a overlap which of path b, as runs: a step of a, first and last box of b.
 
     `poses_a`, shape (4, n), and `poses_b`, shape (4, m), have rows x, y, cosine and sine of the heading; sizes are
     length and width; `tree` is the AABB tree of the centres of path b.
@@ -54,7 +242,7 @@ def find_overlap_runs(poses_a, size_a, poses_b, size_b, tree):
 
 
 @kernel(error_model="numpy", _nrt=False)
-def contact_fraction(poses_a, size_a, before, after, poses_b, size_b, is_touched):
+def _contact_fraction(poses_a, size_a, before, after, poses_b, size_b, is_touched):
     """Return the fraction of a step of path a at which it first touches a box of path b in `is_touched`."""
     low, high = 0.0, 1.0
     for _ in range(_N_BISECTIONS):
