@@ -10,6 +10,7 @@ import math
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -93,35 +94,69 @@ def test_where_a_kernel_is_needed_often_it_is_compiled_at_once():
 
 
 PROGRAM = """
-import json, sys
-from cornercase import simulators
-from cornercase._common.numba import interpret
-from cornercase._common.numba.kernel import listen_to_compilation
-interpret.MAX_SECONDS = float(sys.argv[1])
-heard = []
+import hashlib, json, sys
+from contextlib import nullcontext
 from numba.core import event
+from cornercase import simulators
+from cornercase._common.numba.interpret import compile_at_once, interpret_always
+
+heard = []
 class Listener(event.Listener):
-    def on_start(self, event): heard.append(1)
-    def on_end(self, event): pass
+    def on_start(self, event):
+        heard.append(event.data["dispatcher"].py_func.__name__)
+    def on_end(self, event):
+        pass
 event.register("numba:compile", Listener())
-recording = simulators.simulate(sys.argv[2], drivers={"Ego": "normal"})
-arrays = [getattr(recording, name).tobytes().hex() for name in ("x", "y", "heading", "speed", "acceleration")]
-print(json.dumps([len(heard), arrays]))
+mode, scenario, options = sys.argv[1:]
+with {"compile": compile_at_once, "interpret": interpret_always, "as usual": nullcontext}[mode]():
+    recording = simulators.simulate(scenario, **json.loads(options))
+digest = hashlib.sha256()
+for name in ("time", "x", "y", "heading", "speed", "acceleration"):
+    digest.update(getattr(recording, name).tobytes())
+print(json.dumps([heard, recording.x.shape, digest.hexdigest()]))
+"""
+
+X = examples_folder() / "x_intersection" / "x_intersection.xosc"
+T = examples_folder() / "t_intersection" / "t_intersection.xosc"
+EVERYTHING = Path(__file__).parents[1] / "data" / "everything" / "everything.xosc"
+OPENSCENARIO = Path(__file__).parents[3] / "shared" / "reference" / "openscenario"
+CPNCO = OPENSCENARIO / "ncap" / "OpenSCENARIO" / "NCAP" / "CA-FC_2026" / "CPNCO.xosc"
+NORMAL, OWN = {"drivers": {"Ego": "normal"}}, {"drivers": {"Ego": "cruising:Cruising"}}
+
+OWN_DRIVER = """
+import numpy as np
+from cornercase.drivers import Driver
+
+class Cruising(Driver):
+    def acceleration(self, situation):
+        return np.clip(8.0 - situation.speed, -3.0, 2.0)
 """
 
 
+def simulated(mode, scenario, options, folder, cache=None):
+    """Kernels that a process compiles to simulate a scenario, the recording's shape, and the digest of its bytes."""
+    (folder / "cruising.py").write_text(OWN_DRIVER)
+    environment = {**os.environ, "PYTHONPATH": str(folder)}
+    if cache is not None:
+        environment["NUMBA_CACHE_DIR"] = str(cache)
+    command = [sys.executable, "-W", "ignore", "-c", PROGRAM, mode, str(scenario), json.dumps(options)]
+    ran = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    return json.loads(ran.stdout)
+
+
 @pytest.mark.slow
-def test_one_scenario_compiles_nothing_and_has_the_same_bytes(tmp_path):
-    scenario = examples_folder() / "x_intersection" / "x_intersection.xosc"
-
-    def simulated(name, seconds):
-        environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / name)}
-        command = [sys.executable, "-W", "ignore", "-c", PROGRAM, seconds, scenario]
-        ran = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
-        return json.loads(ran.stdout)
-
-    n_compiled, interpreted = simulated("empty", "60")
-    assert n_compiled == 0
-    n_compiled, compiled = simulated("other", "-1")
-    assert n_compiled > 0
+@pytest.mark.parametrize("scenario", [X, T, CPNCO, EVERYTHING], ids=lambda path: path.stem)
+@pytest.mark.parametrize("options", [{}, NORMAL, OWN], ids=["storyboard", "normal", "own"])
+def test_interpreted_scenarios_have_the_same_bytes(scenario, options, tmp_path):
+    if not scenario.exists():
+        pytest.skip("Euro NCAP's files are not beside the checkout")
+    options = {**options, "duration": 20.0}
+    _, *compiled = simulated("compile", scenario, options, tmp_path)
+    _, *interpreted = simulated("interpret", scenario, options, tmp_path)
     assert interpreted == compiled
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("options", [{}, NORMAL, OWN], ids=["storyboard", "normal", "own"])
+def test_one_scenario_compiles_nothing(options, tmp_path):
+    assert simulated("as usual", X, options, tmp_path, tmp_path / "empty")[0] == []
