@@ -121,7 +121,7 @@ class _Division(ast.NodeTransformer):
 
     functions: Final = {ast.Div: "_divide", ast.FloorDiv: "_floor_divide", ast.Mod: "_remainder", ast.Pow: "_power"}
 
-    def visit_BinOp(self, node: ast.BinOp) -> ast.AST:
+    def visit_BinOp(self, node: ast.BinOp) -> ast.expr:
         """Replace a binary operator by a function call."""
         self.generic_visit(node)
         name = self.functions.get(type(node.op))
