@@ -535,7 +535,11 @@ def test_ipgs_module_is_taken_where_it_is_there_and_starts_carmaker_once(cmapi, 
 @pytest.mark.parametrize(
     ("wrong", "kind", "words"),
     [
-        ("raise", SimulatorError, "CarMaker, by cmapi: RuntimeError: the application is gone"),
+        (
+            "raise",
+            SimulatorError,
+            "cmapi, the Python package of CarMaker, failed with RuntimeError: the application is gone",
+        ),
         ("hang", SimulationError, "CarMaker did not end the TestRun within 2 s"),
         ("no file", SimulationError, "CarMaker wrote 0 result files in SimOutput instead of one"),
     ],

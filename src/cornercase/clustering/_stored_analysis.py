@@ -100,7 +100,7 @@ class Analysis:
         -------
         DataFrame
             One row per cluster, indexed by its number, -1 for noise: its ``name``, its ``size``, the number of
-            ``collisions``, the id of its ``example`` (its medoid; empty without a name), and for each metric the
+            ``collisions``, its ``example`` (the id of its medoid; empty if it has no name), and for each metric the
             median score, ``median …``.
 
         See Also

@@ -1,8 +1,9 @@
 """Dynamic time warping on an NVIDIA GPU: one pair of series per thread, four rows of the cost table at a time.
 
 Neighbouring threads have the same row series and neighbouring column series. The column series are interleaved, so a
-warp reads and writes consecutive numbers. Of four rows, the last is written to global memory; all stay in registers.
-The compiler contracts products and sums, so the last digits may differ from the CPU's.
+warp reads and writes consecutive numbers. The four rows are computed in registers; only the
+last of them is written to global memory, for the next four. The compiler contracts products and sums, so the last
+digits may differ from the CPU's.
 """
 
 # Compiled functions have no static types.

@@ -183,7 +183,8 @@ class Optimizer(Configurable, ABC):
         pending : ndarray of float64, shape (p, d)
             Points that were proposed and have no result yet, in the order in which they were proposed.
         *pseudo_results : ndarray of float64, shape (p,), (p, k) or (p, f)
-            Results that a constant liar assumes for them: the further arguments of `tell`.
+            Results that a constant liar assumes for the pending points: one array for each argument of `tell` after the
+            points, in the same order (k scores or f features of a point).
 
         Returns
         -------

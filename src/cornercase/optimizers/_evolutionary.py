@@ -76,7 +76,7 @@ class Evolutionary(Optimizer):
         self._sequence.tell(points, scores)
 
     def _make_children(self, n: int, pending: FloatArray) -> FloatArray:
-        """Generate at most `n` points, (m, d), from the best scenarios; they are neither observed nor pending."""
+        """Generate at most `n` new points, (m, d), from the best scenarios; new: neither observed nor pending."""
         from pymoo.core.mating import Mating
         from pymoo.core.population import Population
         from pymoo.core.problem import Problem

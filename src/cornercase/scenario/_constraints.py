@@ -105,7 +105,7 @@ class ParameterDeclaration:
             rule = constraint.get("rule", "")
             if rule not in _COMPARISONS:
                 raise InputError(
-                    f"{file_name}, line {constraint.sourceline}: the rule '{rule}' of a <ValueConstraint>:"
+                    f"{file_name}, line {constraint.sourceline}: <ValueConstraint> has the unknown rule '{rule}';"
                     f" {suggest_name(rule, _COMPARISONS)}"
                 )
         groups = tuple(

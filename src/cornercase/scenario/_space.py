@@ -133,7 +133,7 @@ class ParameterSpace:
         Raises
         ------
         InputError
-            There is none, a text is malformed, a bound is not finite, or LOW is not below HIGH.
+            `ranges` is empty, a text is malformed, a bound is not finite, or LOW is not below HIGH.
 
         Examples
         --------

@@ -146,7 +146,7 @@ def _thin_series(recording: Recording, meta: StudyMeta, instants: IntArray, pose
         distance = np.hypot(*relative)
         bearing = np.divide(relative, distance, out=np.zeros_like(relative), where=distance > 0.0)
         others = np.concatenate(([x[j], y[j]], bearing)).transpose(1, 0, 2).reshape(-1, len(instants))
-        return np.concatenate(([recording.time[instants], x[i], y[i]], others)).T.copy()
+        return np.array([recording.time[instants], x[i], y[i], *others]).T.copy()
     columns = [recording.time[:, None], position_series(recording, meta.ego)]
     for other in meta.others:
         columns += [position_series(recording, other, meta.ego), bearing_series(recording, meta.ego, other)]
@@ -244,7 +244,7 @@ def _encode_float(value: float) -> float | None:
 
 
 def decode_facts(facts: str) -> dict[str, Any]:
-    """Parse the facts of a digest; call it, as the next ones, within `reraise_as_damage`."""
+    """Parse the facts of a digest; call it within `reraise_as_damage`."""
     return dict(parse_json(facts))
 
 

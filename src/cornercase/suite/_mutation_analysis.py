@@ -121,7 +121,8 @@ def analyze_mutants(
     for name, item in options["drivers"].items():
         if not isinstance(item, str):
             raise InputError(
-                f"Mutants cannot be run: {format_driver(item)} drove {name}, and code from a study is not run."
+                f"Mutants cannot be run: the study names the driver {format_driver(item)} for {name}, but code that a"
+                " study names is not run; explore with a driver of cornercase."
             )
     with open_connection(cluster, workers, workers_need_cluster=True) as client:
         failed, killed = run_mutants(

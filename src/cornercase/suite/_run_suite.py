@@ -365,8 +365,8 @@ def _resolve_drivers(suite: SuiteContents, requested: Mapping[str, str | Driver]
         if entity not in drivers:
             name = escape_control_characters(command) or "an object that Python code made"
             raise InputError(
-                f"`drivers`: {name} drove {entity} when {suite.path} was made, and code named in a file is not run;"
-                f" give a driver, as {entity}={escape_control_characters(command) or 'normal'}."
+                f"`drivers`: {suite.path} names the driver {name} for {entity}, but code named in a file is not run;"
+                f" give the driver, for example {entity}={escape_control_characters(command) or 'normal'}."
             )
     return drivers
 

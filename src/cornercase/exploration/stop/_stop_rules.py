@@ -286,10 +286,10 @@ def no_improvement(rounds: int) -> StopRule:
 
 
 def resolve_stop_rules(rules: object) -> tuple[list[StopCriterion], float | None, int | None]:
-    """Split one or several rules into criteria that have to hold together, a time limit in s, and a number of rounds.
+    """Split rules into criteria that must all hold, a time limit in s, and a number of rounds without improvement.
 
-    The number of rounds is that without an improvement. Rules may be texts of criteria. If there are several limits,
-    the smallest counts; None without one. Raises `InputError` for anything else.
+    A rule may be the text of a criterion. Of several time limits the smallest counts, and so for numbers of rounds;
+    where no rule gives one, it is None. Raises `InputError` for what is no rule.
     """
     several = rules if isinstance(rules, Sequence) and not isinstance(rules, str) else [rules]
     resolved = [StopCriterion.parse(rule) if isinstance(rule, str) else rule for rule in several]

@@ -90,7 +90,7 @@ def render_profiles(profiles: Sequence[Profile]) -> str:
 
 
 def render_cluster_names(profiles: Sequence[Profile]) -> str:
-    """Render the name of each cluster, and the number of scenarios that the name is true of."""
+    """Render the name of each cluster, which is a condition, and how many scenarios fulfil it."""
     return render_table(
         ["cluster", "name", "scenarios", "collide", "true of", "of all others", "example"],
         [

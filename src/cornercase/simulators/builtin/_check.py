@@ -42,7 +42,8 @@ class Check:
     schema : str or None
         Version of the schema used for validation; None if the schema is not installed.
     schema_errors : tuple of str
-        Schema violations of the file and of the space; adapted parts count only if `strict` was given.
+        Schema violations of the file and of the space. Violations that are read all the same are listed only if
+        `strict` was given.
     space : ParameterSpace or None
         The parameter space; None if no space was given, or it cannot be used.
     run_errors : tuple of str

@@ -111,7 +111,9 @@ class CmapiClient:
         except SimulationError:
             raise
         except Exception as error:
-            raise SimulatorError(f"CarMaker, by cmapi: {type(error).__name__}: {error}") from error
+            raise SimulatorError(
+                f"cmapi, the Python package of CarMaker, failed with {type(error).__name__}: {error}"
+            ) from error
         written = before.new_files()
         if len(written) != 1:
             raise SimulationError(

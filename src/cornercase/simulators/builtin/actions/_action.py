@@ -14,8 +14,9 @@ class Action:
     """An action on an entity, in some scenarios of a batch, from its start until it has ended there.
 
     `domains`: parts of the motion that it controls, ``"longitudinal"`` and ``"lateral"``; when it starts, it ends other
-    actions of the entity with a common domain. `memory_attributes`: names of arrays (N,) that kernels share.
-    `has_own_timing`: whether it ends at a time of its own. `table_row`: its row in the tables for kernels.
+    actions of the entity with a common domain. `memory_attributes`: names of its arrays, shape (N,),
+    in which kernels keep values from step to step. `has_own_timing`: whether it ends at a time that the file gives.
+    `table_row`: index of its row in the tables that kernels read.
 
     An action that does not override `step` ends immediately.
     """

@@ -198,7 +198,7 @@ def _read_vertices(
 def _read_constant_vertices(
     vertices: list[etree._Element], scope: Scope, world: World, read_position: PositionReader
 ) -> tuple[FloatArray, ...] | None:
-    """Return the vertices as rows, shape (V,) each, if they are world positions without parameters; else None."""
+    """Return the coordinates of V vertices, one array (V,) for each; None unless all are constant world positions."""
     elements = [_require_position(vertex, scope) for vertex in vertices]
     if any(len(element) != 1 or element[0].tag != "WorldPosition" or len(element[0]) for element in elements):
         return None

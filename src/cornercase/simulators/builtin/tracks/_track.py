@@ -49,7 +49,7 @@ def is_uniform(*arrays: FloatArray | None) -> bool:
 
 
 class TrackPoints(NamedTuple):
-    """Points of a track in R scenarios, shape (R,) each."""
+    """One point of a track in each of R scenarios; every attribute has shape (R,)."""
 
     x: FloatArray
     y: FloatArray
