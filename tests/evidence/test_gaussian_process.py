@@ -131,7 +131,7 @@ def test_the_level_of_groups_is_that_of_all_places():
     points = qmc.Sobol(3, seed=3).random(64)
     known = CriticalSet(CUBE, points, two_regions(points), THRESHOLD)
     among = known._is_found
-    every = known._parts_samples._critical_limit(np.arange(len(known._z)))
+    every = known._parts_samples._critical_deviate_limits(np.arange(len(known._z)))
     (at, weights), drawn = known._joint_points, known._parts_samples.joint_draws
     expected = (known._sample.weights * among) @ ndtr(every)
     expected += (weights * among[at]) @ (drawn - ndtr(every[at]))

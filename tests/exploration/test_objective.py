@@ -12,7 +12,7 @@ from hypothesis.extra.numpy import arrays
 
 from conftest import examples
 from cornercase._common.errors import InputError
-from cornercase.exploration._incumbent import Incumbent, is_on_pareto_front
+from cornercase.exploration._best_scores import BestScores, is_on_pareto_front
 from cornercase.metrics import METRICS
 from cornercase.optimizers import OPTIMIZERS, Evolutionary, Optuna
 from cornercase.scenario import Constraint, Parameter, ParameterDeclaration, ParameterSpace
@@ -79,12 +79,12 @@ def test_the_front_is_what_nothing_dominates(values):
 
 
 def test_news_is_what_nothing_before_was_better_than():
-    best = Incumbent(Objective([TTC, DRAC], pareto=True))
+    best = BestScores(Objective([TTC, DRAC], pareto=True))
     assert best.update(np.array([[1.0, -1.0], [2.0, -2.0], [np.nan, np.nan]]))
     assert not best.update(np.array([[2.0, -1.0]]))
     assert best.update(np.array([[3.0, -3.0]]))
     assert best.label == "front of 3"
-    one = Incumbent(Objective([TTC]))
+    one = BestScores(Objective([TTC]))
     assert [one.update(np.array([value])) for value in (10.0, 10.0, 4.0, 5.0, 4.0)] == [True, False, True, False, True]
     assert one.label == "best 4 s"
 

@@ -28,7 +28,7 @@ from cornercase.clustering._series import (
     default_aspects,
     digested_series,
     distance_unit,
-    require_aspect,
+    require_known_aspect,
     require_same_channels,
     window_in_instants,
 )
@@ -145,7 +145,7 @@ def analyze(
     with open_study(study, critical=critical) as opened:
         aspects = default_aspects(opened) if requested is None else requested
         for aspect in aspects:
-            require_aspect(opened, aspect)
+            require_known_aspect(opened, aspect)
         existing = set(aspects) & set(opened.analyzed_aspects())
         if (
             keep_clusters

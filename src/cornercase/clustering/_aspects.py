@@ -147,7 +147,7 @@ class Bearing(Aspect):
         return bearing_series(recording, ego, other)
 
 
-class Behaviour(Aspect):
+class EgoProgress(Aspect):
     """Distance travelled by the ego along its own path, and time scaled by 5 m/s, both in m.
 
     Matching different times has a cost per second, so waiting counts. The location of the path does not count.
@@ -165,5 +165,5 @@ class Behaviour(Aspect):
 ASPECTS: Final[Registry[Aspect]] = Registry("aspect", "cornercase.aspects", Aspect)
 """Aspects by name; the course of each metric of a study can be compared, too."""
 
-for _class in (EgoTrajectory, EgoSpeed, EgoMotion, JointPositions, RelativePosition, Bearing, Behaviour):
+for _class in (EgoTrajectory, EgoSpeed, EgoMotion, JointPositions, RelativePosition, Bearing, EgoProgress):
     ASPECTS.register(_class.name, _class)

@@ -29,7 +29,7 @@ def default_aspects(study: StudyFile) -> tuple[str, ...]:
     return (*DEFAULT_ASPECTS, *study.meta.metrics)
 
 
-def require_aspect(study: StudyFile, aspect: str) -> None:
+def require_known_aspect(study: StudyFile, aspect: str) -> None:
     """Raise `InputError` unless `aspect` is in `ASPECTS` or a metric of the study."""
     if aspect in study.meta.metrics:
         return
@@ -61,7 +61,7 @@ def read_series(
     The series have shape (T_i, k), or (T_i,) for a metric. `other_entity` is the entity that aspects look at besides
     the ego. By default it is the main other entity of the study.
     """
-    require_aspect(study, aspect)
+    require_known_aspect(study, aspect)
     ids = [row.id for row in study.finished_rows()] if ids is None else ids
     if aspect in study.meta.metrics:
         metric = METRICS.create(aspect)
@@ -134,7 +134,7 @@ def require_same_channels(study: StudyFile, aspect: str, ids: Sequence[int], ser
 
 def distance_unit(study: StudyFile, aspect: str) -> str:
     """Return the unit of DTW distances by an aspect, which is that of the series; "1" for none."""
-    require_aspect(study, aspect)
+    require_known_aspect(study, aspect)
     return METRICS.create(aspect).unit if aspect in study.meta.metrics else create_aspect(aspect).unit
 
 

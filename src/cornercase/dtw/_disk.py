@@ -70,7 +70,7 @@ def fill_matrix_file(
         journal.unlink(missing_ok=True)
     existed = path.exists()
     try:
-        checksums = _read_or_create_journal(journal, fingerprint)
+        checksums = _open_matching_journal(journal, fingerprint)
         view = out if isinstance(out, np.memmap) else _open_memmap(path, size, settings.dtype, new=not checksums)
         try:
             _allocate_disk_space(path)
@@ -200,7 +200,7 @@ def _header_size(path: Path) -> int:
         return file.tell()
 
 
-def _read_or_create_journal(journal: Path, fingerprint: str) -> dict[tuple[int, int], int]:
+def _open_matching_journal(journal: Path, fingerprint: str) -> dict[tuple[int, int], int]:
     """Return the checksums of the finished squares by band indices; create the journal if there is none."""
     if not journal.exists():
         journal.write_text(fingerprint + "\n", encoding="utf-8", newline="\n")

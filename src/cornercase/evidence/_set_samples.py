@@ -52,12 +52,12 @@ class SetSamples:
     @cached_property
     def joint_draws(self) -> BoolArray:
         """Whether each of the points with joint draws is critical in each draw, (m, draws)."""
-        return np.asarray(self._standardized_errors <= self._critical_limit(self.joint_indices))
+        return np.asarray(self._standardized_errors <= self._critical_deviate_limits(self.joint_indices))
 
     @cached_property
     def _residuals(self) -> FloatArray:
         """Outcome (0 or 1) less marginal probability of each point with joint draws, in each draw, (m, draws)."""
-        return np.asarray(self.joint_draws - ndtr(self._critical_limit(self.joint_indices)))
+        return np.asarray(self.joint_draws - ndtr(self._critical_deviate_limits(self.joint_indices)))
 
     @cached_property
     def _probability_bins(self) -> tuple[IntArray, FloatArray]:
@@ -74,7 +74,7 @@ class SetSamples:
         probability = ndtr(-(self._a + self._b * middle[:, None]))
         return bin_of, np.concatenate([probability, np.zeros((1, N_DRAWS)), np.ones((1, N_DRAWS))])
 
-    def _critical_limit(self, indices: IntArray) -> FloatArray:
+    def _critical_deviate_limits(self, indices: IntArray) -> FloatArray:
         """Normal deviate up to which a point is critical in each draw; infinite if the outcome is known."""
         limit = -(self._a + self._b * self._z[indices, None])
         return np.where(self._known_outcome[indices, None] == 0.0, limit, self._known_outcome[indices, None])
@@ -98,7 +98,7 @@ class SetSamples:
         `standardized_errors` (m, `N_DRAWS`) are those for the other set, on the points with joint draws of this one.
         Draw i of this set is paired with draw `order[i]` of `other`.
         """
-        limit = other._critical_limit(self.joint_indices)[:, order]
+        limit = other._critical_deviate_limits(self.joint_indices)[:, order]
         # As in `critical_fraction_within`: some points give the spread, all points the mean.
         (bins, probability), (other_bins, other_probability) = self._probability_bins, other._probability_bins
         weights = coo_array((self._weights, (bins, other_bins)), shape=(len(probability), len(other_probability)))

@@ -18,9 +18,9 @@ from cornercase._common.progress import ProgressBar
 from cornercase._common.row_keys import row_keys
 from cornercase._common.text.html import render_html
 from cornercase._common.typing import FloatArray
+from cornercase.exploration._best_scores import BestScores
 from cornercase.exploration._config import ExplorationConfig
 from cornercase.exploration._constant_metrics import MIN_SCENARIOS_TO_COMPARE, describe_constant_metrics
-from cornercase.exploration._incumbent import Incumbent
 from cornercase.exploration._proposals import AskTell, ProposalSource
 from cornercase.exploration._runner import ScenarioRunner, StageTimer
 from cornercase.exploration._stop_criteria import StopCriteria
@@ -157,7 +157,7 @@ class ScenarioExplorer:
         )
         self._clock = StageTimer(study)
         self._runner = ScenarioRunner(config, simulator, criterion, study, self._clock, references)
-        self._incumbent, self._n_without_improvement = Incumbent(self._objective), 0
+        self._incumbent, self._n_without_improvement = BestScores(self._objective), 0
         self._patience, self._patience_unit = config.patience, "rounds"
         self._uses_features = "features" in optimizer.requires
         if (warm_start := study.warm_start_data()) is not None:

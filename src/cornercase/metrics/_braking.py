@@ -7,7 +7,7 @@ import numpy as np
 from cornercase._common.typing import FloatArray
 from cornercase.metrics._base import Metric
 from cornercase.metrics._geometry.leader import LeaderGap
-from cornercase.metrics._geometry.numeric import check_nonnegative_options, divide_or_inf
+from cornercase.metrics._geometry.numeric import check_nonnegative_options, divide_by_positive_or_inf
 from cornercase.recordings import Recording
 
 
@@ -32,7 +32,7 @@ class Drac(Metric):
 
     def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
         pair = LeaderGap.from_recording(recording, ego, other)
-        return divide_or_inf(np.maximum(pair.closing_speed, 0.0) ** 2, 2.0 * pair.gap)
+        return divide_by_positive_or_inf(np.maximum(pair.closing_speed, 0.0) ** 2, 2.0 * pair.gap)
 
 
 class Mdrac(Metric):
@@ -66,7 +66,7 @@ class Mdrac(Metric):
     def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
         pair = LeaderGap.from_recording(recording, ego, other)
         closing = np.maximum(pair.closing_speed, 0.0)
-        return divide_or_inf(closing**2, 2.0 * (pair.gap - closing * self.reaction_time))
+        return divide_by_positive_or_inf(closing**2, 2.0 * (pair.gap - closing * self.reaction_time))
 
 
 class Dst(Metric):
@@ -101,7 +101,7 @@ class Dst(Metric):
     def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
         pair = LeaderGap.from_recording(recording, ego, other)
         closing = np.maximum(pair.closing_speed, 0.0)
-        return divide_or_inf(closing**2, 2.0 * (pair.gap - pair.leader_speed * self.safety_time))
+        return divide_by_positive_or_inf(closing**2, 2.0 * (pair.gap - pair.leader_speed * self.safety_time))
 
 
 class LongitudinalAcceleration(Metric):
@@ -162,7 +162,7 @@ class Btn(Metric):
         self.deceleration = deceleration
 
     def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
-        return divide_or_inf(
+        return divide_by_positive_or_inf(
             -required_longitudinal_acceleration(LeaderGap.from_recording(recording, ego, other)), self.deceleration
         )
 
@@ -193,7 +193,7 @@ class StoppingDistance(Metric):
         self.deceleration = deceleration
 
     def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
-        return divide_or_inf(recording.speed[recording.entity_index(ego)] ** 2, 2.0 * self.deceleration)
+        return divide_by_positive_or_inf(recording.speed[recording.entity_index(ego)] ** 2, 2.0 * self.deceleration)
 
 
 def required_longitudinal_acceleration(leader: LeaderGap) -> FloatArray:
@@ -204,10 +204,10 @@ def required_longitudinal_acceleration(leader: LeaderGap) -> FloatArray:
     closing, acceleration = leader.closing_speed, leader.leader_acceleration
     brakes = (leader.leader_speed > 0.0) & (acceleration < 0.0)
     stopping_distance = np.where(brakes, 0.5 * leader.leader_speed**2 / np.where(brakes, -acceleration, 1.0), 0.0)
-    stop_behind = -divide_or_inf(leader.speed**2, 2.0 * (leader.gap + stopping_distance))
+    stop_behind = -divide_by_positive_or_inf(leader.speed**2, 2.0 * (leader.gap + stopping_distance))
     # A standing leader with negative acceleration holds its brake; it does not start to reverse.
     leader_acceleration = np.where((leader.leader_speed == 0.0) & (acceleration < 0.0), 0.0, acceleration)
-    match_speed = leader_acceleration - divide_or_inf(np.maximum(closing, 0.0) ** 2, 2.0 * leader.gap)
+    match_speed = leader_acceleration - divide_by_positive_or_inf(np.maximum(closing, 0.0) ** 2, 2.0 * leader.gap)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         matches_before_stop = (closing > 0.0) & (
             2.0 * leader.gap / closing <= leader.leader_speed / np.where(brakes, -acceleration, 1.0)

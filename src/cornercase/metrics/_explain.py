@@ -56,10 +56,10 @@ def explain(evaluation: Evaluation, reference_texts: Mapping[str, str]) -> Reaso
     statement = root.operands[0] if isinstance(root, Operation) and root.operator in ("no", "not") else root
     if isinstance(statement, Statement):
         return _explain_statement(statement, evaluation, reference_texts)
-    return _explain_operation(evaluation, reference_texts)
+    return _explain_by_decisive_leaf(evaluation, reference_texts)
 
 
-def _explain_operation(evaluation: Evaluation, reference_texts: Mapping[str, str]) -> Reason:
+def _explain_by_decisive_leaf(evaluation: Evaluation, reference_texts: Mapping[str, str]) -> Reason:
     fulfilled = evaluation.is_fulfilled()
     verb = {True: "holds", False: "does not hold", None: "may hold or not"}[fulfilled]
     text = f"'{format_node(evaluation.root)}' {verb}"

@@ -8,7 +8,7 @@ from cornercase._common.typing import FloatArray
 from cornercase.metrics._base import Metric
 from cornercase.metrics._geometry.boxes import box_corners_over_time, velocity_vectors
 from cornercase.metrics._geometry.leader import LeaderGap
-from cornercase.metrics._geometry.numeric import check_nonnegative_options, divide_or_inf
+from cornercase.metrics._geometry.numeric import check_nonnegative_options, divide_by_positive_or_inf
 from cornercase.recordings import Recording
 
 
@@ -66,7 +66,7 @@ class Stn(Metric):
 
     def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
         required = required_lateral_acceleration(recording, ego, other)
-        return divide_or_inf(required, self.acceleration)
+        return divide_by_positive_or_inf(required, self.acceleration)
 
 
 def required_lateral_acceleration(recording: Recording, ego: str, other: str) -> FloatArray:

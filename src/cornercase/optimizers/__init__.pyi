@@ -5,6 +5,6 @@ from ._evolutionary import Evolutionary as Evolutionary
 from ._grid import Grid as Grid
 from ._level_set import LevelSet as LevelSet
 from ._optuna import Optuna as Optuna
-from ._qmc import Random as Random
-from ._qmc import Sobol as Sobol
 from ._registry import OPTIMIZERS as OPTIMIZERS
+from ._space_filling import Random as Random
+from ._space_filling import Sobol as Sobol

@@ -11,7 +11,7 @@ import numpy as np
 from cornercase._common.numba.blas import single_threaded_blas
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.optimizers._base import Optimizer
-from cornercase.optimizers._qmc import Sobol
+from cornercase.optimizers._space_filling import Sobol
 from cornercase.scenario import ParameterSpace
 
 _MIN_NEW_SCENARIOS: Final = 10  # number of new scenarios after which the model is learned anew, at least

@@ -10,7 +10,7 @@ from cornercase._common.errors import InputError
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.optimizers._base import Optimizer
 from cornercase.optimizers._dedupe import Deduplicator
-from cornercase.optimizers._qmc import Sobol
+from cornercase.optimizers._space_filling import Sobol
 from cornercase.scenario import ParameterSpace
 
 _TRIES = 50

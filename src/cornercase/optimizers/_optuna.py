@@ -11,7 +11,7 @@ from cornercase._common.errors import InputError, suggest_name
 from cornercase._common.typing import FloatArray
 from cornercase.optimizers._base import Optimizer
 from cornercase.optimizers._dedupe import Deduplicator
-from cornercase.optimizers._qmc import Sobol
+from cornercase.optimizers._space_filling import Sobol
 from cornercase.scenario import ParameterSpace
 
 _SAMPLERS: Final = ("tpe", "nsga2", "cmaes", "gp", "random")

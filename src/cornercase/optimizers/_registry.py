@@ -17,7 +17,7 @@ for _name, _target in (
     ("grid", "_grid:Grid"),
     ("level-set", "_level_set:LevelSet"),
     ("optuna", "_optuna:Optuna"),
-    ("random", "_qmc:Random"),
-    ("sobol", "_qmc:Sobol"),
+    ("random", "_space_filling:Random"),
+    ("sobol", "_space_filling:Sobol"),
 ):
     OPTIMIZERS.register(_name, f"cornercase.optimizers.{_target}")

@@ -102,7 +102,7 @@ class CoverageSums:
         sums = (
             self._make_cell_sums(selected)
             if self._is_embedded and self._all_costs is None
-            else _RowCoverageSums(self, selected)
+            else _RowGreedySearch(self, selected)
         )
         gap = selection.nearest_distance.copy()
         while len(selected) + len(new) < size and (best := sums.best_candidate(gap, SIMILAR_SHARE)) is not None:
@@ -142,7 +142,7 @@ class CoverageSums:
         return selected
 
 
-class _RowCoverageSums:
+class _RowGreedySearch:
     """Lazy greedy search on rows of a cost matrix; it has the methods of `CellCoverageSums`."""
 
     def __init__(self, sums: CoverageSums, selected: Sequence[int]) -> None:

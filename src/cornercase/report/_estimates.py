@@ -13,7 +13,7 @@ from cornercase.evidence import Estimate, Sensitivity
 from cornercase.evidence._critical_set_estimate import MIN_REGION_FRACTION
 from cornercase.evidence._proportions import proportion_interval
 from cornercase.evidence._sensitivity import estimate_sensitivity
-from cornercase.exploration._incumbent import is_on_pareto_front
+from cornercase.exploration._best_scores import is_on_pareto_front
 from cornercase.exploration._study_critical_set import estimate_critical_set, uses_features
 from cornercase.study import StudyFile
 

@@ -78,7 +78,7 @@ def _describe_missing_scenario(study: StudyFile, name: str) -> str:
         scenario = add_varied_roads(
             source if isinstance(source, ScenarioFile) else ScenarioFile.read(source), meta.space
         )
-        reference = scenario.missing_road_reference()
+        reference = scenario.first_missing_road_file()
     except InputError:
         return default
     if not reference:

@@ -20,10 +20,10 @@ from cornercase.roads._lane_path import LanePath, join_paths
 from cornercase.roads._links import read_junction_connections, resolve_links
 from cornercase.roads._locator import LaneCoordinates, RoadLocator
 from cornercase.roads._reference_line import read_finite_number
+from cornercase.roads._require_drivable import require_drivable_road
 from cornercase.roads._road import Road, find_permanent_lanes, read_road
 from cornercase.roads._road_graph import JunctionConnection
 from cornercase.roads._support_table import SUPPORT_TABLE
-from cornercase.roads._validate import require_drivable_road
 from cornercase.scenario._xml import read_xml
 
 if TYPE_CHECKING:

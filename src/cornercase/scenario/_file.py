@@ -391,10 +391,10 @@ class ScenarioFile:
 
     def describe_missing_road(self) -> str:
         """Describe which road file is missing, as a part of a sentence; empty if no road file is missing."""
-        reference = self.missing_road_reference()
+        reference = self.first_missing_road_file()
         return self._describe_road_as_missing(reference) if reference else ""
 
-    def missing_road_reference(self) -> str:
+    def first_missing_road_file(self) -> str:
         """Return the first missing road file as written in the scenario; empty if no road file is missing."""
         references = (self.road_reference_for(), *self._varied_roads)
         return next((reference for reference in references if reference and not self.road_path(reference).exists()), "")

@@ -29,10 +29,10 @@ def run_scenarios(simulator: Simulator, concretes: Sequence[ConcreteScenario]) -
     scenario at fault fails. Parameter values are passed by name or by file, as the simulator requires. Raises
     `InputError` if no scenario can be run.
     """
-    yield from run_scenarios_as_given(simulator, pass_values(simulator, concretes))
+    yield from run_scenarios_as_given(simulator, with_values_to_pass(simulator, concretes))
 
 
-def pass_values(simulator: Simulator, concretes: Sequence[ConcreteScenario]) -> Sequence[ConcreteScenario]:
+def with_values_to_pass(simulator: Simulator, concretes: Sequence[ConcreteScenario]) -> Sequence[ConcreteScenario]:
     """Return scenarios in the form that a simulator requires: parameter values by name, or as in their file."""
     return (
         concretes if simulator.parameter_passing == "file" else [concrete.with_all_values() for concrete in concretes]
@@ -80,7 +80,7 @@ def check_simulator_accepts(
         for scenario in scenarios:
             simulator.check_supported(scenario)
         if concretes:
-            simulator.check_runnable(pass_values(simulator, concretes))
+            simulator.check_runnable(with_values_to_pass(simulator, concretes))
 
 
 def find_refusals(simulator: Simulator, concretes: Sequence[ConcreteScenario]) -> dict[int, str]:
@@ -98,7 +98,7 @@ def find_refusals(simulator: Simulator, concretes: Sequence[ConcreteScenario]) -
         for k, concrete in enumerate(concretes):
             try:
                 simulator.check_supported(concrete.load_file())
-                simulator.check_runnable(pass_values(simulator, [concrete]))
+                simulator.check_runnable(with_values_to_pass(simulator, [concrete]))
             except InputError as error:
                 refusals[k] = error
     if refusals and len(refusals) == len(concretes):

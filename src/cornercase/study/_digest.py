@@ -26,7 +26,7 @@ from cornercase.study._damage import require_value
 from cornercase.study._meta import StudyMeta
 
 if TYPE_CHECKING:
-    from cornercase.metrics.ending._poses import Poses
+    from cornercase.metrics._ending import Poses
 
 COURSE_POINTS: Final = 48
 """Points of a course as a line of the page; the replay has all points."""
@@ -102,9 +102,7 @@ def make_digest(
     `metrics` are those of the study, by default created anew.
     """
     # Kernels take long to import, and readers of digests do not need them.
-    from cornercase.metrics.ending._ego_features import measure_all_features
-    from cornercase.metrics.ending._find_outcome import find_outcomes
-    from cornercase.metrics.ending._poses import Poses
+    from cornercase.metrics._ending import Poses, find_outcomes, measure_all_features
 
     entities = recording.with_absent_entities((meta.ego, *meta.others))
     poses = Poses.from_recording(entities)
@@ -146,7 +144,8 @@ def _thin_series(recording: Recording, meta: StudyMeta, instants: IntArray, pose
         distance = np.hypot(*relative)
         bearing = np.divide(relative, distance, out=np.zeros_like(relative), where=distance > 0.0)
         others = np.concatenate(([x[j], y[j]], bearing)).transpose(1, 0, 2).reshape(-1, len(instants))
-        return np.array([recording.time[instants], x[i], y[i], *others]).T.copy()
+        series: FloatArray = np.array([recording.time[instants], x[i], y[i], *others])
+        return series.T.copy()
     columns = [recording.time[:, None], position_series(recording, meta.ego)]
     for other in meta.others:
         columns += [position_series(recording, other, meta.ego), bearing_series(recording, meta.ego, other)]

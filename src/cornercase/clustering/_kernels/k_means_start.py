@@ -39,7 +39,7 @@ def choose_centers(points, cells, first, random_numbers):
     n, k = len(points), len(random_numbers) + 1
     chosen = np.empty(k, dtype=np.int64)
     chosen[0] = first
-    middles, radii = _bound_cells(points, cells)
+    middles, radii = _bounding_balls_of_cells(points, cells)
     squares = np.empty(n)
     for i in range(n):
         squares[i] = _squared_distance(points[i], points[first], np.inf)
@@ -100,7 +100,7 @@ def _draw(target, squares, block_sums):
 
 
 @kernel(error_model="numpy")
-def _bound_cells(points, cells):
+def _bounding_balls_of_cells(points, cells):
     """Bounding balls of the cells in the first axes: return middles, shape (c, N_CELL_AXES), and radii."""
     middles, radii = np.zeros((len(cells), N_CELL_AXES)), np.zeros(len(cells))
     for cell in range(len(cells)):

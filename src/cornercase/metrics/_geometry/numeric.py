@@ -18,7 +18,7 @@ def check_nonnegative_options(metric_name: str, **numbers: float) -> None:
             raise InputError(f"{metric_name} cannot take {number} for {option}; give a finite number of 0 or more.")
 
 
-def divide_or_inf(numerator: npt.NDArray[Any], divisor: npt.NDArray[Any] | float) -> FloatArray:
+def divide_by_positive_or_inf(numerator: npt.NDArray[Any], divisor: npt.NDArray[Any] | float) -> FloatArray:
     """Quotient: 0 if the numerator is 0, otherwise inf if the divisor is not positive."""
     divisor = np.broadcast_to(divisor, numerator.shape)
     positive = divisor > 0.0

@@ -29,7 +29,7 @@ _SLOWDOWN_SHARE: Final = 0.8
 def find_outcome(recording: Recording, ego: str, other: str, *, others: bool = True) -> Outcome:
     """Determine how a recorded scenario ended for the ego.
 
-    `others=False` skips encounters with further entities, each of which takes as long again.
+    `others=False` skips encounters with further entities; each takes as long again.
     """
     return find_outcomes(recording, ego, (other,), others=others)[0]
 

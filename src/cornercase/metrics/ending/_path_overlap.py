@@ -36,8 +36,8 @@ def sample_path(time, exists, x, y, cos, sin, max_spacing):
 
     While the entity stands, the first and the last instant are enough.
     """
-    n_instants, n_kept = len(time), 0
-    kept = np.empty(n_instants, dtype=np.int64)
+    n_instants, n_selected = len(time), 0
+    selected = np.empty(n_instants, dtype=np.int64)
     is_still = False
     for k in range(n_instants):
         if not exists[k]:
@@ -52,19 +52,19 @@ def sample_path(time, exists, x, y, cos, sin, max_spacing):
             and abs(sin[k + 1] - sin[k]) <= _STANDING_TOLERANCE
         )
         if not (is_still and stays):
-            kept[n_kept] = k
-            n_kept += 1
+            selected[n_selected] = k
+            n_selected += 1
         is_still = stays
-    n_parts, n_boxes = np.ones(n_kept, dtype=np.int64), n_kept
-    for i in range(n_kept - 1):
-        k, after = kept[i], kept[i + 1]
+    n_parts, n_boxes = np.ones(n_selected, dtype=np.int64), n_selected
+    for i in range(n_selected - 1):
+        k, after = selected[i], selected[i + 1]
         step_length = math.hypot(x[after] - x[k], y[after] - y[k])
         n_parts[i] = int(min(max(np.ceil(step_length / max(max_spacing, 1e-3)), 1.0), _MAX_SUBSTEPS))
         n_boxes += n_parts[i] - 1
     times, poses = np.empty(n_boxes), np.empty((4, n_boxes))
-    has_parts, box = n_boxes > n_kept, 0
-    for i in range(n_kept):
-        k, after = kept[i], kept[min(i + 1, n_kept - 1)]
+    has_parts, box = n_boxes > n_selected, 0
+    for i in range(n_selected):
+        k, after = selected[i], selected[min(i + 1, n_selected - 1)]
         for part in range(n_parts[i]):
             # Rounded as a position along the whole path.
             share = (i + part / n_parts[i]) - i
@@ -89,7 +89,7 @@ def find_first_crossing(time_a, poses_a, size_a, time_b, poses_b, size_b):
     its eight neighbours. Times are those of the first and last contact of path a, then of path b, in s.
     """
     nothing = (False, math.nan, math.nan, math.nan, math.nan)
-    if _bounding_boxes_are_apart(poses_a, size_a, poses_b, size_b):
+    if _bounding_boxes_are_disjoint(poses_a, size_a, poses_b, size_b):
         return nothing
     runs = _find_overlap_runs(poses_a, size_a, poses_b, size_b, _build_tree(poses_b))
     if not len(runs):
@@ -108,7 +108,7 @@ def find_first_crossing(time_a, poses_a, size_a, time_b, poses_b, size_b):
 
 
 @kernel(error_model="numpy", _nrt=False)
-def _bounding_boxes_are_apart(poses_a, size_a, poses_b, size_b):
+def _bounding_boxes_are_disjoint(poses_a, size_a, poses_b, size_b):
     reach = 0.5 * (math.hypot(size_a[0], size_a[1]) + math.hypot(size_b[0], size_b[1]))
     for k in range(2):
         low_a, high_a, low_b, high_b = math.inf, -math.inf, math.inf, -math.inf

@@ -127,7 +127,7 @@ def _iter_mcap(path: Path, message_type: str) -> Iterator[Any]:
     from osi3trace.osi_trace import OSITrace
 
     try:
-        _refuse_oversized_records(path)
+        _refuse_bad_mcap_sizes(path)
         trace = OSITrace(str(path), message_type)
     except InputError:
         raise
@@ -152,7 +152,7 @@ def _iter_mcap(path: Path, message_type: str) -> Iterator[Any]:
         trace.close()
 
 
-def _refuse_oversized_records(path: Path) -> None:
+def _refuse_bad_mcap_sizes(path: Path) -> None:
     """Refuse records that are longer than the file, and chunks that become too large.
 
     The mcap package does not check.

@@ -11,7 +11,7 @@ from typing import Any, Final
 from cornercase.report._payload import study_info_payload
 from cornercase.report.live._analysis_worker import AnalysisWorker, PageAnalysis
 from cornercase.report.live._follower import StudyFollower
-from cornercase.report.live._live_scenario import course_columns, scenario_columns
+from cornercase.report.live._live_page_reader import course_columns, scenario_columns
 from cornercase.report.text._phrases import describe_roles
 from cornercase.study import StudyMeta
 from cornercase.study._objective import Objective

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 from cornercase._common.errors import InputError
-from cornercase.report.live._live_scenario import LivePageReader, LiveScenario
+from cornercase.report.live._live_page_reader import LivePageReader, LiveScenario
 from cornercase.study import StudyFile, StudyMeta
 
 # Seconds between two polls of the study.

@@ -46,7 +46,7 @@ from cornercase.simulators.builtin.storyboard._triggers import Condition, DelayB
 from cornercase.simulators.builtin.track_kernels._track_layout import TrackTable
 from cornercase.simulators.builtin.tracks._track import Trajectory
 from cornercase.simulators.builtin.tracks._track_pool import TrackPool
-from cornercase.simulators.builtin.world._track_motion import extend_lane_paths, update_off_road_times
+from cornercase.simulators.builtin.world._track_motion import extend_lane_paths, update_off_road_since
 from cornercase.simulators.builtin.world._trailers import place_trailers
 from cornercase.simulators.builtin.world._world import World
 
@@ -189,7 +189,7 @@ class Stepper:
             else:
                 break
         if world.needs_road_check:
-            update_off_road_times(world, status == FINISHED)
+            update_off_road_since(world, status == FINISHED)
         # Whether a storyboard would go on is asked later.
         world.running[:] = True
         world.has_leaf_values = False
@@ -200,7 +200,7 @@ class Stepper:
         """Evaluate the storyboard in the scenarios of a mask, then run them until they stop again."""
         world, loop, dt = self._world, self._loop_state, 0.0 if is_first else self._options.time_step
         if world.needs_road_check and not is_first:
-            update_off_road_times(world, evaluated)
+            update_off_road_since(world, evaluated)
         world.running[:] = evaluated
         world.changed[:] = False
         world.before[:, evaluated] = world.speed[:, evaluated]
@@ -231,7 +231,9 @@ class Stepper:
     def _evaluate_leaves(self) -> None:
         """Evaluate the leaves of all conditions in the running scenarios, whose status is idle."""
         self._loop_state.status[self._world.running] = EVALUATE_LEAVES
-        self._run_compiled_loop()
+        self._bind_tables()
+        # In this thread: handing so little work to others would take longer.
+        self._run_range(0, self._world.scenarios)
 
     def _ask_drivers(self, waiting: BoolArray) -> None:
         """Let Python decide speeds in those scenarios of a mask that are behind the others, and run them on.
@@ -278,7 +280,8 @@ class Stepper:
     def _run_until_stopped(self, has_new_tracks: bool = True) -> None:
         """Run the compiled loop until all scenarios have stopped.
 
-        Scenarios that need another lane, or an entity located on its road, get it and continue.
+        It also stops where a scenario needs the next lane of a path, or the position of an entity on its road. Python
+        provides them, and the scenario continues.
         """
         world, status = self._world, self._loop_state.status
         while True:
@@ -308,14 +311,17 @@ class Stepper:
         self._plan_routes()
 
     def _run_compiled_loop(self) -> None:
+        self._bind_tables()
+        with release_gil_lock(self._gil_lock):
+            list(self._parallel_map(self._run_range, self._bounds[:-1], self._bounds[1:]))
+
+    def _bind_tables(self) -> None:
         tracks, fleet = self._tracks, self._fleet
         if self._bound_tables[0] is not tracks or self._bound_tables[1] is not fleet:
             tables = self.scene, tracks, self._roads, fleet, self._actions, self._condition_table
             self._run_range, is_compiled = _bind_arguments(*tables, self._loop_state, self._options)
             if is_compiled:
                 self._bound_tables = tracks, fleet
-        with release_gil_lock(self._gil_lock):
-            list(self._parallel_map(self._run_range, self._bounds[:-1], self._bounds[1:]))
 
     def _plan_routes(self) -> None:
         """Let compiled drivers plan their routes along the tracks they follow now."""

@@ -34,7 +34,7 @@ def choose_examples(
     comes next. The size of a score's change is relative to the spread of the old scores. `objective_metric` is the
     metric that defines criticality; it is empty if several do.
     """
-    spreads = _score_spreads(pairs, metrics)
+    spreads = _old_score_spreads(pairs, metrics)
     tiers: dict[_ChangeTier, list[tuple[float, ScenarioPair, str]]] = {}
     for pair in pairs:
         tier, size, reason = _classify_change(pair, spreads, objective_metric)
@@ -79,7 +79,7 @@ def _distance_to_chosen(pair: ScenarioPair, chosen: Sequence[Example]) -> float:
     )
 
 
-def _score_spreads(pairs: Sequence[ScenarioPair], metrics: Sequence[str]) -> dict[str, float]:
+def _old_score_spreads(pairs: Sequence[ScenarioPair], metrics: Sequence[str]) -> dict[str, float]:
     """Return half the range of the middle 90 % of the old scores, by metric; if that is 0, the full range."""
     both_ran = [pair for pair in pairs if pair.both_ran]
     spreads = {}

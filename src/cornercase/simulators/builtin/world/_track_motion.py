@@ -13,7 +13,7 @@ from cornercase.simulators.builtin.world._road_position import is_on_road
 from cornercase.simulators.builtin.world._world import World
 
 
-def update_off_road_times(world: World, where: BoolArray) -> None:
+def update_off_road_since(world: World, where: BoolArray) -> None:
     """Update the times since which entities are off the road, in the scenarios of a mask."""
     # As in esmini, no entity is off the road before the first time step.
     current_time = np.where(world.last_step > 0.0, world.time, np.inf)

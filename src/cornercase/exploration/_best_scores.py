@@ -30,7 +30,7 @@ def is_on_pareto_front(values: FloatArray) -> BoolArray:
     return np.asarray(front)
 
 
-class Incumbent:
+class BestScores:
     """The most critical result so far: the best score, or the Pareto front."""
 
     def __init__(self, objective: Objective) -> None:
