@@ -124,8 +124,9 @@ def problem_from_config(config: ExplorationConfig) -> Problem:
 
 def config_from_problem(problem: Problem, **settings: Any) -> ExplorationConfig:
     """Create the configuration of an exploration of a problem; `settings` are all other options."""
-    several = isinstance(problem.metrics, Sequence) and not isinstance(problem.metrics, str)
-    metrics = [_name_of_metric(metric) for metric in (problem.metrics if several else [problem.metrics])]
+    given = problem.metrics
+    several = given if isinstance(given, Sequence) and not isinstance(given, str) else [given]
+    metrics = [_name_of_metric(metric) for metric in several]
     return ExplorationConfig(
         logical=problem.scenario,
         ego=problem.ego,

@@ -170,8 +170,11 @@ class Summary:
                 for name, metric in self.metrics.items()
             }
         ).T
-        shown = [*self.analyses.values(), *([] if self.reduced_set is None else [self.reduced_set])]
-        return render_html_table(repr(self), metrics) + "".join(item._repr_html_() for item in shown)
+        parts = [render_html_table(repr(self), metrics)]
+        parts += [analysis._repr_html_() for analysis in self.analyses.values()]
+        if self.reduced_set is not None:
+            parts.append(self.reduced_set._repr_html_())
+        return "".join(parts)
 
 
 def summarize(study: StudyFile | Path | str, *, critical: float | None = None) -> Summary:
