@@ -213,10 +213,10 @@ def test_what_is_no_object_is_named(argument, says, problem, tmp_path):
 
 def test_what_is_no_simulator_and_no_driver_is_named(problem, tmp_path):
     with pytest.raises(cc.InputError, match="`simulator`: Builtin is a class; give an object of it"):
-        cc.Study.create(tmp_path / "study.db", problem, Builtin)
+        cc.Study.create(tmp_path / "study.db", problem, Builtin)  # type: ignore[arg-type]
     for driver in (3, Own):
         with pytest.raises(cc.InputError, match=r"`drivers` Ego=.*: give the name of a driver, or an instance"):
-            Builtin(drivers={"Ego": driver})
+            Builtin(drivers={"Ego": driver})  # type: ignore[dict-item]
 
 
 def test_an_interrupted_search_goes_on_by_the_same_call(problem, explored, tmp_path, monkeypatch):
