@@ -91,7 +91,7 @@ HOSTILE = {
     "a long row": (table(row(0, "Ego") + ",1,2"), "line 2: has too many or too few fields"),
     "an endless field": (table(row(0, "E" * 200_000)), "field larger than field limit"),
     "an endless quote": (table('"abc' + "\n" * 1000), "has too many or too few fields"),
-    "each entity at an instant of its own": (table(*(row(k, f"n{k}") for k in range(6000))), "at most 20000000 pairs"),
+    "each entity at an instant of its own": (table(*(row(k, f"n{k}") for k in range(6000))), "at most 20000000 states"),
     "a time without end": (table(row("inf", "Ego"), row("inf", "B")), "every row needs a finite time"),
     "a table with an infinite position": (table(row(0, "Ego", "inf"), row(0, "B")), "has a position of inf"),
     "a table with a position of 1e300": (table(row(0, "Ego"), row(0, "B", "-1e300")), "has a position of 1e+300"),

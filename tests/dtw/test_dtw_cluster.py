@@ -86,7 +86,7 @@ def test_progress_counts_every_cell(client):
 
 def test_what_is_no_client_is_refused(client):
     with pytest.raises(
-        InputError, match=r"`client` tcp://host:8786: give a distributed.Client, .*cornercase\[cluster\]"
+        InputError, match=r"`client` tcp://host:8786: give a distributed.Client; .*cornercase\[cluster\]"
     ):
         distance_matrix([[0.0], [1.0]], client="tcp://host:8786")  # type: ignore[arg-type]
     with pytest.raises(InputError, match="computes on the CPUs of its workers"):

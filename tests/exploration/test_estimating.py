@@ -240,7 +240,7 @@ def test_a_study_is_estimated_with_its_own_simulator(explored, tmp_path):
 @pytest.mark.parametrize(
     ("given", "words"),
     [
-        ({"output": "study.db"}, "is the file that is read"),
+        ({"output": "study.db"}, "is the input file"),
         ({"budget": 99}, "`budget`"),
         ({"encounter": -1.0}, "`encounter`"),
         ({"drivers": {"Ego": "aggressive"}}, "was explored with another drivers"),

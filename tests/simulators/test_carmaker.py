@@ -461,10 +461,10 @@ def test_42_1_a_suite_gives_ipgs_module_the_named_values_too(cmapi, project):
         ({"testrun": ""}, "needs a TestRun"),
         ({"project": "/no/such/folder"}, "no such folder"),
         ({"testrun": "a[exit]"}, "a special character of Tcl"),
-        ({"port": 0}, "localhost:0 is not possible"),
+        ({"port": 0}, "localhost:0 is not a valid address"),
         ({"drivers": {"Ego": "normal"}}, "does not support cornercase's drivers"),
         ({"on_collision": "stop"}, "only if the TestRun says so"),
-        ({"speedup": 0.0}, "both above 0"),
+        ({"speedup": 0.0}, "both must be above 0"),
     ],
 )
 def test_refuses_in_one_sentence(tmp_path, options, words):

@@ -36,7 +36,7 @@ def test_what_was_written_is_read_back(meta):
         ({"repeats": 1}, "another number of repeats"),
         ({"most_repeats": None}, "another largest number of repeats"),
         ({"simulator": "other:host=a"}, "another simulator"),
-        ({"critical": 0.6}, r"the threshold 0.5"),
+        ({"critical": 0.6}, r"a search with the threshold 0.5"),
     ],
 )
 def test_a_study_of_something_else_is_refused(change, words):

@@ -85,9 +85,12 @@ def _print_error(sentence: str, excerpt: str = "") -> None:
 
 def _expression_excerpt(error: BaseException | None) -> str:
     """Return the lines that show where an expression is wrong; empty if the error is not about an expression."""
-    while error is not None:
+    # An error can be among its own causes, where it was raised again from one of them.
+    seen = list[BaseException]()
+    while error is not None and error not in seen:
         if isinstance(error, ExpressionError):
             return error.excerpt
+        seen.append(error)
         error = error.__cause__
     return ""
 
