@@ -342,7 +342,7 @@ def test_no_scheduler_is_told(tmp_path, monkeypatch):
     (tmp_path / "scheduler.json").write_text("{}")
     with pytest.raises(InputError, match="no scheduler answers"):
         create_simulator("builtin", {}, cluster=str(tmp_path / "scheduler.json"))
-    with pytest.raises(InputError, match="`workers`: the cluster has its own"):
+    with pytest.raises(InputError, match="`workers`: the cluster itself says how many"):
         create_simulator("builtin", {}, cluster="tcp://127.0.0.1:9", workers=2)
 
 
