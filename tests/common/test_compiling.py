@@ -258,3 +258,30 @@ def test_a_companion_is_started_once_and_only_where_something_is_compiled(tmp_pa
         for _ in range(2)
     ]
     assert said == ["1\n", "0\n"]
+
+
+LOWEST = """
+import numpy as np
+from cornercase._common.numba.kernel import kernel
+
+@kernel()
+def lowest(values, is_first):
+    if is_first:
+        return values[0]
+    return values.min()
+
+@kernel()
+def both(values):
+    return lowest(values, True), lowest(values, False)
+
+print(*both(np.array([3, 1, 2])))
+"""
+
+
+def test_a_function_that_the_first_part_does_not_need_is_there_for_the_next(tmp_path):
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    (tmp_path / "lowest.py").write_text(LOWEST)
+    command = [sys.executable, str(tmp_path / "lowest.py")]
+    for _ in ("compiled", "from the cache"):
+        result = subprocess.run(command, capture_output=True, text=True, env=environment)
+        assert result.stdout == "3 1\n", result.stderr

@@ -124,22 +124,32 @@ class _KernelLibrary(JITCodeLibrary):
 
         The functions in the intermediate code are empty, since other kernels do not link this library.
         """
-        names = [function.name for function in self._final_module.functions if not function.is_declaration]
+        names = _defined_names(self._final_module)
         definitions = "".join(f'define void @"{name}"() {{ ret void }}\n' for name in names)
         return self.name, "object", (self._get_compiled_object(), llvm.parse_assembly(definitions).as_bitcode())
 
     def finalize(self):
-        own = {function.name for function in self._final_module.functions if not function.is_declaration}
+        own = set(_defined_names(self._final_module))
         libraries = list(_with_parts(self._linking_libraries, set()))
         self._linking_libraries = []
         for library in libraries:
             self._reload_init.update(library._reload_init)
-            self._final_module.link_in(library._get_module_for_linking(), preserve=True)
+        modules = waiting = [library._get_module_for_linking() for library in libraries]
+        # LLVM leaves out functions that nothing refers to yet; modules that are linked later may refer to them.
+        while waiting:
+            for module in waiting:
+                self._final_module.link_in(module, preserve=True)
+            lacking = {function.name for function in self._final_module.functions if function.is_declaration}
+            waiting = [module for module in modules if not lacking.isdisjoint(_defined_names(module))]
         for function in self._final_module.functions:
             # Nobody else calls it: it can be inlined and left out.
             if not function.is_declaration and function.name not in own:
                 function.linkage = "internal"
         super().finalize()
+
+
+def _defined_names(module):
+    return [function.name for function in module.functions if not function.is_declaration]
 
 
 def _with_parts(libraries, seen):
