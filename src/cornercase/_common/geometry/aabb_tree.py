@@ -12,30 +12,26 @@ from __future__ import annotations
 import numpy as np
 
 from cornercase._common.numba.kernel import kernel
-from cornercase._common.typing import FloatArray
 
 
-def build_aabb_tree(bounds: FloatArray) -> FloatArray:
+@kernel(error_model="numpy")
+def build_aabb_tree(bounds):
     """Build a binary tree, shape (2 k, 4), over m boxes with bounds (min x, min y, max x, max y), shape (m, 4).
 
     Node 1 bounds all boxes; nodes 2 i and 2 i + 1 bound the two halves of node i. Row k + j holds box j. k is the
     smallest power of two that is at least m.
     """
-    leaves = 1 << max(len(bounds) - 1, 0).bit_length()
+    leaves = 1
+    while leaves < len(bounds):
+        leaves *= 2
     tree = np.empty((2 * leaves, 4))
     tree[:, :2], tree[:, 2:] = np.inf, -np.inf
     tree[leaves : leaves + len(bounds)] = bounds
-    fill_inner_nodes(tree)
-    return tree
-
-
-@kernel(error_model="numpy", _nrt=False)
-def fill_inner_nodes(tree):
-    """Compute the bounds of the inner nodes from those of the leaves."""
-    for node in range(len(tree) // 2 - 1, 0, -1):
+    for node in range(leaves - 1, 0, -1):
         for k in range(2):
             tree[node, k] = min(tree[2 * node, k], tree[2 * node + 1, k])
             tree[node, k + 2] = max(tree[2 * node, k + 2], tree[2 * node + 1, k + 2])
+    return tree
 
 
 @kernel(error_model="numpy", _nrt=False)

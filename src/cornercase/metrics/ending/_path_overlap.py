@@ -11,7 +11,7 @@ import numpy as np
 
 from cornercase._common.geometry.aabb_tree import (
     append_run,
-    fill_inner_nodes,
+    build_aabb_tree,
     next_overlapping_leaf,
     node_after_subtree,
 )
@@ -91,7 +91,7 @@ def find_first_crossing(time_a, poses_a, size_a, time_b, poses_b, size_b):
     nothing = (False, math.nan, math.nan, math.nan, math.nan)
     if _bounding_boxes_are_disjoint(poses_a, size_a, poses_b, size_b):
         return nothing
-    runs = _find_overlap_runs(poses_a, size_a, poses_b, size_b, _build_tree(poses_b))
+    runs = _find_overlap_runs(poses_a, size_a, poses_b, size_b, build_aabb_tree(_bounds_of_centres(poses_b)))
     if not len(runs):
         return nothing
     roots = _connect_runs(runs)
@@ -100,8 +100,8 @@ def find_first_crossing(time_a, poses_a, size_a, time_b, poses_b, size_b):
         if roots[root] != root:
             continue
         overlap = runs[roots == root]
-        enters, leaves = _contact_times(time_a, poses_a, size_a, poses_b, size_b, overlap)
-        other_enters, other_leaves = _contact_times_of_other(time_b, poses_b, size_b, poses_a, size_a, overlap)
+        enters, leaves = _contact_times(time_a, poses_a, size_a, poses_b, size_b, overlap, True)
+        other_enters, other_leaves = _contact_times(time_b, poses_b, size_b, poses_a, size_a, overlap, False)
         if min(enters, other_enters) < earliest or not first[0]:
             earliest, first = min(enters, other_enters), (True, enters, leaves, other_enters, other_leaves)
     return first
@@ -122,20 +122,13 @@ def _bounding_boxes_are_disjoint(poses_a, size_a, poses_b, size_b):
 
 
 @kernel(error_model="numpy")
-def _build_tree(poses):
-    """Build the AABB tree of the centres of a path."""
-    leaves = 1
-    while leaves < poses.shape[1]:
-        leaves *= 2
-    tree = np.empty((2 * leaves, 4))
-    for node in range(2 * leaves):
+def _bounds_of_centres(poses):
+    """Return the centres of a path as boxes without extent, for a tree."""
+    bounds = np.empty((poses.shape[1], 4))
+    for i in range(len(bounds)):
         for k in range(2):
-            tree[node, k], tree[node, k + 2] = math.inf, -math.inf
-    for i in range(poses.shape[1]):
-        for k in range(2):
-            tree[leaves + i, k] = tree[leaves + i, k + 2] = poses[k, i]
-    fill_inner_nodes(tree)
-    return tree
+            bounds[i, k] = bounds[i, k + 2] = poses[k, i]
+    return bounds
 
 
 @kernel(error_model="numpy")
@@ -166,37 +159,21 @@ def _find_root(roots, run):
 
 
 @kernel(error_model="numpy")
-def _contact_times(time, poses, size, other_poses, other_size, runs):
-    """When path a is in an overlap: first and last contact of its boxes with boxes of path b."""
-    first, last = runs[0, 0], runs[-1, 0]
+def _contact_times(time, poses, size, other_poses, other_size, runs, is_path_a):
+    """When one of the paths is in an overlap: first and last contact of its boxes with boxes of the other path."""
+    if is_path_a:
+        first, last = runs[0, 0], runs[-1, 0]
+    else:
+        first, last = runs[:, 1].min(), runs[:, 2].max()
     enters, leaves = time[first], time[last]
     for step, neighbour in ((first, first - 1), (last, last + 1)):
         if not 0 <= neighbour < len(time):
             continue
         is_touched = np.zeros(other_poses.shape[1], dtype=np.bool_)
         for run in range(len(runs)):
-            if runs[run, 0] == step:
+            if is_path_a and runs[run, 0] == step:
                 is_touched[runs[run, 1] : runs[run, 2] + 1] = True
-        share = _contact_fraction(poses, size, neighbour, step, other_poses, other_size, is_touched)
-        contact = time[neighbour] + share * (time[step] - time[neighbour])
-        if neighbour < step:
-            enters = contact
-        else:
-            leaves = contact
-    return enters, leaves
-
-
-@kernel(error_model="numpy")
-def _contact_times_of_other(time, poses, size, other_poses, other_size, runs):
-    """When path b is in an overlap: first and last contact of its boxes with boxes of path a."""
-    first, last = runs[:, 1].min(), runs[:, 2].max()
-    enters, leaves = time[first], time[last]
-    for step, neighbour in ((first, first - 1), (last, last + 1)):
-        if not 0 <= neighbour < len(time):
-            continue
-        is_touched = np.zeros(other_poses.shape[1], dtype=np.bool_)
-        for run in range(len(runs)):
-            if runs[run, 1] <= step <= runs[run, 2]:
+            elif not is_path_a and runs[run, 1] <= step <= runs[run, 2]:
                 is_touched[runs[run, 0]] = True
         share = _contact_fraction(poses, size, neighbour, step, other_poses, other_size, is_touched)
         contact = time[neighbour] + share * (time[step] - time[neighbour])
