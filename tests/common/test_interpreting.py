@@ -1,6 +1,6 @@
 """Kernels that are interpreted as long as they are not compiled."""
 
-# What a kernel has beside its call is not declared.
+# Kernels are declared as plain functions, without the methods of their dispatcher.
 # mypy: disable-error-code="attr-defined"
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cornercase._common.numba.interpret import compile_at_once, interpret
+from cornercase._common.numba.interpret import interpret
 from cornercase._common.numba.kernel import kernel
 from cornercase.exploration import examples_folder
 
@@ -80,17 +80,30 @@ def test_calls_that_take_long_are_compiled():
     assert half.signatures
 
 
-def test_where_a_kernel_is_needed_often_it_is_compiled_at_once():
-    @kernel(interpreted_seconds=lambda x: 0.0)
-    def third(x):
-        return x / 3.0
+THIRD = """
+from cornercase._common.numba.interpret import compile_at_once
+from cornercase._common.numba.kernel import kernel
 
-    third._cache.flush()
+@kernel(interpreted_seconds=lambda x: 0.0)
+def third(x):
+    return x / 3.0
+
+assert third(6.0) == 2.0
+assert not third.signatures
+with compile_at_once():
     assert third(6.0) == 2.0
-    assert not third.signatures
-    with compile_at_once():
-        assert third(6.0) == 2.0
-    assert third.signatures
+assert third.signatures
+"""
+
+
+def test_where_a_kernel_is_needed_often_it_is_compiled_at_once(tmp_path):
+    # In a process of its own, which has not interpreted anything for as long as a process may.
+    (tmp_path / "third.py").write_text(THIRD)
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    ran = subprocess.run(
+        [sys.executable, str(tmp_path / "third.py")], env=environment, capture_output=True, text=True, check=False
+    )
+    assert ran.returncode == 0, ran.stderr
 
 
 PROGRAM = """
