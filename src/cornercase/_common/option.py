@@ -107,6 +107,11 @@ class Option:
         return self.annotation.startswith("Mapping")
 
     @property
+    def has_numbers(self) -> bool:
+        """Whether the values of a mapping are numbers."""
+        return self.annotation.endswith("float]")
+
+    @property
     def documented_type(self) -> str:
         """Type and default, as numpydoc writes them."""
         kind = _KINDS[self.annotation].documentation
@@ -161,8 +166,7 @@ class Option:
         if not self.is_mapping:
             return check_str_sequence(self.name, value)
         values = check_mapping(self.name, value)
-        is_number = self.annotation.endswith("float]")
-        return {name: check_float(self.name, item) for name, item in values.items()} if is_number else values
+        return {name: check_float(self.name, item) for name, item in values.items()} if self.has_numbers else values
 
 
 def _quote(value: object) -> str:

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Any
 
-from cornercase._common.configurable import given_options
 from cornercase.simulators import SIMULATORS, Simulator
-from cornercase.simulators._common_options import split_common_options
-
-_RUN_SETTINGS: Final = {"time_step": None, "duration": None, "on_collision": None, "drivers": None}
+from cornercase.simulators._common_options import COMMON_OPTIONS, split_common_options
 
 
 def simulator_fields(simulator: Simulator | str) -> dict[str, Any]:
@@ -17,9 +14,7 @@ def simulator_fields(simulator: Simulator | str) -> dict[str, Any]:
     These are the simulator, and, if they were given, time step, duration, effect of collisions, and drivers. Raises
     `InputError` for an unknown name, or if the argument is no simulator.
     """
-    stripped, _ = split_common_options(simulator, _RUN_SETTINGS)
+    stripped, options = split_common_options(simulator, dict.fromkeys(COMMON_OPTIONS))
     if isinstance(stripped, str):
         SIMULATORS.get_factory(stripped.partition(":")[0])
-        return {"simulator": stripped}
-    own = {name: value for name, value in given_options(simulator).items() if name in _RUN_SETTINGS}
-    return {"simulator": stripped, **own}
+    return {"simulator": stripped, **{name: value for name, value in options.items() if value is not None}}

@@ -20,6 +20,7 @@ from cornercase.api._written_page import Page
 from cornercase.exploration import Estimation, ExplorationResult, Problem, Runs
 from cornercase.exploration._config import ExplorationConfig, config_from_study
 from cornercase.exploration._explore import explore_config
+from cornercase.exploration._explore_options import stored_search_settings
 from cornercase.exploration._problem import config_from_problem, name_arguments_of_objects, problem_from_config
 from cornercase.exploration._runs import run_settings, single_run_settings
 from cornercase.metrics import METRICS
@@ -198,7 +199,8 @@ class Study(PathLike[str]):
         """
         study = cls._from_problem(path, problem, simulator, seed)
         if not study.path.exists():
-            return cls.create(path, problem, simulator, seed=seed)
+            check_writable_file("path", study.path)
+            return study
         with study._read() as file, name_arguments_of_objects():
             config = study._make_config(file.meta)
             meta = config.make_study_meta(
@@ -858,16 +860,7 @@ class Study(PathLike[str]):
         if self._problem is None:
             return replace(self._stored_config(), **settings)
         if meta is not None:
-            stored = {
-                "optimizer": meta.optimizer,
-                "budget": meta.budget,
-                "batch": meta.batch,
-                "asynchronous": meta.asynchronous,
-                "repeats": meta.repeats,
-                "max_repeats": meta.most_repeats,
-                "audit": meta.audit,
-            }
-            settings = stored | settings
+            settings = stored_search_settings(meta) | settings
         return config_from_problem(self._problem, seed=self.seed, **self._simulator_fields, **settings)
 
     def _stored_config(self) -> ExplorationConfig:

@@ -75,7 +75,7 @@ def _parse(option: Option, value: Any) -> Any:
         return option.default
     if not option.is_mapping:
         return value
-    return (parse_numbers if option.annotation.endswith("float]") else parse_pairs)(value, option.flag)
+    return (parse_numbers if option.has_numbers else parse_pairs)(value, option.flag)
 
 
 class SectionedCommand(TyperCommand):

@@ -87,7 +87,7 @@ def analyze(
 
     Parameters
     ----------
-    study : Study or path
+    study : Study, StudyFile or path
         Open for writing, or the file.
     by : str or sequence of str, optional
         Aspects: any of `cornercase.clustering.ASPECTS`, and metrics of the study. By default the ego's trajectory,

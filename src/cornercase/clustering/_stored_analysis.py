@@ -179,7 +179,7 @@ def read_analysis(study: StudyFile, by: str) -> Analysis:
 
     Parameters
     ----------
-    study : Study
+    study : StudyFile
         Analysed before.
     by : str
         Aspect.
@@ -266,7 +266,7 @@ def read_analyses(study: StudyFile) -> dict[str, Analysis]:
 
     Parameters
     ----------
-    study : Study
+    study : StudyFile
         Analysed before.
 
     Returns
@@ -282,7 +282,7 @@ def read_distances(study: StudyFile, by: str) -> Distances:
 
     Parameters
     ----------
-    study : Study
+    study : StudyFile
         Analysed before.
     by : str
         Aspect.

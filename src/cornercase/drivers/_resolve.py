@@ -58,6 +58,15 @@ def create_driver_named_in_file(name: str) -> Driver:
     return DRIVERS.create(name)
 
 
+def may_be_named_in_file(name: str) -> bool:
+    """Return whether a file that is not trusted may name a driver: creating it runs no code of the user."""
+    try:
+        create_driver_named_in_file(name)
+    except InputError:
+        return False
+    return True
+
+
 def _find_non_numeric_option(name: str) -> str | None:
     """Return the first option of a driver that is not a number; None if all are numbers."""
     options = name.partition(":")[2]

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from cornercase._common.errors import InputError
 from cornercase._common.text.sanitize import remove_folders
 from cornercase._common.validation import check_mapping
 from cornercase.drivers import Driver
 from cornercase.drivers._description import driver_command_option, format_driver, iter_driver_changes
-from cornercase.drivers._resolve import check_driver, create_driver_named_in_file
+from cornercase.drivers._resolve import check_driver, may_be_named_in_file
 from cornercase.exploration._explore_options import (
     CONFIG_OPTIONS,
     SEARCH_SETTINGS,
@@ -22,7 +22,7 @@ from cornercase.exploration._explore_options import (
 from cornercase.exploration.stop._stop_rules import StopCriterion, resolve_stop_rules
 from cornercase.metrics import METRICS, CriticalIf
 from cornercase.metrics._other_entities import ALL_OTHERS, resolve_others
-from cornercase.optimizers import OPTIMIZERS
+from cornercase.optimizers import OPTIMIZERS, Optimizer
 from cornercase.scenario import LogicalScenario
 from cornercase.scenario._file import ScenarioFile
 from cornercase.simulators import Simulator
@@ -140,9 +140,16 @@ class ExplorationConfig(ExplorationOptions):
         condition.condition.check_installed()
         return condition
 
-    def parse_stop_criteria(self) -> list[StopCriterion]:
-        """Parse the criteria of `stop_when`."""
-        return resolve_stop_rules(self.stop_when)[0]
+    @property
+    def stop_criteria(self) -> tuple[StopCriterion, ...]:
+        """The criteria of `stop_when`, which hold nothing else since they were checked."""
+        return cast(tuple[StopCriterion, ...], self.stop_when)
+
+    def start_optimizer(self, criterion: Criterion) -> Optimizer:
+        """Return a fresh optimizer that searches the space."""
+        return cast(Optimizer, self.optimizer).start(
+            self.logical.space, self.seed, threshold=criterion.oriented, budget=self.budget
+        )
 
     def make_criterion(self, objective: Objective | None = None) -> Criterion:
         """Create the criterion: the objective, unless it is given, with its threshold.
@@ -217,7 +224,7 @@ def config_from_study(
     resolved_drivers: dict[str, str | Driver] = dict(check_mapping("drivers", drivers))
     for entity, driver in settings.get("drivers", {}).items():
         # A study file must not make us import a module.
-        if isinstance(driver, str) and _is_safe_driver_name(driver):
+        if isinstance(driver, str) and may_be_named_in_file(driver):
             resolved_drivers.setdefault(entity, driver)
         elif entity not in resolved_drivers:
             command = driver_command_option(driver)
@@ -237,15 +244,6 @@ def config_from_study(
         LogicalScenario(source.path, meta.space, meta.fingerprint, source),
         **{name: value for name, value in values.items() if value is not None},
     )
-
-
-def _is_safe_driver_name(driver: str) -> bool:
-    """Whether the driver can be created from its stored name without running code that the study names."""
-    try:
-        create_driver_named_in_file(driver)
-    except InputError:
-        return False
-    return True
 
 
 def require_same_settings(study: Path, meta: StudyMeta, simulator: Simulator) -> None:

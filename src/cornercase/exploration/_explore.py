@@ -24,7 +24,7 @@ from cornercase.exploration._explorer import ExplorationResult, ScenarioExplorer
 from cornercase.exploration._varied_file import open_logical_scenario
 from cornercase.exploration._verify_proposals import verify_proposals
 from cornercase.exploration._warm_start import WarmStart, read_warm_start
-from cornercase.optimizers import OPTIMIZERS, Optimizer
+from cornercase.optimizers import Optimizer
 from cornercase.scenario import LogicalScenario
 from cornercase.simulators import Simulator
 from cornercase.simulators._create import create_simulator
@@ -120,9 +120,7 @@ def _verify_proposals_of_study(config: ExplorationConfig, study: Path) -> Explor
 def _make_criterion_and_optimizer(config: ExplorationConfig) -> tuple[Criterion, Optimizer]:
     """Create the criterion (objective and threshold), and a fresh optimizer for it."""
     criterion = config.make_criterion()
-    optimizer = OPTIMIZERS.resolve(config.optimizer, "optimizer").start(
-        config.logical.space, config.seed, threshold=criterion.oriented, budget=config.budget
-    )
+    optimizer = config.start_optimizer(criterion)
     if config.pareto and not optimizer.multi_objective:
         raise InputError(f"`pareto`: {config.optimizer} takes one score; use evolutionary, or optuna:sampler=nsga2.")
     return criterion, optimizer
@@ -184,7 +182,7 @@ def _run_exploration(
             if warm_start is None:
                 # A resumed study holds its warm-start data itself.
                 meta = replace(meta, elsewhere=study.meta.elsewhere)
-            study.writer.resume(meta, same_budget="budget" in OPTIMIZERS.get_class(config.optimizer).requires)
+            study.writer.resume(meta, same_budget="budget" in optimizer.requires)
             if warm_start is not None:
                 study.writer.save_warm_start(warm_start.points, warm_start.scores)
             had_ended = any(row.state != "pending" for row in study.rows())

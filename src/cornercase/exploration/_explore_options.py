@@ -20,8 +20,11 @@ if TYPE_CHECKING:
     from cornercase.study import StudyMeta
 
 _PROBLEM: Final = "What is tested"
+_SEARCH: Final = "Search"
+# Settings of the search that a problem or a study object holds itself.
+_PROBLEM_SETTINGS: Final = ("weights", "pareto", "seed")
 _problem = partial(option, panel=_PROBLEM)
-_search = partial(option, panel="Search")
+_search = partial(option, panel=_SEARCH)
 _study = partial(option, panel="Study", in_file=False)
 
 
@@ -157,7 +160,7 @@ class ExploreOptions(SimulationKeywords, total=False):
     retry_failed: bool
 
 
-_PANELS: Final = (_PROBLEM, "Search", "Simulation", "Runs", "Study")
+_PANELS: Final = (_PROBLEM, _SEARCH, "Simulation", "Runs", "Study")
 OPTIONS: Final = {
     name: item
     for panel in _PANELS
@@ -185,3 +188,15 @@ def stored_values(meta: StudyMeta) -> dict[str, Any]:
             # It holds no default values.
             values[name] = fields_of_study.get(item.stored)
     return values
+
+
+def stored_search_settings(meta: StudyMeta) -> dict[str, Any]:
+    """Return how a study was searched, as far as it is no part of the problem; without default values."""
+    return {
+        name: value
+        for name, value in stored_values(meta).items()
+        if OPTIONS[name].panel == _SEARCH
+        and OPTIONS[name].is_field_of_study
+        and name not in _PROBLEM_SETTINGS
+        and value is not None
+    }

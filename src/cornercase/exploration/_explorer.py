@@ -75,7 +75,7 @@ class ExplorationResult:
 
         Parameters
         ----------
-        study : Study
+        study : StudyFile
         reason : str
         interrupted : bool, default False
         n_done_before : int, optional
@@ -147,7 +147,7 @@ class ScenarioExplorer:
         criterion = config.make_criterion() if criterion is None else criterion
         self._objective, threshold = criterion.objective, criterion.oriented
         self._stopping = StopCriteria(
-            config.parse_stop_criteria(),
+            config.stop_criteria,
             self._space,
             threshold,
             config.seed,

@@ -27,7 +27,6 @@ from cornercase.exploration._config import config_from_study, require_same_setti
 from cornercase.exploration._explore import reference_simulators, simulator_from_config
 from cornercase.exploration._explorer import ScenarioExplorer
 from cornercase.exploration._proposals import AskTell, ProposalSource
-from cornercase.optimizers import OPTIMIZERS
 from cornercase.scenario._file import ScenarioFile
 from cornercase.study import ScenarioRecord, StudyFile, verify
 from cornercase.study._import_recordings import IMPORTED_SIMULATOR
@@ -264,9 +263,7 @@ def _rerun_lost_scenarios(
     with StudyFile.open(repaired_file, readonly=False) as opened:
         config = replace(config_from_study(opened, file, scenario, simulator, drivers), workers=workers)
         criterion = config.make_criterion()
-        optimizer = OPTIMIZERS.resolve(config.optimizer, "optimizer").start(
-            config.logical.space, config.seed, threshold=criterion.oriented, budget=config.budget
-        )
+        optimizer = config.start_optimizer(criterion)
         with simulator_from_config(config) as running, reference_simulators(config) as references:
             require_same_settings(file, opened.meta, running)
             explorer_class = (

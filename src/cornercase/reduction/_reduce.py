@@ -88,7 +88,7 @@ def reduce(
 
     Parameters
     ----------
-    study : Study or path
+    study : Study, StudyFile or path
         Open for writing, or the file; analysed.
     folder : path
         Folder to write. Each file in it runs by itself and gives the same recording; ``manifest.json`` says why each

@@ -97,7 +97,7 @@ def read_reduction(study: StudyFile) -> ReducedSet | None:
 
     Parameters
     ----------
-    study : Study
+    study : StudyFile
         Holds the scenarios.
 
     Returns

@@ -14,7 +14,7 @@ from typing import Any, Final
 from cornercase._common.errors import InputError
 from cornercase._common.option import Option
 from cornercase.drivers._description import driver_command_option, format_driver
-from cornercase.drivers._resolve import create_driver_named_in_file
+from cornercase.drivers._resolve import may_be_named_in_file
 from cornercase.exploration._explore_options import OPTIONS, stored_values
 from cornercase.scenario import LogicalScenario, Parameter, ParameterSpace
 from cornercase.scenario._file import ScenarioFile
@@ -208,7 +208,7 @@ def _format_settings(options: dict[str, list[str]]) -> Iterator[str]:
             yield f"# Its options are not for a file: --simulator {values[0]}"
             values = [values[0].partition(":")[0]]
         if option.name == "drivers":
-            unregistered = [driver for driver in values if not _is_registered_driver(driver.partition("=")[2])]
+            unregistered = [driver for driver in values if not may_be_named_in_file(driver.partition("=")[2])]
             yield from (f"# A class of one's own has to be given again: --driver {driver}" for driver in unregistered)
             values = [driver for driver in values if driver not in unregistered]
         if option.is_list:
@@ -218,14 +218,6 @@ def _format_settings(options: dict[str, list[str]]) -> Iterator[str]:
             yield f"{option.key} = {values[0].lower()}"
         else:
             yield f"{option.key} = {_format_toml_string(values[0])}"
-
-
-def _is_registered_driver(driver: str) -> bool:
-    try:
-        create_driver_named_in_file(driver)
-    except InputError:
-        return False
-    return True
 
 
 def _format_toml_string(value: str) -> str:

@@ -76,7 +76,7 @@ def write_report(
 
     Parameters
     ----------
-    study : Study or path
+    study : Study, StudyFile or path
         Sections for which data are missing are left out. If all scenarios failed, the page shows why, without figures.
         If the study is open for writing, the time that the report took is stored in it.
     path : path

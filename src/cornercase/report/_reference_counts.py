@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from cornercase.metrics import CriticalIf
-from cornercase.metrics._critical_if import find_critical_if_condition
 from cornercase.study import StudyFile
 from cornercase.study._damage import reraise_as_damage
 from cornercase.suite import Requirement
@@ -30,7 +29,7 @@ def count_reference_results(study: StudyFile) -> dict[str, ReferenceCount]:
     """Count the results of each reference driver that the condition or requirements of an open study name."""
     meta = study.meta
     with reraise_as_damage(study.path):
-        condition = find_critical_if_condition(meta.metrics)
+        condition = meta.condition
         names = list(CriticalIf.from_text(condition).reference_drivers) if condition else []
         for text in meta.requirements:
             names += Requirement.parse(text).expression.reference_drivers

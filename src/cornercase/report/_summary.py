@@ -182,7 +182,7 @@ def summarize(study: StudyFile | Path | str, *, critical: float | None = None) -
 
     Parameters
     ----------
-    study : Study or path
+    study : Study, StudyFile or path
         An open study, or its file; it is only read.
     critical : float, optional
         Score from which a scenario is critical, in the unit of the objective; default: that of the study.

@@ -11,14 +11,11 @@ from cornercase._common.errors import InputError
 from cornercase._common.io.support_table import issue_notice_warning
 from cornercase._common.validation import check_str, not_an_object
 from cornercase.simulators._base import Simulator
+from cornercase.simulators._run_options import SIMULATION_OPTIONS
 
-# Default values of `COMMON_OPTIONS`, which a simulator need not declare.
-_DEFAULT_OPTIONS: Final[dict[str, Any]] = {
-    "drivers": {},
-    "on_collision": "continue",
-    "time_step": 0.05,
-    "duration": 60.0,
-}
+COMMON_OPTIONS: Final = ("drivers", "on_collision", "time_step", "duration")
+"""Options that every simulator is offered, which it need not declare."""
+_DEFAULT_OPTIONS: Final = {name: SIMULATION_OPTIONS[name].default for name in COMMON_OPTIONS}
 
 
 def select_declared_options(name: str, simulator: type[Simulator], options: Mapping[str, Any]) -> dict[str, Any]:

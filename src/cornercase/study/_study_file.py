@@ -20,7 +20,6 @@ from cornercase._common.typing import BoolArray, FloatArray
 from cornercase._common.validation import check_float, check_int
 from cornercase.drivers.references.r157._preventability import ReferenceOutcome
 from cornercase.metrics import Metric
-from cornercase.metrics._critical_if import find_critical_if_condition
 from cornercase.recordings import Collision, Recording
 from cornercase.study._arrays import read_arrays
 from cornercase.study._codec import unpack_arrays, unpack_recording
@@ -103,7 +102,7 @@ class StudyFile:
 
         Returns
         -------
-        Study
+        StudyFile
 
         Raises
         ------
@@ -131,7 +130,7 @@ class StudyFile:
 
         Returns
         -------
-        Study
+        StudyFile
 
         Raises
         ------
@@ -741,7 +740,7 @@ class StudyFile:
         if critical is None:
             return self
         meta = self.meta
-        if condition := find_critical_if_condition(meta.metrics):
+        if condition := meta.condition:
             raise InputError(f"{self.path}: the condition '{condition}' replaces a threshold; leave out `critical`.")
         if meta.pareto:
             raise InputError(f"{self.path}: a Pareto front has no threshold; leave out `critical`.")
@@ -1015,7 +1014,7 @@ class StudyFile:
         ----------
         scenario : int
             Id in this study.
-        other : Study
+        other : StudyFile
         other_scenario : int
             Id in the other study.
 

@@ -62,7 +62,7 @@ def analyze_mutants(
 
     Parameters
     ----------
-    study : Study or path
+    study : Study, StudyFile or path
         Study that was explored with the builtin simulator and one of cornercase's drivers driving the ego.
     mutants : int
         Number of mutants that scenarios are selected by. The same number of other mutants evaluates the selection.

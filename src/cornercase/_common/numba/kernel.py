@@ -9,6 +9,7 @@ import logging
 import multiprocessing
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from functools import cached_property
 from pathlib import Path
 from typing import Any, cast
 from weakref import WeakSet
@@ -99,11 +100,15 @@ class _ShippedCache(NullCache):
     def __init__(self, function, options):
         self._function, self._options, self._shipped = function, options, ShippedCode(function)
 
+    @cached_property
+    def _digest(self):
+        return kernel_digest(self._function, self._options)
+
     def load_overload(self, sig, target_context):
-        return self._shipped.load(kernel_digest(self._function, self._options), sig, target_context)
+        return self._shipped.load(self._digest, sig, target_context)
 
     def has_overload(self, sig, target_context):
-        return self._shipped.has(kernel_digest(self._function, self._options), sig)
+        return self._shipped.has(self._digest, sig)
 
 
 def kernel(

@@ -49,7 +49,7 @@ def replay(
 
     Parameters
     ----------
-    study : Study or path
+    study : Study, StudyFile or path
         Study in which the scenario was run.
     id : int
         Id of the scenario.

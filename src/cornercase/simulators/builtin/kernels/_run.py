@@ -1,6 +1,6 @@
 """Run the compiled time loop; or interpret it for a few scenarios, if it has not been compiled on this machine."""
 
-# What a kernel has beside its call is not declared.
+# Kernels are declared as plain functions, without the methods of their dispatcher.
 # mypy: disable-error-code="attr-defined"
 
 from __future__ import annotations
