@@ -270,7 +270,7 @@ class Judge:
         return row | {
             "most missed": 1.0
             if known.missed_interval_unavailable
-            else min(known.missed_fraction.high + known.max_hidden_fraction, 1.0)
+            else min(known.missed_fraction.high + known.max_fraction_in_empty_region, 1.0)
         }
 
     def found(self, places: npt.NDArray[np.int64], seed: int) -> dict[str, float]:

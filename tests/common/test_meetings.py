@@ -26,8 +26,8 @@ def test_places_are_those_of_the_table_of_all_pairs(shape, share):
         assert len(places) == count
         for k, place in enumerate(places, start=1):
             table = labels == k
-            np.testing.assert_array_equal(place.overlapping_steps(), np.flatnonzero(table.any(1)))
-            np.testing.assert_array_equal(place.overlapped_steps(), np.flatnonzero(table.any(0)))
+            np.testing.assert_array_equal(place.steps_of_first_path(), np.flatnonzero(table.any(1)))
+            np.testing.assert_array_equal(place.steps_of_second_path(), np.flatnonzero(table.any(0)))
             np.testing.assert_array_equal([place.overlaps_of_step(i) for i in range(shape[0])], table)
             np.testing.assert_array_equal([place.steps_overlapping(j) for j in range(shape[1])], table.T)
 

@@ -345,13 +345,15 @@ def test_a_region_that_nothing_points_to_keeps_the_search_going():
     known = CriticalSet(CUBE, points, two_regions(points), THRESHOLD)
     # A ball of the size that escapes one time in twenty, beside the share that is known.
     centres = np.random.default_rng(0).random((400, 3))
-    ball = known.max_hidden_fraction * known.critical_fraction.value / (1.0 - known.max_hidden_fraction)
+    ball = (
+        known.max_fraction_in_empty_region * known.critical_fraction.value / (1.0 - known.max_fraction_in_empty_region)
+    )
     assert known.unexplored_fraction(ball) == pytest.approx(0.05, abs=0.01)
     apart = np.sort(np.linalg.norm(centres[:, None] - EVERYWHERE[:4096], axis=2), axis=1)[:, round(ball * 4096)]
     escapes = ~(np.linalg.norm(centres[:, None] - points, axis=2) < apart[:, None]).any(axis=1)
     assert escapes.mean() < 0.1
     assert StopCriterion.parse("missed<0.1").evaluate(known) == pytest.approx(
-        known.missed_fraction.high + known.max_hidden_fraction
+        known.missed_fraction.high + known.max_fraction_in_empty_region
     )
 
 

@@ -16,9 +16,9 @@ import pytest
 import cornercase
 from cornercase.exploration._explore_options import (
     OPTIONS,
-    CallOptions,
     ExplorationOptions,
     ExploreOptions,
+    OneTimeOptions,
     SpaceOptions,
 )
 
@@ -119,7 +119,9 @@ def test_type_checkers_know_the_options_of_the_table():
     """A sequence is taken where a tuple is stored, and None where an empty mapping is."""
     typed = {name: str(getattr(kind, "__forward_arg__", kind)) for name, kind in ExploreOptions.__annotations__.items()}
     table = {
-        item.name: str(item.type) for group in (SpaceOptions, ExplorationOptions, CallOptions) for item in fields(group)
+        item.name: str(item.type)
+        for group in (SpaceOptions, ExplorationOptions, OneTimeOptions)
+        for item in fields(group)
     }
     required = {name for name, option in OPTIONS.items() if option.default is ...}
     assert required == {"ego", "other", "metrics"}

@@ -11,7 +11,7 @@ from conftest import at_night
 from cornercase._common.errors import InputError
 from cornercase.evidence._critical_set_estimate import CriticalSet
 from cornercase.reduction._coverage import measure_nearest_distances
-from cornercase.reduction._critical_coverage import CriticalCoverage, find_similar_distance, measure_critical_coverage
+from cornercase.reduction._critical_coverage import CriticalCoverage, max_similar_distance, measure_critical_coverage
 from cornercase.scenario import ParameterSpace
 
 SPACE = ParameterSpace.from_ranges(["a=0:1", "b=0:1"])
@@ -96,9 +96,9 @@ def test_alike_is_half_of_what_is_usual_within_clusters():
     places = np.array([0.0, 1.0, 2.0, 100.0, 101.0, 102.0, 500.0])
     distances = cdist(places[:, None], places[:, None])
     labels = np.array([0, 0, 0, 1, 1, 1, -1])
-    assert find_similar_distance(distances, labels) == 0.5
-    assert find_similar_distance(distances, labels, 2.0) == 2.0
-    assert find_similar_distance(distances, np.full(7, -1)) == 0.5 * np.median(distances[np.triu_indices(7, 1)])
+    assert max_similar_distance(distances, labels) == 0.5
+    assert max_similar_distance(distances, labels, 2.0) == 2.0
+    assert max_similar_distance(distances, np.full(7, -1)) == 0.5 * np.median(distances[np.triu_indices(7, 1)])
     for share in (0.0, -1.0, np.inf, np.nan):
         with pytest.raises(InputError, match="give a number above 0"):
-            find_similar_distance(distances, labels, share)
+            max_similar_distance(distances, labels, share)

@@ -17,7 +17,7 @@ from cornercase.reduction import _reduce as reduce_module
 from cornercase.reduction import reduce
 from cornercase.reduction._coverage import measure_coverage
 from cornercase.reduction._coverage_cells import CellCoverageSums
-from cornercase.reduction._critical_coverage import find_similar_distance
+from cornercase.reduction._critical_coverage import max_similar_distance
 from cornercase.reduction._held_out_coverage import Fold, measure_held_out_distances
 from cornercase.reduction._medoids import find_k_medoids, find_prototype
 from cornercase.reduction.selection._greedy import select_scenarios
@@ -77,7 +77,7 @@ def test_grades_by_places_are_those_by_the_matrix(scenarios):
     placed = EmbeddedDistances(places[0])
     members = np.flatnonzero(labels)
     assert find_prototype(placed, members) == find_prototype(matrix, members)
-    assert find_similar_distance(placed, labels) == pytest.approx(find_similar_distance(matrix, labels))
+    assert max_similar_distance(placed, labels) == pytest.approx(max_similar_distance(matrix, labels))
     one, two = (measure_coverage(each, np.arange(0, 300, 10)) for each in (placed, matrix))
     names = ("largest", "mean", "worst", "largest_relative", "random_largest", "random_mean", "better_mean")
     assert [getattr(one, name) for name in names] == pytest.approx([getattr(two, name) for name in names])

@@ -123,9 +123,9 @@ def test_the_way_along_roads_goes_through_all_that_connect(tmp_path):
 def test_a_lane_that_has_widths_takes_no_notice_of_borders(tmp_path):
     both = WIDTH + '<border sOffset="0" a="-9" b="0" c="0" d="0"/>'
     roads = network(tmp_path, road("1", 100.0, right=lane(-1, inside=both)))
-    assert roads.lane_to_world(0, -1, np.array([10.0]), np.zeros(1))[1] == pytest.approx(-2.0)
+    assert roads.lane_to_xy_heading(0, -1, np.array([10.0]), np.zeros(1))[1] == pytest.approx(-2.0)
     alone = network(tmp_path, road("1", 100.0, right=lane(-1, inside=both.replace(WIDTH, ""))))
-    assert alone.lane_to_world(0, -1, np.array([10.0]), np.zeros(1))[1] == pytest.approx(-4.5)
+    assert alone.lane_to_xy_heading(0, -1, np.array([10.0]), np.zeros(1))[1] == pytest.approx(-4.5)
 
 
 @pytest.mark.parametrize(
@@ -139,7 +139,7 @@ def test_a_lane_number_that_is_none_is_refused(tmp_path, number, words):
 
 def test_lanes_far_out_cost_no_more_than_others(tmp_path):
     roads = network(tmp_path, road("1", 100.0, right=lane(-1) + lane(-200)))
-    assert roads.lane_to_world(0, -200, np.array([10.0]), np.zeros(1))[1] == pytest.approx(-6.0)
+    assert roads.lane_to_xy_heading(0, -200, np.array([10.0]), np.zeros(1))[1] == pytest.approx(-6.0)
     assert roads.locate(np.array([50.0]), np.array([-5.0])).lane.tolist() == [-200]
 
 
@@ -169,9 +169,9 @@ def test_a_section_for_one_side_leaves_the_other_as_it_was(tmp_path):
              f'</right></laneSection><laneSection s="40" singleSide="true"><left>{lane(1)}{lane(2)}</left>{center}'
              "</laneSection>"),
     )  # fmt: skip
-    y = roads.lane_to_world(0, -1, np.array([30.0, 60.0]), np.zeros(2))[1]
+    y = roads.lane_to_xy_heading(0, -1, np.array([30.0, 60.0]), np.zeros(2))[1]
     assert y == pytest.approx([-3.5, -5.0])
-    assert roads.lane_to_world(0, 2, np.array([60.0]), np.zeros(1))[1] == pytest.approx(6.0)
+    assert roads.lane_to_xy_heading(0, 2, np.array([60.0]), np.zeros(1))[1] == pytest.approx(6.0)
     path = roads.lane_path_from(0, -1, 0.0, True)
     assert path is not None
     assert path.x[-1] == pytest.approx(100.0)
@@ -179,8 +179,8 @@ def test_a_section_for_one_side_leaves_the_other_as_it_was(tmp_path):
 
 def test_traffic_on_a_reversed_lane_runs_against_the_others(tmp_path):
     roads = network(tmp_path, road("1", 100.0, right=lane(-1) + lane(-2, more='direction="reversed"')))
-    assert roads.lane_to_world(0, -1, np.array([10.0]), np.zeros(1))[2] == pytest.approx(0.0)
-    assert roads.lane_to_world(0, -2, np.array([10.0]), np.zeros(1))[2] == pytest.approx(np.pi)
+    assert roads.lane_to_xy_heading(0, -1, np.array([10.0]), np.zeros(1))[2] == pytest.approx(0.0)
+    assert roads.lane_to_xy_heading(0, -2, np.array([10.0]), np.zeros(1))[2] == pytest.approx(np.pi)
     assert not roads.is_traffic_forward(0, -2, 10.0)
 
 

@@ -56,7 +56,7 @@ def test_a_road_file_that_cannot_be_used_is_refused_by_the_road(tmp_path, old, n
 def test_a_straight_line_is_straight_in_every_shape(tmp_path, shape):
     roads = network(tmp_path, (LINE, shape))
     s = np.linspace(0.0, 500.0, 11)
-    x, y, heading = roads.road_to_world(0, s, np.full(11, -2.0))
+    x, y, heading = roads.road_to_xy_heading(0, s, np.full(11, -2.0))
     np.testing.assert_allclose(x, s, atol=1e-6)
     np.testing.assert_allclose(y, -2.0, atol=1e-9)
     np.testing.assert_allclose(heading, 0.0, atol=1e-9)
@@ -64,7 +64,7 @@ def test_a_straight_line_is_straight_in_every_shape(tmp_path, shape):
 
 def test_a_parabola_is_the_same_as_a_polynomial_of_either_kind(tmp_path):
     s = np.linspace(0.0, 100.0, 9)
-    one = network(tmp_path, (LINE, '<poly3 a="0" b="0" c="0.001" d="0"/>')).road_to_world(0, s, 0.0 * s)
+    one = network(tmp_path, (LINE, '<poly3 a="0" b="0" c="0.001" d="0"/>')).road_to_xy_heading(0, s, 0.0 * s)
     x, y, heading = one
     np.testing.assert_allclose(y, 0.001 * x**2, atol=1e-6)
     np.testing.assert_allclose(np.tan(heading), 0.002 * x, atol=1e-5)

@@ -98,7 +98,7 @@ def test_locate_inverts_world():
         r = network.road_index(road)
         s, offset = rng.uniform(1, 95, 20), rng.uniform(-1.5, 1.5, 20)
         for lane in (-1, 1):
-            x, y, _ = network.lane_to_world(r, lane, s, offset)
+            x, y, _ = network.lane_to_xy_heading(r, lane, s, offset)
             place = network.locate(x, y)
             assert (place.road == r).all()
             assert (place.lane == lane).all()

@@ -33,7 +33,7 @@ def written(folder, old, new):
         ("</planView>", '<geometry s="20" x="300" y="50" hdg="0" length="480"><line/></geometry></planView>',
          "the <geometry> at s = 20 m begins 284 m away from the end of the one before"),
         (' x="0"', ' x="1e308"', "lies more than 100000 km from the origin"),
-        ("<line/>", '<arc curvature="1e300"/>', "curvature of 1e[+]300 1/m; at most 10 1/m"),
+        ("<line/>", '<arc curvature="1e300"/>', "curvature of 1e[+]300 1/m; such a geometry may have at most 10 1/m"),
         ("<line/>", '<spiral curvStart="-1e200" curvEnd="1e200"/>', "lies more than|curvature of"),
         ('hdg="0" length="500"><line/>', f'hdg="0" length="1e-308">{CUBIC.format(b=1, d=1).replace("arcLength", "normalized")}',
          "lies more than"),

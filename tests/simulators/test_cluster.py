@@ -34,7 +34,7 @@ from cornercase.scenario._file import ScenarioFile
 from cornercase.simulators import SIMULATORS
 from cornercase.simulators._create import create_simulator
 from cornercase.simulators.dask._simulator import ClusterSimulator
-from cornercase.simulators.dask._worker import JobAttempt, SimulatorJob, run_scenarios_of_job
+from cornercase.simulators.dask._worker import SimulatorSetup, TaskId, run_scenarios_of_job
 from cornercase.study import StudyFile
 from cornercase.suite import analyze_mutants
 from helpers.fake_simulators import Plan
@@ -323,7 +323,7 @@ def test_a_driver_that_a_worker_lacks_is_told():
     gone = b"cgone_module\nDriver\n."
     with pytest.raises(InputError, match=r"a worker cannot load a driver of your own .*gone_module"):
         run_scenarios_of_job(
-            SimulatorJob("another key", __version__, "builtin", gone, None, 1), JobAttempt("one", 2), {}, []
+            SimulatorSetup("another key", __version__, "builtin", gone, None, 1), TaskId("one", 2), {}, []
         )
 
 
@@ -372,7 +372,7 @@ def test_another_program_that_listens_and_is_silent_is_no_scheduler(monkeypatch)
 
 def test_a_worker_of_another_version_is_told():
     with pytest.raises(InputError, match=r"a worker has cornercase .*, this machine has 0\.0\.0"):
-        run_scenarios_of_job(SimulatorJob("key", "0.0.0", "builtin", b"", None, 1), JobAttempt("one", 2), {}, [])
+        run_scenarios_of_job(SimulatorSetup("key", "0.0.0", "builtin", b"", None, 1), TaskId("one", 2), {}, [])
 
 
 def test_a_parcel_has_all_files_wherever_they_lie(tmp_path):

@@ -147,7 +147,7 @@ MODULE = """<PrivateAction><ControllerAction><AssignControllerAction><Controller
     [
         ("</Event>", f"</Event>{COMMAND}", "<UserDefinedAction> with the <CustomCommandAction> 'python evil.py'"),
         ("</Private>", f"{MODULE}</Private>", "names the module '/tmp/evil.py'"),
-        ('<Condition name="', '<Condition name="criteria_', "would instantiate a class"),
+        ('<Condition name="', '<Condition name="criteria_', "would run a class of its own"),
     ],
 )
 def test_code_that_a_scenario_names_is_refused_by_name(tmp_path, old, new, words):

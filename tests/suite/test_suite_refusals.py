@@ -108,8 +108,8 @@ def test_42_2_values_that_the_file_does_not_have_are_refused(reduced, tmp_path):
     with pytest.raises(cc.InputError) as error:
         cc.run_suite(reduced, tmp_path / "run.db")
     assert str(error.value) == (
-        f"{reduced / 'manifest.json'}: says that {name} of {first['file']} is {value + 0.25}, and the file says {format_value(value)};"
-        " run `reduce` again."
+        f"{reduced / 'manifest.json'}: gives {first['file']} the value {value + 0.25} for the parameter '{name}', but that file declares"
+        f" {format_value(value)}; run `reduce` again."
     )
     assert not (tmp_path / "run.db").exists()
 

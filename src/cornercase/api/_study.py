@@ -231,7 +231,7 @@ class Study(PathLike[str]):
     def problem(self) -> Problem:
         """The problem that is searched; for an opened study, this reads the scenario file."""
         if self._problem is None:
-            self._problem = problem_from_config(self._stored_config())
+            self._problem = problem_from_config(self._config_to_continue())
         return self._problem
 
     @property
@@ -858,12 +858,12 @@ class Study(PathLike[str]):
     def _make_config(self, meta: StudyMeta | None, **settings: Any) -> ExplorationConfig:
         """Return the configuration of an exploration; `meta` of the existing file gives the defaults of `settings`."""
         if self._problem is None:
-            return replace(self._stored_config(), **settings)
+            return replace(self._config_to_continue(), **settings)
         if meta is not None:
             settings = stored_search_settings(meta) | settings
         return config_from_problem(self._problem, seed=self.seed, **self._simulator_fields, **settings)
 
-    def _stored_config(self) -> ExplorationConfig:
+    def _config_to_continue(self) -> ExplorationConfig:
         """Return the configuration that the file stores; a simulator that was given replaces the stored one."""
         fields = dict(self._simulator_fields)
         with self._read() as file:

@@ -15,9 +15,10 @@ from cornercase.clustering._kernels.dbscan import dbscan_labels
 def cluster_by_density(embedding: FloatArray, eps: float, min_samples: int, method: ClusteringMethod) -> IntArray:
     """Cluster points, shape (n, n_components), by DBSCAN or HDBSCAN; the largest cluster is 0, -1 is noise.
 
-    For HDBSCAN, clusters with a distance below `eps` are not divided. M. Ester et al., "A density-based algorithm for
-    discovering clusters in large spatial databases with noise", 1996; R. Campello, D. Moulavi, J. Sander,
-    "Density-based clustering based on hierarchical density estimates", 2013.
+    HDBSCAN does not divide a cluster into parts that are less than `eps` apart.
+
+    M. Ester et al., "A density-based algorithm for discovering clusters in large spatial databases with noise", 1996;
+    R. Campello, D. Moulavi, J. Sander, "Density-based clustering based on hierarchical density estimates", 2013.
     """
     if method == "dbscan":
         labels = np.empty(len(embedding), dtype=np.int64)

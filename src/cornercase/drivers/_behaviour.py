@@ -21,8 +21,8 @@ _ALLOWED_ZERO: Final = frozenset(
 class BehaviourDriver(CompiledDriver):
     """Driver with the parameters of a `Behaviour`.
 
-    The driver chooses the lowest of several accelerations: that of its own speed plan, and those that each entity
-    allows which it follows or yields to. See ``docs/drivers.md``.
+    The driver computes an acceleration from its own speed plan, and one for each entity that it follows or yields to.
+    It takes the lowest. See ``docs/drivers.md``.
 
     Parameters
     ----------

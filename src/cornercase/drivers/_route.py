@@ -22,10 +22,10 @@ class Route(NamedTuple):
     """A path sampled at equal distances, with one row for all scenarios or one row per scenario.
 
     `step` (N,): distance between samples in m. `x`, `y` (N, R) in m. `cos`, `sin` (N, R): of the heading.
-    `max_speed_squared` (N, R): square of the highest speed that the curves ahead allow, in m²/s², the lowest value
-    within a step. `straight_count` (N, R): number of samples that follow on a straight line. `max_spacing` (N,):
-    largest distance between consecutive samples in m. `max_turn` (N,): largest difference between the direction vectors
-    of consecutive samples.
+    `max_speed_squared` (N, R): square of the highest speed that the curves ahead allow, in m²/s²; each sample holds the
+    lowest value up to one step before and after it. `straight_count` (N, R): number of samples that follow on a
+    straight line. `max_spacing` (N,): largest distance between consecutive samples in m. `max_turn` (N,): largest
+    difference between the direction vectors of consecutive samples.
     """
 
     step: FloatArray

@@ -254,7 +254,8 @@ class CriticalSet:
     def critical_fraction(self) -> Estimate:
         """Critical fraction of the space.
 
-        While all outcomes are the same, its interval is bounded by random scenarios only.
+        If all scenarios that ran have the same outcome, the model gives no interval. It then comes from the initial
+        design and the audits, which were chosen without a look at scores, and from the known outcomes.
         """
         if self.has_both_classes:
             return Estimate.from_draws(self._whole_set_samples.critical_fraction)
@@ -290,7 +291,7 @@ class CriticalSet:
         return replace(estimate, low=0.0) if self._missed_none else estimate
 
     @cached_property
-    def max_hidden_fraction(self) -> float:
+    def max_fraction_in_empty_region(self) -> float:
         """Fraction of the critical set that an unexplored region may hold, in addition to `missed_fraction`.
 
         The region is a ball in which no scenario was run, as large as the largest that escapes with a probability of 5

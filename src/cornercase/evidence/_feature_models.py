@@ -63,7 +63,7 @@ class PerBranchFeatureModels:
         self.leave_one_out = np.hstack(left_out)
 
     def predict_features(self, points: FloatArray) -> FloatArray:
-        """Predict the features at points, (m, g), with the columns of `leave_one_out`."""
+        """Predict the standardized features at m points, without constant features, (m, g)."""
         return np.hstack([part.predict_features(points) for part in self._models])
 
 
@@ -115,7 +115,7 @@ class FeatureModels:
         self.leave_one_out[used] = leave_one_out
 
     def predict_features(self, points: FloatArray) -> FloatArray:
-        """Predict the features at points, (m, g), standardized like `leave_one_out`."""
+        """Predict the standardized features at m points, without constant features, (m, g)."""
         predicted = np.empty((len(points), len(self._kernels_and_weights)))
         with single_threaded_blas():
             for k, (kernel, weights) in enumerate(self._kernels_and_weights):

@@ -124,7 +124,7 @@ class ExplorationOptions(SimulationOptions, RunOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
-class CallOptions:
+class OneTimeOptions:
     """Options of a single call that do not change the search."""
 
     check_proposals: bool = _study(False, "Simulate nothing; test whether the stored results give the same proposals.")
@@ -164,13 +164,13 @@ _PANELS: Final = (_PROBLEM, _SEARCH, "Simulation", "Runs", "Study")
 OPTIONS: Final = {
     name: item
     for panel in _PANELS
-    for name, item in read_options(SpaceOptions, ExplorationOptions, CallOptions).items()
+    for name, item in read_options(SpaceOptions, ExplorationOptions, OneTimeOptions).items()
     if item.panel == panel
 }
 """All options by name, in the order of help, files and printed commands."""
 SPACE_OPTIONS: Final = read_options(SpaceOptions)
 CONFIG_OPTIONS: Final = read_options(ExplorationOptions)
-CALL_OPTIONS: Final = read_options(CallOptions)
+CALL_OPTIONS: Final = read_options(OneTimeOptions)
 SEARCH_SETTINGS: Final = {name for name, item in OPTIONS.items() if item.stored == "settings"}
 """Keys of the settings of a study that are none of its simulator."""
 

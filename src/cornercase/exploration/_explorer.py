@@ -256,7 +256,7 @@ class ScenarioExplorer:
         """Run scenarios; return the scores of the successful ones by id, lower where more critical."""
         scores: dict[int, Any] = {}
         best, farthest = copy(self._incumbent), 0
-        for number, score in self._runner.run_rows(rows):
+        for number, score in self._runner.run_and_score(rows):
             scores[number] = score
             best.update(score[None])
             # A scenario with extra runs ends after later ones.

@@ -156,7 +156,7 @@ class ProbabilityEstimator:
 
     def _run_round(self, rows: Sequence[ScenarioRecord], bar: ProgressBar | None) -> None:
         """Run the pending scenarios of a round, and learn from all scenarios of the round."""
-        for number, _ in self._runner.run_rows([row for row in rows if row.state == "pending"]):
+        for number, _ in self._runner.run_and_score([row for row in rows if row.state == "pending"]):
             if bar is not None:
                 bar.update(number, self._progress_label)
         self._runner.check_repeatability()

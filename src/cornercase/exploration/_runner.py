@@ -80,7 +80,7 @@ class ScenarioRunner:
             if missing := [name for name in condition.reference_drivers if name not in (references or {})]:
                 raise InputError(f"`references`: there is no simulator in which {missing[0]} drives the ego.")
 
-    def run_rows(self, rows: Sequence[ScenarioRecord]) -> Iterator[tuple[int, Any]]:
+    def run_and_score(self, rows: Sequence[ScenarioRecord]) -> Iterator[tuple[int, Any]]:
         """Run scenarios; yield the id and the score of each successful one, lower where more critical.
 
         The score is a float, or has shape (metrics,) for a front. Raises `InputError` if no scenario can be run, or the

@@ -276,7 +276,7 @@ class WholeRecording(FeatureGroup):
 
 
 def _instant_of_strongest_braking(accelerations: FloatArray, instants: IntArray) -> int:
-    """First instant, among `instants`, at which an entity brakes (nearly) hardest; the last one if it never brakes."""
+    """First of `instants` at which an entity brakes at least 0.9 times its hardest; the last if it never brakes."""
     braking = np.nan_to_num(-accelerations[instants])
     strongest = float(braking.max())
     return int(instants[np.argmax(braking >= _STRONG * strongest) if strongest > _MIN_BRAKING else -1])

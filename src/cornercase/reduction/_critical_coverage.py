@@ -112,7 +112,7 @@ def measure_critical_coverage(
     )
 
 
-def find_similar_distance(distances: Distances, labels: IntArray, share: float = DEFAULT_SIMILARITY) -> float:
+def max_similar_distance(distances: Distances, labels: IntArray, share: float = DEFAULT_SIMILARITY) -> float:
     """Return the distance up to which two scenarios are similar: `share` of the median distance within clusters.
 
     Without clusters, it is `share` of the median distance of any two scenarios. Embedded distances are sampled at 1,000

@@ -22,7 +22,7 @@ from cornercase.reduction._coverage import (
 from cornercase.reduction._critical_coverage import (
     DEFAULT_SIMILARITY,
     CriticalCoverage,
-    find_similar_distance,
+    max_similar_distance,
     measure_critical_coverage,
 )
 from cornercase.reduction._held_out_coverage import (
@@ -140,7 +140,7 @@ def evaluate_critical_coverage(
         similar_distance = (
             similar_distances[name]
             if similar_distances and name in similar_distances
-            else find_similar_distance(distances, analysis.labels, similarity)
+            else max_similar_distance(distances, analysis.labels, similarity)
         )
         gaps_of_aspect = (
             measure_nearest_distances(distances, index) if nearest_distances is None else nearest_distances[name]

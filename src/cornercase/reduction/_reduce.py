@@ -38,7 +38,7 @@ from cornercase.reduction._set_folder import replace_set
 from cornercase.reduction._set_manifest import make_manifest, save_reduction
 from cornercase.reduction.selection._per_cluster import SCENARIOS_PER_SELECTED
 from cornercase.reduction.selection._select import SelectionInput, SelectionRequest, cross_validate, select
-from cornercase.scenario._concrete_file import build_concrete_file, read_companion_file
+from cornercase.scenario._concrete_file import build_concrete_file, read_required_xml
 from cornercase.scenario._file import ScenarioFile
 from cornercase.study import StudyFile
 from cornercase.study._damage import reraise_as_damage
@@ -303,7 +303,7 @@ def _write_files_and_store(
             concrete = build_concrete_file(scenario, selected.values, folder / selected.file, drivers, comment)
             for source, path, root in concrete.companions:
                 if source not in dependencies:
-                    dependencies[source] = read_companion_file(source, root)
+                    dependencies[source] = read_required_xml(source, root)
                 set_folder.add(path, dependencies[source])
             set_folder.add(selected.file, concrete.content)
         set_folder.write_manifest(make_manifest(study, reduced_set, cluster_names, set_folder.digests))

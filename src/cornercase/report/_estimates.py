@@ -74,7 +74,7 @@ class CriticalSetEstimates:
         Fraction of the points of the space around which a region of size `region_fraction` contains no scenario.
     region_fraction : float
         Size of a region, as fraction of the space.
-    max_hidden_fraction : float
+    max_fraction_in_empty_region : float
         Largest fraction of the critical part that could hide in a region without scenarios.
     interval_unavailable : str or None
         Why `critical_fraction` has no interval; None if there is an interval.
@@ -89,7 +89,7 @@ class CriticalSetEstimates:
     p_overlooked_region: float
     unexplored_fraction: float
     region_fraction: float
-    max_hidden_fraction: float
+    max_fraction_in_empty_region: float
     interval_unavailable: str | None = None
     missed_interval_unavailable: str | None = None
     by_committee: bool = False
@@ -222,7 +222,7 @@ def estimate_critical(study: StudyFile) -> CriticalEstimates | None:
             critical_set.p_overlooked_region(),
             critical_set.unexplored_fraction(),
             MIN_REGION_FRACTION,
-            critical_set.max_hidden_fraction,
+            critical_set.max_fraction_in_empty_region,
             critical_set.interval_unavailable,
             critical_set.missed_interval_unavailable,
             critical_set.uses_committee,

@@ -102,7 +102,7 @@ def read_lane_sections(
     record_wrong_order(elements, begins)
     for start, element in sorted(zip(begins, elements, strict=True), key=lambda pair: pair[0]):
         single = element.get("singleSide") in ("true", "1")
-        _record_section_problems(element, start, length)
+        _note_problems_of_section(element, start, length)
         for side, side_sections in sides.items():
             if not single or element.find(side) is not None:
                 if side_sections and side_sections[-1].start == start:
@@ -131,7 +131,7 @@ def read_lane_sections(
     ]
 
 
-def _record_section_problems(section: etree._Element, start: float, length: float) -> None:
+def _note_problems_of_section(section: etree._Element, start: float, length: float) -> None:
     """Note that a lane section begins beyond the end of the road, or has no center lane."""
     if start >= length:
         reason = f"begins at s = {start:g} m, but the road ends at {length:g} m; it is never reached"

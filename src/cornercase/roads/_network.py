@@ -132,11 +132,11 @@ class RoadNetwork:
         """Whether traffic on a lane runs along the road's s, at `s` in m."""
         return bool(self.roads[road].is_traffic_forward(lane, np.array([s]))[0])
 
-    def road_to_world(self, road: int, s: FloatArray, t: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def road_to_xy_heading(self, road: int, s: FloatArray, t: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Convert road coordinates s and t in m to x, y and the heading of the reference line, shape (N,) each."""
         return self.roads[road].pose_at(s, t)
 
-    def lane_to_world(
+    def lane_to_xy_heading(
         self, road: int, lane: int, s: FloatArray, offset: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Convert lane coordinates to x and y, and the heading of the lane's traffic, shape (N,) each.

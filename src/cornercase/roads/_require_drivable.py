@@ -78,7 +78,11 @@ def _require_valid_geometry(geometry: ReferenceGeometry, end: float, location: s
             )
         bend = max(map(abs, geometry.shape_parameters), default=0.0)
         if bend > _MAX_CURVATURE and bend * geometry.length > 2.0 * np.pi:
-            raise InputError(f"{location} has a curvature of {bend:g} 1/m; at most {_MAX_CURVATURE:g} 1/m are read.")
+            raise InputError(
+                f"{location} turns by more than a full circle with a curvature of {bend:g} 1/m; such a geometry may"
+                f" have at"
+                f" most {_MAX_CURVATURE:g} 1/m; correct its curvature or length."
+            )
         return
     # The last geometry is continued to the end of the road.
     along = np.append(np.linspace(0.0, geometry.length, 101), end - geometry.s)

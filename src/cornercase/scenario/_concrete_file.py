@@ -176,14 +176,14 @@ def _remove_initial_controllers(root: etree._Element, entity: str) -> None:
 
 def copy_companion_file(source: Path, target: Path, root_tag: str) -> None:
     """Copy an XML file that a scenario needs, unless an identical copy exists; its root element must be `root_tag`."""
-    content = read_companion_file(source, root_tag)
+    content = read_required_xml(source, root_tag)
     if target.exists() and target.read_bytes() == content:
         return
     with atomic_write(target) as temporary:
         temporary.write_bytes(content)
 
 
-def read_companion_file(source: Path, root_tag: str) -> bytes:
+def read_required_xml(source: Path, root_tag: str) -> bytes:
     """Return the content of an XML file that a scenario needs; refuse a file whose root element has another tag.
 
     The check matters for untrusted scenarios: they could name any file of this machine.

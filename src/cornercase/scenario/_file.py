@@ -345,7 +345,7 @@ class ScenarioFile:
 
     @cached_property
     def profiles_files(self) -> tuple[Path, ...]:
-        """Path of the profiles file of openPASS if the scenario refers to it, else empty; the file may be missing."""
+        """The path of the profiles file of openPASS, if the scenario refers to one; the file may be missing."""
         return (self.path.with_name(PROFILES_FILE),) if uses_agent_profiles(self._unchecked_root) else ()
 
     def road_file_as_written(self) -> str:

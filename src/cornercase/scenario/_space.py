@@ -214,7 +214,9 @@ class ParameterSpace:
         return ParameterSpace(list(merged.values()), self.declarations)
 
     def as_continuous(self) -> ParameterSpace:
-        """Return the space with continuous ranges instead of steps; ranges of a single value keep it.
+        """Return the space without steps: ranges become continuous.
+
+        Parameters with one value, with choices or with a discrete distribution stay as they are.
 
         Returns
         -------

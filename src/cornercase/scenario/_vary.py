@@ -14,7 +14,7 @@ from lxml import etree
 from cornercase._common import validation
 from cornercase._common.errors import InputError, suggest_name
 from cornercase._common.io.files import check_output_differs_from_source, write_files
-from cornercase.scenario._concrete_file import read_companion_file
+from cornercase.scenario._concrete_file import read_required_xml
 from cornercase.scenario._file import ScenarioFile
 from cornercase.scenario._logical import LogicalScenario
 from cornercase.scenario._parameter import Parameter
@@ -61,7 +61,7 @@ class VariedScenario:
         source = ScenarioFile.read(scenario.path if isinstance(scenario, ScenarioFile) else scenario)
         by_name = {
             variable.name: variable
-            for variable in list_variables_in(source, parse_xml(_scenario_bytes(source), source.path))
+            for variable in list_variables_in(source, parse_xml(_original_content(source), source.path))
         }
         chosen = {} if not proposed else {name: "" for name, variable in by_name.items() if variable.proposed_range}
         named: set[str] = set()
@@ -93,7 +93,7 @@ class VariedScenario:
 
         Raises `InputError` if a path in the scenario is an expression, so that it cannot be adapted to the folder.
         """
-        content = _scenario_bytes(self.file)
+        content = _original_content(self.file)
         root, text = parse_xml(content, self.file.path), XmlEditor(content, self.file.path)
         elements = list(root.iter("*"))
         numbers = {element: k for k, element in enumerate(elements)}
@@ -122,7 +122,7 @@ class VariedScenario:
             target = folder / file.name
             if _is_same_folder(folder, file.parent) or not file.is_file():
                 continue
-            content = read_companion_file(file, "Profiles")
+            content = read_required_xml(file, "Profiles")
             if not target.exists():
                 missing[target] = content
             elif target.read_bytes() != content:
@@ -236,7 +236,7 @@ def _require_encodable_path(path: Path | str) -> None:
         raise InputError(f"{path}: its name has characters that XML cannot contain; rename it.") from error
 
 
-def _scenario_bytes(scenario: ScenarioFile) -> bytes:
+def _original_content(scenario: ScenarioFile) -> bytes:
     return scenario.read_all_files()[scenario.path]
 
 

@@ -40,7 +40,7 @@ class RunNotices:
         self._n_runs += 1
         self._n_cut_off += recording.is_truncated is True
         is_checked = recording.is_truncated is not None and self._n_runs <= _MAX_CHECKED_RUNS
-        network = _road_network_of(get_scenario()) if is_checked else None
+        network = _road_network_if_read(get_scenario()) if is_checked else None
         if network is not None:
             for name, away, time in find_entities_far_from_roads(network, recording, self._far_entities):
                 self._far_entities[name] = (away, time)
@@ -115,7 +115,7 @@ def warn_if_ego_has_no_driver(simulator: Simulator, scenarios: Iterable[Scenario
     )
 
 
-def _road_network_of(scenario: ScenarioFile) -> RoadNetwork | None:
+def _road_network_if_read(scenario: ScenarioFile) -> RoadNetwork | None:
     """Return the road network of a scenario.
 
     None if it was not read in this process, or depends on parameter values.

@@ -184,7 +184,7 @@ class Database:
             yield from self.connection.execute(sql)
 
     def write_version(self) -> tuple[int, int]:
-        """Return counters of writes by other connections and by this one; both are unchanged if the content is."""
+        """Return two counters of writes: by other connections, and by this one. The content is the same if both are."""
         return int(self.query("PRAGMA data_version")[0][0]), self.connection.total_changes
 
     @contextmanager

@@ -644,7 +644,7 @@ class StudyFile:
             self._metrics = self.meta.metrics, create_metrics(self.meta)
         return self._metrics[1]
 
-    def first_lengths(self, before: int) -> list[int]:
+    def lengths_of_first_recordings(self, before: int) -> list[int]:
         """Numbers of instants of the first recordings, which decide how coarsely stored series are sampled.
 
         Parameters

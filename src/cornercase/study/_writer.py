@@ -177,7 +177,7 @@ class StudyWriter:
     def _save_digest(
         self, connection: Connection, scenario: int, recording: Recording, courses: Mapping[str, FloatArray]
     ) -> None:
-        lengths = [*self._study.first_lengths(scenario), len(recording.time)]
+        lengths = [*self._study.lengths_of_first_recordings(scenario), len(recording.time)]
         stride = downsampling_stride(lengths[:N_STRIDE_RECORDINGS])
         digest = make_digest(recording, courses, self._study.meta, stride, self._study.metrics())
         insert_rows(connection, "digests", [(scenario, *encode_digest(digest))])

@@ -14,5 +14,5 @@ from .compare._comparison import Comparison as Comparison
 from .compare._comparison import Example as Example
 from .compare._comparison import Finding as Finding
 from .compare._comparison import ScenarioPair as ScenarioPair
-from .compare._comparison import ScoreChange as ScoreChange
+from .compare._comparison import ScoreChanges as ScoreChanges
 from .compare._comparison import SpaceChange as SpaceChange

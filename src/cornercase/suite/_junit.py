@@ -28,7 +28,7 @@ def write_junit(result: SuiteResult, path: Path) -> None:
     scenario, so the same results give the same bytes.
     """
     path_ = result.suite.resolve()
-    name = _escape_xml(path_.parent.name if path_.is_file() else path_.name) or "suite"
+    name = _to_xml_characters(path_.parent.name if path_.is_file() else path_.name) or "suite"
     document = JUnitXml("cornercase")
     for scenario in result.scenarios:
         document.add_testsuite(_build_test_suite(scenario, name, result))
@@ -45,27 +45,32 @@ def write_junit(result: SuiteResult, path: Path) -> None:
 
 
 def _build_test_suite(scenario: ScenarioResult, name: str, result: SuiteResult) -> TestSuite:
-    suite = TestSuite(_escape_xml(Path(scenario.file).stem))
+    suite = TestSuite(_to_xml_characters(Path(scenario.file).stem))
     facts = _scenario_facts(scenario)
     run = {"simulator": result.simulator}
     run |= {f"requirement {number}": text for number, text in enumerate(result.requirements, start=1)}
     for key, value in (facts | run).items():
-        suite.add_property(_escape_xml(key), _escape_xml(value))
+        suite.add_property(_to_xml_characters(key), _to_xml_characters(value))
     suite.add_testcase(_build_test_case(scenario, name, facts))
     return suite
 
 
 def _build_test_case(scenario: ScenarioResult, suite: str, facts: Mapping[str, str]) -> TestCase:
-    case = TestCase(_escape_xml(Path(scenario.file).stem), suite, round(scenario.duration or 0.0, 3))
+    case = TestCase(_to_xml_characters(Path(scenario.file).stem), suite, round(scenario.duration or 0.0, 3))
     if scenario.state == "error":
-        case.result = [_add_verdict_text(Error(_escape_xml(scenario.reason), "simulator"), scenario.verdicts, facts)]
+        case.result = [
+            _add_verdict_text(Error(_to_xml_characters(scenario.reason), "simulator"), scenario.verdicts, facts)
+        ]
     elif scenario.state == "failed":
         first = next(verdict for verdict in scenario.verdicts if verdict.state == "failed")
-        failure = Failure(_escape_xml(f"{first.requirement}: {first.reason}"), _escape_xml(first.requirement))
+        failure = Failure(
+            _to_xml_characters(f"{first.requirement}: {first.reason}"),
+            _to_xml_characters(first.requirement),
+        )
         case.result = [_add_verdict_text(failure, scenario.verdicts, facts)]
     elif scenario.state == "inconclusive":
         # Surefire's schema allows no type here.
-        case.result = [Skipped(_escape_xml(scenario.reason))]
+        case.result = [Skipped(_to_xml_characters(scenario.reason))]
     return case
 
 
@@ -74,7 +79,9 @@ def _add_verdict_text(
 ) -> Error | Failure:
     """Put all verdicts and facts into the text of a failure, as not every viewer shows properties."""
     lines = [f"{verdict.state}: {verdict.requirement}: {verdict.reason}" for verdict in verdicts]
-    failure.text = "\n".join(map(_escape_xml, [*lines, "", *(f"{name}: {value}" for name, value in facts.items())]))
+    failure.text = "\n".join(
+        map(_to_xml_characters, [*lines, "", *(f"{name}: {value}" for name, value in facts.items())])
+    )
     return failure
 
 
@@ -95,6 +102,6 @@ def _format_value(value: float | str) -> str:
     return value if isinstance(value, str) else repr(value)
 
 
-def _escape_xml(text: str) -> str:
+def _to_xml_characters(text: str) -> str:
     """Replace characters that XML cannot contain."""
     return "".join(c if c not in "\ufffe\uffff" else "\ufffd" for c in escape_control_characters(text))

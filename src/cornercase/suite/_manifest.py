@@ -184,9 +184,10 @@ def _require_values_of_file(path: Path, scenario: SuiteScenario) -> None:
             declared[name].value, declared[name]
         ):
             raise InputError(
-                f"{path}: says that {escape_control_characters(name)} of {scenario.file_name[:100]}"
-                f" is {escape_control_characters(str(value))[:60]}, and the"
-                f" file says {escape_control_characters(declared[name].value)[:60]}; run `reduce` again."
+                f"{path}: gives {scenario.file_name[:100]} the value {escape_control_characters(str(value))[:60]} for"
+                f" the"
+                f" parameter '{escape_control_characters(name)}', but that file declares"
+                f" {escape_control_characters(declared[name].value)[:60]}; run `reduce` again."
             )
 
 

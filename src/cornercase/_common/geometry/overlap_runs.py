@@ -22,12 +22,12 @@ class OverlapRuns:
     runs: IntArray
     shape: tuple[int, int]
 
-    def overlapping_steps(self) -> IntArray:
+    def steps_of_first_path(self) -> IntArray:
         """Sorted indices of the steps of the first path that overlap any step of the second."""
         steps: IntArray = np.unique(self.runs[:, 0])
         return steps
 
-    def overlapped_steps(self) -> IntArray:
+    def steps_of_second_path(self) -> IntArray:
         """Sorted indices of the steps of the second path that overlap any step of the first."""
         ends = np.zeros(self.shape[1] + 1, dtype=np.int64)
         np.add.at(ends, self.runs[:, 1], 1)

@@ -35,8 +35,8 @@ def try_lock(path: Path) -> BaseFileLock | None:
 def lock(path: Path) -> Iterator[None]:
     """Hold a lock on the file `path` during the block; a thread that holds the lock may enter again.
 
-    If the lock file cannot be written, the block runs without a lock. It also does after waiting for a minute: a
-    process that holds a lock that long has been suspended. Later calls then do not wait for this lock at all.
+    If the lock file cannot be written, or the lock is not free within a minute, the block runs without a lock: a
+    process that holds it for so long has probably been suspended. Later calls then do not wait for this lock.
     """
     with ExitStack() as stack:
         timeout = 0.0 if path in _TIMED_OUT else _TIMEOUT

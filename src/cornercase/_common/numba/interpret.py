@@ -75,9 +75,9 @@ def must_interpret() -> bool:
 
 @contextmanager
 def interpret_always() -> Iterator[None]:
-    """Within the block, interpret all kernels that can be, to compare Python's results with those of machine code.
+    """Within the block, run kernels as Python functions, so that a test can compare results with those of machine code.
 
-    Kernels that this process has called before stay compiled.
+    Kernels without `interpreted_seconds`, and those that this process has already compiled, still run as machine code.
     """
     before, _Clock.is_forced = _Clock.is_forced, True
     try:

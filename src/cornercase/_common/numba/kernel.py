@@ -22,7 +22,7 @@ from cornercase._common.io.locks import lock
 from cornercase._common.numba.cache_key import kernel_digest
 from cornercase._common.numba.dispatcher import KernelDispatcher
 from cornercase._common.numba.interpret import compile_at_once
-from cornercase._common.numba.shipped import ShippedCode, tuple_fields
+from cornercase._common.numba.shipped import ShippedCode, nested_field_names
 
 _LOG = logging.getLogger(__name__)
 _KERNELS: WeakSet[Any] = WeakSet()
@@ -83,7 +83,7 @@ class _SharedCache(FunctionCache):
 
     def _index_key(self, sig, codegen):
         # Machine code accesses the fields of a named tuple by position.
-        return (*super()._index_key(sig, codegen), tuple(tuple_fields(kind) for kind in sig))
+        return (*super()._index_key(sig, codegen), tuple(nested_field_names(kind) for kind in sig))
 
     def _set_source_stamp(self):
         # Not at definition time: functions that it calls may be defined later.

@@ -95,16 +95,16 @@ class ShippedCode:
     def _file_name(self, source_digest: str, signature: Any) -> str:
         function = self._function
         cells = dumps(tuple(cell.cell_contents for cell in function.__closure__ or ()))
-        kinds = [(str(kind), tuple_fields(kind)) for kind in signature]
+        kinds = [(str(kind), nested_field_names(kind)) for kind in signature]
         versions = sys.version_info[:2], numba.__version__, llvmlite.__version__, llvm.get_process_triple()
         name = function.__module__, function.__qualname__, source_digest, kinds, versions
         return hashlib.sha256(repr(name).encode() + cells).hexdigest()[:32]
 
 
-def tuple_fields(numba_type: Any) -> tuple[Any, ...]:
+def nested_field_names(numba_type: Any) -> tuple[Any, ...]:
     """Return the field names of a tuple type and of the tuples in it; machine code accesses fields by position."""
     inner: Any = numba_type
     if not isinstance(numba_type, types.BaseTuple):
         return ()
     named = inner.fields if isinstance(numba_type, types.BaseNamedTuple) else ()
-    return (named, *map(tuple_fields, inner))
+    return (named, *map(nested_field_names, inner))

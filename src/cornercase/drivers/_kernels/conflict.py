@@ -166,7 +166,7 @@ def find_first_contact_row(samples, max_spacing, ego, margin, other, horizon, lo
             if lookahead is not None:
                 k, until = next_candidate_rows(lookahead, k, margin, other, 0.0, horizon)
             else:
-                k += count_rows_without_contact(samples, max_spacing, k, ego, margin, other, 0.0, horizon)
+                k += count_rows_surely_clear(samples, max_spacing, k, ego, margin, other, 0.0, horizon)
             if k >= count:
                 break
         elif lookahead is not None:
@@ -186,7 +186,7 @@ def next_candidate_rows(lookahead, first_row, margin, other, min_time, horizon):
     straight = int(lookahead.points[lookahead.first_point + first_row, 5])
     compute_sample(lookahead, first_row)
     if straight < 2:
-        first = until = first_row + count_rows_without_contact(
+        first = until = first_row + count_rows_surely_clear(
             lookahead.samples, lookahead.max_spacing, first_row, lookahead.ego, margin, other, min_time, horizon
         )
     else:
@@ -273,7 +273,7 @@ def _clip_range(first, last, rate, center, radius):
 
 
 @inline_kernel
-def count_rows_without_contact(samples, max_spacing, first_row, ego, margin, other, min_time, horizon):
+def count_rows_surely_clear(samples, max_spacing, first_row, ego, margin, other, min_time, horizon):
     """Return how many samples from `first_row` on are surely too far from the other entity for contact."""
     legs, half_length, half_width, speed = other
     width = ego[1] + margin

@@ -66,7 +66,7 @@ class ExactPosterior:
         return ExactPosterior(self._kernel, points, values, inverse)
 
     def leave_one_out(self) -> tuple[FloatArray, FloatArray]:
-        """Mean and standard deviation of each value by the process of all other values, (n,) each."""
+        """Predict each value from all other values; return means and standard deviations, (n,) each."""
         precision = (self.inverse_factor**2).sum(axis=0)
         return self._values - self.weights / precision, 1.0 / np.sqrt(precision)
 
@@ -129,7 +129,7 @@ class SparsePosterior:
         return SparsePosterior(self._kernel, points, values, base=self)
 
     def leave_one_out(self) -> tuple[FloatArray, FloatArray]:
-        """Mean and standard deviation of each value by the process of all other values, (n,) each."""
+        """Predict each value from all other values; return means and standard deviations, (n,) each."""
         parts = [
             self._leave_one_out_block(self.all_points[block], self.values[block])
             for block in _block_slices(len(self.all_points))

@@ -75,7 +75,7 @@ class StopCriterion(StopRule):
             return (
                 1.0
                 if critical_set.missed_interval_unavailable
-                else min(critical_set.missed_fraction.high + critical_set.max_hidden_fraction, 1.0)
+                else min(critical_set.missed_fraction.high + critical_set.max_fraction_in_empty_region, 1.0)
             )
         if self.quantity == "audited-missed":
             return critical_set.audited_missed_upper_bound

@@ -155,8 +155,8 @@ def _visits_of_shared_stretches(a: _SweptArea, b: _SweptArea) -> list[tuple[Area
     """Visits of each entity to the area that the other one sweeps, in pairs: one for each connected stretch."""
     pairs = [
         (
-            _visit_of_area(a, b, overlap.overlapping_steps(), overlap.overlaps_of_step),
-            _visit_of_area(b, a, overlap.overlapped_steps(), overlap.steps_overlapping),
+            _visit_of_area(a, b, overlap.steps_of_first_path(), overlap.overlaps_of_step),
+            _visit_of_area(b, a, overlap.steps_of_second_path(), overlap.steps_overlapping),
         )
         for overlap in _find_overlapping_steps(a, b).connected_components()
     ]
@@ -189,7 +189,7 @@ def _time_of_first_touch(
         )
         fine = fine.reverse_time() if reverse else fine
         overlaps = _find_overlapping_steps(fine, obstacles)
-        touching_parts = overlaps.overlapping_steps()
+        touching_parts = overlaps.steps_of_first_path()
         if len(touching_parts):
             part = int(touching_parts[0])
             hit = overlaps.overlaps_of_step(part)

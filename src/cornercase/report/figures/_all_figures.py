@@ -12,7 +12,7 @@ from cornercase.report.figures._example_scenarios import MAX_EXAMPLES, draw_exam
 from cornercase.report.figures._parameter_space import (
     draw_hulls_and_reduced_set,
     draw_kernel_and_parameter_space,
-    draw_scores_over_parameters,
+    draw_scores_by_parameter_pair,
 )
 from cornercase.report.figures._score_figures import (
     draw_courses_by_cluster,
@@ -39,7 +39,7 @@ class CaptionedFigure:
 def draw_all_figures(data: ReportData) -> Iterator[CaptionedFigure]:
     """Yield every figure for which the study has data, one at a time to save memory."""
     for metric in data.metrics:
-        figure = draw_scores_over_parameters(data.values, data.parameters, data.scores[metric.name], metric)
+        figure = draw_scores_by_parameter_pair(data.values, data.parameters, data.scores[metric.name], metric)
         yield CaptionedFigure(f"criticality-{metric.name}", figure, captions.describe_most_critical(data, metric))
     yield from _draw_estimates(data)
     for analysis in data.summary.analyses.values():

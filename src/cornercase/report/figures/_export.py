@@ -48,7 +48,7 @@ def write_figures(data: ReportData, folder: Path) -> None:
 
 
 def _make_unique_name(name: str, taken: set[str]) -> str:
-    """Return a file name that is not in `taken`; different formulas may have the same portable name."""
+    """Return `name`, with a number if `taken` holds it, and add it there; metrics may have the same portable name."""
     candidates = (name if n == 1 else f"{name}-{n}" for n in count(1))
     free = next(candidate for candidate in candidates if candidate.lower() not in taken)
     taken.add(free.lower())

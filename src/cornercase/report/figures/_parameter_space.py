@@ -19,7 +19,7 @@ from cornercase.scenario import Parameter
 _ROLE_MARKERS: Final = (("archetype", "o", 42), ("prototype", "*", 190), ("gap", "^", 52), ("exposing", "D", 40))
 
 
-def draw_scores_over_parameters(
+def draw_scores_by_parameter_pair(
     values: FloatArray, parameters: Sequence[Parameter], scores: FloatArray, metric: Metric
 ) -> Figure:
     """Draw scores, shape (n,), over up to six pairs of parameters; critical scenarios are dark.

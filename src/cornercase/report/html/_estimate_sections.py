@@ -74,7 +74,11 @@ def _render_critical_set(critical: CriticalEstimates, criterion: str, n_run: int
             "share of the critical set that is missed",
             *format_estimate(estimates.missed_fraction, estimates.missed_interval_unavailable is None),
         ],
-        ["share of the critical set that an unknown region could hold", f"{estimates.max_hidden_fraction:.2%}", ""],
+        [
+            "share of the critical set that an unknown region could hold",
+            f"{estimates.max_fraction_in_empty_region:.2%}",
+            "",
+        ],
     ]
     if audit := critical.audits:
         rows.append([f"critical share by {audit.n_scenarios} audits alone", *format_estimate(audit.critical_fraction)])

@@ -193,7 +193,7 @@ def _answer_missed(critical: CriticalEstimates) -> Answer:
     if estimates is not None and critical.n_critical:
         sentences.append(
             "That relies on a model of the scores. Without a model: a region in which nothing was run could hide"
-            f" {format_percent(estimates.max_hidden_fraction)} of the critical set."
+            f" {format_percent(estimates.max_fraction_in_empty_region)} of the critical set."
         )
     if critical.audits is not None:
         audits = f"{critical.audits.n_critical} of {critical.audits.n_scenarios} audits, drawn at random, are critical"

@@ -245,7 +245,7 @@ def _estimates_to_dict(summary: Summary) -> dict[str, Any]:
             plain["critical"] |= {
                 "share": _interval_to_dict(critical_set.critical_fraction, critical_set.interval_unavailable),
                 "missed": _interval_to_dict(critical_set.missed_fraction, critical_set.missed_interval_unavailable),
-                "hidden": critical_set.max_hidden_fraction,
+                "hidden": critical_set.max_fraction_in_empty_region,
                 "overlooked": {"value": critical_set.p_overlooked_region, "size": critical_set.region_fraction},
                 "unvisited": {"value": critical_set.unexplored_fraction, "size": critical_set.region_fraction},
             }

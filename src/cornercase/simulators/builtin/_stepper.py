@@ -308,7 +308,7 @@ class Stepper:
 
     def _update_tracks(self) -> None:
         self._tracks = self._track_pool.update(self._world.tracks)
-        self._plan_routes()
+        self._give_drivers_their_paths()
 
     def _run_compiled_loop(self) -> None:
         self._bind_tables()
@@ -323,7 +323,7 @@ class Stepper:
             if is_compiled:
                 self._bound_tables = tracks, fleet
 
-    def _plan_routes(self) -> None:
+    def _give_drivers_their_paths(self) -> None:
         """Let compiled drivers plan their routes along the tracks they follow now."""
         world = self._world
         for driving in self._driver_actions:

@@ -73,12 +73,15 @@ def refuse_code_injection(root: etree._Element, source: Path) -> None:
     for module in root.iterfind(".//Property[@name='module']"):
         if module.get("value") not in _ALLOWED_CONTROLLER_MODULES:
             raise InputError(
-                f"{source}: a controller names the module '{module.get('value')}', but code that a scenario names is"
-                " not run; give your own as `simulator` carla:agent=FILE."
+                f"{source}: a controller names the module '{module.get('value')}', which is not one of ScenarioRunner's"
+                f" own."
+                " Code that a scenario names is not run; remove it, and give your agent as `simulator`"
+                " carla:agent=FILE."
             )
     for condition in root.iter("Condition"):
         if condition.get("name", "").startswith("criteria_"):
             raise InputError(
-                f"{source}: ScenarioRunner would instantiate a class named like the condition"
-                f" '{condition.get('name')}'; give it another name."
+                f"{source}: ScenarioRunner would run a class of its own for the condition '{condition.get('name')}',"
+                f" since its"
+                " name starts with 'criteria_'; rename the condition."
             )

@@ -436,7 +436,9 @@ def _add_final_speeds(root: etree._Element, scenario: ScenarioFile, notes: list[
         final_speed = action.find("FinalSpeed")
         if final_speed is not None and final_speed.find("*/SteadyState") is not None:
             raise InputError(
-                f"{scenario.path}: a steady state of <SynchronizeAction> cannot be expressed in OpenSCENARIO 1.0."
+                f"{scenario.path}, line {action.sourceline}: <SynchronizeAction> has a steady state, which OpenSCENARIO"
+                f" 1.0,"
+                " the version that ScenarioRunner reads, does not have; remove it from its <FinalSpeed>."
             )
         if final_speed is not None:
             continue

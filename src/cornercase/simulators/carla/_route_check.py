@@ -64,7 +64,7 @@ def _describe_lane_deviation(network: RoadNetwork, x: FloatArray, y: FloatArray,
         return "ScenarioRunner keeps to the middle of the lane"
     for road, lane in {(int(road), int(lane)) for road, lane in zip(positions.road, positions.lane, strict=True)}:
         rows = (positions.road == road) & (positions.lane == lane)
-        *_, direction = network.lane_to_world(road, lane, positions.s[rows], positions.offset[rows])
+        *_, direction = network.lane_to_xy_heading(road, lane, positions.s[rows], positions.offset[rows])
         if (_angle_between(direction, heading[rows]) > _MAX_ANGLE).any():
             return "ScenarioRunner drives in the direction of the lane"
         if network.roads[road].junction != "-1" and not rows[0]:

@@ -106,7 +106,7 @@ def set_initial_state(
 
 
 def make_world_position(x: float, y: float, heading: float) -> etree._Element:
-    """Create a <Position> of x and y in m and a heading in rad; a `PositionResolver`."""
+    """Create a <Position> of x and y in m and a heading in rad."""
     position = etree.Element("Position")
     etree.SubElement(position, "WorldPosition", x=format_number(x), y=format_number(y), h=format_number(heading))
     return position

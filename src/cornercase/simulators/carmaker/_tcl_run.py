@@ -113,7 +113,9 @@ class TclTestRun:
         if status == _PAUSED:
             raise SimulationError("CarMaker has paused the TestRun; let it run to its end by itself")
         if stopped != _IDLE:
-            raise SimulatorError(f"CarMaker did not end the TestRun within {self._run_timeout:g} s, nor after StopSim")
+            raise SimulatorError(
+                f"CarMaker did not end the TestRun within {self._run_timeout:g} s, and StopSim did not stop it"
+            )
         raise SimulationError(f"CarMaker did not end the TestRun within {self._run_timeout:g} s")
 
     def _find_result_file(self, earlier_files: ResultFileTracker) -> Path:

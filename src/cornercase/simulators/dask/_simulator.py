@@ -32,10 +32,10 @@ from cornercase.simulators._results import Outcome
 from cornercase.simulators._run_options import DEFAULT_MAX_FAILURES
 from cornercase.simulators.dask._worker import (
     BatchResult,
-    JobAttempt,
-    SimulatorJob,
+    SimulatorSetup,
+    TaskId,
     close_job,
-    forget_attempt,
+    forget_task,
     identity_task,
     run_scenarios_of_job,
 )
@@ -51,10 +51,10 @@ _CLOSE_TIMEOUT: Final = 10.0
 
 @dataclass(frozen=True)
 class _ClusterTask:
-    """Scenarios of one Dask task, its attempt, and how often Dask lost the task before it had started."""
+    """Scenarios of one Dask task, its identifier, and how often Dask lost the task before it had started."""
 
     indices: tuple[int, ...]
-    attempt: JobAttempt
+    task_id: TaskId
     n_lost: int = 0
 
 
@@ -90,7 +90,7 @@ class ClusterSimulator(RemoteSimulator):
         # A dependency of Dask; it also pickles classes that are defined in a notebook.
         import cloudpickle
 
-        self._job = SimulatorJob(
+        self._job = SimulatorSetup(
             uuid.uuid4().hex,
             __version__,
             self.name,
@@ -172,7 +172,7 @@ class ClusterSimulator(RemoteSimulator):
     def _make_task(self, indices: tuple[int, ...]) -> _ClusterTask:
         # After losing a worker, a batch is split into single scenarios with one life less each.
         lives = self._retries + 1 if len(indices) == 1 else 1
-        return _ClusterTask(indices, JobAttempt(f"cornercase-{uuid.uuid4().hex}", lives))
+        return _ClusterTask(indices, TaskId(f"cornercase-{uuid.uuid4().hex}", lives))
 
     def _submit_task(
         self, task: _ClusterTask, concretes: Sequence[ConcreteScenario], resources: dict[str, float]
@@ -185,10 +185,10 @@ class ClusterSimulator(RemoteSimulator):
         future = self._client.submit(
             run_scenarios_of_job,
             self._job,
-            task.attempt,
+            task.task_id,
             {parcel.key: parcel for parcel in parcels},
             [(parcel.key, dict(values)) for parcel, values in groups],
-            key=f"{task.attempt.name}-{task.n_lost}",
+            key=f"{task.task_id.name}-{task.n_lost}",
             pure=False,
             resources=resources or None,
         )
@@ -222,7 +222,7 @@ class ClusterSimulator(RemoteSimulator):
                 " same versions on each as here."
             ) from error
         elif task.n_lost + 1 < _MAX_TASK_LOSSES:
-            # Dask also counts workers that were lost before they started the task; the attempt stays the same.
+            # Dask also counts workers that were lost before they started the task; the identifier stays the same.
             waiting.appendleft(replace(task, n_lost=task.n_lost + 1))
         else:
             raise self._cluster_error("its workers end before they start a scenario")
@@ -235,12 +235,12 @@ class ClusterSimulator(RemoteSimulator):
             self.notify(ran.notices)
             done |= dict(zip(task.indices, ran.outcomes, strict=True))
             return
-        forget_attempt(task.attempt, self._client)
+        forget_task(task.task_id, self._client)
         if len(task.indices) > 1:
             # It is unknown which scenario of the batch is at fault.
             tasks = [self._make_task((k,)) for k in reversed(task.indices)]
             lives = max(1, self._retries)
-            waiting.extendleft(replace(single, attempt=replace(single.attempt, lives=lives)) for single in tasks)
+            waiting.extendleft(replace(single, task_id=replace(single.task_id, lives=lives)) for single in tasks)
         else:
             self._n_consecutive_losses += 1
             if 0 < self._max_failures <= self._n_consecutive_losses:

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class SimulatorJob:
+class SimulatorSetup:
     """A simulator and its settings, for one exploration or suite.
 
     `version` is cornercase's version at the sender. `timeout` is in s. `options` are pickled by `pickle_simulator`,
@@ -47,7 +47,7 @@ class SimulatorJob:
 
 
 @dataclass(frozen=True)
-class JobAttempt:
+class TaskId:
     """Identifies scenarios that run together; after `lives` workers have been lost with them, they are given up."""
 
     name: str
@@ -65,7 +65,7 @@ class BatchResult:
 class _JobState:
     """Simulators and files of a job in this process; only one thread at a time uses a simulator."""
 
-    def __init__(self, job: SimulatorJob) -> None:
+    def __init__(self, job: SimulatorSetup) -> None:
         self._job = job
         try:
             self._simulator, self._options = unpickle_simulator(job.options)
@@ -142,8 +142,8 @@ def identity_task(bundle: ScenarioBundle) -> ScenarioBundle:
 
 
 def run_scenarios_of_job(
-    job: SimulatorJob,
-    attempt: JobAttempt,
+    job: SimulatorSetup,
+    task_id: TaskId,
     bundles: Mapping[str, ScenarioBundle],
     scenarios: Sequence[tuple[str, Mapping[str, Value]]],
 ) -> BatchResult | None:
@@ -162,7 +162,7 @@ def run_scenarios_of_job(
     unpacked = {key: site.unpack_scenario(key, parcel) for key, parcel in bundles.items()}
     concretes = [ConcreteScenario(unpacked[key][0].path, values, unpacked[key][0]) for key, values in scenarios]
     sender_folders = {str(unpacked[key][1]): parcel.common_folder for key, parcel in bundles.items()}
-    with _mark_started(attempt) as may_run:
+    with _mark_started(task_id) as may_run:
         if not may_run:
             return None
         try:
@@ -182,18 +182,18 @@ def run_scenarios_of_job(
 
 
 @contextmanager
-def _mark_started(attempt: JobAttempt) -> Iterator[bool]:
-    """Mark an attempt as started while it runs; yield whether it may start.
+def _mark_started(task_id: TaskId) -> Iterator[bool]:
+    """Mark a task as started while it runs; yield whether it may start.
 
     The mark is stored at the Dask scheduler. If a worker is lost, its mark remains, so that lost workers can be
-    counted; `forget_attempt` removes it. Dask's own limit (``allowed-failures``) is not enough: it is the same for the
+    counted; `forget_task` removes it. Dask's own limit (``allowed-failures``) is not enough: it is the same for the
     whole cluster, and counts workers that had not started the task.
     """
     from distributed import Event, get_client
 
     client = get_client()
-    for life in range(attempt.lives):
-        mark = Event(f"{attempt.name}-{life}", client)
+    for life in range(task_id.lives):
+        mark = Event(f"{task_id.name}-{life}", client)
         if not mark.is_set():
             break
     else:
@@ -213,12 +213,12 @@ def _restore_sender_paths(text: str, sender_folders: Mapping[str, str]) -> str:
     return text
 
 
-def forget_attempt(attempt: JobAttempt, client: Client) -> None:
-    """Remove the marks of lost workers for an attempt from the scheduler."""
+def forget_task(task_id: TaskId, client: Client) -> None:
+    """Remove the marks of lost workers for a task from the scheduler."""
     from distributed import Event
 
-    for life in range(attempt.lives):
-        Event(f"{attempt.name}-{life}", client).clear()
+    for life in range(task_id.lives):
+        Event(f"{task_id.name}-{life}", client).clear()
 
 
 def close_job(key: str) -> None:

@@ -121,7 +121,7 @@ class Sumo(Simulator):
                 prepared = self._prepared = PreparedScenario(scenario)
             for entity in self._drivers:
                 scenario.require_entity(entity, "driven entity")
-            types = self._vehicle_types(scenario)
+            types = self._types_of_sumo_driven(scenario)
             try:
                 yield self._run_scenario(prepared, concrete.values, types)
             except UnusableValuesError as error:
@@ -158,9 +158,9 @@ class Sumo(Simulator):
 
     def check_supported(self, scenario: ScenarioFile) -> None:
         """Refuse a scenario with an unknown driver."""
-        self._vehicle_types(scenario)
+        self._types_of_sumo_driven(scenario)
 
-    def _vehicle_types(self, scenario: ScenarioFile) -> dict[str, str]:
+    def _types_of_sumo_driven(self, scenario: ScenarioFile) -> dict[str, str]:
         """Return the vehicle types of the entities that SUMO drives."""
         all_drivers = {**scenario.drivers, **self._drivers}
         for name, driver in all_drivers.items():

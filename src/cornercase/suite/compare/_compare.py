@@ -23,7 +23,14 @@ from cornercase.study._study_file import open_study
 from cornercase.suite._judge import judge_study
 from cornercase.suite.compare._change_verdict import decide_verdict, find_findings, resolve_tolerances
 from cornercase.suite.compare._choose_examples import choose_examples
-from cornercase.suite.compare._comparison import ALPHA, ChangeTest, ClusterChange, Comparison, ScenarioPair, ScoreChange
+from cornercase.suite.compare._comparison import (
+    ALPHA,
+    ChangeTest,
+    ClusterChange,
+    Comparison,
+    ScenarioPair,
+    ScoreChanges,
+)
 from cornercase.suite.compare._match import (
     StudySide,
     choose_compared_metrics,
@@ -244,7 +251,7 @@ def _decide_whether_changed(
     return False, f"none of {len(tests)} tests shows a change, at {ALPHA:.0%} over all of them"
 
 
-def _compute_score_change(pairs: Sequence[ScenarioPair], metric_name: str) -> ScoreChange:
+def _compute_score_change(pairs: Sequence[ScenarioPair], metric_name: str) -> ScoreChanges:
     metric = METRICS.create(metric_name)
     both_ran = [pair for pair in pairs if pair.both_ran]
     scores = np.array([pair.scores[metric_name] for pair in both_ran])
@@ -252,7 +259,7 @@ def _compute_score_change(pairs: Sequence[ScenarioPair], metric_name: str) -> Sc
     moved = changes[changes != 0.0]
     worse = int((np.asarray(metric.to_minimize(moved)) < 0.0).sum())
     k = int(np.abs(changes).argmax())
-    return ScoreChange(
+    return ScoreChanges(
         metric=metric_name,
         unit=metric.unit,
         pairs=len(both_ran),

@@ -94,7 +94,7 @@ class ScenarioPair:
 
 
 @dataclass(frozen=True)
-class ScoreChange:
+class ScoreChanges:
     """Changes of the score of one metric between the versions.
 
     Attributes
@@ -350,7 +350,7 @@ class Comparison:
         Scenarios with the same parameters, in the order of the old study.
     n_unmatched : tuple of (int, int)
         Number of scenarios in each study that the other study lacks.
-    scores : tuple of ScoreChange
+    scores : tuple of ScoreChanges
         One for each metric; empty without pairs.
     tests : tuple of ChangeTest
     outcomes : mapping of tuple of (str, str) to int
@@ -381,7 +381,7 @@ class Comparison:
     is_deterministic: bool
     pairs: tuple[ScenarioPair, ...]
     n_unmatched: tuple[int, int]
-    scores: tuple[ScoreChange, ...]
+    scores: tuple[ScoreChanges, ...]
     tests: tuple[ChangeTest, ...]
     outcomes: Mapping[tuple[str, str], int]
     verdicts: Mapping[tuple[str, str, str], int]

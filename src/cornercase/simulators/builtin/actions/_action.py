@@ -55,7 +55,7 @@ class CompiledAction(Action):
         outcomes = world.compiled.apply_action(self.table_row, dt, where)
         needs_lookup = outcomes < ACTION_APPLIED
         if any_true(needs_lookup):
-            self.look_up_present_positions(world, needs_lookup)
+            self.look_up_positions_now(world, needs_lookup)
             again = world.compiled.apply_action(self.table_row, dt, needs_lookup)
             outcomes = np.where(needs_lookup, again, outcomes)
         leaves = outcomes == TRACK_ENDED
@@ -63,7 +63,7 @@ class CompiledAction(Action):
             self.leave_track(world, leaves)
         return np.asarray(outcomes >= ACTION_ENDED)
 
-    def look_up_present_positions(self, world: World, where: BoolArray) -> None:
+    def look_up_positions_now(self, world: World, where: BoolArray) -> None:
         """Look up positions that kernels cannot, after earlier actions of the frame, in the scenarios of a mask."""
         self.look_up_positions(world, where)
 

@@ -157,7 +157,7 @@ class LongitudinalDistanceAction(CompiledAction):
         reached = (np.abs(error) < DISTANCE_TOLERANCE) & (not self._continuous)
         return np.asarray(where & reached)
 
-    def look_up_present_positions(self, world: World, where: BoolArray) -> None:
+    def look_up_positions_now(self, world: World, where: BoolArray) -> None:
         if self._on_roads:
             self._located[where] = self._signed_distance(world)[where]
 

@@ -98,7 +98,7 @@ class SynchronizeAction(CompiledAction):
         self._mode[where] = NOT_STARTED
         self._last[where] = self._last_master[where] = np.inf
 
-    def look_up_present_positions(self, world: World, where: BoolArray) -> None:
+    def look_up_positions_now(self, world: World, where: BoolArray) -> None:
         self.look_up_positions(world, where)
         self._is_located[where] = 1.0
 

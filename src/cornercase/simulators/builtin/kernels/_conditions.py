@@ -112,9 +112,10 @@ def build_condition_table(
     delays: list[FloatArray],
     n_scenarios: int,
 ) -> ConditionTable:
-    """Build the tables of conditions, given by trigger and group, and of their delays, arrays (N,).
+    """Build the table of conditions.
 
-    The leaves of `others` do not belong to a trigger that kernels evaluate, and come last.
+    `specs` holds the conditions of each group of each trigger, `delays` an array (N,) for each in s. `others` are
+    conditions of triggers that Python evaluates; their leaves come last.
     """
     leaves: list[tuple[int, LeafCondition]] = []
     conditions: list[tuple[int, int, bool]] = []

@@ -100,9 +100,9 @@ class Buffers(NamedTuple):
 
 @kernel(error_model="numpy")
 def run_until_storyboard(scene, tracks, roads, fleet, actions, conditions, loop, options, first, last):
-    """Run scenarios [first, last) until their storyboard has to be evaluated, or a driver to be asked.
+    """Run scenarios [first, last), each until its storyboard must be evaluated or one of its drivers must be asked.
 
-    Each runs on its own, so the distribution to threads does not matter; a range is always the same.
+    Scenarios do not affect each other, so results do not depend on how they are distributed to threads.
     """
     entities = scene.floats.shape[2]
     saved, rest = alloc_saved(actions.options.shape[0]), np.empty(entities, dtype=np.int8)
@@ -132,7 +132,7 @@ def _run_scenarios(scene, tracks, roads, fleet, actions, conditions, loop, optio
             continue
         if status not in (MOVE, ACT, ACTIONS_DONE):
             continue
-        _prepare_scenario(scene, actions, loop, n, buffers)
+        _list_actions_and_wake_entities(scene, actions, loop, n, buffers)
         fill_watchlist(conditions, buffers.watchlist, n)
         while status in (MOVE, ACT, ACTIONS_DONE):
             is_acting, dt = status != MOVE, options.time_step if scene.n_frames[n] > 0 else 0.0
@@ -163,7 +163,7 @@ def _run_scenarios(scene, tracks, roads, fleet, actions, conditions, loop, optio
 
 
 @_inlined_kernel
-def _prepare_scenario(scene, actions, loop, n, buffers):
+def _list_actions_and_wake_entities(scene, actions, loop, n, buffers):
     """List the running actions, note who is moved by something else than itself, and wake all entities."""
     rest, running = buffers.activity, buffers.saved.running
     for e in range(rest.size):

@@ -212,7 +212,7 @@ def _pose_from_road_coordinates(
     s, beyond = _clip_to_road(world, road, s)
     for road_index in np.unique(road):
         rows = (road == road_index) & np.isfinite(s)
-        x[rows], y[rows], heading[rows] = world.network.road_to_world(int(road_index), s[rows], t[rows])
+        x[rows], y[rows], heading[rows] = world.network.road_to_xy_heading(int(road_index), s[rows], t[rows])
     heading = heading + given_heading if is_relative else np.where(np.isnan(heading), np.nan, given_heading)
     lane, offset = np.zeros(len(s), dtype=np.int64), np.zeros(len(s))
     for road_index in np.unique(road):
@@ -366,7 +366,7 @@ def _pose_from_lane_coordinates(
     for one_road, one_lane in sorted({*zip(road.tolist(), lane.tolist(), strict=True)}):
         inside = (road == one_road) & (lane == one_lane) & world.network.has_lane_at(one_road, one_lane, s)
         if inside.any():
-            pose = world.network.lane_to_world(one_road, one_lane, s[inside], offset[inside])
+            pose = world.network.lane_to_xy_heading(one_road, one_lane, s[inside], offset[inside])
             x[inside], y[inside], heading[inside] = pose
     heading = heading + given_heading if is_relative else np.where(np.isnan(heading), np.nan, given_heading)
     return Pose(x, y, heading, road, lane, s, offset, beyond)
