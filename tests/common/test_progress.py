@@ -58,8 +58,10 @@ def test_what_is_slow_has_a_rate_by_the_minute(monkeypatch, capsys):
     assert capsys.readouterr().err == "1 of 3 sets, 1.0/min, 2 min 0 s left\n"
 
 
-def test_a_notebook_gets_one_bar_that_is_updated(monkeypatch, capsys):
+def test_a_notebook_gets_one_bar_that_is_updated(monkeypatch, capsys, tmp_path):
     interactive = pytest.importorskip("IPython.core.interactiveshell")
+    # The shell keeps its history in a database, which shells of other processes may have locked.
+    monkeypatch.setenv("IPYTHONDIR", str(tmp_path))
     clock, shell = Clock(monkeypatch), interactive.InteractiveShell.instance()
     try:
         # A terminal's shell runs without a kernel.
