@@ -14,11 +14,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import cornercase as cc
 from conftest import EXAMPLES, at_night
 from cornercase._common.errors import InputError, SimulationError
 from cornercase._common.memory import MemoryLimit
 from cornercase._common.version import __version__
 from cornercase.clustering import analyze
+from cornercase.metrics.ending._find_outcome import find_outcome
 from cornercase.recordings import Collision, Recording
 from cornercase.reduction import reduce
 from cornercase.report import summarize, write_report
@@ -420,3 +422,21 @@ def test_a_size_that_is_none_ends_the_command(path, tmp_path):
     ended = cornercase("report", path, "-o", tmp_path / "r.html", "--memory", "4 potatoes")
     assert ended.returncode == 2
     assert ended.stderr == "cornercase: --memory 4 potatoes: give a size such as 4 GB or 500 MB.\n"
+
+
+def test_whether_it_collides_is_answered_with_the_hardest_first(x_intersection, tmp_path):
+    cc.explore(
+        x_intersection, tmp_path / "s.db", ego="Ego", other="Pedestrian", metrics=["wttc"], optimizer="sobol", budget=60
+    )
+    with StudyFile.open(tmp_path / "s.db", readonly=True) as study:
+        data = read_report_data(study)
+        speeds = {
+            row.id: hit.speed
+            for row in data.rows
+            for hit in find_outcome(study.recording(row.id), "Ego", "Pedestrian").impacts[:1]
+        }
+    answer = next(one for one in page_answers(data) if one.name == "collisions")
+    assert 0 < len(speeds) == data.summary.n_collisions
+    assert answer.text.startswith(f"Yes: Ego collides with Pedestrian in {len(speeds)} of the 60 scenarios.")
+    order = [int(re.findall(r"Scenario (\d+): ", point)[0]) for point in answer.points]
+    assert order == sorted(speeds, key=lambda scenario: (-speeds[scenario], scenario))[:6]

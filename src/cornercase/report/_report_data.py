@@ -12,6 +12,7 @@ from cornercase._common.memory import MemoryLimit, report_memory_need
 from cornercase._common.typing import BoolArray, Float32Array, FloatArray, IntArray
 from cornercase.clustering import Analysis, read_distances
 from cornercase.metrics import METRICS, Metric
+from cornercase.metrics._outcome import Impact
 from cornercase.recordings import Recording
 from cornercase.reduction._coverage import NearestDistances, measure_nearest_distances
 from cornercase.report._estimates import MissedFractionAfter, estimate_missed_fractions
@@ -47,6 +48,9 @@ class ReportData:
     course_lines: Mapping[str, Mapping[int, FloatArray]]  # resampled courses by metric and id, shape (COURSE_POINTS,)
     courses: Mapping[str, Mapping[int, Float32Array]]  # capped courses by metric and id, shape (T,); only for figures
     entities_hit: Mapping[int, frozenset[str]]  # entities the ego collides with, by id
+    hardest_impacts: Mapping[
+        int, Impact
+    ]  # by id: the ego's collision at the highest relative speed with one of the others
     examples: Mapping[int, Recording]  # recordings of the clusters' examples, by id
     values: FloatArray  # parameters, shape (n, d); indices for choices
     influential_parameters: tuple[
@@ -98,6 +102,7 @@ def read_report_data(
     lines: dict[str, dict[int, FloatArray]] = {metric.name: {} for metric in metrics}
     courses: dict[str, dict[int, Float32Array]] = {metric.name: {} for metric in metrics}
     touched: dict[int, frozenset[str]] = {}
+    hardest: dict[int, Impact] = {}
     region: Region | None = None
     for count, (scenario, digest) in enumerate(study.iter_digests()):
         if not count and memory is not None:
@@ -106,6 +111,8 @@ def read_report_data(
         for metric, line in zip(metrics, digest.lines, strict=True):
             lines[metric.name][scenario] = line
         touched[scenario] = entities_hit_by_ego(study.meta, digest.collisions)
+        if impacts := digest.outcomes[0].impacts:
+            hardest[scenario] = max(impacts, key=lambda impact: np.nan_to_num(impact.speed))
         region = _union_region(region, digest.bounds)
         if on_read is not None:
             on_read(count + 1)
@@ -130,6 +137,7 @@ def read_report_data(
         course_lines=lines,
         courses=courses,
         entities_hit=touched,
+        hardest_impacts=hardest,
         examples=_read_examples(study, summary.analyses),
         values=values,
         influential_parameters=_order_by_influence(values, scores[metrics[0].name]),

@@ -7,8 +7,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Final
 
+import numpy as np
+
 from cornercase._common.text.sanitize import escape_control_characters
 from cornercase.evidence import Estimate
+from cornercase.metrics._outcome import Manner
 from cornercase.reduction import ReducedSet
 from cornercase.report._estimates import CriticalEstimates
 from cornercase.report._reference_counts import describe_references
@@ -42,6 +45,12 @@ _ROLE_NAMES: Final[dict[str, tuple[str, str]]] = {
     "exposing": ("that exposes mutants of the driver", "that expose mutants of the driver"),
 }
 
+_MANNERS: Final[dict[Manner, str]] = {
+    "from behind": "drives into the other from behind",
+    "its rear": "is hit from behind",
+    "while it stands": "is hit while it stands",
+}
+
 
 @dataclass(frozen=True)
 class Answer:
@@ -71,6 +80,7 @@ def page_answers(data: ReportData) -> Iterator[Answer]:
     estimates = summary.estimates
     if data.verdicts:
         yield _answer_verdicts(data)
+    yield _answer_collisions(data)
     if summary.probability is not None:
         yield _answer_probability(summary.probability)
     if estimates.pareto_front is not None:
@@ -128,6 +138,29 @@ def _format_interval(estimate: Estimate) -> str:
     if low == high and estimate.low < estimate.high:
         low, high = (f"{100.0 * bound:.4g} %" for bound in (estimate.low, estimate.high))
     return f"90 % interval {low} to {high}"
+
+
+def _answer_collisions(data: ReportData) -> Answer:
+    name, question, ego = "collisions", "Does it collide?", data.summary.meta.ego
+    hardest = sorted(data.hardest_impacts.items(), key=lambda item: (-np.nan_to_num(item[1].speed), item[0]))
+    scenarios = "the one scenario" if data.summary.n_run == 1 else f"the {data.summary.n_run} scenarios"
+    if not hardest:
+        return Answer(
+            name, question, f"No: {ego} touches {' or '.join(data.summary.meta.others)} in none of {scenarios}."
+        )
+    counts = Counter(impact.entity for _, impact in hardest)
+    hit = _join_with_and([f"{entity} in {count}" for entity, count in counts.most_common()])
+    sentences = [f"Yes: {ego} collides with {hit} of {scenarios}."]
+    manners = Counter(impact.manner for _, impact in hardest)
+    for manner, description in _MANNERS.items():
+        if count := manners[manner]:
+            sentences.append(f"{f'In {count}' if count < len(hardest) else 'Each time'} it {description}.")
+    sentences.append(f"The hardest is scenario {hardest[0][0]}, at a relative speed of {hardest[0][1].speed:.2g} m/s.")
+    points = [
+        f"Scenario {scenario}: {impact.speed:.2g} m/s, with {impact.entity} at {impact.time:.3g} s."
+        for scenario, impact in hardest[:_MAX_POINTS]
+    ]
+    return Answer(name, question, " ".join(sentences), tuple(points))
 
 
 def _answer_critical_share(data: ReportData) -> Answer:

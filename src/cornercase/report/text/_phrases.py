@@ -10,6 +10,7 @@ from typing import Final
 from cornercase._common.plugin_errors import group_failure_messages
 from cornercase._common.text.sanitize import docstring_summary
 from cornercase.clustering import ASPECTS, Analysis, Profile
+from cornercase.drivers._description import format_driver
 from cornercase.metrics import METRICS
 from cornercase.metrics._critical_if import find_critical_if_condition
 from cornercase.report._estimates import CriticalEstimates
@@ -38,11 +39,12 @@ def format_cluster_title(profile: Profile) -> str:
 
 
 def describe_roles(meta: StudyMeta) -> str:
-    """Describe which entity is the ego, and which other entities it is measured against."""
-    others = meta.others
+    """Describe which entity is the ego, who drives it, and which other entities it is measured against."""
+    others, driver = meta.others, meta.drivers.get(meta.ego)
+    tested = f"{meta.ego}, driven by {format_driver(driver)}" if driver else meta.ego
     if len(others) == 1:
-        return f"Under test: {meta.ego}, against {others[0]}."
-    return f"Under test: {meta.ego}, against {', '.join(others[:-1])} and {others[-1]}; the most critical counts."
+        return f"Under test: {tested}, against {others[0]}."
+    return f"Under test: {tested}, against {', '.join(others[:-1])} and {others[-1]}; the most critical counts."
 
 
 def describe_warm_start(meta: StudyMeta) -> str:
