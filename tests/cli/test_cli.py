@@ -309,3 +309,9 @@ def test_a_road_that_climbs_or_banks_is_noticed(tmp_path, profile, noticed):
     run = cornercase("simulate", path, "-o", tmp_path / "r.csv")
     assert run.returncode == 0
     assert ("Without effect: elevation of roads" in run.stderr) == noticed
+
+
+def test_check_says_who_drives():
+    lines = cornercase("check", X).stdout.splitlines()
+    assert "Ego: driven by normal" in lines
+    assert "Truck: moved by the storyboard, without a driver" in lines

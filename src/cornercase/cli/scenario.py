@@ -74,6 +74,8 @@ def _print_check(report: Any) -> None:
     out.print(f"parameters: {', '.join(report.parameters) or 'none'}")
     if report.variables:
         out.print(f"variables: {', '.join(report.variables)}")
+    for name, driver in report.drivers.items():
+        out.print(f"{name}: {f'driven by {driver}' if driver else 'moved by the storyboard, without a driver'}")
     for notice in report.notices:
         # With --strict, adaptations are printed below with their rules.
         if not (report.standard_violations and notice.label == "adapted"):

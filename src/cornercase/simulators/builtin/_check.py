@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -37,6 +39,8 @@ class Check:
         Number of elements by kind.
     parameters, variables : tuple of str
         Names of declared parameters and variables.
+    drivers : mapping of str to str or None
+        By entity: the driver that the file gives it; None if the storyboard moves it, at least at the beginning.
     notices : tuple of Notice
         Parts of the scenario, its catalogs, roads and space that have no effect in the builtin simulator, and why.
     schema : str or None
@@ -56,6 +60,7 @@ class Check:
     contents: dict[str, int]
     parameters: tuple[str, ...]
     variables: tuple[str, ...]
+    drivers: Mapping[str, str | None]
     notices: tuple[Notice, ...]
     schema: str | None
     schema_errors: tuple[str, ...]
@@ -112,6 +117,7 @@ def check(scenario: Path | str | ScenarioFile, space: Path | str | None = None, 
     file = scenario if isinstance(scenario, ScenarioFile) else ScenarioFile.read(scenario)
     tags = Counter(str(e.tag) for e in file.root.iter() if isinstance(e.tag, str))
     run_errors, parameter_space = [], None
+    drivers: dict[str, str | None] = {}
     try:
         concrete = ConcreteScenario(file.path, {}, file)
         if space is not None:
@@ -123,6 +129,8 @@ def check(scenario: Path | str | ScenarioFile, space: Path | str | None = None, 
             run_errors.append(prefix_file(file.path, f"{result}."))
     except InputError as error:
         run_errors.append(str(error))
+    with suppress(InputError):
+        drivers = {name: file.drivers.get(name) for name in file.entities}
     version, schema_violations = _validate_by_schema(file.parse_unnormalized() if strict else file.root)
     if space is not None:
         _, space_violations = _validate_by_schema(read_xml(Path(space)))
@@ -133,6 +141,7 @@ def check(scenario: Path | str | ScenarioFile, space: Path | str | None = None, 
         contents={tag: tags[tag] for tag in _COUNTED_ELEMENTS},
         parameters=file.parameters,
         variables=tuple(e.get("name", "") for e in file.root.iterfind("VariableDeclarations/VariableDeclaration")),
+        drivers=drivers,
         notices=notices,
         schema=version,
         schema_errors=tuple(schema_violations),
