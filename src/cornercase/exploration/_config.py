@@ -184,7 +184,7 @@ class ExplorationConfig(ExplorationOptions):
             # The options may contain paths of this machine.
             simulator=remove_folders(str(self.simulator)),
             settings={**self._stored_settings(), **settings},
-            critical=None if objective.criterion is None else objective.criterion.threshold,
+            critical=objective.threshold,
             elsewhere=warm_start_info or {},
             **fields_of_study,
         )

@@ -111,6 +111,11 @@ class Objective:
         return bool(self.critical_mask(self.minimized(np.array([[scores[metric.name] for metric in self.metrics]])))[0])
 
     @property
+    def threshold(self) -> float | None:
+        """Threshold in the unit of the objective, as studies store it; None if there is none."""
+        return None if self.criterion is None else self.criterion.threshold
+
+    @property
     def label(self) -> str:
         """Text of the objective, such as ``2 ttc + 1 (-speed)``."""
         if self.pareto:
