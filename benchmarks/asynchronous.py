@@ -25,7 +25,6 @@ from cornercase import LogicalScenario
 from cornercase.exploration._asynchronous import AsynchronousExplorer
 from cornercase.exploration._config import ExplorationConfig
 from cornercase.exploration._explorer import ScenarioExplorer
-from cornercase.optimizers import OPTIMIZERS
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import SIMULATORS, Simulator
@@ -84,9 +83,9 @@ def timed(search: str, asynchronous: bool, workers: int, budget: int, folder: Pa
         logical, ego="Ego", other="Pedestrian", metrics=("wttc",), optimizer=search, simulator="sleeping",
         budget=budget, batch=workers, workers=workers, asynchronous=asynchronous, seed=1,
     )  # fmt: skip
-    criterion = configuration.make_criterion()
-    optimizer = OPTIMIZERS.create(search).start(logical.space, 1, threshold=criterion.oriented, budget=budget)
-    meta = configuration.make_study_meta(criterion, {})
+    objective = configuration.make_objective()
+    optimizer = configuration.start_optimizer(objective)
+    meta = configuration.make_study_meta(objective, {})
     kind = AsynchronousExplorer if asynchronous else ScenarioExplorer
     names = [one.name for one in logical.space.parameters]
     with (
@@ -96,7 +95,7 @@ def timed(search: str, asynchronous: bool, workers: int, budget: int, folder: Pa
         middle = logical.concrete_scenario(logical.space.values(logical.space.center_point())[0])
         list(simulator.run([middle] * workers))
         begun, used = time.monotonic(), time.process_time()
-        kind(configuration, simulator, optimizer, study, criterion).run()
+        kind(configuration, simulator, optimizer, study, objective).run()
         took, used = time.monotonic() - begun, time.process_time() - used
         slept = sum(seconds_of([float(row.values[name]) for name in names]) for row in study.finished_rows())
         spent = {stage: round(seconds, 2) for stage, seconds in study.elapsed_by_stage().items()}

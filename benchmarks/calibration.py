@@ -39,6 +39,7 @@ from cornercase.exploration._study_critical_set import audit_sampler, is_score_i
 from cornercase.exploration.stop._stop_rules import StopCriterion
 from cornercase.optimizers import OPTIMIZERS
 from cornercase.scenario import Parameter, ParameterSpace
+from cornercase.study._criterion import Criterion
 
 Floats = npt.NDArray[np.float64]
 Function = Callable[[Floats], Floats]
@@ -213,7 +214,7 @@ def judged(case: Case, search: str, points: Floats, scores: Floats, audit: float
             case.space,
             points,
             scores,
-            case.threshold,
+            Criterion(case.threshold),
             case.seed,
             initial_design=is_score_independent(search, case.space, case.seed, points),
             audits=(audits, case.function(audits)),
@@ -284,7 +285,7 @@ def hidden(seeds: int, budget: int) -> None:
     stopped = wrong = 0
     for seed in range(seeds):
         optimizer = OPTIMIZERS.create("level-set").start(space, seed, threshold=0.0, budget=budget)
-        stopping = StopCriteria([StopCriterion.parse("missed<0.05")], space, 0.0, seed, "level-set")
+        stopping = StopCriteria([StopCriterion.parse("missed<0.05")], space, Criterion(0.0), seed, "level-set")
         points, scores = np.zeros((0, 3)), np.zeros(0)
         while len(points) < budget and stopping.describe_reached() is None:
             new = optimizer.ask(ROUND)
@@ -292,7 +293,7 @@ def hidden(seeds: int, budget: int) -> None:
             optimizer.tell(new, values)
             stopping.add_results(new, values)
             points, scores = np.concatenate([points, new]), np.concatenate([scores, values])
-        missed = float((~CriticalSet(space, points, scores, 0.0, seed).predict(region)).mean())
+        missed = float((~CriticalSet(space, points, scores, Criterion(0.0), seed).predict(region)).mean())
         if len(points) < budget:
             stopped += 1
             wrong += missed > 0.05

@@ -59,6 +59,7 @@ from cornercase.optimizers import (
 )
 from cornercase.scenario import Parameter, ParameterSpace
 from cornercase.simulators import Builtin
+from cornercase.study._criterion import Criterion
 
 # Beside this file; mypy knows it by its package.
 from judging import CLASSIFIERS, CUTS, best_classifier  # type: ignore[import-not-found]
@@ -254,7 +255,7 @@ class Judge:
         row |= self.found(places, seed)
         try:
             known = CriticalSet(
-                self.space, points, self.scores[places], self.case.critical, seed,
+                self.space, points, self.scores[places], Criterion(self.case.critical), seed,
                 initial_design=is_score_independent(kind.partition(",")[0], self.space, seed, points),
                 features=(registered_features(), self.features[places]) if kind == "committee" else None,
             )  # fmt: skip

@@ -40,6 +40,7 @@ from cornercase.metrics import METRICS
 from cornercase.optimizers import LevelSet
 from cornercase.recordings import Recording
 from cornercase.simulators import SIMULATORS
+from cornercase.study._criterion import Criterion
 
 # Beside this file; mypy knows it by its package.
 from exploration import CASES, EXAMPLES, logical, stepped, truth  # type: ignore[attr-defined]
@@ -135,7 +136,7 @@ class Search:
         optimizer, elsewhere = LevelSet().start(self.space, seed, threshold=self.threshold), None
         if begun is not None:
             optimizer.warm_start(*begun)
-            elsewhere = SourceStudyModel(encode_points(self.space, begun[0]), begun[1], self.threshold)
+            elsewhere = SourceStudyModel(encode_points(self.space, begun[0]), begun[1], Criterion(self.threshold))
         everywhere = augment_points(elsewhere, encode_points(self.space, self.lattice))
         points, rows, within = np.zeros((0, len(self._steps))), [], {}
         while len(points) < most:
@@ -145,7 +146,7 @@ class Search:
             at = self.places(points)
             if len(points) >= 2 * ROUND and np.ptp(self.scores[at]) > 0.0:
                 process = fit_boundary_process(
-                    everywhere[at], self.scores[at], self.threshold, has_prediction=elsewhere is not None
+                    everywhere[at], self.scores[at], Criterion(self.threshold), has_prediction=elsewhere is not None
                 )
                 told = process.predict(everywhere)[0] <= 0.0
                 told[at] = self.true[at]
@@ -158,7 +159,7 @@ class Search:
     def _within(self, points: Floats, seed: int, elsewhere: SourceStudyModel | None) -> dict[str, float]:
         """Whether the truth lies within the intervals; NaN where none is given."""
         known = CriticalSet(
-            self.space, points, self.scores[self.places(points)], self.threshold, seed,
+            self.space, points, self.scores[self.places(points)], Criterion(self.threshold), seed,
             initial_design=is_score_independent("level-set", self.space, seed, points), source_model=elsewhere,
         )  # fmt: skip
         missed = 1.0 - (known.predict(self.lattice) & self.true).sum() / self.true.sum()

@@ -34,6 +34,7 @@ from threadpoolctl import threadpool_limits
 from cornercase.evidence.gp._process import encode_points, fit_boundary_process
 from cornercase.optimizers import OPTIMIZERS
 from cornercase.scenario import Parameter, ParameterSpace
+from cornercase.study._criterion import Criterion
 
 Floats = npt.NDArray[np.float64]
 Function = Callable[[Floats], Floats]
@@ -261,7 +262,7 @@ def classifier(
 ) -> Callable[[Floats], npt.NDArray[np.bool_]]:
     """Which scenarios are critical, by the better of a process and of trees for scenarios that were left out."""
     at, critical = encode_points(space, points), scores <= 0.0
-    process = fit_boundary_process(at, scores, 0.0)
+    process = fit_boundary_process(at, scores, Criterion(0.0))
 
     def by_process(places: Floats) -> npt.NDArray[np.bool_]:
         return np.asarray(process.predict(encode_points(space, places))[0] <= 0.0)

@@ -24,6 +24,7 @@ from sklearn.model_selection import StratifiedKFold, cross_val_predict
 from cornercase.evidence._committee import PREDICTED_CRITICAL, CommitteeModel
 from cornercase.evidence.gp._process import fit_boundary_process
 from cornercase.metrics import registered_features
+from cornercase.study._criterion import Criterion
 
 Floats = npt.NDArray[np.float64]
 Probability = Callable[[Floats], Floats]
@@ -38,7 +39,7 @@ def classified(
 ) -> tuple[Floats, Probability]:
     """Probabilities of one kind of classifier: of each run by others, and of scenarios by all runs."""
     if kind == "process":
-        process = fit_boundary_process(points, scores, critical)
+        process = fit_boundary_process(points, scores, Criterion(critical))
         mean, deviation = process.leave_one_out()
 
         def by_process(at: Floats) -> Floats:
@@ -54,7 +55,7 @@ def classified(
         forest.fit(points, side)
         return held, lambda at: np.asarray(forest.predict_proba(at)[:, 1])
     with_features = kind == "committee"
-    committee = CommitteeModel(critical, registered_features() if with_features else (), seed)
+    committee = CommitteeModel(Criterion(critical), registered_features() if with_features else (), seed)
     committee.fit(points, scores, features if with_features else None)
     return committee.out_of_fold_probability(), lambda at: committee.predict(at)[0]
 

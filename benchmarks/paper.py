@@ -43,7 +43,6 @@ from cornercase.reduction._medoids import find_k_medoids
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import Builtin
 from cornercase.study import StudyFile
-from cornercase.study._criterion import Criterion
 from cornercase.study._objective import Objective
 
 Floats = npt.NDArray[np.float64]
@@ -100,8 +99,8 @@ class Experiment:
             if isinstance(run, SimulationError):
                 raise run
             runs.append(run)
-        criterion = Criterion.from_study_meta(meta)
-        metric = criterion.objective.metrics[0]
+        metric, criterion = study.objective.metrics[0], study.criterion
+        assert criterion is not None
         scores = np.array([metric.score(metric.course(one, meta.ego, meta.others[0])) for one in runs])
         critical = criterion.is_critical(np.asarray(metric.to_minimize(scores)))
         runs = [run for run, is_critical in zip(runs, critical, strict=True) if is_critical]

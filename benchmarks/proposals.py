@@ -29,6 +29,7 @@ from threadpoolctl import threadpool_limits
 from cornercase.evidence._critical_set_estimate import CriticalSet
 from cornercase.optimizers import Bayes, LevelSet, Optimizer, Sobol
 from cornercase.scenario import ParameterSpace
+from cornercase.study._criterion import Criterion
 
 Floats = npt.NDArray[np.float64]
 
@@ -100,7 +101,7 @@ def judged(told: int, repeats: int) -> float:
     points = places(told)
 
     def judge() -> None:
-        known = CriticalSet(SPACE, points, scores(points), THRESHOLD)
+        known = CriticalSet(SPACE, points, scores(points), Criterion(THRESHOLD))
         _ = known.critical_fraction, known.missed_fraction
 
     return float(np.median([cpu_seconds(judge) for _ in range(repeats)]))

@@ -24,6 +24,7 @@ from cornercase.evidence._critical_set_estimate import CriticalSet
 from cornercase.exploration._explore import explore_config
 from cornercase.exploration._paper_examples import paper_experiment_config
 from cornercase.study import StudyFile
+from cornercase.study._criterion import Criterion
 from cornercase.study._objective import Objective
 
 
@@ -37,7 +38,7 @@ def explored(name: str, simulator: str, budget: int, workers: int, folder: Path)
         points = np.array([row.point for row in study.finished_rows()])
         space = study.space
         places = space.snap(qmc.Sobol(space.dimension, seed=7).random(4096))
-        found = CriticalSet(space, points, scores, 0.5).predict(places)
+        found = CriticalSet(space, points, scores, Criterion(0.5)).predict(places)
         ends = [study.recording(row.id).time[-1] for row in study.finished_rows()]
         seconds = study.elapsed_by_stage()["simulate"]
         return {

@@ -51,6 +51,25 @@ def test_a_verb_has_at_most_twelve_parameters(method):
     assert len(signature(method).parameters) - 1 <= 12
 
 
+@pytest.mark.parametrize(
+    ("verb", "function"),
+    [
+        (cc.Study.cluster, cc.analyze), (cc.Study.reduce, cc.reduce), (cc.Study.report, cc.write_report),
+        (cc.Study.watch, cc.watch), (cc.Study.replay, cc.replay), (cc.Study.estimate, cc.estimate),
+        (cc.Study.summary, cc.summarize), (cc.Suite.run, cc.run_suite),
+    ],
+)  # fmt: skip
+def test_a_verb_has_the_defaults_of_the_function_that_it_calls(verb, function):
+    defaults = [
+        {name: item.default for name, item in signature(shown).parameters.items() if item.default is not item.empty}
+        for shown in (verb, function)
+    ]
+    # None stands for the function's own default.
+    same = {name for name in defaults[0].keys() & defaults[1].keys() if defaults[0][name] is not None}
+    assert {name: defaults[0][name] for name in same} == {name: defaults[1][name] for name in same}
+    assert "progress" in same or verb in (cc.Study.watch, cc.Study.summary)
+
+
 def test_creating_checks_everything_and_writes_nothing(problem, tmp_path):
     path = tmp_path / "study.db"
     study = cc.Study.create(path, problem, seed=3)

@@ -13,6 +13,7 @@ from cornercase.exploration.stop._stop_rules import StopCriterion
 from cornercase.metrics import Feature
 from cornercase.optimizers import LevelSet, Sobol
 from cornercase.scenario import Constraint, Parameter, ParameterDeclaration, ParameterSpace
+from cornercase.study._criterion import Criterion
 from helpers.search_cases import CUBE, EVERYWHERE, THRESHOLD, explored, two_regions
 
 TRUE = two_regions(EVERYWHERE) <= THRESHOLD
@@ -59,7 +60,7 @@ def test_the_intervals_hold_the_truth_about_as_often_as_they_say():
         for seed in range(8):
             for count in (60, 120):
                 points = qmc.Sobol(3, seed=seed).random(128)[:count]
-                known = CriticalSet(CUBE, points, function(points), threshold, seed)
+                known = CriticalSet(CUBE, points, function(points), Criterion(threshold), seed)
                 missed = (true & ~known.predict(EVERYWHERE)).sum() / true.sum()
                 within["share"] += known.critical_fraction.low <= true.mean() <= known.critical_fraction.high
                 within["missed"] += missed <= known.missed_fraction.high
@@ -73,7 +74,7 @@ def test_the_intervals_hold_the_truth_about_as_often_as_they_say():
 
 def test_less_is_missed_and_more_is_known_the_longer_it_goes_on():
     points = explored(LevelSet().start(CUBE, 1, threshold=THRESHOLD), 200, function=two_regions)
-    early, late = (CriticalSet(CUBE, points[:n], two_regions(points[:n]), THRESHOLD) for n in (50, 200))
+    early, late = (CriticalSet(CUBE, points[:n], two_regions(points[:n]), Criterion(THRESHOLD)) for n in (50, 200))
     assert late.missed_fraction.high < 0.5 * early.missed_fraction.high
     assert late.critical_fraction.high - late.critical_fraction.low < 0.5 * (
         early.critical_fraction.high - early.critical_fraction.low
@@ -85,7 +86,7 @@ def test_less_is_missed_and_more_is_known_the_longer_it_goes_on():
 def test_a_region_in_which_nothing_was_run_is_reckoned_with():
     points = qmc.Sobol(3, seed=3).random(128)
     ball = np.linalg.norm(points - (0.8, 0.75, 0.5), axis=1) < 0.3
-    known, blind = (CriticalSet(CUBE, p, two_regions(p), THRESHOLD) for p in (points, points[~ball]))
+    known, blind = (CriticalSet(CUBE, p, two_regions(p), Criterion(THRESHOLD)) for p in (points, points[~ball]))
     # A ball of 0.3 is 11 % of the cube.
     assert known.unexplored_fraction(0.02) < 0.04
     assert known.unexplored_fraction(0.02) + 0.01 < blind.unexplored_fraction(0.02) < 0.11
@@ -95,7 +96,7 @@ def test_a_region_in_which_nothing_was_run_is_reckoned_with():
 def test_on_a_line_a_region_in_which_something_was_run_is_not_overlooked():
     line = ParameterSpace.from_ranges(["a=0:1"])
     points = Sobol().start(line, 0).ask(80)
-    known = CriticalSet(line, points, np.abs(points[:, 0] - 0.55), 0.2)
+    known = CriticalSet(line, points, np.abs(points[:, 0] - 0.55), Criterion(0.2))
     assert known.critical_fraction.value == pytest.approx(0.4, abs=0.01)
     assert known.p_overlooked_region() == 0.0
 
@@ -106,7 +107,7 @@ def test_a_region_that_the_process_foretells_is_overlooked_until_something_is_ru
 
     points = qmc.Sobol(3, seed=3).random(128)
     apart = np.abs(points[:, 0] - 0.75) > 0.12
-    known, blind = (CriticalSet(CUBE, p, waves(p), 0.0) for p in (points, points[apart]))
+    known, blind = (CriticalSet(CUBE, p, waves(p), Criterion(0.0)) for p in (points, points[apart]))
     assert known.p_overlooked_region(0.02) < 0.05
     assert blind.p_overlooked_region(0.02) > known.p_overlooked_region(0.02)
 
@@ -117,7 +118,7 @@ def test_of_a_space_that_was_run_whole_all_is_known():
     )
     points = space.full_factorial()
     scores = np.abs(points[:, 0] - points[:, 2]) + (space.parameters[1].level_indices(points[:, 1]) == 1)
-    known = CriticalSet(space, points, scores, 0.25)
+    known = CriticalSet(space, points, scores, Criterion(0.25))
     assert (
         known.critical_fraction.low == known.critical_fraction.high == pytest.approx((scores <= 0.25).mean(), abs=1e-3)
     )
@@ -131,7 +132,7 @@ def test_of_few_scenarios_that_were_all_run_all_is_known(threshold, share):
     points = space.full_factorial()
     scores = np.arange(12.0)
     # The search chose the least scores first; that does not matter once all scenarios were run.
-    known = CriticalSet(space, points, scores, threshold, initial_design=np.zeros(12, dtype=np.bool_))
+    known = CriticalSet(space, points, scores, Criterion(threshold), initial_design=np.zeros(12, dtype=np.bool_))
     assert known.interval_unavailable is known.missed_interval_unavailable is None
     assert (known.critical_fraction.low, known.critical_fraction.value, known.critical_fraction.high) == pytest.approx(
         (share, share, share)
@@ -139,7 +140,9 @@ def test_of_few_scenarios_that_were_all_run_all_is_known(threshold, share):
     assert (known.missed_fraction.value, known.missed_fraction.high) == (0.0, 0.0)
     scores[0] = np.nan
     assert "only 0" in (
-        CriticalSet(space, points, scores, threshold, initial_design=np.zeros(12, dtype=np.bool_)).interval_unavailable
+        CriticalSet(
+            space, points, scores, Criterion(threshold), initial_design=np.zeros(12, dtype=np.bool_)
+        ).interval_unavailable
         or ""
     )
 
@@ -150,7 +153,7 @@ def test_constraints_that_leave_little_leave_enough_places(seed):
     declarations = [ParameterDeclaration("x", "double", "0.5", strip), ParameterDeclaration("y", "double", "0.5", ())]
     space = ParameterSpace.from_ranges(["x=0:1", "y=0:1"]).with_constraints(declarations)
     points = Sobol().start(space, seed).ask(60)
-    known = CriticalSet(space, points, points.sum(axis=1), 0.7, seed)
+    known = CriticalSet(space, points, points.sum(axis=1), Criterion(0.7), seed)
     assert known.critical_fraction.value == pytest.approx(0.2, abs=0.001)
 
 
@@ -158,7 +161,7 @@ def test_no_more_can_be_critical_than_what_was_not_run():
     space = ParameterSpace([Parameter("a", 0, 4, 1.0), Parameter("b", 0, 5, 1.0)])
     points = Sobol().start(space, 0).ask(29)
     scores = points.sum(axis=1)
-    none, every = (CriticalSet(space, points, scores, threshold) for threshold in (-1.0, 9.0))
+    none, every = (CriticalSet(space, points, scores, Criterion(threshold)) for threshold in (-1.0, 9.0))
     assert none.critical_fraction.high == pytest.approx(1 / 30)
     assert every.critical_fraction.low == pytest.approx(29 / 30)
 
@@ -169,18 +172,18 @@ def test_failed_scenarios_do_not_count_and_too_few_say_nothing():
     failed = np.where(points[:, 2] > 0.7, np.nan, scores)
     kept = np.isfinite(failed)
     with_failed, without = (
-        CriticalSet(CUBE, points, failed, THRESHOLD),
-        CriticalSet(CUBE, points[kept], scores[kept], THRESHOLD),
+        CriticalSet(CUBE, points, failed, Criterion(THRESHOLD)),
+        CriticalSet(CUBE, points[kept], scores[kept], Criterion(THRESHOLD)),
     )
     assert estimates(with_failed) == estimates(without)
     for few in (scores[:9], np.ones(20)):
         with pytest.raises(ValueError, match="10 different scores"):
-            CriticalSet(CUBE, points[: len(few)], few, THRESHOLD)
+            CriticalSet(CUBE, points[: len(few)], few, Criterion(THRESHOLD))
 
 
 def test_no_critical_scenario_at_all_leaves_a_small_share():
     points = qmc.Sobol(3, seed=0).random(128)
-    known = CriticalSet(CUBE, points, two_regions(points) + 3.0, THRESHOLD)
+    known = CriticalSet(CUBE, points, two_regions(points) + 3.0, Criterion(THRESHOLD))
     assert known.critical_fraction.high < 0.05
     assert known.missed_fraction.low == 1.0
 
@@ -188,9 +191,9 @@ def test_no_critical_scenario_at_all_leaves_a_small_share():
 @pytest.mark.parametrize("threads", [1, 2])
 def test_it_says_the_same_again_whatever_the_number_of_threads(monkeypatch, threads):
     points = qmc.Sobol(3, seed=0).random(64)
-    expected = estimates(CriticalSet(CUBE, points, two_regions(points), THRESHOLD, 5))
+    expected = estimates(CriticalSet(CUBE, points, two_regions(points), Criterion(THRESHOLD), 5))
     monkeypatch.setattr("cornercase.evidence.gp._process.count_available_cpus", lambda: threads)
-    assert estimates(CriticalSet(CUBE, points, two_regions(points), THRESHOLD, 5)) == expected
+    assert estimates(CriticalSet(CUBE, points, two_regions(points), Criterion(THRESHOLD), 5)) == expected
 
 
 def test_criteria_are_read():
@@ -212,13 +215,13 @@ def test_criteria_are_read():
 
 def test_before_anything_critical_was_met_the_share_is_bounded_by_what_was_run():
     points = qmc.Sobol(3, seed=0).random(64)[:40]
-    known = CriticalSet(CUBE, points, two_regions(points) + 3.0, THRESHOLD)
+    known = CriticalSet(CUBE, points, two_regions(points) + 3.0, Criterion(THRESHOLD))
     # The rule of three.
     assert known.critical_fraction.low == 0.0
     assert known.critical_fraction.high == pytest.approx(3 / 40, rel=0.05)
     # Scenarios chosen by scores give no interval.
     blindly = np.arange(40) < 20
-    fewer = CriticalSet(CUBE, points, two_regions(points) + 3.0, THRESHOLD, initial_design=blindly)
+    fewer = CriticalSet(CUBE, points, two_regions(points) + 3.0, Criterion(THRESHOLD), initial_design=blindly)
     assert fewer.critical_fraction.high == pytest.approx(3 / 20, rel=0.1)
     assert known.p_overlooked_region() == known.unexplored_fraction() > 0.2
     for text in ("interval<0.05", "overlooked<0.05", "missed<0.05"):
@@ -229,7 +232,7 @@ def test_before_anything_critical_was_met_the_share_is_bounded_by_what_was_run()
 def test_while_all_that_was_met_is_critical_the_share_is_bounded_by_what_was_run():
     # Everything is critical except a corner of 3 % of the cube that no score points to.
     points = Sobol().start(CUBE, 0).ask(40)
-    known = CriticalSet(CUBE, points, points.sum(axis=1), 9.0)
+    known = CriticalSet(CUBE, points, points.sum(axis=1), Criterion(9.0))
     assert known.critical_fraction.value == known.critical_fraction.high == 1.0
     assert known.critical_fraction.low == pytest.approx(1.0 - 3 / 40, rel=0.05)
     assert StopCriterion.parse("interval<0.05").evaluate(known) >= 0.05
@@ -239,7 +242,7 @@ def test_two_sets_are_drawn_independently():
     points = qmc.Sobol(3, seed=0).random(64)
     rng = np.random.default_rng(3)
     scores = rng.normal(size=(2, 64))
-    one, other = (CriticalSet(CUBE, points, each, 0.0) for each in scores)
+    one, other = (CriticalSet(CUBE, points, each, Criterion(0.0)) for each in scores)
     # For noise, the fraction of one set in another is the size of the other.
     assert one.fraction_inside(other).value == pytest.approx(other.critical_fraction.value, abs=0.03)
     # Also for the same scores, drawn twice: nothing predicts where they are critical.
@@ -249,7 +252,7 @@ def test_two_sets_are_drawn_independently():
 def test_a_scenario_of_a_finite_space_is_critical_or_not_in_one_draw():
     space = ParameterSpace([Parameter("a", 0, 4, 1.0), Parameter("b", 0, 5, 1.0)])
     points = space.full_factorial()
-    known = CriticalSet(space, points[::2], np.random.default_rng(0).normal(size=15), 0.0)
+    known = CriticalSet(space, points[::2], np.random.default_rng(0).normal(size=15), Criterion(0.0))
     (at, weights), drawn = known._joint_points, known._parts_samples.joint_draws
     places = known._sample.points[at]
     assert len(np.unique(places, axis=0)) == len(places) == len(drawn) == 30
@@ -265,7 +268,7 @@ def test_draws_without_a_critical_place_do_not_count_as_nothing_missed(seed):
     rng = np.random.default_rng(seed)
     points, scores = rng.random((60, 3)), rng.normal(size=60)
     # One scenario is critical, by noise: nearly the whole critical set is missed.
-    known = CriticalSet(CUBE, points, scores, float(np.sort(scores)[:2].mean()))
+    known = CriticalSet(CUBE, points, scores, Criterion(float(np.sort(scores)[:2].mean())))
     assert known.predict(EVERYWHERE).mean() < 0.01
     assert known.missed_fraction.low > 0.5
 
@@ -273,7 +276,7 @@ def test_draws_without_a_critical_place_do_not_count_as_nothing_missed(seed):
 def test_a_ball_keeps_to_the_space_in_ten_dimensions():
     space = ParameterSpace.from_ranges([f"p{k}=0:1" for k in range(10)])
     points = qmc.Sobol(10, seed=1).random(128)
-    known = CriticalSet(space, points, points.sum(axis=1), 4.0)
+    known = CriticalSet(space, points, points.sum(axis=1), Criterion(4.0))
     rng = np.random.default_rng(0)
     for size in (0.01, 0.05):
         # Balls around random places, as large as the share of the space that they really take.
@@ -286,8 +289,8 @@ def test_a_ball_keeps_to_the_space_in_ten_dimensions():
 def test_audits_correct_what_is_said_and_never_say_what_is_found():
     points = qmc.Sobol(3, seed=3).random(64)
     audits = np.random.default_rng(5).random((200, 3))
-    alone = CriticalSet(CUBE, points, two_regions(points), THRESHOLD)
-    known = CriticalSet(CUBE, points, two_regions(points), THRESHOLD, audits=(audits, two_regions(audits)))
+    alone = CriticalSet(CUBE, points, two_regions(points), Criterion(THRESHOLD))
+    known = CriticalSet(CUBE, points, two_regions(points), Criterion(THRESHOLD), audits=(audits, two_regions(audits)))
     np.testing.assert_array_equal(known.predict(EVERYWHERE), alone.predict(EVERYWHERE))
     missed = (TRUE & ~known.predict(EVERYWHERE)).sum() / TRUE.sum()
     assert (
@@ -307,21 +310,23 @@ def test_audits_correct_what_is_said_and_never_say_what_is_found():
 def test_where_too_little_was_chosen_blindly_no_interval_is_given_and_it_says_why():
     points = qmc.Sobol(3, seed=3).random(64)
     scores, first = two_regions(points), np.arange(64)
-    known = CriticalSet(CUBE, points, scores, THRESHOLD, initial_design=first < 15)
+    known = CriticalSet(CUBE, points, scores, Criterion(THRESHOLD), initial_design=first < 15)
     assert known.interval_unavailable is not None
     assert "only 15" in known.interval_unavailable
     assert known.missed_interval_unavailable == known.interval_unavailable
     assert (
         StopCriterion.parse("interval<0.5").evaluate(known) == StopCriterion.parse("missed<0.9").evaluate(known) == 1.0
     )
-    few = CriticalSet(CUBE, points, scores, THRESHOLD, initial_design=(scores > THRESHOLD) | (first < 1))
+    few = CriticalSet(CUBE, points, scores, Criterion(THRESHOLD), initial_design=(scores > THRESHOLD) | (first < 1))
     assert few.interval_unavailable is None
     assert few.missed_interval_unavailable is not None
     assert "are critical" in few.missed_interval_unavailable
     audits = np.random.default_rng(5).random((60, 3))
     both = (audits, two_regions(audits))
     assert (
-        CriticalSet(CUBE, points, scores, THRESHOLD, initial_design=first < 0, audits=both).missed_interval_unavailable
+        CriticalSet(
+            CUBE, points, scores, Criterion(THRESHOLD), initial_design=first < 0, audits=both
+        ).missed_interval_unavailable
         is None
     )
 
@@ -333,7 +338,7 @@ def test_where_nothing_was_missed_yet_the_interval_reaches_to_0():
     def wave(at):
         return np.cos(7.0 * at[:, 0]) + 0.2
 
-    known = CriticalSet(line, points, wave(points), 0.0)
+    known = CriticalSet(line, points, wave(points), Criterion(0.0))
     missed = (~known.predict(everywhere[wave(everywhere) <= 0.0])).mean()
     assert missed < 1e-3
     assert known.missed_fraction.low == 0.0
@@ -342,7 +347,7 @@ def test_where_nothing_was_missed_yet_the_interval_reaches_to_0():
 
 def test_a_region_that_nothing_points_to_keeps_the_search_going():
     points = qmc.Sobol(3, seed=3).random(128)
-    known = CriticalSet(CUBE, points, two_regions(points), THRESHOLD)
+    known = CriticalSet(CUBE, points, two_regions(points), Criterion(THRESHOLD))
     # A ball of the size that escapes one time in twenty, beside the share that is known.
     centres = np.random.default_rng(0).random((400, 3))
     ball = (
@@ -372,8 +377,8 @@ def test_features_of_the_recordings_find_what_one_process_of_the_scores_cannot()
     scores, features = jumping(points)
     scores[7], features[7] = np.nan, np.nan
     true = jumping(everywhere)[0] <= 1.0
-    plain = CriticalSet(CUBE, points, scores, 1.0, 3).predict(everywhere)
-    known = CriticalSet(CUBE, points, scores, 1.0, 3, features=(columns, features))
+    plain = CriticalSet(CUBE, points, scores, Criterion(1.0), 3).predict(everywhere)
+    known = CriticalSet(CUBE, points, scores, Criterion(1.0), 3, features=(columns, features))
     found = known.predict(everywhere)
     assert known.uses_committee
     assert (found == true).mean() > (plain == true).mean() + 0.03

@@ -15,6 +15,7 @@ from cornercase.evidence.gp import _posterior as posterior_module
 from cornercase.evidence.gp._kernel import MaternKernel, indices_with_rare_values
 from cornercase.evidence.gp._posterior import ExactPosterior, SparsePosterior
 from cornercase.evidence.gp._process import GaussianProcess, fit_boundary_process, squash_around_threshold, squash_scale
+from cornercase.study._criterion import Criterion
 from helpers.search_cases import CUBE, EVERYWHERE, THRESHOLD, two_regions
 
 kernels = st.builds(
@@ -96,9 +97,9 @@ def test_points_that_stand_for_all_make_the_process_of_the_equations(kernel, cou
 
 def test_points_that_stand_for_all_tell_nearly_as_much(monkeypatch):
     points = qmc.Sobol(3, seed=4).random(1024)
-    few = CriticalSet(CUBE, points, two_regions(points), THRESHOLD)
+    few = CriticalSet(CUBE, points, two_regions(points), Criterion(THRESHOLD))
     monkeypatch.setattr(posterior_module, "MAX_EXACT_VALUES", 2000)
-    every = CriticalSet(CUBE, points, two_regions(points), THRESHOLD)
+    every = CriticalSet(CUBE, points, two_regions(points), Criterion(THRESHOLD))
     true = two_regions(EVERYWHERE) <= THRESHOLD
     wrong = [(known.predict(EVERYWHERE) != true).mean() for known in (few, every)]
     assert wrong[0] < 1.3 * wrong[1] < 0.01
@@ -129,7 +130,7 @@ def test_more_values_change_neither_the_kernel_nor_the_process_before():
 
 def test_the_level_of_groups_is_that_of_all_places():
     points = qmc.Sobol(3, seed=3).random(64)
-    known = CriticalSet(CUBE, points, two_regions(points), THRESHOLD)
+    known = CriticalSet(CUBE, points, two_regions(points), Criterion(THRESHOLD))
     among = known._is_found
     every = known._parts_samples._critical_deviate_limits(np.arange(len(known._z)))
     (at, weights), drawn = known._joint_points, known._parts_samples.joint_draws
@@ -153,7 +154,7 @@ def test_a_rare_region_that_was_met_is_not_lost_among_more_scenarios():
     """Seven of 1,000 scenarios lie in a ball of 0.65 % of the cube, on a score that is the same everywhere else."""
     points = qmc.Sobol(3, seed=2).random(1024)
     depth = np.linalg.norm(points - (0.7, 0.3, 0.6), axis=1) - 0.116
-    known = fit_boundary_process(points, np.minimum(depth, 0.05), 0.0)
+    known = fit_boundary_process(points, np.minimum(depth, 0.05), Criterion(0.0))
     critical = np.linalg.norm(EVERYWHERE - (0.7, 0.3, 0.6), axis=1) <= 0.116
     found = known.predict(EVERYWHERE)[0] <= 0.0
     assert (found & critical).sum() > 0.5 * critical.sum()
@@ -166,7 +167,7 @@ def test_what_lies_far_from_the_threshold_counts_where_the_function_is_smooth(di
     phases = np.linspace(0.0, 5.0, dimension)
     scores, true = (np.sin(4.0 * one + phases).sum(axis=1) for one in (points, places))
     threshold = float(np.quantile(true, 0.05))
-    process = fit_boundary_process(points, scores, threshold)
-    near = GaussianProcess().fit(points, squash_around_threshold(scores, threshold, squash_scale(scores)))
+    process = fit_boundary_process(points, scores, Criterion(threshold))
+    near = GaussianProcess().fit(points, squash_around_threshold(scores, Criterion(threshold), squash_scale(scores)))
     wrong = [((one.predict(places)[0] <= 0.0) != (true <= threshold)).mean() for one in (process, near)]
     assert wrong[0] < 0.8 * wrong[1]

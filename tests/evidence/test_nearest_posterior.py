@@ -11,6 +11,7 @@ from cornercase.evidence.gp._kernel import MaternKernel
 from cornercase.evidence.gp._nearest import NearestPosterior
 from cornercase.evidence.gp._process import GaussianProcess, fit_boundary_process
 from cornercase.scenario import ParameterSpace
+from cornercase.study._criterion import Criterion
 
 KERNEL = MaternKernel(np.array([0.3, 0.5, 2.0]), 1.5, 0.1)
 CUBE = ParameterSpace.from_ranges(["a=0:1", "b=0:1", "c=0:1"])
@@ -63,7 +64,7 @@ def test_of_many_scenarios_the_nearest_follow_a_boundary_that_few_points_smooth_
 
     def wrong(most_together):
         monkeypatch.setattr(GaussianProcess, "max_induced_values", most_together)
-        mean, deviation = fit_boundary_process(points, scores, 0.0).predict(places)
+        mean, deviation = fit_boundary_process(points, scores, Criterion(0.0)).predict(places)
         # Errors are where the process is uncertain.
         assert (np.abs(mean / deviation)[(mean <= 0.0) != true] < 4.0).mean() > 0.9
         return ((mean <= 0.0) != true).mean()
@@ -76,7 +77,7 @@ def test_of_many_scenarios_the_nearest_follow_a_boundary_that_few_points_smooth_
 @pytest.mark.slow
 def test_what_is_said_of_the_critical_set_of_many_scenarios_holds(many):
     points, scores = many
-    known = CriticalSet(CUBE, points, scores, 0.0)
+    known = CriticalSet(CUBE, points, scores, Criterion(0.0))
     dense = qmc.Sobol(3, seed=np.random.default_rng(4)).random(1 << 17)
     true = waved(dense) <= 0.0
     assert known.critical_fraction.low < true.mean() < known.critical_fraction.high

@@ -12,6 +12,7 @@ from conftest import at_night
 from cornercase.evidence._critical_set_estimate import CriticalSet
 from cornercase.evidence.gp._process import GaussianProcess, fit_boundary_process, squash_around_threshold, squash_scale
 from cornercase.scenario import ParameterSpace
+from cornercase.study._criterion import Criterion
 
 
 def vee(points):
@@ -39,7 +40,7 @@ def values_of(function, points, share=0.15):
     """Values for a process, with the threshold at 0, and the threshold."""
     threshold = float(np.quantile(function(sobol(points.shape[1], 4096, 9)), share))
     scores = function(points)
-    return squash_around_threshold(scores, threshold, squash_scale(scores)), threshold
+    return squash_around_threshold(scores, Criterion(threshold), squash_scale(scores)), threshold
 
 
 @FUNCTIONS
@@ -76,7 +77,7 @@ def test_as_much_is_found_as_by_a_process_that_scikit_learn_learns(dimension, fu
 
     kernel = ConstantKernel() * Matern(np.full(dimension, 0.5), nu=2.5) + WhiteKernel(1e-3, (1e-8, 1.0))
     peer = GaussianProcessRegressor(kernel, normalize_y=True).fit(points, values)
-    ours = fit_boundary_process(points, function(points), threshold).predict(places)[0]
+    ours = fit_boundary_process(points, function(points), Criterion(threshold)).predict(places)[0]
     assert wrong(ours) <= wrong(peer.predict(places)) + 0.02
 
 
@@ -86,7 +87,7 @@ def test_more_scenarios_of_one_parameter_never_tell_less(count, spread):
     points = sobol(1, count) if spread == "sobol" else np.linspace(0, 1, count)[:, None]
     places = np.random.default_rng(1).random((4000, 1))
     for function, threshold in ((vee, 0.1), (bowl, 0.01), (wave, 0.0)):
-        known = CriticalSet(LINE, points, function(points), threshold)
+        known = CriticalSet(LINE, points, function(points), Criterion(threshold))
         critical, found = function(places) <= threshold, known.predict(places)
         assert (found != critical).sum() <= 0.01 * critical.sum()
         share = (function(np.linspace(0, 1, 100_001)[:, None]) <= threshold).mean()

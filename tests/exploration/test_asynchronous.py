@@ -26,7 +26,6 @@ from cornercase.exploration._verify_proposals import verify_proposals
 from cornercase.metrics import METRICS
 from cornercase.optimizers import OPTIMIZERS, Optimizer, Sobol
 from cornercase.study import StudyFile
-from cornercase.study._objective import Objective
 from helpers import synthetic_study as synthetic
 from helpers.checksums import reseal
 from helpers.synthetic_study import LOGICAL, SPACE, Synthetic
@@ -105,20 +104,20 @@ def fresh(one):
 
 def explored(path, one, simulator=None, optimizer=None):
     """Start or resume an exploration without rounds."""
-    criterion = one.make_criterion(Objective([METRICS.create("distance")]))
+    objective = one.make_objective([METRICS.create("distance")])
     with (
         StudyFile.open(path, readonly=False)
         if path.exists()
-        else StudyFile.create(path, one.make_study_meta(criterion, {})) as study
+        else StudyFile.create(path, one.make_study_meta(objective, {})) as study
     ):
-        study.writer.resume(one.make_study_meta(criterion, {}))
+        study.writer.resume(one.make_study_meta(objective, {}))
         searching = fresh(one) if optimizer is None else optimizer
-        return AsynchronousExplorer(one, simulator or Synthetic(), searching, study, criterion).run()
+        return AsynchronousExplorer(one, simulator or Synthetic(), searching, study, objective).run()
 
 
 def proposed_again(path, one):
-    criterion = one.make_criterion(Objective([METRICS.create("distance")]))
-    return verify_proposals(path, one.make_study_meta(criterion, {}), criterion.objective, fresh(one))
+    objective = one.make_objective([METRICS.create("distance")])
+    return verify_proposals(path, one.make_study_meta(objective, {}), objective, fresh(one))
 
 
 def contents(path):

@@ -21,7 +21,6 @@ from cornercase.report import summarize, write_report
 from cornercase.report.text._show import summary_to_dict
 from cornercase.scenario import LogicalScenario, ParameterSpace
 from cornercase.study import StudyFile
-from cornercase.study._objective import Objective
 from helpers.synthetic_study import LOGICAL, SPACE, Synthetic
 
 AUDITED: dict[str, Any] = {"optimizer": "bayes", "audit": 0.2, "budget": 60, "metrics": ("distance",), "critical": 1.0}
@@ -48,14 +47,14 @@ class Listening(Optimizer):
 def explored(path, simulator=None, **options):
     """Start or resume the exploration of a synthetic scenario with audits."""
     about = ExplorationConfig(LOGICAL, ego="Ego", other="B", seed=7, **AUDITED | options)
-    criterion = about.make_criterion(Objective([METRICS.create("distance")]))
+    objective = about.make_objective([METRICS.create("distance")])
     optimizer = Listening(OPTIMIZERS.resolve(about.optimizer, "optimizer").start(SPACE, 7))
     with (
         StudyFile.open(path, readonly=False)
         if path.exists()
-        else StudyFile.create(path, about.make_study_meta(criterion, {})) as study
+        else StudyFile.create(path, about.make_study_meta(objective, {})) as study
     ):
-        ScenarioExplorer(about, simulator or Synthetic(), optimizer, study, criterion).run()
+        ScenarioExplorer(about, simulator or Synthetic(), optimizer, study, objective).run()
     return optimizer
 
 
@@ -134,10 +133,10 @@ def synthetic_scores(points):
 def test_a_space_that_is_used_up_ends_the_search_though_audits_are_wanted(tmp_path):
     small = LogicalScenario(Path("synthetic.xosc"), ParameterSpace.from_ranges(["a=0:0.8:0.2", "b=0:1:0.5"]), "0")
     about = ExplorationConfig(small, ego="Ego", other="B", seed=7, **AUDITED | {"optimizer": "sobol", "audit": 0.3})
-    criterion = about.make_criterion(Objective([METRICS.create("distance")]))
+    objective = about.make_objective([METRICS.create("distance")])
     optimizer = OPTIMIZERS.create("sobol").start(small.space, 7)
-    with StudyFile.create(tmp_path / "s.db", about.make_study_meta(criterion, {})) as study:
-        result = ScenarioExplorer(about, Synthetic(), optimizer, study, criterion).run()
+    with StudyFile.create(tmp_path / "s.db", about.make_study_meta(objective, {})) as study:
+        result = ScenarioExplorer(about, Synthetic(), optimizer, study, objective).run()
         searched = [row.point for row in study.rows() if not study.meta.is_audit(row.id)]
     assert "all" in result.reason
     assert len(np.unique(searched, axis=0)) == len(searched) == 15

@@ -188,14 +188,14 @@ def test_where_the_second_run_fails_the_scenario_does(tmp_path):
     about = ExplorationConfig(
         LOGICAL, ego="Ego", other="B", metrics=("distance",), critical_if="reference:cautious", budget=4, batch=4
     )
-    criterion = about.make_criterion()
+    objective = about.make_objective()
     path = tmp_path / "s.db"
-    with StudyFile.create(path, about.make_study_meta(criterion, {})) as opened:
+    with StudyFile.create(path, about.make_study_meta(objective, {})) as opened:
         optimizer = OPTIMIZERS.create("sobol").start(LOGICAL.space, 0)
         with pytest.raises(InputError, match="no simulator in which cautious drives the ego"):
-            ScenarioExplorer(about, Synthetic(), optimizer, opened, criterion)
+            ScenarioExplorer(about, Synthetic(), optimizer, opened, objective)
         references = {"cautious": Failing()}
-        ScenarioExplorer(about, Synthetic(), optimizer, opened, criterion, references).run()
+        ScenarioExplorer(about, Synthetic(), optimizer, opened, objective, references).run()
         assert not opened.finished_rows()
         assert "run again with reference:cautious: out of order" in {row.error for row in opened.failed_rows()}
 

@@ -66,9 +66,8 @@ def test_it_goes_on_as_it_was_without_the_other_study(tmp_path, other):
         assert not np.array_equal(begun.points(), cold.points())
         assert StudyMeta.from_json(begun.meta.to_json()) == begun.meta
         # The estimate of the critical set uses the other study and the scenarios of this one.
-        scores = begun.scores("wttc")
-        assert 0.0 < estimate_critical_set(begun, scores, 0.5).critical_fraction.value < 1.0
-        assert len(scores) == 30
+        assert 0.0 < estimate_critical_set(begun.with_critical(0.5)).critical_fraction.value < 1.0
+        assert len(begun.points()) == 30
     summarize(tmp_path / "once.db")
 
 

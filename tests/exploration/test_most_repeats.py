@@ -30,6 +30,7 @@ from cornercase.report._commands import format_study_file
 from cornercase.scenario import LogicalScenario, ParameterSpace
 from cornercase.simulators import Simulator
 from cornercase.study import StudyFile
+from cornercase.study._criterion import Criterion
 from cornercase.study._run_rates import MIN_DECISIVE_RUNS, is_criticality_undecided
 
 SPACE = ParameterSpace.from_ranges(["often=0:1"])
@@ -92,7 +93,7 @@ def about(**more):
 
 
 def explored(path, one, simulator):
-    meta = one.make_study_meta(one.make_criterion(), {})
+    meta = one.make_study_meta(one.make_objective(), {})
     optimizer = OPTIMIZERS.create("sobol").start(SPACE, 3, threshold=THRESHOLD, budget=one.budget)
     kind = AsynchronousExplorer if one.asynchronous else ScenarioExplorer
     with StudyFile.open(path, readonly=False) if path.exists() else StudyFile.create(path, meta) as study:
@@ -175,7 +176,9 @@ def test_how_often_repeated_looks_mislead_is_as_the_documentation_says():
             for before, chance in met.items():
                 for k in range(6):
                     more[before + k] += chance * binom.pmf(k, 5, probability)
-            is_still_open = {k: is_criticality_undecided([0.0] * k + [1.0] * (ran - k), 0.5) for k in more if k <= ran}
+            is_still_open = {
+                k: is_criticality_undecided([0.0] * k + [1.0] * (ran - k), Criterion(0.5)) for k in more if k <= ran
+            }
             for k, chance in more.items():
                 if k <= ran and not is_still_open[k]:
                     sides[2 * k > ran] += chance
@@ -186,7 +189,7 @@ def test_how_often_repeated_looks_mislead_is_as_the_documentation_says():
     assert [ends(one)[1] for one in (0.4, 0.3)] == pytest.approx([0.016, 0.003], abs=0.0005)
     assert [ends(one)[2] for one in (0.5, 0.3, 0.1)] == pytest.approx([43.8, 24.0, 8.4], abs=0.05)
     assert [
-        all(is_criticality_undecided([0.0] * k + [1.0] * (n - k), 0.5) for k in range(n + 1))
+        all(is_criticality_undecided([0.0] * k + [1.0] * (n - k), Criterion(0.5)) for k in range(n + 1))
         for n in (4, MIN_DECISIVE_RUNS)
     ] == [
         True,

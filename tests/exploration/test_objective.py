@@ -46,7 +46,10 @@ def test_lower_is_always_more_critical():
     np.testing.assert_array_equal(both.minimized(scores), [1.0, -3.0])
     assert both.label == "2 ttc + 0.5 (-drac)"
     np.testing.assert_array_equal(Objective([TTC, DRAC], pareto=True).minimized(scores), [[1.5, -4.0], [0.5, -8.0]])
-    assert Criterion.from_given(Objective([DRAC]), 3.0).oriented == -3.0
+    criterion = Criterion(3.0, lower_is_critical=False, unit="m/s²")
+    assert Objective([DRAC], threshold=3.0).criterion == criterion
+    assert criterion.is_critical(np.array([-4.0, -3.0, -2.0, np.nan])).tolist() == [True, True, False, False]
+    assert (criterion.oriented, str(criterion)) == (-3.0, ">= 3 m/s²")
     # Unused scores may be undefined.
     np.testing.assert_array_equal(Objective([TTC, DRAC]).minimized(np.array([[1.5, np.nan]])), [1.5])
 
@@ -66,9 +69,9 @@ def test_what_cannot_be_searched_is_refused(weights, pareto, words):
 
 def test_what_is_critical_needs_one_score():
     with pytest.raises(InputError, match="has no threshold"):
-        Criterion.from_given(Objective([TTC, DRAC], pareto=True), 1.0)
+        Objective([TTC, DRAC], pareto=True).with_threshold(1.0)
     with pytest.raises(InputError, match="the weighted sum up to which"):
-        Criterion.from_given(Objective([TTC, DRAC], {"ttc": 1.0}), None)
+        Objective([TTC, DRAC], {"ttc": 1.0}).with_threshold(None)
 
 
 @given(arrays(np.float64, st.tuples(st.integers(1, 25), st.integers(1, 3)), elements=st.integers(0, 4).map(float)))

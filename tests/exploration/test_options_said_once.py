@@ -61,7 +61,7 @@ for name, given in {"given": {"mood": 7}, "default": {}}.items():
     study = folder / f"{name}.db"
     logical = cornercase.LogicalScenario.read(f"{files}.xosc", options["space"])
     config = ExplorationConfig(logical, ego="Ego", other="Pedestrian", metrics=("distance",), **given)
-    StudyFile.create(study, config.make_study_meta(config.make_criterion(), {"time_step": 0.1}, study=study)).close()
+    StudyFile.create(study, config.make_study_meta(config.make_objective(), {"time_step": 0.1}, study=study)).close()
     with StudyFile.open(study, readonly=True) as opened:
         found[name] = {
             "settings": opened.meta.settings.get("mood"), "command": format_command(opened.meta),

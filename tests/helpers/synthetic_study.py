@@ -26,7 +26,6 @@ from cornercase.scenario import LogicalScenario, ParameterSpace
 from cornercase.simulators import Simulator
 from cornercase.study import StudyFile, StudyMeta
 from cornercase.study._criterion import Criterion
-from cornercase.study._objective import Objective
 
 SPACE = ParameterSpace.from_ranges(["a=0:1:0.01", "b=0:1"])
 LOGICAL = LogicalScenario(Path("synthetic.xosc"), SPACE, "0")
@@ -77,12 +76,12 @@ def about(space, *metrics, **more):
 
 
 def explorer(study, simulator=None, optimizer="bayes", metrics=("distance",), budget=47, logical=LOGICAL, **options):
-    objective = Objective([METRICS.create(name) if isinstance(name, str) else name for name in metrics])
+    metrics = [METRICS.create(name) if isinstance(name, str) else name for name in metrics]
     configuration = ExplorationConfig(logical, ego="Ego", other="B", metrics=(), budget=budget, seed=7, **options)
-    threshold = Criterion.from_given(objective, 1.0, is_required=False).oriented
+    threshold = Criterion(1.0, metrics[0].lower_is_critical).oriented
     optimizer = OPTIMIZERS.create(optimizer).start(logical.space, 7, threshold=threshold, budget=budget)
     kind = AsynchronousExplorer if configuration.asynchronous else ScenarioExplorer
-    return kind(configuration, simulator or Synthetic(), optimizer, study, configuration.make_criterion(objective))
+    return kind(configuration, simulator or Synthetic(), optimizer, study, configuration.make_objective(metrics))
 
 
 def opened(path, space=SPACE, **more):

@@ -11,6 +11,7 @@ from cornercase.evidence.gp._process import fit_boundary_process
 from cornercase.metrics import Feature
 from cornercase.optimizers import Committee, LevelSet, Sobol
 from cornercase.scenario import Parameter, ParameterSpace
+from cornercase.study._criterion import Criterion
 from helpers.search_cases import CUBE, EVERYWHERE, THRESHOLD, explored, two_regions
 
 FEATURES = (Feature("least-clearance", "m"), Feature("crossing-gap", "s", branch=True), Feature("lowest-speed", "m/s"))
@@ -47,7 +48,7 @@ def test_it_follows_a_score_that_jumps_where_one_process_cannot(by):
     true = outcome(EVERYWHERE)[0] <= THRESHOLD
     points = chosen(Committee().start(CUBE, 2, threshold=THRESHOLD, features=FEATURES), outcome)
     scores, told = outcome(points)
-    critical, branch = CommitteeModel(THRESHOLD, FEATURES).fit(points, scores, told).predict(EVERYWHERE)
+    critical, branch = CommitteeModel(Criterion(THRESHOLD), FEATURES).fit(points, scores, told).predict(EVERYWHERE)
     recall, precision = agreement(critical > 0.5, true)
     assert recall > 0.8
     assert precision > 0.85
@@ -55,7 +56,7 @@ def test_it_follows_a_score_that_jumps_where_one_process_cannot(by):
     sure = np.abs(outcome(EVERYWHERE)[1][:, 1]) > 0.1
     assert (branch[sure] > 0.8).mean() > 0.95
     others = chosen(LevelSet().start(CUBE, 2, threshold=THRESHOLD), lambda at: outcome(at)[:1])
-    alone = fit_boundary_process(others, outcome(others)[0], THRESHOLD).predict(EVERYWHERE)[0] < 0.0
+    alone = fit_boundary_process(others, outcome(others)[0], Criterion(THRESHOLD)).predict(EVERYWHERE)[0] < 0.0
     assert recall > agreement(alone, true)[0] + 0.09
 
 
@@ -66,8 +67,8 @@ def test_of_many_scenarios_its_processes_know_those_that_tell_most():
 
     points = Sobol().start(CUBE, 1).ask(300)
     scores, features = outcome(points)
-    every = CommitteeModel(THRESHOLD, FEATURES).fit(points, scores, features).predict(EVERYWHERE)[0]
-    some = Limited(THRESHOLD, FEATURES).fit(points, scores, features)
+    every = CommitteeModel(Criterion(THRESHOLD), FEATURES).fit(points, scores, features).predict(EVERYWHERE)[0]
+    some = Limited(Criterion(THRESHOLD), FEATURES).fit(points, scores, features)
     true = outcome(EVERYWHERE)[0] <= THRESHOLD
     for critical in (every, some.predict(EVERYWHERE)[0]):
         recall, precision = agreement(critical > 0.5, true)
@@ -86,7 +87,7 @@ def test_of_many_scenarios_its_trees_know_those_that_tell_most():
 
     points = Sobol().start(CUBE, 1).ask(400)
     scores, features = outcome(points)
-    some = Limited(THRESHOLD, FEATURES).fit(points, scores, features)
+    some = Limited(Criterion(THRESHOLD), FEATURES).fit(points, scores, features)
     recall, precision = agreement(some.predict(EVERYWHERE)[0] > 0.5, outcome(EVERYWHERE)[0] <= THRESHOLD)
     assert recall > 0.75
     assert precision > 0.75
@@ -102,7 +103,7 @@ def test_of_many_scenarios_its_trees_know_those_that_tell_most():
 @pytest.mark.parametrize("budget", at_night([100, 150], {150}))
 def test_without_features_it_finds_both_regions(budget):
     points = explored(Committee().start(CUBE, 0, threshold=THRESHOLD, features=()), budget, function=two_regions)
-    critical, _ = CommitteeModel(THRESHOLD).fit(points, two_regions(points)).predict(EVERYWHERE)
+    critical, _ = CommitteeModel(Criterion(THRESHOLD)).fit(points, two_regions(points)).predict(EVERYWHERE)
     recall, precision = agreement(critical > 0.5, two_regions(EVERYWHERE) <= THRESHOLD)
     assert recall > 0.93
     assert precision > 0.93
@@ -173,7 +174,7 @@ def test_choices_and_finite_spaces_are_run_whole():
 def test_what_is_told_out_of_fold_is_as_good_as_it_says():
     points = Sobol().start(CUBE, 3).ask(300)
     scores, told = outcome(points)
-    committee = CommitteeModel(2.0, FEATURES).fit(points, scores, told)
+    committee = CommitteeModel(Criterion(2.0), FEATURES).fit(points, scores, told)
     outside, inside = committee.out_of_fold_probability(), committee.predict(points)[0]
     critical = scores <= 2.0
     assert ((outside > 0.5) == critical).mean() > 0.9

@@ -21,13 +21,17 @@ from cornercase.optimizers import Bayes, LevelSet, Sobol
 from cornercase.optimizers._local_minima import suggest_below_local_minima
 from cornercase.scenario import Parameter, ParameterSpace
 from cornercase.study import StudyFile
+from cornercase.study._criterion import Criterion
 from helpers.command_line import SPACE, X, cornercase
 from helpers.search_cases import CUBE, EVERYWHERE, THRESHOLD, explored, two_regions
 
 
 def found(points, scores):
     """Recall and precision of the critical set that a process of these scenarios predicts."""
-    told, true = CriticalSet(CUBE, points, scores, THRESHOLD).predict(EVERYWHERE), two_regions(EVERYWHERE) <= THRESHOLD
+    told, true = (
+        CriticalSet(CUBE, points, scores, Criterion(THRESHOLD)).predict(EVERYWHERE),
+        two_regions(EVERYWHERE) <= THRESHOLD,
+    )
     return (told & true).sum() / true.sum(), (told & true).sum() / max(told.sum(), 1)
 
 
@@ -46,7 +50,7 @@ def test_it_finds_the_whole_critical_set_with_fewer_scenarios_than_others():
         Sobol().start(CUBE, 3),
     ):
         points = explored(optimizer, 200, function=tube)
-        told = CriticalSet(CUBE, points, tube(points), THRESHOLD).predict(EVERYWHERE)
+        told = CriticalSet(CUBE, points, tube(points), Criterion(THRESHOLD)).predict(EVERYWHERE)
         recall[optimizer.name] = (told & true).sum() / true.sum()
         if optimizer.name == "level-set":
             assert (told & true).sum() / told.sum() > 0.9
@@ -131,7 +135,9 @@ def test_failures_at_random_do_not_keep_it_from_the_boundary():
 
 def found_of(function, points, scores=None):
     """Recall and precision for any function; what fails is not critical."""
-    told = CriticalSet(CUBE, points, function(points) if scores is None else scores, THRESHOLD).predict(EVERYWHERE)
+    told = CriticalSet(CUBE, points, function(points) if scores is None else scores, Criterion(THRESHOLD)).predict(
+        EVERYWHERE
+    )
     values = function(EVERYWHERE)
     told, true = told & np.isfinite(values), values <= THRESHOLD
     return (told & true).sum() / true.sum(), (told & true).sum() / told.sum()
@@ -145,7 +151,7 @@ def test_the_space_is_filled_once_the_boundary_is_found(seed):
         return ball(points, (0.3, 0.35, 0.35), 0.267)
 
     points = explored(LevelSet().start(CUBE, seed, threshold=THRESHOLD), 300, function=scores)
-    known = CriticalSet(CUBE, points, scores(points), THRESHOLD)
+    known = CriticalSet(CUBE, points, scores(points), Criterion(THRESHOLD))
     assert known.unexplored_fraction(0.01) < 0.2
     recall, precision = found_of(scores, points)
     assert recall > 0.98
@@ -171,7 +177,7 @@ def test_a_slope_far_above_the_threshold_is_followed_before_anything_is_critical
     points = qmc.Sobol(3, seed=4).random(64)
     away = np.linalg.norm(points - (0.5, 0.5, 0.5), axis=1)
     scores = THRESHOLD + 3.0 + 0.5 * away
-    mean, _ = fit_boundary_process(points, scores, THRESHOLD).predict(EVERYWHERE)
+    mean, _ = fit_boundary_process(points, scores, Criterion(THRESHOLD)).predict(EVERYWHERE)
     apart = np.linalg.norm(EVERYWHERE - (0.5, 0.5, 0.5), axis=1)
     assert np.corrcoef(mean, apart)[0, 1] > 0.9
     assert np.ptp(mean) > 0.01
@@ -180,16 +186,16 @@ def test_a_slope_far_above_the_threshold_is_followed_before_anything_is_critical
 def test_below_a_dip_is_downhill_of_it():
     grid = np.stack(np.meshgrid(*[np.linspace(0, 1, 6)] * 2), -1).reshape(-1, 2)
     scores = np.minimum(np.linalg.norm(grid - (0.45, 0.63), axis=1), 0.5)
-    places = suggest_below_local_minima(grid, scores, 0.0)
+    places = suggest_below_local_minima(grid, scores, Criterion(0.0))
     assert places.shape == (1, 2)
     lowest = grid[np.argmin(scores)]
     assert np.linalg.norm(places[0] - lowest) == pytest.approx(0.1)
     assert np.linalg.norm(places[0] - (0.45, 0.63)) < scores.min()
     # Critical scenarios are no minima, nor are those far from the threshold for their depth; failures are uphill.
-    assert len(suggest_below_local_minima(grid, scores, 0.1)) == 0
-    assert len(suggest_below_local_minima(grid, scores + 2.0, 0.0)) == 0
+    assert len(suggest_below_local_minima(grid, scores, Criterion(0.1))) == 0
+    assert len(suggest_below_local_minima(grid, scores + 2.0, Criterion(0.0))) == 0
     failed = np.where(grid[:, 0] > 0.5, np.nan, scores)
-    assert suggest_below_local_minima(grid, failed, 0.0)[0, 0] < lowest[0]
+    assert suggest_below_local_minima(grid, failed, Criterion(0.0))[0, 0] < lowest[0]
 
 
 def test_choices_are_as_far_from_each_other():

@@ -13,6 +13,7 @@ from cornercase.evidence._multi_fidelity import SourceStudyModel
 from cornercase.evidence.gp._process import fit_boundary_process
 from cornercase.exploration._study_critical_set import is_score_independent
 from cornercase.optimizers import OPTIMIZERS, LevelSet, Sobol
+from cornercase.study._criterion import Criterion
 from helpers.search_cases import CUBE, EVERYWHERE, THRESHOLD, explored, two_regions
 
 KNOWN = Sobol().start(CUBE, 100).ask(200)
@@ -28,9 +29,9 @@ def recall_after(count, seed, function, known=None):
     elsewhere = None
     if known is not None:
         optimizer.warm_start(KNOWN, known)
-        elsewhere = SourceStudyModel(KNOWN, known, THRESHOLD)
+        elsewhere = SourceStudyModel(KNOWN, known, Criterion(THRESHOLD))
     points = explored(optimizer, count, batch=5, function=function)
-    found = CriticalSet(CUBE, points, function(points), THRESHOLD, seed, source_model=elsewhere)
+    found = CriticalSet(CUBE, points, function(points), Criterion(THRESHOLD), seed, source_model=elsewhere)
     told, true = found.predict(EVERYWHERE), function(EVERYWHERE) <= THRESHOLD
     return (told & true).sum() / true.sum()
 
@@ -50,8 +51,10 @@ def test_what_misleads_is_dropped():
 def test_a_coordinate_that_says_nothing_is_left_out_of_the_process():
     points = Sobol().start(CUBE, 3).ask(60)
     noise = np.random.default_rng(0).normal(size=(60, 1))
-    plain = fit_boundary_process(points, two_regions(points), THRESHOLD)
-    process = fit_boundary_process(np.hstack([points, noise]), two_regions(points), THRESHOLD, has_prediction=True)
+    plain = fit_boundary_process(points, two_regions(points), Criterion(THRESHOLD))
+    process = fit_boundary_process(
+        np.hstack([points, noise]), two_regions(points), Criterion(THRESHOLD), has_prediction=True
+    )
     # Ignored, or with a length scale so large that nothing varies.
     assert process.kernel.length_scales[-1] > 5.0
     for there in (-1.0, 1.0):
@@ -62,10 +65,10 @@ def test_a_coordinate_that_says_nothing_is_left_out_of_the_process():
 def test_a_coordinate_that_says_all_is_used():
     points = Sobol().start(CUBE, 3).ask(30)
     told = np.column_stack([points, np.tanh(moved(points) - THRESHOLD)])
-    process = fit_boundary_process(told, moved(points), THRESHOLD, has_prediction=True)
+    process = fit_boundary_process(told, moved(points), Criterion(THRESHOLD), has_prediction=True)
     at = np.column_stack([EVERYWHERE, np.tanh(moved(EVERYWHERE) - THRESHOLD)])
     right = (process.predict(at)[0] <= 0.0) == (moved(EVERYWHERE) <= THRESHOLD)
-    plain = fit_boundary_process(points, moved(points), THRESHOLD).predict(EVERYWHERE)[0] <= 0.0
+    plain = fit_boundary_process(points, moved(points), Criterion(THRESHOLD)).predict(EVERYWHERE)[0] <= 0.0
     assert right.mean() > 0.99 > (plain == (moved(EVERYWHERE) <= THRESHOLD)).mean()
 
 
@@ -74,7 +77,7 @@ def test_a_coordinate_that_tells_a_little_is_left_out_however_many_scenarios_say
     scores, told = moved(points), np.tanh(two_regions(points - (0.2, -0.2, 0.0)) - THRESHOLD)
     for count in (30, 60, 100):
         process = fit_boundary_process(
-            np.column_stack([points, told])[:count], scores[:count], THRESHOLD, has_prediction=True
+            np.column_stack([points, told])[:count], scores[:count], Criterion(THRESHOLD), has_prediction=True
         )
         assert np.isinf(process.kernel.length_scales[-1])
 

@@ -13,15 +13,15 @@ from cornercase.evidence._critical_set_estimate import CriticalSet
 from cornercase.reduction._coverage import measure_nearest_distances
 from cornercase.reduction._critical_coverage import CriticalCoverage, max_similar_distance, measure_critical_coverage
 from cornercase.scenario import ParameterSpace
+from cornercase.study._criterion import Criterion
 
 SPACE = ParameterSpace.from_ranges(["a=0:1", "b=0:1"])
 
 
 def covered(points, scores, threshold, distances, kept, within, seed=0) -> CriticalCoverage:
     """How well the scenarios `kept` represent the critical ones."""
-    return measure_critical_coverage(
-        SPACE, points, scores, threshold, measure_nearest_distances(distances, kept, seed=seed), within, seed=seed
-    )
+    gaps = measure_nearest_distances(distances, kept, seed=seed)
+    return measure_critical_coverage(SPACE, points, scores, Criterion(threshold), gaps, within, seed=seed)
 
 
 def disc(points):
@@ -86,10 +86,10 @@ def test_without_critical_scenarios_nothing_is_said():
 @pytest.mark.filterwarnings("ignore:The balance properties")
 def test_all_of_a_set_lies_in_itself_and_nothing_in_what_is_apart():
     points, scores, _ = explored()
-    one = CriticalSet(SPACE, points, scores, 0.3)
-    whole = CriticalSet(SPACE, points, scores - 1.0, 0.3)
+    one = CriticalSet(SPACE, points, scores, Criterion(0.3))
+    whole = CriticalSet(SPACE, points, scores - 1.0, Criterion(0.3))
     assert one.fraction_inside(whole).value > 0.97
-    assert one.fraction_inside(CriticalSet(SPACE, points, 1.0 - points[:, 0], 0.05)).value < 0.05
+    assert one.fraction_inside(CriticalSet(SPACE, points, 1.0 - points[:, 0], Criterion(0.05))).value < 0.05
 
 
 def test_alike_is_half_of_what_is_usual_within_clusters():

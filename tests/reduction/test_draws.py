@@ -16,6 +16,7 @@ from cornercase.reduction._critical_coverage import measure_critical_coverage
 from cornercase.reduction._random_selections import distances_to_nearest_per_selection, draw_random_selections
 from cornercase.reduction.selection._greedy import select_scenarios
 from cornercase.scenario import ParameterSpace
+from cornercase.study._criterion import Criterion
 
 SPACE = ParameterSpace.from_ranges(["a=0:1", "b=0:1"])
 
@@ -41,7 +42,13 @@ def test_a_set_is_graded_by_draws_that_it_was_not_chosen_with(seed, monkeypatch)
     measure_coverage(distances, kept, seed=seed)
     measure_coverage(distances, kept)
     measure_critical_coverage(
-        SPACE, points, points[:, 0], 0.1, measure_nearest_distances(distances, kept, seed=seed), 0.2, seed=seed
+        SPACE,
+        points,
+        points[:, 0],
+        Criterion(0.1),
+        measure_nearest_distances(distances, kept, seed=seed),
+        0.2,
+        seed=seed,
     )
     assert len(drawn[baselines]) >= 100
     assert len(drawn[coverage]) >= 100

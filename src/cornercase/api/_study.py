@@ -204,7 +204,7 @@ class Study(PathLike[str]):
         with study._read() as file, name_arguments_of_objects():
             config = study._make_config(file.meta)
             meta = config.make_study_meta(
-                config.make_criterion(), file.meta.settings, file.meta.elsewhere, study=study.path
+                config.make_objective(), file.meta.settings, file.meta.elsewhere, study=study.path
             )
             file.meta.require_resumable(meta, study.path)
         return study

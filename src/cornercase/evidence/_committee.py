@@ -13,6 +13,7 @@ from cornercase.evidence._feature_models import FeatureKernels, PerBranchFeature
 from cornercase.evidence.gp._kernel import evenly_spaced_indices, indices_with_rare_values
 from cornercase.evidence.gp._process import GaussianProcess, fit_boundary_process, squash_around_threshold
 from cornercase.metrics import Feature
+from cornercase.study._criterion import Criterion
 
 PREDICTED_CRITICAL: Final = 0.45
 """Probability from which a scenario is predicted critical: half of the F1 score, 0.9, that a search aims at.
@@ -68,9 +69,9 @@ class CommitteeModel:
     max_tree_scenarios: ClassVar[int] = 4000
 
     def __init__(
-        self, threshold: float, columns: Sequence[Feature] = (), seed: int = 0, *, has_prediction: bool = False
+        self, criterion: Criterion, columns: Sequence[Feature] = (), seed: int = 0, *, has_prediction: bool = False
     ) -> None:
-        self._threshold, self._seed, self._has_prediction = threshold, seed, has_prediction
+        self._criterion, self._seed, self._has_prediction = criterion, seed, has_prediction
         self._inputs = [j for j, feature in enumerate(columns) if feature.name not in _UNUSED_FEATURES]
         self._branches = [j for j, feature in enumerate(columns) if feature.branch]
         self.process: GaussianProcess
@@ -81,14 +82,14 @@ class CommitteeModel:
 
         The scores are finite and not all equal.
         """
-        self.process = fit_boundary_process(points, scores, self._threshold, has_prediction=self._has_prediction)
+        self.process = fit_boundary_process(points, scores, self._criterion, has_prediction=self._has_prediction)
         self._train_on_subset(points, scores, features)
         self._weights = _fit_member_weights(self._out_of_fold_by_member(_WEIGHTING_TREES), self._critical)
         return self
 
     def condition_on(self, points: FloatArray, scores: FloatArray, features: FloatArray | None = None) -> Self:
         """Replace the known scenarios, but not the kernels and weights; arguments as for `fit`."""
-        self.process.condition_on_scores(points, scores, self._threshold)
+        self.process.condition_on_scores(points, scores, self._criterion)
         self._train_on_subset(points, scores, features, self._feature_models.kernels)
         return self
 
@@ -107,7 +108,7 @@ class CommitteeModel:
         points, scores = points[self._tree_scenarios], scores[self._tree_scenarios]
         features = None if features is None else features[self._tree_scenarios]
         inputs, subset = self._feature_inputs(scores, features), self._select_process_scenarios(scores)
-        self._critical, self._classes = scores <= self._threshold, self._class_labels(scores, features)
+        self._critical, self._classes = self._criterion.is_critical(scores), self._class_labels(scores, features)
         self._feature_models = PerBranchFeatureModels(points, inputs, self._classes // 2, kernels, subset)
         self._points, self._columns = points, np.hstack([points, self._feature_models.leave_one_out])
         self._trees, self._forest = self._train_trees(np.arange(len(points)), _TREES)
@@ -191,7 +192,7 @@ class CommitteeModel:
         if len(scores) <= self.max_tree_scenarios:
             return np.arange(len(scores))
         near, rest = self._nearest_and_rest(scores, self.max_tree_scenarios // 2)
-        critical = scores[rest] <= self._threshold
+        critical = self._criterion.is_critical(scores[rest])
         rare = critical if 2 * critical.sum() < len(critical) else ~critical
         return np.sort(
             np.concatenate([near, rest[indices_with_rare_values(len(rest), self.max_tree_scenarios - len(near), rare)]])
@@ -211,18 +212,17 @@ class CommitteeModel:
 
     def _nearest_and_rest(self, scores: FloatArray, count: int) -> tuple[IntArray, IntArray]:
         """Indices of the `count` scores nearest to the threshold, and indices of the other scores in order."""
-        order = np.argsort(np.abs(scores - self._threshold), kind="stable")
+        order = np.argsort(np.abs(self._criterion.margins(scores)), kind="stable")
         return order[:count], np.sort(order[count:])
 
     def _feature_inputs(self, scores: FloatArray, features: FloatArray | None) -> FloatArray:
         if features is None or not self._inputs:
-            return squash_around_threshold(scores, self._threshold, self.process.squash_scale)[:, None]
+            return squash_around_threshold(scores, self._criterion, self.process.squash_scale)[:, None]
         return features[:, self._inputs]
 
     def _class_labels(self, scores: FloatArray, features: FloatArray | None) -> IntArray:
         """Class of each scenario: odd if critical; the higher bits are the signs of the branch features."""
-        critical: BoolArray = scores <= self._threshold
-        classes = critical.astype(np.int64)
+        classes = self._criterion.is_critical(scores).astype(np.int64)
         if features is not None:
             for k, j in enumerate(self._branches):
                 classes += 2 ** (k + 1) * (features[:, j] > 0.0)

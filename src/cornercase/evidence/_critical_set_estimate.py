@@ -28,6 +28,7 @@ from cornercase.evidence.gp._blas import multiply_lower_triangular
 from cornercase.evidence.gp._process import encode_points, fit_boundary_process, require_enough_scores
 from cornercase.metrics import Feature
 from cornercase.scenario import ParameterSpace
+from cornercase.study._criterion import Criterion
 
 # Points for which critical sets are drawn jointly.
 _JOINT_POINTS: Final = 1500
@@ -77,7 +78,7 @@ class CriticalSet:
         space: ParameterSpace,
         points: FloatArray,
         scores: FloatArray,
-        threshold: float,
+        criterion: Criterion,
         seed: int = 0,
         *,
         initial_design: BoolArray | None = None,
@@ -91,18 +92,18 @@ class CriticalSet:
         )
         points, scores = require_enough_scores(points, scores)
         self._space, self._seed = space, seed
-        self._critical = scores <= threshold
+        self._critical = criterion.is_critical(scores)
         self._sample = SpaceSample.from_space(space, seed)
         self._encoded_points, self._source_model = encode_points(space, points), source_model
         coordinates, has_prediction = augment_points(source_model, self._encoded_points), source_model is not None
         self._committee: CommitteeModel | None = None
         if features is not None and 0 < self._critical.sum() < len(scores):
             columns, values = features
-            self._committee = CommitteeModel(threshold, columns, seed, has_prediction=has_prediction)
+            self._committee = CommitteeModel(criterion, columns, seed, has_prediction=has_prediction)
             self._committee.fit(coordinates, scores, values[finished])
             self._process = self._committee.process
         else:
-            self._process = fit_boundary_process(coordinates, scores, threshold, has_prediction=has_prediction)
+            self._process = fit_boundary_process(coordinates, scores, criterion, has_prediction=has_prediction)
         mean, self._z = self._margin_and_z(self._sample.encoded_points)
         self._outcome_by_key = dict(
             zip(row_keys(space.snap(points)), np.where(self._critical, np.inf, -np.inf), strict=True)
@@ -111,10 +112,10 @@ class CriticalSet:
         self._is_found = _is_predicted_critical(mean, self._known_outcome)
         audit_points, audit_scores = audits if audits is not None else (points[:0], scores[:0])
         self._audit_points = audit_points[np.isfinite(audit_scores)]
-        self._audit_is_critical = audit_scores[np.isfinite(audit_scores)] <= threshold
+        self._audit_is_critical = criterion.is_critical(audit_scores[np.isfinite(audit_scores)])
         # One thread, so that sums do not depend on the number of threads.
         with single_threaded_blas():
-            t, critical = self._prediction_record(coordinates, scores, threshold)
+            t, critical = self._prediction_record(coordinates, scores, criterion)
             edge = 0.0 if self._committee is None else float(_normal_deviate(np.array(PREDICTED_CRITICAL)))
             self._missed_none = not (critical & (t > edge)).any()
             self._calibrations = (
@@ -144,7 +145,7 @@ class CriticalSet:
         return mean, mean / np.hypot(deviation, self._process.kernel.noise)
 
     def _prediction_record(
-        self, points: FloatArray, scores: FloatArray, threshold: float
+        self, points: FloatArray, scores: FloatArray, criterion: Criterion
     ) -> tuple[FloatArray, BoolArray]:
         """Out-of-sample predictions of the scenarios chosen independently of scores, and whether these were critical.
 
@@ -154,7 +155,7 @@ class CriticalSet:
             t = _normal_deviate(self._committee.out_of_fold_probability())[self._is_initial_design]
         else:
             mean, deviation = cross_validate_scores(
-                self._process, points, scores, threshold, np.flatnonzero(self._is_initial_design)
+                self._process, points, scores, criterion, np.flatnonzero(self._is_initial_design)
             )
             t = mean / deviation
         critical = self._critical[self._is_initial_design]

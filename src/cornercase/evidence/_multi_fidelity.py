@@ -6,6 +6,7 @@ import numpy as np
 
 from cornercase._common.typing import FloatArray
 from cornercase.evidence.gp._process import fit_boundary_process
+from cornercase.study._criterion import Criterion
 
 
 class SourceStudyModel:
@@ -26,8 +27,8 @@ class SourceStudyModel:
     computer code when fast approximations are available", Biometrika 87 (2000).
     """
 
-    def __init__(self, points: FloatArray, scores: FloatArray, threshold: float) -> None:
-        self.process, self._threshold = fit_boundary_process(points, scores, threshold), threshold
+    def __init__(self, points: FloatArray, scores: FloatArray, criterion: Criterion) -> None:
+        self.process, self._criterion = fit_boundary_process(points, scores, criterion), criterion
 
     def augment(self, points: FloatArray) -> FloatArray:
         """Append the other study's prediction to encoded points (m, e) as a coordinate, (m, e + 1)."""
@@ -35,7 +36,7 @@ class SourceStudyModel:
 
     def improves_prediction(self, points: FloatArray, scores: FloatArray) -> bool:
         """Whether the other study improves the prediction of the scores, by the criterion of `fit_boundary_process`."""
-        process = fit_boundary_process(self.augment(points), scores, self._threshold, has_prediction=True)
+        process = fit_boundary_process(self.augment(points), scores, self._criterion, has_prediction=True)
         return bool(np.isfinite(process.kernel.length_scales[-1]))
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from cornercase._common.typing import FloatArray, IntArray
 from cornercase.evidence.gp._posterior import MAX_EXACT_VALUES
 from cornercase.evidence.gp._process import GaussianProcess, squash_around_threshold
+from cornercase.study._criterion import Criterion
 
 # Values per dimension up to which the kernel overfits, and number of folds.
 _OVERFIT_PER_DIMENSION: Final = 40
@@ -16,7 +17,11 @@ _N_FOLDS: Final = 5
 
 
 def cross_validate_scores(
-    process: GaussianProcess, points: FloatArray, scores: FloatArray, threshold: float, indices: IntArray | None = None
+    process: GaussianProcess,
+    points: FloatArray,
+    scores: FloatArray,
+    criterion: Criterion,
+    indices: IntArray | None = None,
 ) -> tuple[FloatArray, FloatArray]:
     """Predict each score from all others: mean and standard deviation as in `GaussianProcess.leave_one_out`.
 
@@ -27,7 +32,7 @@ def cross_validate_scores(
     count, dims = points.shape
     if count > min(_OVERFIT_PER_DIMENSION * dims, MAX_EXACT_VALUES):
         return process.leave_one_out(indices)
-    values, critical = squash_around_threshold(scores, threshold, process.squash_scale), scores <= threshold
+    values, critical = squash_around_threshold(scores, criterion, process.squash_scale), criterion.is_critical(scores)
     rare = critical if 2 * critical.sum() < count else ~critical
     # A coordinate that the process ignores has an infinite length scale.
     used = int(np.isfinite(process.kernel.length_scales).sum())

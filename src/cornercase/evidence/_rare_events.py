@@ -12,6 +12,7 @@ from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.evidence._mixture import TMixture
 from cornercase.evidence.gp._process import encode_points, fit_boundary_process, require_enough_scores
 from cornercase.scenario import ParameterSpace
+from cornercase.study._criterion import Criterion
 
 # Limits of the unit interval whose normal quantiles are finite.
 _MIN_QUANTILE, _MAX_QUANTILE = 1e-16, 1.0 - 1.2e-16
@@ -190,12 +191,12 @@ class ImportanceSampling:
 
 
 def initial_proposal(
-    space: ParameterSpace, points: FloatArray, scores: FloatArray, threshold: float, seed: int
+    space: ParameterSpace, points: FloatArray, scores: FloatArray, criterion: Criterion, seed: int
 ) -> TMixture | None:
     """Proposal for critical scenarios, from a Gaussian process of scenarios that were run; None if too little is known.
 
-    It is a distribution in the space in which the parameters are standard normal. `scores` and `threshold` are lower
-    where more critical; a failed scenario is NaN.
+    It is a distribution in the space in which the parameters are standard normal. `scores` are lower where more
+    critical; a failed scenario is NaN.
     """
     try:
         points, scores = require_enough_scores(points, scores)
@@ -206,7 +207,7 @@ def initial_proposal(
     wide = [(1.0, TMixture.normal_around_zero(space.dimension, deviation)) for deviation in _WIDE_DEVIATIONS]
     proposal = TMixture.from_parts([(1.0, law), *wide])
     candidates = proposal.draw_points(_CANDIDATES, rng)
-    process = fit_boundary_process(encode_points(space, points), scores, threshold)
+    process = fit_boundary_process(encode_points(space, points), scores, criterion)
     mean, deviation = process.predict(encode_points(space, ndtr(candidates)))
     weights = np.exp(law.log_density(candidates) - proposal.log_density(candidates))
     weights *= ndtr(-mean / np.maximum(deviation, 1e-9))

@@ -22,7 +22,7 @@ from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import Simulator
 from cornercase.simulators._stream import SimulatorStream
 from cornercase.study import ScenarioRecord, StudyFile
-from cornercase.study._criterion import Criterion
+from cornercase.study._objective import Objective
 
 
 def max_pending_scenarios(n_parallel: int) -> int:
@@ -48,10 +48,10 @@ class AsynchronousExplorer(ScenarioExplorer):
         simulator: Simulator,
         optimizer: Optimizer,
         study: StudyFile,
-        criterion: Criterion | None = None,
+        objective: Objective | None = None,
         references: Mapping[str, Simulator] | None = None,
     ) -> None:
-        super().__init__(config, simulator, optimizer, study, criterion, references)
+        super().__init__(config, simulator, optimizer, study, objective, references)
         self._simulators = {"": simulator, **(references or {})}
         if config.patience is not None:
             self._patience, self._patience_unit = config.patience * config.batch, "scenarios"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
@@ -20,7 +20,7 @@ from cornercase.exploration._explore_options import (
     stored_values,
 )
 from cornercase.exploration.stop._stop_rules import StopCriterion, resolve_stop_rules
-from cornercase.metrics import METRICS, CriticalIf
+from cornercase.metrics import METRICS, CriticalIf, Metric
 from cornercase.metrics._other_entities import ALL_OTHERS, resolve_others
 from cornercase.optimizers import OPTIMIZERS, Optimizer
 from cornercase.scenario import LogicalScenario
@@ -28,7 +28,6 @@ from cornercase.scenario._file import ScenarioFile
 from cornercase.simulators import Simulator
 from cornercase.simulators._common_options import split_common_options
 from cornercase.study import StudyFile, StudyMeta
-from cornercase.study._criterion import Criterion
 from cornercase.study._meta import MAX_AUDIT_FRACTION
 from cornercase.study._objective import Objective
 from cornercase.study._run_rates import MIN_DECISIVE_RUNS
@@ -121,16 +120,22 @@ class ExplorationConfig(ExplorationOptions):
         for entity in self.drivers:
             self.logical.scenario_file.require_entity(entity, "driven entity")
 
-    def make_objective(self) -> Objective:
-        """Create the objective, from metrics, weights and Pareto front.
+    def make_objective(self, metrics: Sequence[Metric] | None = None, *, needs_threshold: bool = False) -> Objective:
+        """Create the objective from the metrics, unless others are given, with weights, Pareto front and threshold.
 
-        Raises `InputError` if a metric is unknown or cannot be used, or the options contradict each other.
+        Raises `InputError` if a metric is unknown or cannot be used, if the options contradict each other, or if there
+        is no threshold although the optimizer, a stop criterion, `max_repeats` or the caller needs one.
         """
-        metrics = [METRICS.create(name) for name in dict.fromkeys(self.metrics)]
-        for metric in metrics:
-            metric.check_installed()
-        condition = self.make_condition()
-        return Objective(metrics if condition is None else [condition, *metrics], self.weights, self.pareto)
+        if metrics is None:
+            metrics = [METRICS.create(name) for name in dict.fromkeys(self.metrics)]
+            for metric in metrics:
+                metric.check_installed()
+            condition = self.make_condition()
+            metrics = metrics if condition is None else [condition, *metrics]
+        needs_threshold |= bool(self.stop_when) or self.max_repeats is not None
+        needs_threshold |= "threshold" in OPTIMIZERS.get_class(self.optimizer).requires
+        objective = Objective(metrics, self.weights, self.pareto)
+        return objective.with_threshold(self.critical, is_required=needs_threshold)
 
     def make_condition(self) -> CriticalIf | None:
         """Create the metric of `critical_if`; None without a condition."""
@@ -145,25 +150,16 @@ class ExplorationConfig(ExplorationOptions):
         """The criteria of `stop_when`, which hold nothing else since they were checked."""
         return cast(tuple[StopCriterion, ...], self.stop_when)
 
-    def start_optimizer(self, criterion: Criterion) -> Optimizer:
+    def start_optimizer(self, objective: Objective) -> Optimizer:
         """Return a fresh optimizer that searches the space."""
+        threshold = None if objective.criterion is None else objective.criterion.oriented
         return cast(Optimizer, self.optimizer).start(
-            self.logical.space, self.seed, threshold=criterion.oriented, budget=self.budget
+            self.logical.space, self.seed, threshold=threshold, budget=self.budget
         )
-
-    def make_criterion(self, objective: Objective | None = None) -> Criterion:
-        """Create the criterion: the objective, unless it is given, with its threshold.
-
-        Raises `InputError` if there is no threshold although the optimizer, a stop criterion or `max_repeats` needs
-        one.
-        """
-        is_required = bool(self.stop_when) or self.max_repeats is not None
-        is_required |= "threshold" in OPTIMIZERS.get_class(self.optimizer).requires
-        return Criterion.from_given(objective or self.make_objective(), self.critical, is_required=is_required)
 
     def make_study_meta(
         self,
-        criterion: Criterion,
+        objective: Objective,
         settings: Mapping[str, object],
         warm_start_info: Mapping[str, object] | None = None,
         *,
@@ -184,11 +180,11 @@ class ExplorationConfig(ExplorationOptions):
             fingerprint=self.logical.fingerprint,
             space=self.logical.space,
             other=self.others[0] if len(self.others) == 1 else self.others,
-            metrics=tuple(metric.name for metric in criterion.objective.metrics),
+            metrics=tuple(metric.name for metric in objective.metrics),
             # The options may contain paths of this machine.
             simulator=remove_folders(str(self.simulator)),
             settings={**self._stored_settings(), **settings},
-            critical=criterion.raw,
+            critical=objective.threshold,
             elsewhere=warm_start_info or {},
             **fields_of_study,
         )

@@ -28,7 +28,6 @@ from cornercase.scenario._file import ScenarioFile
 from cornercase.simulators import Simulator
 from cornercase.simulators._run_options import RUN_OPTIONS, RunKeywords
 from cornercase.study import StudyFile
-from cornercase.study._criterion import Criterion
 from cornercase.study._study_file import open_or_create_study
 
 _LEARNING_FRACTION: Final = 0.4
@@ -123,19 +122,18 @@ def estimate(
         config = _estimate_config(source, scenario, budget, critical, seed, simulator, drivers or {})
         config = replace(config, **run_options)
         learn, n_known = _stored_sample_sizes(output_file, round(_LEARNING_FRACTION * budget))
-        criterion = Criterion.from_given(config.make_objective(), config.critical)
-        points, scores = source.points(), criterion.objective.minimized_scores(source)
+        objective = config.make_objective(needs_threshold=True)
+        points, scores = source.points(), objective.minimized_scores(source)
     n_known = len(points) if n_known is None else min(n_known, len(points))
     points, scores = points[:n_known], scores[:n_known]
     start = time.monotonic()
     with simulator_from_config(config) as running:
-        meta = config.make_study_meta(criterion, running.settings, study=output_file)
+        meta = config.make_study_meta(objective, running.settings, study=output_file)
         name = f"importance-sampling:learn={learn},known={n_known}-{_hash_scores(points, scores)}"
         meta = replace(meta, optimizer=name)
         require_same_settings(study_file, source.meta, running)
-        threshold = criterion.oriented
-        assert threshold is not None
-        start_proposal = initial_proposal(config.logical.space, points, scores, threshold, seed)
+        assert objective.criterion is not None
+        start_proposal = initial_proposal(config.logical.space, points, scores, objective.criterion, seed)
         sampling = ImportanceSampling(config.logical.space, _N_EVENTS, learn, seed, start_proposal)
         with open_or_create_study(output_file, meta) as opened:
             opened.writer.resume(meta)

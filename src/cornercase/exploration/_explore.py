@@ -31,7 +31,6 @@ from cornercase.simulators._create import create_simulator
 from cornercase.simulators._results import check_simulator_accepts, list_ignored_content
 from cornercase.simulators._run_notices import warn_if_ego_has_no_driver
 from cornercase.study import StudyFile
-from cornercase.study._criterion import Criterion
 from cornercase.study._objective import Objective
 from cornercase.study._study_file import open_or_create_study
 
@@ -109,21 +108,21 @@ def explore(
 
 def _verify_proposals_of_study(config: ExplorationConfig, study: Path) -> ExplorationResult:
     config.require_entities()
-    criterion, optimizer = _make_criterion_and_optimizer(config)
-    warm_start = _load_warm_start(config, study, criterion.objective, optimizer)
+    objective, optimizer = _make_objective_and_optimizer(config)
+    warm_start = _load_warm_start(config, study, objective, optimizer)
     with StudyFile.open(study, readonly=True) as opened_study:
         warm_start_info = opened_study.meta.elsewhere if warm_start is None else warm_start.study_info
-        meta = config.make_study_meta(criterion, opened_study.meta.settings, warm_start_info, study=study)
-    return verify_proposals(study, meta, criterion.objective, optimizer)
+        meta = config.make_study_meta(objective, opened_study.meta.settings, warm_start_info, study=study)
+    return verify_proposals(study, meta, objective, optimizer)
 
 
-def _make_criterion_and_optimizer(config: ExplorationConfig) -> tuple[Criterion, Optimizer]:
-    """Create the criterion (objective and threshold), and a fresh optimizer for it."""
-    criterion = config.make_criterion()
-    optimizer = config.start_optimizer(criterion)
+def _make_objective_and_optimizer(config: ExplorationConfig) -> tuple[Objective, Optimizer]:
+    """Create the objective, and a fresh optimizer for it."""
+    objective = config.make_objective()
+    optimizer = config.start_optimizer(objective)
     if config.pareto and not optimizer.multi_objective:
         raise InputError(f"`pareto`: {config.optimizer} takes one score; use evolutionary, or optuna:sampler=nsga2.")
-    return criterion, optimizer
+    return objective, optimizer
 
 
 def _load_warm_start(
@@ -159,8 +158,8 @@ def _run_exploration(
 ) -> ExplorationResult:
     start = time.monotonic()
     config.require_entities()
-    criterion, optimizer = _make_criterion_and_optimizer(config)
-    warm_start = _load_warm_start(config, study_path, criterion.objective, optimizer)
+    objective, optimizer = _make_objective_and_optimizer(config)
+    warm_start = _load_warm_start(config, study_path, objective, optimizer)
     with (
         _share_cluster_connection(config) as shared_config,
         simulator_from_config(shared_config) as simulator,
@@ -176,7 +175,7 @@ def _run_exploration(
         warn_notices(_notices_at_center(config, simulator))
         warn_if_ego_has_no_driver(simulator, [config.logical.scenario_file], config.ego)
         meta = config.make_study_meta(
-            criterion, simulator.settings, None if warm_start is None else warm_start.study_info, study=study_path
+            objective, simulator.settings, None if warm_start is None else warm_start.study_info, study=study_path
         )
         with open_or_create_study(study_path, meta) as study:
             if warm_start is None:
@@ -191,7 +190,7 @@ def _run_exploration(
             study.writer.add_elapsed_time("files", time.monotonic() - start)
             explorer_class = AsynchronousExplorer if config.asynchronous else ScenarioExplorer
             try:
-                return explorer_class(config, simulator, optimizer, study, criterion, references).run(progress)
+                return explorer_class(config, simulator, optimizer, study, objective, references).run(progress)
             except InputError:
                 # Remove a study in which nothing ran, so that the corrected command can start. Earlier failures stay.
                 if not had_ended and not study.finished_rows():

@@ -29,7 +29,7 @@ from cornercase.metrics import compute_features
 from cornercase.optimizers import Optimizer
 from cornercase.simulators import Simulator
 from cornercase.study import ScenarioRecord, StudyFile
-from cornercase.study._criterion import Criterion
+from cornercase.study._objective import Objective
 
 # Largest space whose scenarios within the constraints are counted.
 _MAX_COUNTED_SPACE: Final = 1 << 18
@@ -139,24 +139,24 @@ class ScenarioExplorer:
         simulator: Simulator,
         optimizer: Optimizer,
         study: StudyFile,
-        criterion: Criterion | None = None,
+        objective: Objective | None = None,
         references: Mapping[str, Simulator] | None = None,
     ) -> None:
         self._config, self._optimizer, self._study = config, optimizer, study
         self._space = config.logical.space
-        criterion = config.make_criterion() if criterion is None else criterion
-        self._objective, threshold = criterion.objective, criterion.oriented
+        self._objective = config.make_objective() if objective is None else objective
+        criterion = self._objective.criterion
         self._stopping = StopCriteria(
             config.stop_criteria,
             self._space,
-            threshold,
+            criterion,
             config.seed,
             str(config.optimizer),
             has_audits=config.audit > 0.0,
-            source_model=None if threshold is None or not config.stop_when else source_study_model(study, threshold),
+            source_model=None if criterion is None or not config.stop_when else source_study_model(study, criterion),
         )
         self._clock = StageTimer(study)
-        self._runner = ScenarioRunner(config, simulator, criterion, study, self._clock, references)
+        self._runner = ScenarioRunner(config, simulator, self._objective, study, self._clock, references)
         self._incumbent, self._n_without_improvement = BestScores(self._objective), 0
         self._patience, self._patience_unit = config.patience, "rounds"
         self._uses_features = "features" in optimizer.requires

@@ -26,7 +26,6 @@ from cornercase.exploration._runner import ScenarioRunner, StageTimer
 from cornercase.metrics import METRICS
 from cornercase.simulators import Simulator
 from cornercase.study import ScenarioRecord, StudyFile
-from cornercase.study._criterion import Criterion
 
 # Scenarios per round after learning.
 _ROUND_SIZE: Final = 500
@@ -51,11 +50,10 @@ class ProbabilityEstimator:
         encounter_gap: float,
     ) -> None:
         self._config, self._sampling, self._study, self._encounter_gap = config, sampling, study, encounter_gap
-        self._space, self._objective = config.logical.space, config.make_objective()
-        self._criterion = Criterion.from_given(self._objective, config.critical)
+        self._space, self._objective = config.logical.space, config.make_objective(needs_threshold=True)
         self._clearance = METRICS.create("clearance")
         self._clock = StageTimer(study)
-        self._runner = ScenarioRunner(config, simulator, self._criterion, study, self._clock)
+        self._runner = ScenarioRunner(config, simulator, self._objective, study, self._clock)
         self._finished_rounds: list[tuple[str, list[ScenarioRecord], EventOutcomes]] = []
         # If all scenarios of the space are run: all of them, and the remaining ones.
         self._all_points = self._remaining_points = np.zeros((0, self._space.dimension))
@@ -194,7 +192,7 @@ class ProbabilityEstimator:
                 collision[k] = any(recording.first_collision(ego, other) is not None for other in others)
                 gaps = [self._clearance.score(self._clearance.course(recording, ego, other)) for other in others]
                 encounter[k] = min(gaps) <= self._encounter_gap
-        return EventOutcomes(scores, self._criterion.is_critical(scores), collision, encounter)
+        return EventOutcomes(scores, self._objective.critical_mask(scores), collision, encounter)
 
     def _outcomes_of_stages(self, *stages: str) -> tuple[FloatArray, EventOutcomes]:
         """Points and outcomes of all rounds in the given stages."""
@@ -245,7 +243,7 @@ class ProbabilityEstimator:
             warnings.append(f"{failed} scenarios failed and count as neither critical nor a collision.")
         return Estimation(
             study=self._study.path,
-            criterion=self._describe_criterion(),
+            criterion=f"{self._objective.label} {self._objective.criterion}",
             encounter_gap=self._encounter_gap,
             critical=critical,
             collision=collision,
@@ -262,7 +260,3 @@ class ProbabilityEstimator:
             warnings=tuple(warnings),
             interrupted=interrupted,
         )
-
-    def _describe_criterion(self) -> str:
-        objective, value = self._objective, self._criterion.raw
-        return f"{objective.label} {'<=' if objective.lower_is_critical else '>='} {value:g} {objective.unit}".rstrip()

@@ -83,7 +83,7 @@ class Problem:
         with name_arguments_of_objects():
             config = config_from_problem(self)
             config.require_entities()
-            config.make_criterion()
+            config.make_objective()
         for name in ("other", "metrics", "weights"):
             object.__setattr__(self, name, getattr(config, name))
         object.__setattr__(self, "threshold", config.critical)
@@ -96,12 +96,10 @@ class Problem:
         """What counts as critical, or what is searched, in a few words."""
         if self.condition is not None:
             return f"critical if {self.condition}"
-        criterion = config_from_problem(self).make_criterion()
-        objective = criterion.objective
-        if criterion.raw is None:
+        objective = config_from_problem(self).make_objective()
+        if objective.criterion is None:
             return f"searched by {objective.label}"
-        sign = "<=" if objective.lower_is_critical else ">="
-        return f"critical if {objective.label} {sign} {criterion.raw:g} {objective.unit}".rstrip()
+        return f"critical if {objective.label} {objective.criterion}"
 
     def _repr_html_(self) -> str:
         """HTML description with a table of the parameters, for notebooks."""

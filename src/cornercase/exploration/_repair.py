@@ -262,14 +262,14 @@ def _rerun_lost_scenarios(
 ) -> None:
     with StudyFile.open(repaired_file, readonly=False) as opened:
         config = replace(config_from_study(opened, file, scenario, simulator, drivers), workers=workers)
-        criterion = config.make_criterion()
-        optimizer = config.start_optimizer(criterion)
+        objective = config.make_objective()
+        optimizer = config.start_optimizer(objective)
         with simulator_from_config(config) as running, reference_simulators(config) as references:
             require_same_settings(file, opened.meta, running)
             explorer_class = (
                 _RepairExplorer if recovered.is_count_known or not config.asynchronous else AsynchronousExplorer
             )
-            explorer = explorer_class(config, running, optimizer, opened, criterion, references)
+            explorer = explorer_class(config, running, optimizer, opened, objective, references)
             if isinstance(explorer, _RepairExplorer):
                 explorer.restore_rounds(recovered.rounds, recovered.is_count_known)
             else:

@@ -13,7 +13,7 @@ from cornercase.exploration._config import ExplorationConfig
 from cornercase.metrics._measure import MetricResult, evaluate_metrics
 from cornercase.recordings import Recording
 from cornercase.study import ScenarioRecord
-from cornercase.study._criterion import Criterion
+from cornercase.study._objective import Objective
 from cornercase.study._run_rates import is_criticality_undecided
 
 
@@ -41,8 +41,8 @@ class RepeatPolicy:
     runs failed, there are no further ones.
     """
 
-    def __init__(self, config: ExplorationConfig, criterion: Criterion) -> None:
-        self._config, self._objective, self._threshold = config, criterion.objective, criterion.oriented
+    def __init__(self, config: ExplorationConfig, objective: Objective) -> None:
+        self._config, self._objective = config, objective
 
     def start_scenario(self, row: ScenarioRecord) -> RepeatedRun:
         """Return a scenario without runs so far."""
@@ -70,12 +70,9 @@ class RepeatPolicy:
         )
 
     def _count_further_runs(self, repeated_run: RepeatedRun) -> int:
-        limit = self._config.max_repeats
-        if limit is None or self._threshold is None or not repeated_run.runs:
+        limit, criterion = self._config.max_repeats, self._objective.criterion
+        if limit is None or criterion is None or not repeated_run.runs:
             return 0
         n_more = min(self._config.repeats, limit - repeated_run.n_done)
-        return (
-            n_more
-            if n_more and is_criticality_undecided(self.minimized_scores(repeated_run).tolist(), self._threshold)
-            else 0
-        )
+        is_undecided = is_criticality_undecided(self.minimized_scores(repeated_run).tolist(), criterion)
+        return n_more if is_undecided else 0

@@ -22,7 +22,7 @@ from cornercase.simulators import Simulator
 from cornercase.simulators._results import run_scenarios
 from cornercase.simulators._run_notices import RunNotices
 from cornercase.study import ScenarioRecord, StudyFile
-from cornercase.study._criterion import Criterion
+from cornercase.study._objective import Objective
 
 
 class StageTimer:
@@ -62,14 +62,14 @@ class ScenarioRunner:
         self,
         config: ExplorationConfig,
         simulator: Simulator,
-        criterion: Criterion,
+        objective: Objective,
         study: StudyFile,
         clock: StageTimer,
         references: Mapping[str, Simulator] | None = None,
     ) -> None:
-        self._config, self._simulator, self._objective = config, simulator, criterion.objective
+        self._config, self._simulator, self._objective = config, simulator, objective
         self._study, self._clock = study, clock
-        self._repeat_policy = RepeatPolicy(config, criterion)
+        self._repeat_policy = RepeatPolicy(config, objective)
         self.notices = RunNotices(simulator)
         # Number of scenarios that failed by an exception of a driver, the simulator or a metric, and the last error.
         self._n_exceptions, self._last_error = 0, SimulationError()

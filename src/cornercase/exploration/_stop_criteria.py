@@ -15,6 +15,7 @@ from cornercase.exploration._study_critical_set import is_score_independent
 from cornercase.exploration.stop._stop_rules import StopCriterion
 from cornercase.metrics import registered_features
 from cornercase.scenario import ParameterSpace
+from cornercase.study._criterion import Criterion
 
 # Minimum number of scenarios to judge a critical set.
 _MIN_SCENARIOS: Final = 40
@@ -23,25 +24,25 @@ _MIN_SCENARIOS: Final = 40
 class StopCriteria:
     """Collects results, and checks if all stop criteria hold.
 
-    `threshold` is a score, lower where more critical. `optimizer` determines which points are independent of scores.
-    Raises `InputError` if there are criteria without a threshold, or ``audited-missed`` without audits.
+    `criterion` is that of being critical. `optimizer` determines which points are independent of scores. Raises
+    `InputError` if there are stop criteria but no criterion, or ``audited-missed`` without audits.
     """
 
     def __init__(
         self,
         criteria: Sequence[StopCriterion],
         space: ParameterSpace,
-        threshold: float | None,
+        criterion: Criterion | None,
         seed: int,
         optimizer: str,
         has_audits: bool = False,
         source_model: SourceStudyModel | None = None,
     ) -> None:
-        if not has_audits and any(criterion.quantity == "audited-missed" for criterion in criteria):
+        if not has_audits and any(rule.quantity == "audited-missed" for rule in criteria):
             raise InputError("`stop_when`: audited-missed needs audits; set `audit`, for example to 0.1.")
-        if criteria and threshold is None:
+        if criteria and criterion is None:
             raise InputError("`stop_when`: needs a threshold; set one with `critical`.")
-        self._criteria, self._space, self._threshold, self._seed = tuple(criteria), space, threshold, seed
+        self._criteria, self._space, self._criterion, self._seed = tuple(criteria), space, criterion, seed
         self._optimizer, self._source_model = optimizer, source_model
         self._points, self._scores = np.zeros((0, space.dimension)), np.zeros(0)
         self._audit_points, self._audit_scores = self._points, self._scores
@@ -70,14 +71,14 @@ class StopCriteria:
 
     def describe_reached(self) -> str | None:
         """Describe how well the critical set is known if all criteria hold, else None."""
-        if not self.is_ready or self._threshold is None:
+        if not self.is_ready or self._criterion is None:
             return None
         try:
             critical_set = CriticalSet(
                 self._space,
                 self._points,
                 self._scores,
-                self._threshold,
+                self._criterion,
                 self._seed,
                 initial_design=is_score_independent(self._optimizer, self._space, self._seed, self._points),
                 audits=(self._audit_points, self._audit_scores),
@@ -86,9 +87,7 @@ class StopCriteria:
             )
         except ValueError:
             return None
-        values = [criterion.evaluate(critical_set) for criterion in self._criteria]
-        if any(value >= criterion.bound for criterion, value in zip(self._criteria, values, strict=True)):
+        values = [(rule, rule.evaluate(critical_set)) for rule in self._criteria]
+        if any(value >= rule.bound for rule, value in values):
             return None
-        return " and ".join(
-            criterion.describe_value(value) for criterion, value in zip(self._criteria, values, strict=True)
-        )
+        return " and ".join(rule.describe_value(value) for rule, value in values)

@@ -14,6 +14,7 @@ from cornercase.metrics import compute_features, registered_features
 from cornercase.optimizers import OPTIMIZERS, Grid, Random, Sobol
 from cornercase.scenario import ParameterSpace
 from cornercase.study import StudyFile
+from cornercase.study._criterion import Criterion
 
 # Separates the random numbers of audits from those of the search.
 _AUDIT_SEED_SALT = 0xA0D17
@@ -55,32 +56,28 @@ def uses_features(optimizer: str) -> bool:
         return False
 
 
-def source_study_model(study: StudyFile, threshold: float) -> SourceStudyModel | None:
-    """Model of the study that warm-started a study's search; None without one, or if all its scores are equal.
-
-    `threshold` is a score, lower where more critical.
-    """
+def source_study_model(study: StudyFile, criterion: Criterion) -> SourceStudyModel | None:
+    """Model of the study that warm-started a study's search; None without one, or if all its scores are equal."""
     warm_start = study.warm_start_data()
     if warm_start is None or np.ptp(warm_start[1]) == 0.0:
         return None
-    return SourceStudyModel(encode_points(study.space, warm_start[0]), warm_start[1], threshold)
+    return SourceStudyModel(encode_points(study.space, warm_start[0]), warm_start[1], criterion)
 
 
-def estimate_critical_set(
-    study: StudyFile, scores: FloatArray, threshold: float, *, last_id: int | None = None, seed: int | None = None
-) -> CriticalSet:
+def estimate_critical_set(study: StudyFile, *, last_id: int | None = None, seed: int | None = None) -> CriticalSet:
     """Estimate the critical set of a study; audits do not influence the estimate, but assess it.
 
-    `scores`, shape (n,), are those of all successful scenarios including audits, lower where more critical. `last_id`
-    is the id of the last scenario that counts. `seed` replaces the seed of the study; two sets are compared with the
-    same seed. Raises ValueError for fewer than 10 scores without audits, or equal scores.
+    `last_id` is the id of the last scenario that counts. `seed` replaces the seed of the study; two sets are compared
+    with the same seed. Raises ValueError without a threshold, for fewer than 10 scores without audits, or equal scores.
     """
-    meta = study.meta
+    meta, objective = study.meta, study.objective
+    if (criterion := objective.criterion) is None:
+        raise ValueError("The study has no threshold.")
     candidates = [row for row in study.rows() if last_id is None or row.id <= last_id]
     ended = [row for row in candidates if row.state == "done"]
     audits = np.array([meta.is_audit(row.id) for row in ended], dtype=np.bool_)
     points = np.array([row.point for row in ended]).reshape(-1, study.space.dimension)
-    scores = scores[: len(ended)]
+    scores = objective.minimized_scores(study)[: len(ended)]
     # Failed scenarios belong to the initial design as well.
     rows = [row for row in candidates if not meta.is_audit(row.id)]
     score_independent = is_score_independent(
@@ -94,10 +91,10 @@ def estimate_critical_set(
         study.space,
         points[~audits],
         scores[~audits],
-        threshold,
+        criterion,
         meta.seed if seed is None else seed,
         initial_design=score_independent[[row.state == "done" for row in rows]],
         audits=(points[audits], scores[audits]),
         features=features,
-        source_model=source_study_model(study, threshold),
+        source_model=source_study_model(study, criterion),
     )

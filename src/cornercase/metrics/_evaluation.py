@@ -43,8 +43,7 @@ class Evaluation:
     def from_signals(cls, root: Node, signals: Signals, shared: Mapping[Leaf, LeafValues] | None = None) -> Evaluation:
         """Evaluate the bounds and statements of an expression; values in `shared` are used again."""
         leaves = dict(shared or {})
-        for leaf in iter_leaves(root):
-            leaves[leaf] = leaves[leaf] if leaf in leaves else evaluate_leaf(leaf, signals)
+        leaves |= {leaf: evaluate_leaf(leaf, signals) for leaf in iter_leaves(root) if leaf not in leaves}
         return cls(root, signals, leaves)
 
     def with_references(self, references: Mapping[str, bool | None]) -> Evaluation:

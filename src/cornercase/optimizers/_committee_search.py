@@ -16,6 +16,7 @@ from cornercase.metrics import Feature
 from cornercase.optimizers._dedupe import Deduplicator
 from cornercase.optimizers._warm_start import WarmStartOptimizer
 from cornercase.scenario import ParameterSpace
+from cornercase.study._criterion import Criterion
 
 _TREES: Final = 64
 _BRANCH_WEIGHT: Final = 0.5  # weight of an uncertain branch against an uncertain outcome
@@ -64,7 +65,7 @@ class Committee(WarmStartOptimizer):
     def prepare(self, space: ParameterSpace, seed: int, threshold: float, features: Sequence[Feature]) -> None:
         """Prepare the search of a space; without `features`, the committee learns from the scores alone."""
         super().prepare(space, seed)
-        self.threshold, self._features = threshold, tuple(features)
+        self._criterion, self._features = Criterion(threshold), tuple(features)
         self._deduplicator = Deduplicator(space)
         self._observed_features: FloatArray | None = np.zeros((0, len(self._features))) if self._features else None
         self._committee: CommitteeModel
@@ -90,7 +91,7 @@ class Committee(WarmStartOptimizer):
 
     def _fit_model(self, points: FloatArray, scores: FloatArray, seed: int) -> None:
         self._committee = CommitteeModel(
-            _threshold_between_scores(scores, self.threshold),
+            _criterion_between_scores(scores, self._criterion),
             self._features if self._observed_features is not None else (),
             has_prediction=self._source_model is not None,
         )
@@ -98,7 +99,8 @@ class Committee(WarmStartOptimizer):
 
     def _choose_points(self, points: FloatArray, scores: FloatArray, filling: FloatArray, n: int) -> FloatArray:
         run, run_scores = self._points[self._is_finished], self._scores[self._is_finished]
-        candidates = self._draw_near_and_far(run[run_scores <= max(self.threshold, run_scores.min())], filling, n)
+        near = self._criterion.is_critical(run_scores) | (run_scores == run_scores.min())
+        candidates = self._draw_near_and_far(run[near], filling, n)
         if len(candidates) <= n:
             return candidates
         if len(points):
@@ -146,10 +148,10 @@ def committee_acquisition(p_critical: FloatArray, p_likeliest_branch: FloatArray
     return np.maximum(0.5 - np.abs(p_critical - 0.5), _BRANCH_WEIGHT * (1.0 - p_likeliest_branch))
 
 
-def _threshold_between_scores(scores: FloatArray, threshold: float) -> float:
-    """Return the threshold if scores lie on both sides of it; otherwise the nearest threshold for which they do."""
+def _criterion_between_scores(scores: FloatArray, criterion: Criterion) -> Criterion:
+    """Return the criterion if scores lie on both sides of it; otherwise the nearest one for which they do."""
     lowest, below_highest = np.sort(scores)[[0, -2]]
-    return float(min(max(threshold, lowest), below_highest))
+    return Criterion(float(min(max(criterion.oriented, lowest), below_highest)))
 
 
 def _choose_spread_out(points: FloatArray, gain: FloatArray, known: FloatArray, sides: FloatArray, n: int) -> IntArray:

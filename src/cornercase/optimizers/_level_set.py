@@ -21,6 +21,7 @@ from cornercase.optimizers._local_minima import suggest_below_local_minima
 from cornercase.optimizers._straddle import StraddleSelection, straddle_gains
 from cornercase.optimizers._warm_start import WarmStartOptimizer
 from cornercase.scenario import ParameterSpace
+from cornercase.study._criterion import Criterion
 
 _N_BEST: Final = 4096  # best candidates that are kept until the process is learned anew
 _N_FIRST_TRIED: Final = 512  # of these, how many are tried first
@@ -80,7 +81,7 @@ class LevelSet(WarmStartOptimizer):
     def prepare(self, space: ParameterSpace, seed: int, threshold: float) -> None:
         """Prepare the search of a space for the boundary at `threshold`."""
         super().prepare(space, seed)
-        self.threshold, self._filling = threshold, self._min_filling
+        self._criterion, self._filling = Criterion(threshold), self._min_filling
         self._deduplicator = Deduplicator(space)
 
     def tell(self, points: FloatArray, scores: FloatArray) -> None:
@@ -90,7 +91,7 @@ class LevelSet(WarmStartOptimizer):
 
     def _fit_model(self, points: FloatArray, scores: FloatArray, seed: int) -> None:
         self._process = fit_boundary_process(
-            self._model_coordinates(points), scores, self.threshold, has_prediction=self._source_model is not None
+            self._model_coordinates(points), scores, self._criterion, has_prediction=self._source_model is not None
         )
         candidates = self._draw_candidates(seed, self._count, points)
         mean, deviation = self._process.predict(self._model_coordinates(candidates))
@@ -131,7 +132,7 @@ class LevelSet(WarmStartOptimizer):
         if count == 0:
             return filling[:0]
         suggestions = suggest_below_local_minima(
-            encode_points(self._space, self._points), self._scores, self.threshold, count
+            encode_points(self._space, self._points), self._scores, self._criterion, count
         )
         if not len(suggestions) or not len(self._all_candidates):
             return filling[:0]
@@ -148,7 +149,7 @@ class LevelSet(WarmStartOptimizer):
             return candidates
         process = self._process
         if len(points):
-            values = squash_around_threshold(scores, self.threshold, process.squash_scale)
+            values = squash_around_threshold(scores, self._criterion, process.squash_scale)
             process = process.with_more_values(self._model_coordinates(points), values)
         return candidates[
             _choose_by_straddle(process, self._model_coordinates(candidates), self._model_coordinates(filling), n)

@@ -8,13 +8,14 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from cornercase._common.typing import FloatArray
+from cornercase.study._criterion import Criterion
 
 # Greatest distance of a minimum from the threshold, relative to its depth below the neighbouring scores.
 _MAX_RELATIVE_HEIGHT: Final = 3.0
 
 
 def suggest_below_local_minima(
-    points: FloatArray, scores: FloatArray, threshold: float, max_count: int | None = None
+    points: FloatArray, scores: FloatArray, criterion: Criterion, max_count: int | None = None
 ) -> FloatArray:
     """Suggest points (m, e) downhill from local minima above the threshold, the most promising first.
 
@@ -33,7 +34,7 @@ def suggest_below_local_minima(
     scores = np.where(np.isnan(scores), np.nanmax(scores), scores)
     distance, near = map(np.asarray, cKDTree(points).query(points, k=count + 1))
     neighbour_scores = scores[near[:, 1:]]
-    height, depth = scores - threshold, np.median(neighbour_scores, axis=1) - scores
+    height, depth = criterion.margins(scores), np.median(neighbour_scores, axis=1) - scores
     minima = np.flatnonzero(
         (height > 0.0) & (scores < neighbour_scores.min(axis=1)) & (height <= _MAX_RELATIVE_HEIGHT * depth)
     )

@@ -12,6 +12,7 @@ from cornercase.evidence._multi_fidelity import SourceStudyModel, augment_points
 from cornercase.evidence.gp._process import encode_points
 from cornercase.optimizers._candidates import CandidateOptimizer
 from cornercase.optimizers._straddle import StraddleSelection
+from cornercase.study._criterion import Criterion
 
 _N_CHECKED: Final = 10  # number of scores from which the other study's prediction is checked
 _SOURCE_FRACTION: Final = 0.5  # fraction of these points that the other study chooses
@@ -34,12 +35,12 @@ class WarmStartOptimizer(CandidateOptimizer):
     """
 
     supports_warm_start = True
-    threshold: float
+    _criterion: Criterion
     _source_model: SourceStudyModel | None = None
 
     def warm_start(self, points: FloatArray, scores: FloatArray) -> None:
         """Use the scores (n,) of another study at points (n, d); called before the first `tell`."""
-        self._source_model = SourceStudyModel(encode_points(self._space, points), scores, self.threshold)
+        self._source_model = SourceStudyModel(encode_points(self._space, points), scores, self._criterion)
 
     def _propose(self, n: int, pending: FloatArray) -> FloatArray:
         asked = len(self._points) + len(pending)

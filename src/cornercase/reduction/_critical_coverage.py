@@ -18,6 +18,7 @@ from cornercase.evidence.gp._process import encode_points
 from cornercase.reduction._coverage import NearestDistances
 from cornercase.reduction._held_out_coverage import HeldOutCritical, HeldOutDistances, summarize_held_out_critical
 from cornercase.scenario import ParameterSpace
+from cornercase.study._criterion import Criterion
 
 DEFAULT_SIMILARITY: Final = 0.5
 """Default share of the median distance within clusters up to which two scenarios are similar."""
@@ -69,7 +70,7 @@ def measure_critical_coverage(
     space: ParameterSpace,
     points: FloatArray,
     scores: FloatArray,
-    threshold: float,
+    criterion: Criterion,
     nearest_distances: NearestDistances,
     similar_distance: float,
     *,
@@ -79,13 +80,12 @@ def measure_critical_coverage(
 ) -> CriticalCoverage:
     """Summarize how well selected scenarios represent the critical ones, from the distances to the selected ones.
 
-    `points`, shape (n, d), are in the unit cube. `scores` and `threshold` are lower where more critical. A critical
-    scenario is on the boundary if any of the 2 d scenarios nearest to it is not critical. Scenarios that were not run
-    are predicted by two Gaussian processes over the parameter space. The first predicts the scores, the second the
-    distance of critical scenarios to the nearest selected one. Both are calibrated by leave-one-out as in
-    `CriticalSet`.
+    `points`, shape (n, d), are in the unit cube. `scores` are lower where more critical. A critical scenario is on the
+    boundary if any of the 2 d scenarios nearest to it is not critical. Scenarios that were not run are predicted by two
+    Gaussian processes over the parameter space. The first predicts the scores, the second the distance of critical
+    scenarios to the nearest selected one. Both are calibrated by leave-one-out as in `CriticalSet`.
     """
-    critical = scores <= threshold
+    critical = criterion.is_critical(scores)
     distance, medoid_distance = nearest_distances.to_selected, nearest_distances.to_medoids
     random = nearest_distances.to_random[:, critical] <= similar_distance
     any_critical = bool(critical.any())
@@ -93,9 +93,10 @@ def measure_critical_coverage(
     unlike = None
     # Fewer than ten critical scenarios, or all with the same score or the same distance.
     with suppress(ValueError):
-        all_critical = critical_set or CriticalSet(space, points, scores, threshold, seed)
+        all_critical = critical_set or CriticalSet(space, points, scores, criterion, seed)
+        is_unlike = Criterion(similar_distance, lower_is_critical=False)
         unlike = all_critical.fraction_inside(
-            CriticalSet(space, points[critical], -distance[critical], -similar_distance, seed)
+            CriticalSet(space, points[critical], -distance[critical], is_unlike, seed)
         )
     return CriticalCoverage(
         within=similar_distance,

@@ -120,11 +120,10 @@ def evaluate_critical_coverage(
     the seed of the study.
     """
     meta, space = data.study.meta, data.study.space
-    criterion = data.study.criterion
-    threshold = criterion.oriented
-    if threshold is None or not selected:
+    objective = data.study.objective
+    if (criterion := objective.criterion) is None or not selected:
         return {}
-    oriented = dict(zip(data.rows, criterion.objective.minimized_scores(data.study).tolist(), strict=True))
+    oriented = dict(zip(data.rows, objective.minimized_scores(data.study).tolist(), strict=True))
     coverage: dict[str, CriticalCoverage] = {}
     critical_sets: dict[tuple[int, ...], CriticalSet] = {}
     for name, analysis in data.analyses.items():
@@ -136,7 +135,7 @@ def evaluate_critical_coverage(
         # Aspects of the same scenarios share a critical set.
         if ids not in critical_sets:
             with suppress(ValueError):
-                critical_sets[ids] = CriticalSet(space, points, scores, threshold, meta.seed)
+                critical_sets[ids] = CriticalSet(space, points, scores, criterion, meta.seed)
         similar_distance = (
             similar_distances[name]
             if similar_distances and name in similar_distances
@@ -149,7 +148,7 @@ def evaluate_critical_coverage(
             space,
             points,
             scores,
-            threshold,
+            criterion,
             redraw_random_selections(gaps_of_aspect, distances, index, meta.seed),
             similar_distance,
             seed=meta.seed,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from html import escape
 
 import numpy as np
@@ -16,6 +16,7 @@ from cornercase.evidence._sensitivity import estimate_sensitivity
 from cornercase.exploration._best_scores import is_on_pareto_front
 from cornercase.exploration._study_critical_set import estimate_critical_set, uses_features
 from cornercase.study import StudyFile
+from cornercase.study._criterion import Criterion
 
 # The missed share is estimated for this range of scenario counts, at this many sizes.
 _MIN_SCENARIOS, _MAX_SCENARIOS, _MAX_SIZES = 10, 1000, 8
@@ -47,10 +48,14 @@ class CriticalEstimates:
     critical_set: CriticalSetEstimates | None
     audits: AuditEstimates | None = None
 
+    @property
+    def criterion(self) -> Criterion:
+        """Threshold, side and unit in one value."""
+        return Criterion(self.threshold, self.lower_is_critical, self.unit)
+
     def _repr_html_(self) -> str:
         """The estimates in a list, for notebooks."""
-        sign = "<=" if self.lower_is_critical else ">="
-        facts = [f"critical if the score {sign} {self.threshold:g} {self.unit}; {self.n_critical} such scenarios ran"]
+        facts = [f"critical if the score {self.criterion}; {self.n_critical} such scenarios ran"]
         if self.critical_set is None:
             facts.append("too few scenarios for estimates about the whole space")
         else:
@@ -165,9 +170,6 @@ def estimate_missed_fractions(study: StudyFile, estimates: SpaceEstimates) -> It
         return
     rounds = np.array([row.round for row in rows])
     ends = (np.flatnonzero(np.diff(rounds)) + 1).tolist()
-    criterion = study.criterion
-    scores, threshold = criterion.objective.minimized_scores(study), criterion.oriented
-    assert threshold is not None
     sizes: list[int] = []
     if not uses_features(study.meta.optimizer):
         targets = [len(rows) / 2.0**k for k in range(_MAX_SIZES - 1, 0, -1)]
@@ -175,7 +177,7 @@ def estimate_missed_fractions(study: StudyFile, estimates: SpaceEstimates) -> It
         sizes = sorted(size for size in nearest if _MIN_SCENARIOS <= size <= _MAX_SCENARIOS)
     for size in sizes:
         with skip_if_not_enough_data():
-            critical_set = estimate_critical_set(study, scores, threshold, last_id=rows[size - 1].id)
+            critical_set = estimate_critical_set(study, last_id=rows[size - 1].id)
             yield MissedFractionAfter(size, critical_set.missed_fraction, critical_set.missed_interval_unavailable)
     yield MissedFractionAfter(
         len(rows), critical.critical_set.missed_fraction, critical.critical_set.missed_interval_unavailable
@@ -187,7 +189,7 @@ def estimate_space(study: StudyFile) -> SpaceEstimates:
     rows = study.finished_rows()
     if not rows:
         return SpaceEstimates()
-    objective = study.criterion.objective
+    objective = study.objective
     if objective.pareto:
         scores = {metric.name: study.scores(metric.name) for metric in objective.metrics}
         front = np.flatnonzero(is_on_pareto_front(objective.minimized_scores(study))).tolist()
@@ -200,7 +202,7 @@ def estimate_space(study: StudyFile) -> SpaceEstimates:
 
 def estimate_study_sensitivity(study: StudyFile) -> Sensitivity:
     """Estimate the sensitivity of the objective to each parameter; ValueError for fewer than 10 scores."""
-    scores = study.criterion.objective.minimized_scores(study)
+    scores = study.objective.minimized_scores(study)
     searched = ~study.audit_mask()
     return estimate_sensitivity(study.space, study.points()[searched], scores[searched], study.meta.seed)
 
@@ -208,14 +210,12 @@ def estimate_study_sensitivity(study: StudyFile) -> Sensitivity:
 def estimate_critical(study: StudyFile) -> CriticalEstimates | None:
     """Estimate the critical set of a study; None without a threshold, or if no scenario was run."""
     criterion = study.criterion
-    threshold, objective = criterion.oriented, criterion.objective
-    if criterion.raw is None or threshold is None or not study.finished_rows():
+    if criterion is None or not study.finished_rows():
         return None
-    oriented = objective.minimized_scores(study)
-    audits = study.audit_mask()
+    critical, audits = study.critical_mask(), study.audit_mask()
     estimates, missed = None, None
     with skip_if_not_enough_data():
-        critical_set = estimate_critical_set(study, oriented, threshold)
+        critical_set = estimate_critical_set(study)
         estimates = CriticalSetEstimates(
             critical_set.critical_fraction,
             critical_set.missed_fraction,
@@ -228,18 +228,15 @@ def estimate_critical(study: StudyFile) -> CriticalEstimates | None:
             critical_set.uses_committee,
         )
         missed = critical_set.audited_missed_fraction
-    n_critical_audits = int(criterion.is_critical(oriented[audits]).sum())
-    n_audits = int(audits.sum())
+    n_critical_audits, n_audits = int(critical[audits].sum()), int(audits.sum())
     audit = (
         AuditEstimates(n_audits, n_critical_audits, proportion_interval(n_critical_audits, n_audits), missed)
         if n_audits
         else None
     )
     return CriticalEstimates(
-        threshold=float(criterion.raw),
-        lower_is_critical=objective.lower_is_critical,
-        unit=objective.unit,
-        n_critical=int(criterion.is_critical(oriented).sum()),
+        **asdict(criterion),
+        n_critical=int(critical.sum()),
         critical_set=estimates,
         audits=audit,
     )

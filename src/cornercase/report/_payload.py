@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from typing import Any, Final
 
 from cornercase.clustering import Analysis
@@ -88,9 +89,10 @@ def whole_study_payload(data: ReportData) -> dict[str, Any]:
     meta, rows = data.summary.meta, _sorted_rows(data)
     indices = _row_indices(rows)
     selected = () if data.summary.reduced_set is None else data.summary.reduced_set.scenarios
+    critical = data.summary.estimates.critical
     return study_info_payload(meta, data.file_name) | {
         "about": describe_study(data),
-        "critical": _criterion_payload(data),
+        "critical": None if critical is None else asdict(critical.criterion),
         "default_aspect": find_default_aspect(data),
         "influential": list(data.influential_parameters),
         "answers": [answer.to_json() for answer in page_answers(data)],
@@ -149,13 +151,6 @@ def _sorted_rows(data: ReportData) -> list[ScenarioRecord]:
 
 def _row_indices(rows: Sequence[ScenarioRecord]) -> dict[int, int]:
     return {row.id: k for k, row in enumerate(rows)}
-
-
-def _criterion_payload(data: ReportData) -> dict[str, Any] | None:
-    critical = data.summary.estimates.critical
-    if critical is None:
-        return None
-    return {"threshold": critical.threshold, "lower_is_critical": critical.lower_is_critical, "unit": critical.unit}
 
 
 def _clusters_payload(analysis: Analysis, row_indices: Mapping[int, int], n_rows: int) -> dict[str, Any]:

@@ -26,6 +26,7 @@ from cornercase.metrics._other_entities import ALL_OTHERS, resolve_others
 from cornercase.recordings import read_recording
 from cornercase.scenario import Parameter, ParameterSpace, Value
 from cornercase.study._meta import StudyMeta
+from cornercase.study._objective import Objective
 from cornercase.study._scenario_table import ScenarioRecord
 from cornercase.study._stored_paths import stored_path
 from cornercase.study._study_file import StudyFile, open_or_create_study
@@ -124,7 +125,6 @@ def import_recordings(
     instances = [METRICS.create(name) for name in dict.fromkeys(validation.check_str_sequence("metrics", metrics))]
     if not instances:
         raise InputError("`metrics`: name at least one.")
-    has_threshold = critical is not None or instances[0].default_threshold is not None
     meta = StudyMeta(
         scenario=stored_path(folder, path),
         fingerprint=_hash_inputs(table, folder, files),
@@ -135,7 +135,7 @@ def import_recordings(
         optimizer="none",
         simulator=IMPORTED_SIMULATOR,
         settings={"table": stored_path(table, path)},
-        critical=instances[0].resolve_threshold(critical) if has_threshold else None,
+        critical=Objective(instances).with_threshold(critical, is_required=False).threshold,
         budget=len(files),
         batch=len(files),
         files=tuple(files),

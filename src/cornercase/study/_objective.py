@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cornercase._common.errors import InputError, suggest_name
-from cornercase._common.typing import FloatArray
+from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.metrics import METRICS, Metric
+from cornercase.study._criterion import Criterion
 from cornercase.study._meta import StudyMeta
 
 if TYPE_CHECKING:
@@ -20,12 +21,17 @@ class Objective:
     """Turns the scores of metrics into scores to minimize.
 
     The objective is the first metric, a weighted sum, or (for a Pareto front) all metrics. `weights` maps a metric to
-    its weight per unit of score; metrics without a weight do not count. `InputError` if there is no metric, if a weight
-    is not positive or its metric is unknown, or for a front with weights or with a single metric.
+    its weight per unit of score; metrics without a weight do not count. `criterion` says when a scenario is critical;
+    None without `threshold`, and for a front. `InputError` if there is no metric, if a weight is not positive or its
+    metric is unknown, or for a front with weights or with a single metric.
     """
 
     def __init__(
-        self, metrics: Sequence[Metric], weights: Mapping[str, float] | None = None, pareto: bool = False
+        self,
+        metrics: Sequence[Metric],
+        weights: Mapping[str, float] | None = None,
+        pareto: bool = False,
+        threshold: float | None = None,
     ) -> None:
         if not metrics:
             raise InputError("There is no metric to search; name one with `metrics`.")
@@ -39,12 +45,33 @@ class Objective:
             if not 0.0 < weight < np.inf:
                 raise InputError(f"`weights` {name}={weight:g}: give a number above 0.")
         self._score_factors = self._make_score_factors()
+        self.criterion: Criterion | None = None
+        if threshold is not None and not pareto:
+            self.criterion = Criterion(float(threshold), self.lower_is_critical, self.unit)
 
     @classmethod
-    def from_study_meta(cls, meta: StudyMeta) -> Objective:
-        """Return the objective of a stored study."""
+    def from_study_meta(cls, meta: StudyMeta, threshold: float | None = None) -> Objective:
+        """Return the objective of a stored study, with another threshold than the stored one if it is given."""
         metrics = [METRICS.create(name) for name in meta.metrics]
-        return cls(metrics, meta.weights, meta.pareto)
+        return cls(metrics, meta.weights, meta.pareto, meta.critical if threshold is None else threshold)
+
+    def with_threshold(self, given: float | None, *, is_required: bool = True) -> Objective:
+        """Return the objective with the user's threshold, or else with the default threshold of its metric.
+
+        `InputError` if a threshold is given for a Pareto front, or if one is required and there is none.
+        """
+        threshold = given
+        if self.pareto:
+            if is_required or given is not None:
+                raise InputError(
+                    "`pareto`: a Pareto front has no threshold; use `weights` to combine the metrics into one score."
+                )
+        elif self.weights:
+            if is_required and given is None:
+                raise InputError("`weights`: set `critical` to the weighted sum up to which a scenario is critical.")
+        elif given is not None or is_required or self.metrics[0].default_threshold is not None:
+            threshold = self.metrics[0].resolve_threshold(given)
+        return Objective(self.metrics, self.weights, self.pareto, threshold)
 
     def _make_score_factors(self) -> FloatArray:
         signs = np.array([metric.to_minimize(1.0) for metric in self.metrics])
@@ -72,6 +99,21 @@ class Objective:
         The shape is (n,), or (n, metrics) for a Pareto front.
         """
         return self.minimized(np.stack([study.scores(metric.name) for metric in self.metrics], axis=1))
+
+    def critical_mask(self, minimized: FloatArray) -> BoolArray:
+        """Return a mask, shape (m,), of critical scenarios from scores to minimize; all False without a threshold."""
+        if self.criterion is None:
+            return np.zeros(len(minimized), dtype=np.bool_)
+        return self.criterion.is_critical(minimized)
+
+    def is_critical(self, scores: Mapping[str, float]) -> bool:
+        """Tell whether a scenario is critical, from its scores by metric; False without a threshold."""
+        return bool(self.critical_mask(self.minimized(np.array([[scores[metric.name] for metric in self.metrics]])))[0])
+
+    @property
+    def threshold(self) -> float | None:
+        """Threshold in the unit of the objective, as studies store it; None if there is none."""
+        return None if self.criterion is None else self.criterion.threshold
 
     @property
     def label(self) -> str:

@@ -9,6 +9,7 @@ import numpy as np
 
 from cornercase._common.clopper_pearson import clopper_pearson_interval
 from cornercase._common.typing import FloatArray
+from cornercase.study._criterion import Criterion
 
 _TAIL_PROBABILITY: Final = 0.05
 
@@ -16,22 +17,22 @@ MIN_DECISIVE_RUNS: Final = 5
 """Smallest number of runs that can decide whether a scenario is critical, if all runs agree."""
 
 
-def critical_run_rates(scores: Sequence[Sequence[float]], threshold: float) -> FloatArray:
+def critical_run_rates(scores: Sequence[Sequence[float]], criterion: Criterion) -> FloatArray:
     """Return the fraction of critical runs of each scenario with its 90 % Clopper-Pearson interval, shape (n, 3).
 
-    `scores` are the minimized scores of all runs, by scenario. A run is critical if its score is at most `threshold`.
+    `scores` are the minimized scores of all runs, by scenario.
     """
     rows = []
     for run_scores in scores:
-        n_runs, n_critical = len(run_scores), sum(score <= threshold for score in run_scores)
+        n_runs, n_critical = len(run_scores), int(criterion.is_critical(np.array(run_scores)).sum())
         rows.append((n_critical / n_runs, *clopper_pearson_interval(n_critical, n_runs, _TAIL_PROBABILITY)))
     return np.array(rows, dtype=np.float64)
 
 
-def is_criticality_undecided(scores: Sequence[float], threshold: float) -> bool:
+def is_criticality_undecided(scores: Sequence[float], criterion: Criterion) -> bool:
     """Tell whether the 90 % interval of the probability that a run is critical contains 0.5.
 
     `scores` are the minimized scores of the runs of one scenario; at least one run is needed.
     """
-    ((_, low, high),) = critical_run_rates([scores], threshold)
+    ((_, low, high),) = critical_run_rates([scores], criterion)
     return bool(low <= 0.5 <= high)

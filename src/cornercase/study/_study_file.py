@@ -37,6 +37,7 @@ from cornercase.study._digest import (
 )
 from cornercase.study._meta import StudyMeta, hash_points_and_scores
 from cornercase.study._notes import MAX_NOTE_LENGTH
+from cornercase.study._objective import Objective
 from cornercase.study._reference_outcomes import decode_reference_outcome, reference_metric_name
 from cornercase.study._run_rates import critical_run_rates
 from cornercase.study._scenario_table import ScenarioRecord, build_scenario_table
@@ -705,9 +706,14 @@ class StudyFile:
         return self.meta.critical if self._critical is None else self._critical
 
     @property
-    def criterion(self) -> Criterion:
-        """Criterion for being critical: the objective and its threshold."""
-        return Criterion.from_study_meta(self.meta, self._critical)
+    def objective(self) -> Objective:
+        """Objective of the search, with the threshold of `critical`."""
+        return Objective.from_study_meta(self.meta, self._critical)
+
+    @property
+    def criterion(self) -> Criterion | None:
+        """When a scenario is critical; None if there is no threshold, or a Pareto front was searched."""
+        return self.objective.criterion
 
     def critical_mask(self) -> BoolArray:
         """Mask of critical scenarios among those that ran.
@@ -717,8 +723,8 @@ class StudyFile:
         ndarray of bool, shape (n,)
             All False without a threshold.
         """
-        criterion = self.criterion
-        return criterion.is_critical(criterion.objective.minimized_scores(self))
+        objective = self.objective
+        return objective.critical_mask(objective.minimized_scores(self))
 
     def with_critical(self, critical: float | None) -> StudyFile:
         """Return another object for the same open file, with another threshold.
@@ -774,15 +780,15 @@ class StudyFile:
             undecided whether the scenario is critical. None if each scenario was run once, or if there is no threshold
             for a single metric.
         """
-        criterion = self.criterion
-        if criterion.oriented is None or criterion.objective.weights:
+        objective = self.objective
+        if objective.criterion is None or objective.weights:
             return None
-        metric = criterion.objective.metrics[0]
+        metric = objective.metrics[0]
         if (runs := self._read_run_scores(metric.name)) is None:
             return None
         with reraise_as_damage(self.path):
             scores = [[metric.to_minimize(float(score)) for score in run_scores] for run_scores in runs]
-            return critical_run_rates(scores, criterion.oriented)
+            return critical_run_rates(scores, objective.criterion)
 
     def warm_start_data(self) -> tuple[FloatArray, FloatArray] | None:
         """Read the points and scores of the earlier study that the search began with.

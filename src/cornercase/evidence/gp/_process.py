@@ -32,6 +32,7 @@ from cornercase.evidence.gp._posterior import (
     condition_process,
 )
 from cornercase.scenario import ParameterSpace
+from cornercase.study._criterion import Criterion
 
 _POINTS_PER_CHUNK, _MIN_SCORES = 1024, 10
 _FULL_SCALE_COUNT = 100  # scores up to which the squash scale is one standard deviation
@@ -76,13 +77,13 @@ def squash_scale(scores: FloatArray) -> float:
     return float(np.clip(_FULL_SCALE_COUNT / len(scores), 0.5, 1.0) * np.std(scores))
 
 
-def squash_around_threshold(scores: FloatArray, threshold: float, scale: float) -> FloatArray:
+def squash_around_threshold(scores: FloatArray, criterion: Criterion, scale: float) -> FloatArray:
     """Shift the threshold to 0, and compress scores far from it by a hyperbolic tangent of the given scale."""
-    return np.asarray(np.tanh((scores - threshold) / scale))
+    return np.asarray(np.tanh(criterion.margins(scores) / scale))
 
 
 def fit_boundary_process(
-    points: FloatArray, scores: FloatArray, threshold: float, *, has_prediction: bool = False
+    points: FloatArray, scores: FloatArray, criterion: Criterion, *, has_prediction: bool = False
 ) -> GaussianProcess:
     """Fit the Gaussian process of squashed scores that best predicts which scenarios are critical.
 
@@ -100,7 +101,7 @@ def fit_boundary_process(
     `points` (n, e) are encoded, `scores` (n,) are not all the same. `has_prediction` says whether the last coordinate
     is the prediction of a `SourceStudyModel`.
     """
-    critical = scores <= threshold
+    critical = criterion.is_critical(scores)
     # Keep all scenarios of the rarer class in the subset, since length scales around them are learned from them.
     rare = critical if 2 * critical.sum() < len(critical) else ~critical
     subset = indices_with_rare_values(len(points), MAX_EXACT_VALUES, rare)
@@ -110,7 +111,7 @@ def fit_boundary_process(
 
     def fit_candidate(scale: float, max_noise: float, n_used: int, start: GaussianProcess | None) -> _Candidate:
         """Fit one process; return it with its leave-one-out log-likelihood of the sides of the threshold."""
-        values = squash_around_threshold(scores, threshold, scale)
+        values = squash_around_threshold(scores, criterion, scale)
         process = GaussianProcess(max_noise, scale).fit_hyperparameters(points, values, start, rare, n_used)
         if len(points) > GaussianProcess.max_induced_values:
             mean, deviation = process.leave_one_out_by_nearest(points, values, subset)
@@ -121,7 +122,7 @@ def fit_boundary_process(
         return float(log_ndtr(-side * mean / deviation).sum()), process, n_used
 
     # As long as hardly anything is critical, all scores would be squashed to the same value.
-    least = float(np.quantile(scores, _UNSQUASHED_FRACTION)) - threshold
+    least = float(np.quantile(scores, _UNSQUASHED_FRACTION)) - criterion.oriented
     scales = dict.fromkeys((max(squash_scale(scores), least), max(_SMOOTH_SCALE * float(np.std(scores)), least)))
     candidates = [
         fit_candidate(scale, _INITIAL_MAX_NOISE, used, None)
@@ -142,7 +143,7 @@ def fit_boundary_process(
     if start.kernel.noise > 0.99 * _INITIAL_MAX_NOISE:
         candidates.append(fit_candidate(start.squash_scale, _HIGH_MAX_NOISE, used, start))
     best = max(candidates, key=itemgetter(0))[1]
-    return best if len(subset) == len(points) else best.condition_on_scores(points, scores, threshold)
+    return best if len(subset) == len(points) else best.condition_on_scores(points, scores, criterion)
 
 
 class GaussianProcess:
@@ -208,9 +209,9 @@ class GaussianProcess:
             self._set_posterior(condition_process(self.kernel, points, values - self._mean, relevance))
         return self
 
-    def condition_on_scores(self, points: FloatArray, scores: FloatArray, threshold: float) -> GaussianProcess:
+    def condition_on_scores(self, points: FloatArray, scores: FloatArray, criterion: Criterion) -> GaussianProcess:
         """Condition on squashed scores; points near the threshold have more relevance."""
-        values = squash_around_threshold(scores, threshold, self.squash_scale)
+        values = squash_around_threshold(scores, criterion, self.squash_scale)
         # The slope of the hyperbolic tangent measures how near a score is to the threshold.
         return self.condition_on(points, values, (1.0 - values**2 + _MIN_RELEVANCE) ** 2)
 

@@ -125,8 +125,7 @@ class _Parser:
         # A bracket right behind an operator is no further level.
         levels = int(is_operator or bool(has_bracket and not is_operand))
         self.depth += levels
-        if self.depth > _MAX_DEPTH:
-            self._fail_too_deep()
+        self._check_depth(self.depth)
         if is_operator:
             self.take(_NAME)
             interval = None if name == "not" else self.parse_interval()
@@ -225,7 +224,8 @@ class _Parser:
         if not isinstance(left, Signal):
             self.fail("two numbers are compared; name a signal, such as ego.speed.", begin)
         if not isinstance(right, Signal):
-            bound = Bound(left, relation, *self._convert_number(left, right))
+            value = self._convert(right, left.unit, left.text, may_be_operator=True)
+            bound = Bound(left, relation, value, f"{right.text} {normalize_unit(right.unit)}".rstrip())
         elif normalize_unit(right.unit) == normalize_unit(left.unit):
             bound = Bound(left, relation, right)
         else:
@@ -271,12 +271,10 @@ class _Parser:
 
     def take(self, pattern: str) -> str | None:
         """Return the text that matches a pattern at the current position, and move past it and the following spaces."""
-        match = re.compile(pattern).match(self.text, self.position)
-        if match is None:
-            return None
-        rest = self.text[match.end() :]
-        self.position = match.end() + len(rest) - len(rest.lstrip())
-        return match[0]
+        taken = self.peek(pattern)
+        if taken is not None:
+            self.position = len(self.text) - len(self.text[self.position + len(taken) :].lstrip())
+        return taken
 
     def word(self, word: str) -> bool:
         """Move past `word` if it is next; return whether it was."""
@@ -314,11 +312,7 @@ class _Parser:
         """Parse a number with or without a unit, and convert it to `unit`."""
         if not self.peek(_NUMBER):
             self.fail(f"give {expected}.")
-        number = self._parse_number()
-        try:
-            return convert_to_unit(number.value, number.unit, unit)
-        except InputError as error:
-            self.fail(f"this number is in {unit}: {error}", number.unit_position)
+        return self._convert(self._parse_number(), unit, "this number")
 
     def _parse_time(self, expected: str) -> float:
         begin, value = self.position, self._parse_quantity("s", expected)
@@ -326,20 +320,17 @@ class _Parser:
             self.fail("intervals begin at 0 s or later, as they look ahead.", begin)
         return value
 
-    def _convert_number(self, signal: Signal, number: _Number) -> tuple[float, str]:
-        """Value of a number in the unit of a signal, and its normalized spelling."""
+    def _convert(self, number: _Number, unit: str, subject: str, *, may_be_operator: bool = False) -> float:
         try:
-            value = convert_to_unit(number.value, number.unit, signal.unit)
+            return convert_to_unit(number.value, number.unit, unit)
         except InputError as error:
             # The text behind a number may be a misspelt operator.
-            hint = "" if is_known_unit(number.unit) else _suggest_operator(number.unit)
-            self.fail(hint or f"{signal.text} is in {signal.unit}: {error}", number.unit_position)
-        return value, f"{number.text} {normalize_unit(number.unit)}".rstrip()
+            hint = _suggest_operator(number.unit) if may_be_operator and not is_known_unit(number.unit) else ""
+            self.fail(hint or f"{subject} is in {unit}: {error}", number.unit_position)
 
     def _operation(self, operator: Operator, *operands: Node, interval: tuple[float, float] | None = None) -> Operation:
         operation = Operation(operator, operands, interval)
-        if operation.depth > _MAX_DEPTH:
-            self._fail_too_deep()
+        self._check_depth(operation.depth)
         return operation
 
     def _compare_scores(self, node: Node) -> Node:
@@ -360,8 +351,9 @@ class _Parser:
             )
         return replace(node, left=Signal(f"{SCORE_PREFIX}{signal.name})", signal.unit))
 
-    def _fail_too_deep(self) -> NoReturn:
-        self.fail(f"brackets and operators are nested more than {_MAX_DEPTH} deep.", self.position)
+    def _check_depth(self, depth: int) -> None:
+        if depth > _MAX_DEPTH:
+            self.fail(f"brackets and operators are nested more than {_MAX_DEPTH} deep.", self.position)
 
     def _fail_at_rest(self) -> NoReturn:
         if self.peek(r"\)"):

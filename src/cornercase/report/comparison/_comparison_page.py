@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
 
@@ -178,16 +179,13 @@ def _replay_payload(comparison: Comparison, old: StudyFile, new: StudyFile) -> d
     errors = {str(k + 1): row.error or "" for k, (_, _, row) in enumerate(members) if row.state == "failed"}
     meta = old.meta
     subject = study_info_payload(meta, old.path.name)
-    critical = None
-    if old.critical is not None and not meta.weights and not meta.pareto:
-        first = METRICS.create(meta.metrics[0])
-        critical = {"threshold": old.critical, "lower_is_critical": first.lower_is_critical, "unit": first.unit}
+    criterion = None if meta.weights else old.criterion
     metrics_of_page = [metric for metric in subject["metrics"] if metric["name"] in metrics] or subject["metrics"]
     sources = [(old, new)[side].scenario_score_sources(row.id) for _, side, row in members]
     return subject | {
         "metrics": metrics_of_page,
-        "searched": meta.metrics[0] if critical is not None else "",
-        "critical": critical,
+        "searched": meta.metrics[0] if criterion is not None else "",
+        "critical": None if criterion is None else asdict(criterion),
         "outcomes": outcomes,
         "called": {
             str(k + 1): f"{('Old', 'New')[side]}: scenario {row.id} of {comparison.names[side]}"

@@ -25,7 +25,7 @@ def render_estimates(data: ReportData) -> Iterator[Section]:
     if estimates.pareto_front is not None:
         yield make_section("front", "The Pareto front", _render_front(data, estimates.pareto_front))
     if estimates.critical is not None and estimates.critical.critical_set is not None:
-        criterion = format_criterion(estimates.critical, searched)
+        criterion = format_criterion(estimates.critical.criterion, searched)
         lines = _render_critical_set(
             estimates.critical, criterion, data.summary.n_run, describe_threshold_override(data.summary)
         )

@@ -130,11 +130,8 @@ def _round_course(course: Any) -> list[float] | None:
 
 def _initial_contents(meta: StudyMeta, path: Path) -> dict[str, Any]:
     """Return the page contents that are known before any analysis."""
-    objective = Objective.from_study_meta(meta)
-    critical = None
-    if meta.critical is not None and not meta.pareto:
-        lower = objective.lower_is_critical
-        critical = {"threshold": meta.critical, "lower_is_critical": lower, "unit": objective.unit}
+    criterion = Objective.from_study_meta(meta).criterion
+    critical = None if criterion is None else asdict(criterion)
     influential = list(range(len(meta.space.parameters)))
     return study_info_payload(meta, path.name) | {
         "about": describe_roles(meta), "critical": critical, "default_aspect": None, "influential": influential,

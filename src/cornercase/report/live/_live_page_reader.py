@@ -6,14 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
-
 from cornercase._common.typing import FloatArray
 from cornercase.report._courses import encode_courses
 from cornercase.report._payload import parameter_columns, round_score, score_source_column
 from cornercase.report._summary import entities_hit_by_ego
 from cornercase.study import ScenarioRecord, StudyFile, StudyMeta
-from cornercase.study._criterion import Criterion
+from cornercase.study._objective import Objective
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +32,7 @@ class LivePageReader:
 
     def __init__(self, study: StudyFile) -> None:
         self._study = study
-        self._criterion = Criterion.from_study_meta(study.meta)
+        self._objective = Objective.from_study_meta(study.meta)
 
     def read(self, row: ScenarioRecord) -> LiveScenario:
         """Read a scenario that has ended."""
@@ -45,16 +43,12 @@ class LivePageReader:
         return LiveScenario(
             row,
             scores,
-            self._is_critical(scores),
+            self._objective.is_critical(scores),
             not entities_hit_by_ego(meta, digest.collisions).isdisjoint(meta.others),
             (digest.begin, digest.end),
             dict(zip(meta.metrics, digest.lines, strict=True)),
             study.scenario_score_sources(row.id),
         )
-
-    def _is_critical(self, scores: dict[str, float]) -> bool:
-        scores_row = np.array([[scores[metric.name] for metric in self._criterion.objective.metrics]])
-        return bool(self._criterion.is_critical_raw(scores_row)[0])
 
 
 def scenario_columns(meta: StudyMeta, digests: Sequence[LiveScenario]) -> dict[str, Any]:

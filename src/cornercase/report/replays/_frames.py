@@ -99,8 +99,8 @@ class FrameRenderer:
             label = f"scenario {take.row.id}"
             axes.plot(take.recording.time, course, line, color=colour, linewidth=1.8, label=label)
             moving += axes.plot([], [], "o", color=colour, markersize=6, animated=True)
-        if footage.threshold is not None:
-            axes.axhline(footage.threshold, color="#b3261e", linestyle=":", linewidth=1.2, label="threshold")
+        if footage.criterion is not None:
+            axes.axhline(footage.criterion.threshold, color="#b3261e", linestyle=":", linewidth=1.2, label="threshold")
         unit = f" [{metric.unit}]" if metric.unit else ""
         axes.set_xlim(footage.start_time, max(footage.end_time, footage.start_time + 1e-3))
         axes.set_xlabel("time [s]", labelpad=1.0)

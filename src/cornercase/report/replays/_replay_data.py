@@ -17,6 +17,7 @@ from cornercase.roads._outline import RoadOutline
 from cornercase.scenario import Parameter
 from cornercase.scenario._file import ScenarioFile
 from cornercase.study import ScenarioRecord, StudyFile, StudyMeta
+from cornercase.study._criterion import Criterion
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +51,7 @@ class ReplayData:
     file_name: str  # name of the study's file
     meta: StudyMeta
     metrics: tuple[Metric, ...]  # the course of the first one is shown
-    threshold: float | None  # of the first metric, if it alone defines what is critical
+    criterion: Criterion | None  # of the first metric, if it alone defines what is critical
     items: tuple[ReplayItem, ...]  # one, or two side by side
     road: RoadOutline | None
     road_missing_reason: str  # why there is no road
@@ -84,9 +85,9 @@ def read_replay_data(
     """
     meta = study.meta
     metrics = tuple(METRICS.create(name) for name in meta.metrics)
-    criterion = study.criterion
-    # A front has no threshold, and the threshold of a weighted sum does not apply to a single course.
-    threshold = None if meta.pareto or meta.weights else criterion.raw
+    objective = study.objective
+    # The threshold of a weighted sum does not apply to a single course.
+    criterion = None if objective.weights else objective.criterion
     outcomes = study.outcomes()
     rows = {row.id: row for row in study.rows()}
     takes = []
@@ -94,17 +95,20 @@ def read_replay_data(
         row = _require_run_scenario(study, rows, scenario_id)
         scores = study.scenario_scores(scenario_id)
         courses = {metric.name: metric.clip_course(study.course(scenario_id, metric.name)) for metric in metrics}
-        scores_row = np.array([[scores[metric.name] for metric in metrics]])
-        critical = bool(criterion.is_critical_raw(scores_row)[0])
-        against = study.scenario_score_sources(scenario_id)
         takes.append(
             ReplayItem(
-                row, study.recording(scenario_id), courses, scores, outcomes.get(scenario_id, ""), critical, against
+                row,
+                study.recording(scenario_id),
+                courses,
+                scores,
+                outcomes.get(scenario_id, ""),
+                objective.is_critical(scores),
+                study.scenario_score_sources(scenario_id),
             )
         )
     region = recorded_bounds(take.recording for take in takes)
     road, missing = find_road_outline(study, region, scenario, takes[0].row.values)
-    return ReplayData(study.path.name, meta, metrics, threshold, tuple(takes), road, missing)
+    return ReplayData(study.path.name, meta, metrics, criterion, tuple(takes), road, missing)
 
 
 def _require_run_scenario(study: StudyFile, rows: Mapping[int, ScenarioRecord], scenario_id: int) -> ScenarioRecord:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+from dataclasses import asdict
 from typing import Any, Final
 
 from cornercase.report._page import REPLAY_SCRIPTS
@@ -44,13 +45,9 @@ def _replay_payload(data: ReplayData) -> dict[str, Any]:
     meta, metrics = data.meta, data.metrics
     items = sorted({take.row.id: take for take in data.items}.values(), key=lambda take: take.row.id)
     outcomes = sorted({take.outcome for take in items} - {""})
-    critical = None
-    if data.threshold is not None:
-        lower, unit = metrics[0].lower_is_critical, metrics[0].unit
-        critical = {"threshold": data.threshold, "lower_is_critical": lower, "unit": unit}
     return study_info_payload(meta, data.file_name) | {
-        "searched": metrics[0].name if data.threshold is not None else "",
-        "critical": critical,
+        "searched": metrics[0].name if data.criterion is not None else "",
+        "critical": None if data.criterion is None else asdict(data.criterion),
         "outcomes": outcomes,
         "scenarios": {
             "id": [take.row.id for take in items],

@@ -169,7 +169,7 @@ def _answer_critical_share(data: ReportData) -> Answer:
     if critical is None:
         none = "There is no threshold from which a scenario is critical; set one with --critical of cornercase explore."
         return Answer(name, question, none)
-    criterion = format_criterion_with_signs(critical, summary.objective)
+    criterion = format_criterion_with_signs(critical.criterion, summary.objective)
     estimates = critical.critical_set
     which_ran = "" if summary.meta.simulator == IMPORTED_SIMULATOR else " that were run"
     if summary.n_run == 1:

@@ -85,7 +85,7 @@ def describe_score_distribution(data: ReportData, metric: Metric) -> str:
     if critical is not None and metric.name == data.summary.objective:
         text += (
             f" {critical.n_critical} of {len(scores)} are critical"
-            f" ({format_criterion_with_signs(critical, data.summary.objective)})."
+            f" ({format_criterion_with_signs(critical.criterion, data.summary.objective)})."
         )
     return text
 

@@ -13,10 +13,10 @@ from cornercase.clustering import ASPECTS, Analysis, Profile
 from cornercase.drivers._description import format_driver
 from cornercase.metrics import METRICS
 from cornercase.metrics._critical_if import find_critical_if_condition
-from cornercase.report._estimates import CriticalEstimates
 from cornercase.report._summary import Summary
 from cornercase.scenario import Parameter, Value
 from cornercase.study import ScenarioRecord, StudyMeta
+from cornercase.study._criterion import Criterion
 
 NOISE_NAME: Final = "noise"
 _MAX_LISTED: Final = 12
@@ -107,16 +107,16 @@ def format_assign_command(analysis: Analysis) -> str:
     return f"cornercase analyze STUDY.db --by {analysis.by} --keep-clusters"
 
 
-def format_criterion(critical: CriticalEstimates, objective: str) -> str:
+def format_criterion(criterion: Criterion, objective: str) -> str:
     """Return the condition for being critical as users type it: ``"wttc <= 1 s"``."""
     if condition := find_critical_if_condition([objective]):
         return condition
-    return f"{objective} {'<=' if critical.lower_is_critical else '>='} {critical.threshold:g} {critical.unit}".rstrip()
+    return f"{objective} {criterion}"
 
 
-def format_criterion_with_signs(critical: CriticalEstimates, objective: str) -> str:
+def format_criterion_with_signs(criterion: Criterion, objective: str) -> str:
     """Return the condition for being critical with mathematical signs: ``"wttc ≤ 1 s"``."""
-    return use_math_signs(format_criterion(critical, objective))
+    return use_math_signs(format_criterion(criterion, objective))
 
 
 def describe_threshold_override(summary: Summary) -> str:
@@ -126,7 +126,7 @@ def describe_threshold_override(summary: Summary) -> str:
         return ""
     if own is None:
         return "This threshold was chosen afterwards: the study has none of its own."
-    criterion = format_criterion_with_signs(replace(critical, threshold=own), summary.objective)
+    criterion = format_criterion_with_signs(replace(critical.criterion, threshold=own), summary.objective)
     return f"This threshold was chosen afterwards: the study's own is {criterion}."
 
 
@@ -137,7 +137,8 @@ def describe_selection_threshold(summary: Summary) -> str:
         return ""
     how = "without any threshold"
     if reduced.threshold is not None:
-        how = f"by {format_criterion_with_signs(replace(critical, threshold=reduced.threshold), summary.objective)}"
+        criterion = replace(critical.criterion, threshold=reduced.threshold)
+        how = f"by {format_criterion_with_signs(criterion, summary.objective)}"
     return f"They were chosen {how}; 'cornercase reduce' with --critical {critical.threshold:g} chooses again."
 
 

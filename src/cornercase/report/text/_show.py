@@ -237,7 +237,7 @@ def _estimates_to_dict(summary: Summary) -> dict[str, Any]:
         plain["front"] = {f"scenario {scenario}": dict(scores) for scenario, scores in estimates.pareto_front.items()}
     if estimates.critical is not None:
         plain["critical"] = {
-            "is": format_criterion(estimates.critical, summary.objective),
+            "is": format_criterion(estimates.critical.criterion, summary.objective),
             **({"asked": override} if (override := describe_threshold_override(summary)) else {}),
             "scenarios": estimates.critical.n_critical,
         }

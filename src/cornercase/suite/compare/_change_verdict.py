@@ -23,7 +23,7 @@ from cornercase.suite.compare._comparison import (
     ScenarioPair,
     describe_findings,
 )
-from cornercase.suite.compare._significance import score_difference
+from cornercase.suite.compare._significance import change_direction, score_difference
 
 DEFAULT_TOLERANCES: Final = MappingProxyType(
     {"s": 0.1, "m": 0.1, "m/s": 0.1, "m/s²": 0.1, "s²": 0.1, "rad": 0.01, "1": 0.01}
@@ -128,8 +128,7 @@ def _iter_pair_changes(pair: ScenarioPair, tolerances: Mapping[str, float]) -> I
         yield PairChange("critical", "", "worse" if pair.is_critical[1] else "better", pair.ids, counts)
     for name, (before, after) in pair.scores.items():
         if otherwise and _exceeds_tolerance(before, after, tolerances[name]):
-            metric = METRICS.create(name)
-            worse = metric.to_minimize(after) < metric.to_minimize(before)
+            worse = change_direction(name, after - before) == "worse"
             yield PairChange("score", name, "worse" if worse else "better", pair.ids, size=after - before)
 
 
@@ -188,8 +187,7 @@ def _finding_of_test(
     about = test.about if kind == "score" else ""
     if test.differ is None:
         # The test uses ranks; a shift of the mean in the opposite direction would contradict it.
-        oriented = METRICS.create(about).to_minimize(test.shift) if about else -test.shift
-        agrees = oriented < 0.0 if direction == "worse" else oriented > 0.0
+        agrees = change_direction(about, test.shift) == direction
         if agrees and (not about or _exceeds_tolerance(0.0, test.shift, tolerances[about])):
             yield _build_finding(kind, about, direction, (), test=test)
         return

@@ -10,7 +10,7 @@ import numpy as np
 from cornercase._common.typing import FloatArray
 from cornercase.metrics import METRICS
 from cornercase.suite.compare._comparison import Example, ScenarioPair
-from cornercase.suite.compare._significance import score_difference
+from cornercase.suite.compare._significance import change_direction, score_difference
 
 MAX_EXAMPLES: Final = 5
 """Largest number of example scenarios."""
@@ -132,8 +132,7 @@ def _largest_score_change(pair: ScenarioPair, spreads: Mapping[str, float]) -> t
         (change,) = np.abs(score_difference(np.array([old]), np.array([new]))).tolist()
         if change / spread > largest:
             largest, description = change / spread, _describe_score_change(name, old, new)
-            metric = METRICS.create(name)
-            worse = metric.to_minimize(new) < metric.to_minimize(old)
+            worse = change_direction(name, new - old) == "worse"
     return largest, description, worse
 
 

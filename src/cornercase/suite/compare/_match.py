@@ -53,8 +53,7 @@ class StudySide:
                 first_rows.setdefault(scenario_key(study, row), row)
         columns = {name: study.scores(name).tolist() for name in metrics}
         scores = {scenario: {name: columns[name][k] for name in metrics} for k, scenario in enumerate(done)}
-        is_known = has_threshold(study)
-        critical = dict(zip(done, study.critical_mask().tolist(), strict=True)) if is_known else {}
+        critical = dict(zip(done, study.critical_mask().tolist(), strict=True)) if study.criterion else {}
         searched = study.meta.optimizer.partition(":")[0] != "none"
         fills = dict.fromkeys((row.id for row in rows), False)
         if searched:
@@ -76,11 +75,6 @@ class StudySide:
         return [row.id for row in self.rows if row.state == "done" and self.fills_space[row.id]]
 
 
-def has_threshold(study: StudyFile) -> bool:
-    """Tell whether the study has a threshold for a single score."""
-    return study.critical is not None and not study.meta.pareto
-
-
 def scenario_key(study: StudyFile, row: ScenarioRecord) -> tuple[object, ...]:
     """Return the parameter values of a scenario, to find the same scenario in the other study.
 
@@ -95,7 +89,7 @@ def scenario_key(study: StudyFile, row: ScenarioRecord) -> tuple[object, ...]:
 
 def criticality_metrics(study: StudyFile) -> tuple[str, ...]:
     """Return the metrics whose scores define which scenarios are critical in a study; empty without a threshold."""
-    if not has_threshold(study):
+    if study.criterion is None:
         return ()
     return tuple(study.meta.weights) or study.meta.metrics[:1]
 
@@ -234,7 +228,7 @@ def choose_compared_metrics(old: StudyFile, new: StudyFile, metrics: Sequence[st
         for name in compared:
             if name not in shared:
                 raise InputError(f"`metrics` {name}: is not in both studies; both have {', '.join(shared) or 'none'}.")
-    if has_threshold(old) and has_threshold(new) and _criticality_key(old) != _criticality_key(new):
+    if old.criterion and new.criterion and _criticality_key(old) != _criticality_key(new):
         raise InputError(
             f"{pair}: have different thresholds ({a.critical:g}, {b.critical:g}); give one for both with `critical`."
         )

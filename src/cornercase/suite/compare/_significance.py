@@ -81,7 +81,7 @@ def test_pairs(pairs: Sequence[ScenarioPair], metrics: Sequence[str]) -> list[Ch
         scores = np.array([pair.scores[name] for pair in both_ran])
         differences = score_difference(scores[:, 0], scores[:, 1])
         differ = int((differences != 0.0).sum())
-        p, direction = wilcoxon_p_value(differences), _change_direction(name, _signed_rank_sum(differences))
+        p, direction = wilcoxon_p_value(differences), change_direction(name, _signed_rank_sum(differences))
         method, shift = "Wilcoxon signed-rank", float(differences.mean())
         results.append(ChangeTest(name, method, len(both_ran), len(both_ran), differ, p, p, direction, shift))
     facts: dict[str, list[tuple[bool, bool]]] = {"collision": [pair.collides for pair in both_ran]}
@@ -95,7 +95,7 @@ def test_pairs(pairs: Sequence[ScenarioPair], metrics: Sequence[str]) -> list[Ch
             before, after = np.array(states, dtype=np.bool_).T
             p = mcnemar_p_value(before, after)
             differ, shift = int((before != after).sum()), float(after.mean() - before.mean())
-            count, direction = len(states), _change_direction("", -shift)
+            count, direction = len(states), change_direction("", shift)
             results.append(ChangeTest(about, "exact McNemar", count, count, differ, p, p, direction, shift))
     return results
 
@@ -108,9 +108,9 @@ def _signed_rank_sum(differences: FloatArray) -> float:
     return float((np.sign(moved) * rankdata(np.abs(moved))).sum()) if len(moved) else 0.0
 
 
-def _change_direction(metric: str, change: float) -> ChangeDirection | None:
-    """Tell whether a change of scores is better or worse; None for no change. Without a metric, a decrease is worse."""
-    oriented = METRICS.create(metric).to_minimize(change) if metric else change
+def change_direction(metric: str, change: float) -> ChangeDirection | None:
+    """Tell whether a change is better or worse; None for no change. Without a metric, an increase is worse."""
+    oriented = METRICS.create(metric).to_minimize(change) if metric else -change
     return "worse" if oriented < 0.0 else "better" if oriented > 0.0 else None
 
 
@@ -140,12 +140,12 @@ def test_unpaired_samples(
         p = 1.0 if result is None else float(result.pvalue)
         # Number of (old, new) pairs with a higher new score, minus half of all.
         lead = 0.0 if result is None else len(old) * len(new) / 2.0 - float(result.statistic)
-        direction, shift = _change_direction(name, lead), float(new.mean() - old.mean())
+        direction, shift = change_direction(name, lead), float(new.mean() - old.mean())
         results.append(ChangeTest(name, "Mann-Whitney", len(old), len(new), None, p, p, direction, shift))
     for name, before in facts[0].items():
         after = facts[1][name]
         table = np.array([[facts_.sum(), (~facts_).sum()] for facts_ in (before, after)], dtype=np.int64)
         p, shift = float(fisher_exact(table).pvalue), float(after.mean() - before.mean())
-        direction = _change_direction("", -shift)
+        direction = change_direction("", shift)
         results.append(ChangeTest(name, "exact Fisher", len(before), len(after), None, p, p, direction, shift))
     return results

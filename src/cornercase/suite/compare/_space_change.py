@@ -6,7 +6,6 @@ import numpy as np
 
 from cornercase._common.errors import InputError
 from cornercase.evidence import SetDifference
-from cornercase.evidence._critical_set_estimate import CriticalSet
 from cornercase.evidence._proportions import proportion_interval
 from cornercase.exploration._study_critical_set import estimate_critical_set
 from cornercase.study import StudyFile
@@ -55,7 +54,7 @@ def _compare_critical_sets(old: StudyFile, new: StudyFile) -> tuple[SetDifferenc
     sets = []
     for study in (old, new):
         try:
-            critical_set = _estimate_critical_set(study)
+            critical_set = estimate_critical_set(study, seed=_DRAW_SEED)
         except InputError:
             # A damaged study is not a lack of scores.
             raise
@@ -67,9 +66,3 @@ def _compare_critical_sets(old: StudyFile, new: StudyFile) -> tuple[SetDifferenc
             return None, f"all scenarios of {study.path.name} are critical, so there is no boundary"
         sets.append(critical_set)
     return SetDifference.from_critical_sets(*sets), ""
-
-
-def _estimate_critical_set(study: StudyFile) -> CriticalSet:
-    criterion = study.criterion
-    scores = criterion.objective.minimized_scores(study)
-    return estimate_critical_set(study, scores, criterion.oriented or 0.0, seed=_DRAW_SEED)
