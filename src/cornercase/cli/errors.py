@@ -122,9 +122,8 @@ def _describe_error(error: BaseException) -> str:
         # Not raised by cornercase, but by user code, for example with sys.exit().
         return f"user code ended the command with {describe_error(error)}; fix that code."
     return (
-        f"{prefix or 'the command '}{fault} ({shorten(format_exception(error), 200)}{place});"
-        f" please report it, with the"
-        f" output of 'cornercase --debug'{' and that file' if file else ''}."
+        f"{prefix or 'the command '}{fault} ({shorten(format_exception(error), 200)}{place}); please report it, with"
+        f" the output of 'cornercase --debug'{' and that file' if file else ''}."
     )
 
 

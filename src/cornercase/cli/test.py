@@ -143,9 +143,8 @@ def _print_result(result: SuiteResult) -> None:
     out.print(f"{result.comparison_summary}.")
     if result.n_ran_before:
         out.print(
-            f"{result.n_ran_before} of them were already in {result.study} and were not run again;"
-            f" to test a new version,"
-            " name another study with -o."
+            f"{result.n_ran_before} of them were already in {result.study} and were not run again; to test a new"
+            " version, name another study with -o."
         )
     if result.kill_matrix is not None:
         _print_kills(result, result.kill_matrix)

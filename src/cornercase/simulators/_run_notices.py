@@ -58,9 +58,8 @@ class RunNotices:
                 else ""
             )
             issue_notice_warning(
-                f"far from every road: {', '.join(descriptions[:_MAX_NAMED_ENTITIES])}{more}; check"
-                f" that the road file, its"
-                " axes and the positions in the scenario match"
+                f"far from every road: {', '.join(descriptions[:_MAX_NAMED_ENTITIES])}{more}; check that the road file,"
+                " its axes and the positions in the scenario match"
             )
         if self._n_cut_off:
             runs = "the run was" if self._n_runs == 1 else f"{self._n_cut_off} of {self._n_runs} runs were"

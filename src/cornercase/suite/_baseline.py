@@ -90,9 +90,8 @@ def _match_baseline_rows(suite: SuiteContents, study: StudyFile) -> Mapping[int,
         row = rows.get(scenario.source_id or 0)
         if row is None or dict(row.values) != dict(scenario.values):
             raise InputError(
-                f"`against` {study.path}: has another scenario {scenario.source_id} than"
-                f" {suite.path} was made from; name"
-                " the study that was reduced."
+                f"`against` {study.path}: has another scenario {scenario.source_id} than {suite.path} was made from;"
+                " name the study that was reduced."
             )
         sources[k] = row
     return sources

@@ -72,9 +72,8 @@ def _load_manifest_json(path: Path) -> dict[str, Any]:
         raise InputError(f"{path}: its recordings were imported, so there are no scenario files to run.")
     if "format" not in manifest:
         raise InputError(
-            f"{path}: lacks what is needed to run the scenarios again, because an earlier version of cornercase"
-            " wrote it; run `reduce`"
-            " again."
+            f"{path}: lacks what is needed to run the scenarios again, because an earlier version of cornercase wrote"
+            " it; run `reduce` again."
         )
     if manifest["format"] == 1:
         # Format 1 had other keys.

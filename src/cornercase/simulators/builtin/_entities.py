@@ -60,9 +60,8 @@ def read_entities(objects: Sequence[etree._Element], scope: Scope) -> tuple[tupl
             if isinstance(trailer, str):
                 if trailer not in names:
                     raise InputError(
-                        f"{format_location(body, body_scope.file_name)}: <Trailer>: the entity"
-                        f" '{names[k]}' pulls '{trailer}',"
-                        f" which does not exist; {suggest_name(trailer, names)}"
+                        f"{format_location(body, body_scope.file_name)}: <Trailer>: the entity '{names[k]}' pulls"
+                        f" '{trailer}', which does not exist; {suggest_name(trailer, names)}"
                     )
                 pairs.append((front, names.index(trailer)))
                 break
@@ -84,9 +83,8 @@ def _resolve_body(element: etree._Element, name: str, scope: Scope) -> tuple[etr
         scope = scope.nested_scope(body)
     if body is None or body.tag not in ("Vehicle", "Pedestrian", "MiscObject"):
         raise InputError(
-            f"{format_location(element, outer_scope.file_name)}: the <{element.tag}> '{name}' is"
-            f" not a vehicle, pedestrian or"
-            " misc object, the only ones that the builtin simulator can move."
+            f"{format_location(element, outer_scope.file_name)}: the <{element.tag}> '{name}' is not a vehicle,"
+            " pedestrian or misc object, the only ones that the builtin simulator can move."
         )
     return body, scope
 

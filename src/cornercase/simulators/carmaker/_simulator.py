@@ -26,10 +26,9 @@ _DEFAULT_PORT: Final = 16660
 # Time limit in s to connect to a CarMaker on this machine.
 _CONNECT_TIMEOUT: Final = 0.2
 _MISSING_MESSAGE: Final = (
-    f"IPG's Python module cmapi is not installed here, and no CarMaker listens on port"
-    f" {_DEFAULT_PORT}; install the module from"
-    f" CarMaker's folder, or start CarMaker with -cmdport {_DEFAULT_PORT}. One on another machine"
-    f" or port is named by options."
+    f"IPG's Python module cmapi is not installed here, and no CarMaker listens on port {_DEFAULT_PORT}; install the"
+    f" module from CarMaker's folder, or start CarMaker with -cmdport {_DEFAULT_PORT}. One on another machine or port"
+    " is named by options."
 )
 
 

@@ -217,9 +217,8 @@ class ClusterSimulator(RemoteSimulator):
         elif not isinstance(error, KilledWorker):
             text = " ".join(f"{type(error).__name__}: {error}".split())[:300]
             raise InputError(
-                f"`cluster` {describe_cluster(self._client)}: its workers cannot run '{self.name}'"
-                f" ({text}); install the"
-                " same versions on each as here."
+                f"`cluster` {describe_cluster(self._client)}: its workers cannot run '{self.name}' ({text}); install"
+                " the same versions on each as here."
             ) from error
         elif task.n_lost + 1 < _MAX_TASK_LOSSES:
             # Dask also counts workers that were lost before they started the task; the attempt stays the same.

@@ -71,9 +71,8 @@ class _JobState:
             self._simulator, self._options = unpickle_simulator(job.options)
         except Exception as error:
             raise InputError(
-                f"`cluster`: a worker cannot load a driver of your own ({format_exception(error)});"
-                f" install its module on"
-                " each worker, or start the workers in its folder."
+                f"`cluster`: a worker cannot load a driver of your own ({format_exception(error)}); install its module"
+                " on each worker, or start the workers in its folder."
             ) from error
         self._free_numbers: list[int] = []
         self._simulators: list[Simulator] = []

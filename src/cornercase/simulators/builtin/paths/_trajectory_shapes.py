@@ -95,9 +95,8 @@ def read_trajectory(
         return _read_polyline(kind, inner, world, read_position, closed)
     if closed:
         raise InputError(
-            f"{scope.file_name}, line {element.sourceline}: a closed <Trajectory> has to be a"
-            f" <Polyline> here; give closed"
-            " as false."
+            f"{scope.file_name}, line {element.sourceline}: a closed <Trajectory> has to be a <Polyline> here; give"
+            " closed as false."
         )
     return (_read_nurbs if kind.tag == "Nurbs" else _read_clothoids)(kind, inner, world, read_position)
 

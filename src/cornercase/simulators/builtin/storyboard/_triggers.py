@@ -269,9 +269,8 @@ def read_trigger(element: etree._Element | None, scope: Scope, world: World, ele
             edge = scope.read_text(condition, "conditionEdge", "none")
             if edge not in ("none", "rising", "falling", "risingOrFalling"):
                 raise InputError(
-                    f"{scope.file_name}, line {condition.sourceline}: conditionEdge '{edge}' of"
-                    f" <Condition> is not none,"
-                    " rising, falling or risingOrFalling."
+                    f"{scope.file_name}, line {condition.sourceline}: conditionEdge '{edge}' of <Condition> is not"
+                    " none, rising, falling or risingOrFalling."
                 )
             delay = scope.read_numbers(condition, "delay", 0.0)
             scope.mark_invalid(condition, "delay", "is below 0", delay < 0.0)
