@@ -60,12 +60,13 @@ def read_action(element: etree._Element, scope: Scope, world: World, entity: int
     if inner.tag in _GLOBAL_READERS:
         return _GLOBAL_READERS[inner.tag](inner, scope, world, entity)
     if inner.tag not in _PRIVATE_READERS:
-        raise InputError(
-            f"{scope.file_name}, line {inner.sourceline}: <{inner.tag}> is not supported by the builtin simulator;"
-            f" it runs {', '.join((*_PRIVATE_READERS, *_GLOBAL_READERS))}."
+        raise scope.error_at(
+            inner,
+            f"<{inner.tag}> is not supported by the builtin simulator;"
+            f" it runs {', '.join((*_PRIVATE_READERS, *_GLOBAL_READERS))}.",
         )
     if entity is None:
-        raise InputError(f"{scope.file_name}, line {inner.sourceline}: <{inner.tag}> needs an entity that acts.")
+        raise scope.error_at(inner, f"<{inner.tag}> needs an entity that acts.")
     return _PRIVATE_READERS[inner.tag](inner, scope, world, entity)
 
 
@@ -135,7 +136,7 @@ class EntityAction(Action):
         if add is not None:
             self._position = read_position(require_child(add, "Position", scope), scope, world)
         elif element.find("DeleteEntityAction") is None:
-            raise InputError(f"{scope.file_name}, line {element.sourceline}: <EntityAction> neither adds nor deletes.")
+            raise scope.error_at(element, "<EntityAction> neither adds nor deletes.")
 
     def start(self, world: World, where: BoolArray) -> None:
         if self._position is None:

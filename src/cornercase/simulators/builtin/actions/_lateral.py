@@ -9,7 +9,6 @@ from typing import Final
 import numpy as np
 from lxml import etree
 
-from cornercase._common.errors import InputError
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.scenario._scope import Scope
 from cornercase.simulators.builtin.actions._action import Action, CompiledAction
@@ -58,7 +57,7 @@ class LaneChangeAction(CompiledAction):
             self._value = scope.read_integer(relative, "value")
             self._reference = read_entity_index(relative, scope, world)
         else:
-            raise InputError(f"{scope.file_name}, line {element.sourceline}: <LaneChangeTarget> holds no target.")
+            raise scope.error_at(element, "<LaneChangeTarget> holds no target.")
         self._target_offset = scope.read_numbers(element, "targetLaneOffset", 0.0)
         n = scope.n_scenarios
         self._from, self._to, self._done, self._extent = (np.zeros(n) for _ in range(4))
@@ -137,7 +136,7 @@ class LaneOffsetAction(CompiledAction):
             self._value = scope.read_numbers(relative, "value")
             self._reference = read_entity_index(relative, scope, world)
         else:
-            raise InputError(f"{scope.file_name}, line {element.sourceline}: <LaneOffsetTarget> holds no target.")
+            raise scope.error_at(element, "<LaneOffsetTarget> holds no target.")
         n = scope.n_scenarios
         self._from, self._to, self._elapsed, self._duration = (np.zeros(n) for _ in range(4))
 

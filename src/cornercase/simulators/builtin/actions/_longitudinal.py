@@ -7,7 +7,6 @@ from typing import Final
 import numpy as np
 from lxml import etree
 
-from cornercase._common.errors import InputError
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.scenario._scope import Scope
 from cornercase.simulators.builtin.actions._action import CompiledAction
@@ -54,7 +53,7 @@ class SpeedAction(CompiledAction):
             self._factor = scope.read_text(relative, "speedTargetValueType", "delta") == "factor"
             self._continuous = scope.read_boolean(relative, "continuous", False)
         else:
-            raise InputError(f"{scope.file_name}, line {element.sourceline}: <SpeedActionTarget> holds no target.")
+            raise scope.error_at(element, "<SpeedActionTarget> holds no target.")
         n = scope.n_scenarios
         # The speed changes while the parameter grows from 0 to the span, in s.
         self._from, self._to, self._parameter, self._span = (np.zeros(n) for _ in range(4))
@@ -189,5 +188,5 @@ def require_child(element: etree._Element, tag: str, scope: Scope) -> etree._Ele
     """Return the child element with a tag; raise `InputError` if there is none."""
     result = element.find(tag)
     if result is None:
-        raise InputError(f"{scope.file_name}, line {element.sourceline}: <{element.tag}> has no <{tag}>.")
+        raise scope.error_at(element, f"<{element.tag}> has no <{tag}>.")
     return result

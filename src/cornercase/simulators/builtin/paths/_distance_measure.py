@@ -8,7 +8,6 @@ from typing import Final
 import numpy as np
 from lxml import etree
 
-from cornercase._common.errors import InputError
 from cornercase._common.typing import FloatArray
 from cornercase.scenario._scope import Scope
 from cornercase.simulators.builtin.kernels._distances import (
@@ -114,15 +113,16 @@ def read_distance_measure(element: etree._Element, scope: Scope) -> DistanceMeas
         "longitudinal": "longitudinal", "lateral": "lateral",
     }  # fmt: skip
     if kind not in kinds or system not in ("entity", "lane", "road", "trajectory", "world"):
-        raise InputError(
-            f"{scope.file_name}, line {element.sourceline}: <{element.tag}>: a distance of type '{kind}' in the system"
-            f" '{system}' does not exist; use euclidianDistance, longitudinal or lateral in entity, lane, road or"
-            " trajectory."
+        raise scope.error_at(
+            element,
+            f"<{element.tag}>: a distance of type '{kind}' in the system '{system}' does not exist; use"
+            " euclidianDistance, longitudinal or lateral in entity, lane, road or trajectory.",
         )
     if system in ("trajectory", "world") and kinds[kind] != "euclidean":
-        raise InputError(
-            f"{scope.file_name}, line {element.sourceline}: <{element.tag}>: a {kind} distance in the system '{system}'"
-            " cannot be measured; use entity, lane or road."
+        raise scope.error_at(
+            element,
+            f"<{element.tag}>: a {kind} distance in the system '{system}'"
+            " cannot be measured; use entity, lane or road.",
         )
     return DistanceMeasure(kinds[kind], system in ("lane", "road"), scope.read_boolean(element, "freespace", False))
 

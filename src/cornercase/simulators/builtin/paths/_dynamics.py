@@ -7,7 +7,6 @@ from typing import Final
 import numpy as np
 from lxml import etree
 
-from cornercase._common.errors import InputError
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.scenario._scope import Scope
 
@@ -27,9 +26,8 @@ class TransitionDynamics:
         self.value = scope.read_numbers(element, "value", 0.0)
         check_dynamics_shape(self.shape, element, scope)
         if self.dimension not in ("time", "rate", "distance"):
-            raise InputError(
-                f"{scope.file_name}, line {element.sourceline}: dynamicsDimension '{self.dimension}' of"
-                f" <{element.tag}> is not time, rate or distance."
+            raise scope.error_at(
+                element, f"dynamicsDimension '{self.dimension}' of <{element.tag}> is not time, rate or distance."
             )
         # The sign of a rate is ignored, as files give braking with a minus.
         if self.dimension != "rate":
@@ -86,9 +84,8 @@ class TransitionDynamics:
 def check_dynamics_shape(shape: str, element: etree._Element, scope: Scope) -> None:
     """Raise `InputError` if there is no such ``dynamicsShape``."""
     if shape not in _PEAK_SLOPE:
-        raise InputError(
-            f"{scope.file_name}, line {element.sourceline}: dynamicsShape '{shape}' of <{element.tag}> is not one of"
-            f" {', '.join(_PEAK_SLOPE)}."
+        raise scope.error_at(
+            element, f"dynamicsShape '{shape}' of <{element.tag}> is not one of {', '.join(_PEAK_SLOPE)}."
         )
 
 

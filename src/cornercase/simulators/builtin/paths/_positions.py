@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from lxml import etree
 
-from cornercase._common.errors import InputError, suggest_name
+from cornercase._common.errors import suggest_name
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.roads._network import RoadNetwork
 from cornercase.scenario._scope import Scope
@@ -31,11 +31,10 @@ def read_position(holder: etree._Element, scope: Scope, world: World) -> Positio
     """
     element = next(iter(holder.iterchildren("*")), None)
     if element is None:
-        raise InputError(f"{scope.file_name}, line {holder.sourceline}: <{holder.tag}> holds no position.")
+        raise scope.error_at(holder, f"<{holder.tag}> holds no position.")
     if element.tag not in _READERS:
-        raise InputError(
-            f"{scope.file_name}, line {element.sourceline}: <{element.tag}> is not supported by the builtin simulator;"
-            f" it reads {', '.join(_READERS)}."
+        raise scope.error_at(
+            element, f"<{element.tag}> is not supported by the builtin simulator; it reads {', '.join(_READERS)}."
         )
     return _READERS[element.tag](element, scope, world)
 
@@ -50,9 +49,9 @@ def read_entity_index(element: etree._Element, scope: Scope, world: World, attri
     """Return the row of the entity that an attribute names."""
     name = scope.read_text(element, attribute)
     if name not in world.names:
-        raise InputError(
-            f"{scope.file_name}, line {element.sourceline}: <{element.tag}> names the entity '{name}', which does not"
-            f" exist; {suggest_name(name, world.names)}"
+        raise scope.error_at(
+            element,
+            f"<{element.tag}> names the entity '{name}', which does not exist; {suggest_name(name, world.names)}",
         )
     return world.names.index(name)
 
@@ -235,9 +234,8 @@ def _read_route_position(element: etree._Element, scope: Scope, world: World) ->
     in_route = element.find("InRoutePosition")
     inner = None if in_route is None else next(iter(in_route.iterchildren("*")), None)
     if route is None or inner is None or inner.tag not in ("FromLaneCoordinates", "FromRoadCoordinates"):
-        raise InputError(
-            f"{scope.file_name}, line {element.sourceline}: <RoutePosition> needs a <RouteRef> and an <InRoutePosition>"
-            " from lane or road coordinates."
+        raise scope.error_at(
+            element, "<RoutePosition> needs a <RouteRef> and an <InRoutePosition> from lane or road coordinates."
         )
     on_lane = inner.tag == "FromLaneCoordinates"
     distance = scope.read_numbers(inner, "pathS")
@@ -303,7 +301,7 @@ def read_route(holder: etree._Element, scope: Scope, world: World) -> RouteResol
         if position is not None
     ]
     if len(waypoints) < 2:
-        raise InputError(f"{scope.file_name}, line {element.sourceline}: a <Route> needs at least two waypoints.")
+        raise scope.error_at(element, "a <Route> needs at least two waypoints.")
 
     _require_network(element, scope, world)
     return lambda world: [waypoint(world) for waypoint in waypoints]
@@ -312,7 +310,7 @@ def read_route(holder: etree._Element, scope: Scope, world: World) -> RouteResol
 def _read_trajectory_position(element: etree._Element, scope: Scope, world: World) -> PositionResolver:
     holder = element.find("TrajectoryRef")
     if holder is None:
-        raise InputError(f"{scope.file_name}, line {element.sourceline}: <TrajectoryPosition> has no <TrajectoryRef>.")
+        raise scope.error_at(element, "<TrajectoryPosition> has no <TrajectoryRef>.")
     shape = read_trajectory(holder, scope, world, read_position)
     s, t = scope.read_numbers(element, "s"), scope.read_numbers(element, "t", 0.0)
     turn, relative = _read_orientation(element, scope)
@@ -382,10 +380,7 @@ def _read_orientation(element: etree._Element, scope: Scope) -> tuple[FloatArray
 
 def _require_network(element: etree._Element, scope: Scope, world: World) -> RoadNetwork:
     if world.network is None:
-        raise InputError(
-            f"{scope.file_name}, line {element.sourceline}: <{element.tag}> needs a road file, but"
-            " <RoadNetwork> names none."
-        )
+        raise scope.error_at(element, f"<{element.tag}> needs a road file, but <RoadNetwork> names none.")
     return world.network
 
 

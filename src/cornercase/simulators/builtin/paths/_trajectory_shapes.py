@@ -9,7 +9,6 @@ from typing import Final, Protocol
 import numpy as np
 from lxml import etree
 
-from cornercase._common.errors import InputError
 from cornercase._common.io.tracked_xml import cached_on_element, note_adaptation
 from cornercase._common.typing import FloatArray
 from cornercase.scenario._batch_split import BatchSplitError
@@ -86,18 +85,12 @@ def read_trajectory(
     shape = element.find("Shape")
     kind = None if shape is None else next(iter(shape.iterchildren("*")), None)
     if kind is None or kind.tag not in ("Polyline", "Clothoid", "ClothoidSpline", "Nurbs"):
-        raise InputError(
-            f"{scope.file_name}, line {element.sourceline}: a <Trajectory> is not a <Polyline>, <Clothoid>,"
-            " <ClothoidSpline> or <Nurbs>."
-        )
+        raise scope.error_at(element, "a <Trajectory> is not a <Polyline>, <Clothoid>, <ClothoidSpline> or <Nurbs>.")
     closed = inner.read_boolean(element, "closed", False)
     if kind.tag == "Polyline":
         return _read_polyline(kind, inner, world, read_position, closed)
     if closed:
-        raise InputError(
-            f"{scope.file_name}, line {element.sourceline}: a closed <Trajectory> has to be a <Polyline> here; give"
-            " closed as false."
-        )
+        raise scope.error_at(element, "a closed <Trajectory> has to be a <Polyline> here; give closed as false.")
     return (_read_nurbs if kind.tag == "Nurbs" else _read_clothoids)(kind, inner, world, read_position)
 
 
@@ -134,9 +127,10 @@ def has_times(holder: etree._Element, scope: Scope) -> bool:
                 timed[back][0], f"time of <{timed[back][0].tag}>", reason, "times of a trajectory never go back"
             )
     if differ.all() and inner.read_boolean(element, "closed", False):
-        raise InputError(
-            f"{scope.file_name}, line {element.sourceline}: a closed <Trajectory> has no time for its return to the"
-            " first vertex; set closed to false, and repeat the first vertex at the end, with its time."
+        raise scope.error_at(
+            element,
+            "a closed <Trajectory> has no time for its return to the"
+            " first vertex; set closed to false, and repeat the first vertex at the end, with its time.",
         )
     return bool(differ.all())
 
@@ -146,7 +140,7 @@ def _read_polyline(
 ) -> TrajectoryBuilder:
     vertices = list(element.iterfind("Vertex"))
     if len(vertices) < 2:
-        raise InputError(f"{scope.file_name}, line {element.sourceline}: a <Polyline> needs at least two vertices.")
+        raise scope.error_at(element, "a <Polyline> needs at least two vertices.")
     resolve_vertices = _read_vertices(element, vertices, scope, world, read_position)
 
     def build_trajectory(
@@ -222,11 +216,11 @@ def _read_clothoids(
 ) -> TrajectoryBuilder:
     segments = [element] if element.tag == "Clothoid" else list(element.iterfind("ClothoidSplineSegment"))
     if not segments:
-        raise InputError(f"{scope.file_name}, line {element.sourceline}: a <ClothoidSpline> has no segments.")
+        raise scope.error_at(element, "a <ClothoidSpline> has no segments.")
     length = np.stack([scope.read_numbers(segment, "length") for segment in segments], axis=1)
     for segment, values in zip(segments, length.T, strict=True):
         if not scope.origin_parameters(segment.get("length", "")) and not values[0] > 0:
-            raise InputError(f"{scope.file_name}, line {segment.sourceline}: length of <{segment.tag}> is not above 0.")
+            raise scope.error_at(segment, f"length of <{segment.tag}> is not above 0.")
         scope.mark_invalid(segment, "length", "is not above 0", ~(values > 0))
     length = np.where(length > 0, length, 1.0)
     if element.tag == "Clothoid":
@@ -255,7 +249,7 @@ def _read_clothoids(
         elif entity is not None:
             x, y, heading = world.x[entity].copy(), world.y[entity].copy(), world.heading[entity].copy()
         else:
-            raise InputError(f"{scope.file_name}, line {element.sourceline}: the trajectory has no start position.")
+            raise scope.error_at(element, "the trajectory has no start position.")
         begins = {k: resolve(world) for k, resolve in later_starts.items()}
         reached = None if clock is None else clock.convert(times)
         return ClothoidSpline(x, y, heading, start, end, length, reached, begins, turns)
@@ -287,15 +281,15 @@ def _read_nurbs(
 ) -> TrajectoryBuilder:
     controls, order = list(element.iterfind("ControlPoint")), scope.read_integer(element, "order")
     knots = np.array([scope.read_number(control, "value") for control in element.iterfind("Knot")])
-    location = f"{scope.file_name}, line {element.sourceline}"
     if not 2 <= order <= len(controls) or len(knots) != len(controls) + order or (np.diff(knots) < 0).any():
-        raise InputError(
-            f"{location}: a <Nurbs> of order {order} with {len(controls)} control points needs"
-            f" {len(controls) + order} rising knots, and at least as many control points as its order."
+        raise scope.error_at(
+            element,
+            f"a <Nurbs> of order {order} with {len(controls)} control points needs"
+            f" {len(controls) + order} rising knots, and at least as many control points as its order.",
         )
     weights = np.array([scope.read_number(control, "weight", 1.0) for control in controls])
     if not (weights > 0).all():
-        raise InputError(f"{location}: a weight of a <Nurbs> is not above 0.")
+        raise scope.error_at(element, "a weight of a <Nurbs> is not above 0.")
     positions = [read_position(_require_position(control, scope), scope, world) for control in controls]
     times = np.stack([scope.read_numbers(control, "time", 0.0) for control in controls], axis=1)
 
@@ -319,5 +313,5 @@ def _resolve_coordinates(position: PositionResolver, world: World) -> Pose:
 def _require_position(element: etree._Element, scope: Scope) -> etree._Element:
     position = element.find("Position")
     if position is None or not len(position):
-        raise InputError(f"{scope.file_name}, line {element.sourceline}: <{element.tag}> has no <Position>.")
+        raise scope.error_at(element, f"<{element.tag}> has no <Position>.")
     return position

@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 from lxml import etree
 
-from cornercase._common.errors import InputError, suggest_name
+from cornercase._common.errors import suggest_name
 from cornercase._common.geometry.boxes import wrap_angle
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.scenario._scope import Scope
@@ -59,10 +59,7 @@ def read_comparison_rule(
     """Return the comparison function for the ``rule`` of an element."""
     rule = scope.read_text(element, "rule")
     if rule not in rules:
-        raise InputError(
-            f"{scope.file_name}, line {element.sourceline}: rule '{rule}' of <{element.tag}>:"
-            f" {suggest_name(rule, rules)}"
-        )
+        raise scope.error_at(element, f"rule '{rule}' of <{element.tag}>: {suggest_name(rule, rules)}")
     return rules[rule]
 
 
@@ -144,7 +141,7 @@ def _collision_condition(element: etree._Element, scope: Scope, world: World) ->
     else:
         others = read_entity_refs(element, scope, world)
     if by_type is None and not others:
-        raise InputError(f"{scope.file_name}, line {element.sourceline}: <CollisionCondition> names no entity.")
+        raise scope.error_at(element, "<CollisionCondition> names no entity.")
 
     return tuple(LeafCondition(conditions.COLLISION_CONDITION, other) for other in others)
 
@@ -229,9 +226,8 @@ def _time_to_collision_condition(element: etree._Element, scope: Scope, world: W
         index = comparison_rule_index(rule)
         return (LeafCondition(conditions.TIME_TO_COLLISION_CONDITION, other, index, option, (value,)),)
     if holder is None:
-        raise InputError(
-            f"{scope.file_name}, line {element.sourceline}: <TimeToCollisionCondition> names neither an entity nor a"
-            " position as its target."
+        raise scope.error_at(
+            element, "<TimeToCollisionCondition> names neither an entity nor a position as its target."
         )
     position = read_position(holder, scope, world)
 

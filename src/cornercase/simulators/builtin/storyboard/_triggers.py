@@ -8,7 +8,7 @@ from typing import Any, Final, Protocol
 import numpy as np
 from lxml import etree
 
-from cornercase._common.errors import InputError, suggest_name
+from cornercase._common.errors import suggest_name
 from cornercase._common.io.tracked_xml import note_adaptation
 from cornercase._common.masks import any_true
 from cornercase._common.text.source_lines import locate_input_errors
@@ -268,9 +268,8 @@ def read_trigger(element: etree._Element | None, scope: Scope, world: World, ele
         for condition in group.iterfind("Condition"):
             edge = scope.read_text(condition, "conditionEdge", "none")
             if edge not in ("none", "rising", "falling", "risingOrFalling"):
-                raise InputError(
-                    f"{scope.file_name}, line {condition.sourceline}: conditionEdge '{edge}' of <Condition> is not"
-                    " none, rising, falling or risingOrFalling."
+                raise scope.error_at(
+                    condition, f"conditionEdge '{edge}' of <Condition> is not none, rising, falling or risingOrFalling."
                 )
             delay = scope.read_numbers(condition, "delay", 0.0)
             scope.mark_invalid(condition, "delay", "is below 0", delay < 0.0)
@@ -296,9 +295,10 @@ def _read_condition_test(condition: etree._Element, scope: Scope, world: World, 
         if inner is not None and inner.tag in _VALUE_CONDITION_READERS:
             return _VALUE_CONDITION_READERS[inner.tag](inner, scope, world, elements)
     tag = condition.tag if inner is None else inner.tag
-    raise InputError(
-        f"{scope.file_name}, line {condition.sourceline}: <{tag}> is not supported by the builtin simulator; it reads"
-        f" {', '.join((*_VALUE_CONDITION_READERS, *ENTITY_CONDITION_READERS))}."
+    raise scope.error_at(
+        condition,
+        f"<{tag}> is not supported by the builtin simulator; it reads"
+        f" {', '.join((*_VALUE_CONDITION_READERS, *ENTITY_CONDITION_READERS))}.",
     )
 
 
@@ -365,7 +365,7 @@ def _read_triggering_entities(element: etree._Element, scope: Scope, world: Worl
     require_all = scope.read_text(holder, "triggeringEntitiesRule", "any") == "all"
     entities = read_entity_refs(holder, scope, world)
     if not entities:
-        raise InputError(f"{scope.file_name}, line {holder.sourceline}: <TriggeringEntities> names no entity.")
+        raise scope.error_at(holder, "<TriggeringEntities> names no entity.")
     return EntityCondition(entities, require_all, test)
 
 
@@ -397,10 +397,7 @@ def _variable_condition(element: etree._Element, scope: Scope, world: World, ele
         if element.tag == "ParameterCondition" and is_condition_never_true(element, name):
             return _never_true_condition(element, scope, world, elements)
         noun = "variable" if attribute == "variableRef" else "parameter"
-        raise InputError(
-            f"{scope.file_name}, line {element.sourceline}: <{element.tag}>: there is no {noun} '{name}';"
-            f" {suggest_name(name, values)}"
-        )
+        raise scope.error_at(element, f"<{element.tag}>: there is no {noun} '{name}'; {suggest_name(name, values)}")
     if values[name].dtype.kind == "f":
         rule, value = read_comparison_rule(element, scope), scope.read_numbers(element, "value")
         return ValueCondition(lambda world: np.asarray(rule(values[name], value)))
