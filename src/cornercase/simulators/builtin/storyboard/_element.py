@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Any, Final, Protocol
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -11,6 +11,9 @@ from cornercase._common.errors import InputError, suggest_name
 from cornercase._common.masks import any_true
 from cornercase._common.typing import BoolArray
 from cornercase.simulators.builtin.world._world import World
+
+if TYPE_CHECKING:
+    from cornercase.simulators.builtin.storyboard._triggers import Trigger
 
 INIT, STANDBY, RUNNING, COMPLETE = 0, 1, 2, 3
 NOTHING, START, END, STOP, SKIP = 0, 1, 2, 3, 4
@@ -68,27 +71,6 @@ class StateWatcher:
         self._was_matched &= ~where
 
 
-class ElementTrigger(Protocol):
-    """Interface of the triggers of elements."""
-
-    def fires(self, world: World, where: BoolArray) -> BoolArray:
-        """Return the scenarios of a mask in which the trigger fires, shape (N,)."""
-        ...
-
-    def reset(self, where: BoolArray) -> None:
-        """Reset the trigger in the scenarios of a mask."""
-        ...
-
-    def may_fire(self, world: World) -> BoolArray:
-        """Return the scenarios in which the trigger can still fire at some time, shape (N,)."""
-        ...
-
-    @property
-    def groups(self) -> list[list[Any]]:
-        """Return all conditions of the trigger, by group."""
-        ...
-
-
 class Element:
     """An element of the storyboard, with a state in each scenario, ndarray of int8 (N,).
 
@@ -104,8 +86,8 @@ class Element:
         name: str,
         scenarios: int,
         children: Sequence[Element] = (),
-        start: ElementTrigger | None = None,
-        stop: ElementTrigger | None = None,
+        start: Trigger | None = None,
+        stop: Trigger | None = None,
         max_executions: int | None = None,
     ) -> None:
         self.kind, self.name, self.children = kind, name, children
@@ -121,7 +103,7 @@ class Element:
         """Report all changes of state to a condition from now on."""
         self._watches.append(watcher)
 
-    def iter_triggers(self) -> Iterator[tuple[ElementTrigger, int]]:
+    def iter_triggers(self) -> Iterator[tuple[Trigger, int]]:
         """Yield the triggers of the element, each with the state in which it can fire."""
         if self._start is not None:
             yield self._start, STANDBY

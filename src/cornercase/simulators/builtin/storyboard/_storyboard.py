@@ -19,7 +19,7 @@ from cornercase.scenario._file import ScenarioFile
 from cornercase.scenario._scope import Scope
 from cornercase.simulators.builtin.actions._basic import find_action_element, read_action
 from cornercase.simulators.builtin.paths._positions import read_entity_index, read_entity_refs
-from cornercase.simulators.builtin.storyboard._element import RUNNING, STANDBY, Element, ElementTrigger, StateWatcher
+from cornercase.simulators.builtin.storyboard._element import RUNNING, STANDBY, Element, StateWatcher
 from cornercase.simulators.builtin.storyboard._events import ActionElement, ElementGroup, Event
 from cornercase.simulators.builtin.storyboard._triggers import Trigger, read_trigger
 from cornercase.simulators.builtin.world._collisions import update_overlaps
@@ -77,7 +77,7 @@ class Storyboard:
             element.state = state
         rows = {element: k for k, element in enumerate(elements)}
         triggers = [(trigger, rows[e], state) for e in self._registered for trigger, state in e.iter_triggers()]
-        self.triggers: list[ElementTrigger] = [self._stop, *(trigger for trigger, _, _ in triggers)]
+        self.triggers: list[Trigger] = [self._stop, *(trigger for trigger, _, _ in triggers)]
         self._trigger_rows = np.array([row for _, row, _ in triggers], dtype=np.int64)
         self._awaited_states = np.array([[state] for _, _, state in triggers], dtype=np.int8).reshape(-1, 1)
         self._untriggered_rows = [rows[element] for element in self._registered if element.has_no_start_trigger]
@@ -202,18 +202,13 @@ class Storyboard:
         name = act.get("name", "")
         with self._inside_parent(name), locate_input_errors(act, scope.file_name):
             groups = [self._read_group(group, scope) for group in act.iterfind("ManeuverGroup")]
-        start = self._read_start_trigger(act, scope)
-        ending = read_trigger(act.find("StopTrigger"), scope, self._world, self)
-        stop = None if ending.is_empty else ending
+        start, stop = (self._read_trigger(act, tag, scope) for tag in ("StartTrigger", "StopTrigger"))
         return self._register_element(ElementGroup("act", name, scope.n_scenarios, groups, start, stop))
 
-    def _read_start_trigger(self, element: etree._Element, scope: Scope) -> Trigger | None:
-        """Return the start trigger of an act or event.
-
-        None if it is missing or empty, so that the element starts at once.
-        """
-        trigger = read_trigger(element.find("StartTrigger"), scope, self._world, self)
-        return None if trigger.is_empty else trigger
+    def _read_trigger(self, element: etree._Element, tag: str, scope: Scope) -> Trigger | None:
+        """Return a trigger of an act or event; None if it is missing or empty."""
+        trigger = read_trigger(element.find(tag), scope, self._world, self)
+        return trigger if trigger.groups else None
 
     def _read_group(self, group: etree._Element, scope: Scope) -> ElementGroup:
         name, holder = group.get("name", ""), group.find("Actors")
@@ -243,7 +238,7 @@ class Storyboard:
     def _read_event(
         self, event: etree._Element, scope: Scope, actors: list[int], select_triggering_entities: bool
     ) -> Event:
-        trigger = self._read_start_trigger(event, scope)
+        trigger = self._read_trigger(event, "StartTrigger", scope)
         # Triggering entities may act too, besides the named actors.
         choices: dict[int, Callable[[], BoolArray] | None] = {}
         if select_triggering_entities and trigger is not None:
