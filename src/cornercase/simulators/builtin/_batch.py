@@ -32,7 +32,6 @@ from cornercase.simulators.builtin.world._traffic_signals import read_signal_con
 from cornercase.simulators.builtin.world._world import World
 
 _MAX_ENTITIES: Final = 500
-_OBJECT_TYPES: Final = {"pedestrian": "pedestrian", "misc": "miscellaneous"}
 
 
 class Batch:
@@ -203,8 +202,7 @@ class Batch:
     @cached_property
     def _recording_sizes(self) -> list[int]:
         scene = self._stepper.scene
-        sizes: list[int] = (scene.n_frames * scene.pages[0, :, :, 0].nbytes).tolist()
-        return sizes
+        return list(map(int, scene.n_frames * scene.pages[0, :, :, 0].nbytes))
 
     @cached_property
     def _is_cut_off(self) -> BoolArray:
@@ -228,13 +226,12 @@ class Batch:
 
 
 def _to_parameter_array(value: Any, n_scenarios: int) -> Any:
-    if isinstance(value, bool | np.bool_ | str):
-        text = str(value).lower() if not isinstance(value, str) else value
-        return np.full(n_scenarios, text)
     array = np.asarray(value)
     if array.dtype.kind == "b":
-        return np.broadcast_to(np.where(array, "true", "false"), (n_scenarios,)).copy()
-    return np.broadcast_to(array.astype(np.float64), (n_scenarios,)).copy()
+        array = np.where(array, "true", "false")
+    elif array.dtype.kind != "U":
+        array = array.astype(np.float64)
+    return np.broadcast_to(array, (n_scenarios,)).copy()
 
 
 def _read_entity_selections(root: etree._Element, world: World, scope: Scope) -> dict[str, list[int]]:
@@ -246,10 +243,6 @@ def _read_entity_selections(root: etree._Element, world: World, scope: Scope) ->
             continue
         rows = read_entity_refs(members, scope, world)
         for by_type in members.iterfind("ByType"):
-            object_type = scope.read_text(by_type, "objectType")
-            of_type = [
-                k for k, entity in enumerate(world.entities) if _OBJECT_TYPES.get(entity.kind, "vehicle") == object_type
-            ]
-            rows += [k for k in of_type if k not in rows]
+            rows += [k for k in world.entities_of_type(scope.read_text(by_type, "objectType")) if k not in rows]
         selections[scope.read_text(selection, "name")] = rows
     return selections

@@ -92,9 +92,14 @@ def _position_after_lateral_step(world: World, entity: int) -> tuple[FloatArray,
     return x, y
 
 
-def box_lengths_between_references(world: World, entity: int, other: int) -> tuple[float, float]:
-    """Return the box length in m between two reference points: if the other is ahead, and if it is behind."""
+def free_space_to_entity(world: World, entity: int, other: int, distance: FloatArray) -> FloatArray:
+    """Return the free space in m between boxes whose reference points have a distance in m, shape (N,)."""
     own_box, other_box = world.entities[entity], world.entities[other]
     fronts = [0.5 * box.length + box.center_x for box in (own_box, other_box)]
     rears = [0.5 * box.length - box.center_x for box in (own_box, other_box)]
-    return fronts[0] + rears[1], rears[0] + fronts[1]
+    return shorten_distance(distance, fronts[0] + rears[1], rears[0] + fronts[1])
+
+
+def shorten_distance(distance: FloatArray, ahead: float, behind: float) -> FloatArray:
+    """Return distances without the part in boxes: `ahead` m if they are positive, else `behind` m; 0 if they touch."""
+    return np.where(distance > 0, np.maximum(distance - ahead, 0.0), np.minimum(distance + behind, 0.0))

@@ -201,6 +201,11 @@ class World:
             if rows.size:
                 yield number, track, rows
 
+    def entities_of_type(self, object_type: str) -> list[int]:
+        """Return the rows of all entities of an ``ObjectType``."""
+        types = {"pedestrian": "pedestrian", "misc": "miscellaneous"}
+        return [e for e, entity in enumerate(self.entities) if types.get(entity.kind, "vehicle") == object_type]
+
     def fail(self, where: BoolArray, reason: str | SimulationError) -> None:
         """End the scenarios of a mask with an error."""
         for i in np.flatnonzero(where & self.running).tolist():
