@@ -20,7 +20,6 @@ from cornercase.scenario import Value
 from cornercase.scenario._other_formats import later_minor_version
 from cornercase.scenario._scope import Scope
 from cornercase.simulators.builtin._entities import read_entities
-from cornercase.simulators.builtin._openscenario_support import check_elements_supported
 from cornercase.simulators.builtin._prepared_file import PreparedScenario, UnusableValuesError
 from cornercase.simulators.builtin._stepper import Coupling, Stepper
 from cornercase.simulators.builtin.actions._controller import DriverControl, DriverError, create_file_driver
@@ -69,7 +68,7 @@ class Batch:
 
     def _read_file(self, prepared: PreparedScenario, scope: Scope, drivers: Mapping[str, Driver | str]) -> None:
         scenario = prepared.scenario
-        check_elements_supported(prepared)
+        prepared.check_elements_supported()
         storyboard = scenario.root.find("Storyboard")
         init_element = None if storyboard is None else storyboard.find("Init")
         reference = storyboard if init_element is None else init_element
@@ -112,7 +111,7 @@ class Batch:
             self._world.assign_control(e, np.ones(scope.n_scenarios, dtype=np.bool_), number, True)
         self._storyboard = Storyboard(scenario, scope, self._world)
         # Again, as catalog entries have been read meanwhile.
-        check_elements_supported(prepared)
+        prepared.check_elements_supported()
         for message, mask in scope.invalid_values():
             self._world.fail(mask, message)
 

@@ -11,6 +11,7 @@ from typing import Final
 from lxml import etree
 
 from cornercase._common.errors import InputError
+from cornercase._common.io.support_table import SupportTable, tag_without_namespace
 from cornercase._common.text.source_lines import remove_file_prefix
 from cornercase.roads._network import RoadNetwork
 from cornercase.scenario import ParameterDeclaration, Value
@@ -18,6 +19,9 @@ from cornercase.scenario._constraints import read_declarations
 from cornercase.scenario._file import ScenarioFile
 from cornercase.scenario._scope import Scope
 from cornercase.scenario._types import find_type_errors, format_value
+
+OPENSCENARIO_SUPPORT: Final = SupportTable.from_csv("cornercase.simulators.builtin", "openscenario.csv")
+"""Elements and attributes of OpenSCENARIO XML 1.3, and those of earlier versions that are still read."""
 
 # Bytes per scenario: of a trajectory, of a vertex, of sampled curves per km, of what a driver gets of a trajectory.
 _BYTES_PER_TRAJECTORY: Final = 1_000
@@ -44,14 +48,13 @@ class PreparedScenario:
     """A scenario file, with everything that its batches have in common.
 
     `split_parameters`: parameters that determine the storyboard; they must be equal in all scenarios of a batch.
-    `checked_elements`: ids of elements that were checked for unsupported content.
     """
 
     def __init__(self, scenario: ScenarioFile) -> None:
         self.scenario = scenario
         self.split_parameters: set[str] = set()
         self._error_with_own_values: str | None = None
-        self.checked_elements: set[int] = set()
+        self._checked_elements: set[int] = set()
         self.networks: dict[Path, RoadNetwork] = {}
 
     @classmethod
@@ -61,6 +64,17 @@ class PreparedScenario:
             scenario.cache[cls] = cls(scenario)
         prepared: PreparedScenario = scenario.cache[cls]
         return prepared
+
+    def check_elements_supported(self) -> None:
+        """Raise `InputError` for the first unsupported element or attribute in the files that were read so far.
+
+        Elements that were checked in an earlier call are skipped.
+        """
+        for file, element in self.scenario.used_elements():
+            # The file holds its elements, so their ids stay valid.
+            if id(element) not in self._checked_elements and tag_without_namespace(element) != "OpenDRIVE":
+                OPENSCENARIO_SUPPORT.check_supported(element, file)
+                self._checked_elements.add(id(element))
 
     def scope(self, values: Sequence[Mapping[str, Value]]) -> Scope:
         """Return the parameters of the file for scenarios with these values."""

@@ -52,7 +52,7 @@ class SynchronizeAction(CompiledAction):
         self._final, self._final_speed_kind = np.zeros(n), NO_FINAL_SPEED
         self._steady_distance, self._steady_time = np.zeros(n), np.zeros(n)
         final = element.find("FinalSpeed")
-        inner = None if final is None else next(iter(final.iterchildren("*")), None)
+        inner = None if final is None else final.find("*")
         if inner is not None:
             self._read_final(inner, scope)
         self._is_located = np.zeros(n)

@@ -9,6 +9,7 @@ from lxml import etree
 
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.scenario._scope import Scope
+from cornercase.simulators.builtin.kernels._action_table import DYNAMICS_DIMENSIONS, DYNAMICS_SHAPES
 
 # Largest slope of a transition from 0 to 1 over unit time.
 _PEAK_SLOPE: Final = {"linear": 1.0, "cubic": 1.5, "sinusoidal": 0.5 * np.pi, "step": 1.0}
@@ -32,6 +33,11 @@ class TransitionDynamics:
         # The sign of a rate is ignored, as files give braking with a minus.
         if self.dimension != "rate":
             scope.mark_invalid(element, "value", "is below 0", self.value < 0.0)
+
+    @property
+    def kernel_options(self) -> tuple[int, int]:
+        """Shape and dimension for kernels."""
+        return DYNAMICS_SHAPES.index(self.shape), DYNAMICS_DIMENSIONS.index(self.dimension)
 
     def speed_change_duration(
         self, start: FloatArray, end: FloatArray, unlimited_end: FloatArray, max_slope: FloatArray

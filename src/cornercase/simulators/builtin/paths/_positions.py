@@ -29,7 +29,7 @@ def read_position(holder: etree._Element, scope: Scope, world: World) -> Positio
 
     Raises `InputError` if there is none, its type is not supported, or it refers to something that does not exist.
     """
-    element = next(iter(holder.iterchildren("*")), None)
+    element = holder.find("*")
     if element is None:
         raise scope.error_at(holder, f"<{holder.tag}> holds no position.")
     if element.tag not in _READERS:
@@ -41,7 +41,7 @@ def read_position(holder: etree._Element, scope: Scope, world: World) -> Positio
 
 def is_static_position(holder: etree._Element) -> bool:
     """Return whether the position inside an element is the same at all times."""
-    element = next(iter(holder.iterchildren("*")), None)
+    element = holder.find("*")
     return element is not None and element.tag in ("WorldPosition", "LanePosition", "RoadPosition")
 
 
@@ -232,7 +232,7 @@ def _read_route_position(element: etree._Element, scope: Scope, world: World) ->
     holder = element.find("RouteRef")
     route = None if holder is None else read_route(holder, scope, world)
     in_route = element.find("InRoutePosition")
-    inner = None if in_route is None else next(iter(in_route.iterchildren("*")), None)
+    inner = None if in_route is None else in_route.find("*")
     if route is None or inner is None or inner.tag not in ("FromLaneCoordinates", "FromRoadCoordinates"):
         raise scope.error_at(
             element, "<RoutePosition> needs a <RouteRef> and an <InRoutePosition> from lane or road coordinates."

@@ -83,7 +83,7 @@ def read_trajectory(
     """
     element, inner = scope.resolve_element_or_reference(holder, "Trajectory")
     shape = element.find("Shape")
-    kind = None if shape is None else next(iter(shape.iterchildren("*")), None)
+    kind = None if shape is None else shape.find("*")
     if kind is None or kind.tag not in ("Polyline", "Clothoid", "ClothoidSpline", "Nurbs"):
         raise scope.error_at(element, "a <Trajectory> is not a <Polyline>, <Clothoid>, <ClothoidSpline> or <Nurbs>.")
     closed = inner.read_boolean(element, "closed", False)

@@ -28,7 +28,7 @@ from cornercase.simulators.builtin.storyboard._entity_conditions import (
     read_comparison_rule,
 )
 from cornercase.simulators.builtin.world._text_values import read_text_value
-from cornercase.simulators.builtin.world._traffic_signals import require_phase_index, require_signal_controller
+from cornercase.simulators.builtin.world._traffic_signals import read_signal_phase
 from cornercase.simulators.builtin.world._world import World
 
 if TYPE_CHECKING:
@@ -259,15 +259,15 @@ def read_trigger(element: etree._Element | None, scope: Scope, world: World, sto
 
 
 def _read_condition_test(condition: etree._Element, scope: Scope, world: World, storyboard: Storyboard) -> Test:
-    kind = next(iter(condition.iterchildren("*")), None)
+    kind = condition.find("*")
     if kind is not None and kind.tag == "ByEntityCondition":
         holder = kind.find("EntityCondition")
-        inner = None if holder is None else next(iter(holder.iterchildren("*")), None)
+        inner = None if holder is None else holder.find("*")
         if inner is not None and inner.tag in ENTITY_CONDITION_READERS:
             test = ENTITY_CONDITION_READERS[inner.tag](inner, scope, world)
             return _read_triggering_entities(kind, scope, world, test)
     else:
-        inner = None if kind is None else next(iter(kind.iterchildren("*")), None)
+        inner = None if kind is None else kind.find("*")
         if inner is not None and inner.tag in _VALUE_CONDITION_READERS:
             return _VALUE_CONDITION_READERS[inner.tag](inner, scope, world, storyboard)
     tag = condition.tag if inner is None else inner.tag
@@ -417,11 +417,7 @@ def _signal_condition(element: etree._Element, scope: Scope, world: World, story
 
 
 def _signal_controller_condition(element: etree._Element, scope: Scope, world: World, storyboard: Storyboard) -> Test:
-    location = f"{scope.file_name}, line {element.sourceline}: <{element.tag}>"
-    controller = require_signal_controller(
-        world.signal_controllers, scope.read_text(element, "trafficSignalControllerRef"), location
-    )
-    phase = require_phase_index(controller, scope.read_text(element, "phase"), location)
+    controller, phase = read_signal_phase(element, scope, world.signal_controllers)
     return ValueCondition(lambda world: np.asarray(controller.phase_at(world.time) == phase), changes_by_itself=True)
 
 
