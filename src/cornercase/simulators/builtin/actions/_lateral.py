@@ -85,8 +85,7 @@ class LaneChangeAction(CompiledAction):
 
     def _keep_own_lane(self, world: World, where: BoolArray) -> None:
         """Make the entity's present lane the target lane, in the scenarios of a mask."""
-        e, own_lane = self._entity, road_pose(world, self._entity).lane
-        assert own_lane is not None
+        e, own_lane = self._entity, road_pose(world, self._entity).road_coordinates()[1]
         why = f"{world.names[e]} is to change to a lane that does not exist, and stays in its own lane"
         world.add_notice(self._location, "<LaneChangeAction>", why, where)
         stays = change_lane(world, e, own_lane, where)
@@ -96,9 +95,8 @@ class LaneChangeAction(CompiledAction):
         if self._reference is None:
             return np.full(world.scenarios, self._value)
         pose = road_pose(world, self._reference)
-        assert pose.lane is not None
         forward = np.where(is_heading_along_road(world, pose), 1, -1)
-        return shift_lane(pose.lane, self._value * forward)
+        return shift_lane(pose.road_coordinates()[1], self._value * forward)
 
 
 class LaneOffsetAction(CompiledAction):

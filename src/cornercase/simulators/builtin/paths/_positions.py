@@ -317,7 +317,7 @@ def _read_trajectory_position(element: etree._Element, scope: Scope, world: Worl
     rows = np.arange(scope.n_scenarios)
 
     def resolve(world: World) -> Pose:
-        x, y, heading = shape(world).pose_at(s, t, rows)
+        x, y, heading = shape(world, False, None, None).pose_at(s, t, rows)
         return _locate_pose(world, x, y, heading + turn if relative else turn)
 
     return resolve

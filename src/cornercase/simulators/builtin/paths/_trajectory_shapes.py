@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 from lxml import etree
@@ -61,17 +61,12 @@ class TimeConversion:
         return np.where(times[:, -1:] == latest[:, -1:], latest, times)
 
 
-class TrajectoryBuilder(Protocol):
-    """Function that builds a trajectory for the current state of a world.
+TrajectoryBuilder = Callable[[World, bool, TimeConversion | None, int | None], Trajectory]
+"""Builds a trajectory for the current state of a world.
 
-    `smooth` selects the following mode ``follow``. Without `clock`, the trajectory has no times. `entity` follows it.
-    """
-
-    def __call__(
-        self, world: World, smooth: bool = False, clock: TimeConversion | None = None, entity: int | None = None
-    ) -> Trajectory:
-        """Return the trajectory."""
-        ...
+The further arguments are whether the following mode is ``follow``, the conversion of times (None: without times), and
+the row of the entity that follows it (None: nobody does).
+"""
 
 
 def read_trajectory(
@@ -143,9 +138,7 @@ def _read_polyline(
         raise scope.error_at(element, "a <Polyline> needs at least two vertices.")
     resolve_vertices = _read_vertices(element, vertices, scope, world, read_position)
 
-    def build_trajectory(
-        world: World, smooth: bool = False, clock: TimeConversion | None = None, entity: int | None = None
-    ) -> Trajectory:
+    def build_trajectory(world: World, smooth: bool, clock: TimeConversion | None, entity: int | None) -> Trajectory:
         turning, begin_speed = ALONG_SEGMENTS if smooth else AT_CORNERS, None
         chosen = None if entity is None else world.entities[entity].polyline_turning
         turning = turning if chosen is None else chosen
@@ -240,9 +233,7 @@ def _read_clothoids(
     later_starts = {k: read_position(holder, scope, world) for k, holder in holders.items() if holder is not None}
     turns = np.stack([scope.read_numbers(segment, "hOffset", 0.0) for segment in segments], axis=1)
 
-    def build_trajectory(
-        world: World, smooth: bool = False, clock: TimeConversion | None = None, entity: int | None = None
-    ) -> Trajectory:
+    def build_trajectory(world: World, smooth: bool, clock: TimeConversion | None, entity: int | None) -> Trajectory:
         if position is not None:
             pose = position(world)
             x, y, heading = pose.x, pose.y, pose.heading
@@ -293,9 +284,7 @@ def _read_nurbs(
     positions = [read_position(_require_position(control, scope), scope, world) for control in controls]
     times = np.stack([scope.read_numbers(control, "time", 0.0) for control in controls], axis=1)
 
-    def build_trajectory(
-        world: World, smooth: bool = False, clock: TimeConversion | None = None, entity: int | None = None
-    ) -> Trajectory:
+    def build_trajectory(world: World, smooth: bool, clock: TimeConversion | None, entity: int | None) -> Trajectory:
         poses = [_resolve_coordinates(position, world) for position in positions]
         x, y = np.stack([pose.x for pose in poses], axis=1), np.stack([pose.y for pose in poses], axis=1)
         px, py, heading, reached = evaluate_nurbs(x, y, times, weights, knots, order)

@@ -233,19 +233,18 @@ def _relative_clearance_condition(element: etree._Element, scope: Scope, world: 
 
     def holds(world: World, e: int) -> BoolArray:
         own_pose = road_pose(world, e)
-        assert own_pose.lane is not None
+        own_lane = own_pose.road_coordinates()[1]
         occupied = np.zeros(world.scenarios, dtype=np.bool_)
         for other in others or [k for k in range(len(world.entities)) if k != e]:
             pose = road_pose(world, other)
-            assert pose.lane is not None
             distance = distance_along_roads(world, e, pose)
             if free:
                 distance = free_space_to_entity(world, e, other, distance)
             # On a road with opposite direction, lanes have the opposite sign.
             is_opposite = is_opposite_direction(world, e, pose)
-            lane = np.where(is_opposite, -own_pose.lane, own_pose.lane)
+            lane = np.where(is_opposite, -own_lane, own_lane)
             lane_difference = relative_lane(world, replace(own_pose, lane=lane), pose) * np.where(is_opposite, -1, 1)
-            same_side = np.sign(lane) == np.sign(pose.lane)
+            same_side = np.sign(lane) == np.sign(pose.road_coordinates()[1])
             inside = (
                 (distance >= -backward) & (distance <= forward) & (lane_difference >= first) & (lane_difference <= last)
             )
@@ -268,10 +267,10 @@ def _angle_condition(element: etree._Element, scope: Scope, world: World) -> Ent
     def holds(world: World, e: int) -> BoolArray:
         pose = road_pose(world, e)
         current = world.heading[e] - road_heading(world, pose)
-        if system == "lane" and pose.lane is not None and pose.road is not None and pose.s is not None:
+        if system == "lane":
             against = [
-                not network.is_traffic_forward(int(r), int(k), float(s))
-                for r, k, s in zip(pose.road, pose.lane, pose.s, strict=True)
+                not network.is_traffic_forward(int(road), int(lane), float(s))
+                for road, lane, s in zip(*pose.road_coordinates(), strict=True)
             ]
             current = current - np.where(against, np.pi, 0.0)
         return np.asarray(np.abs(wrap_angle(current - angle)) < tolerance + TOLERANCE)

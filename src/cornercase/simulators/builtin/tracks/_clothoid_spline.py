@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import chain
 from typing import Final
 
 import numpy as np
@@ -60,20 +61,9 @@ class ClothoidSpline(Trajectory):
         ends = np.cumsum(length, axis=1)
         self.segment_distances = np.concatenate([np.zeros((len(x), 1)), ends], axis=1)
         self.lengths = ends[:, -1].copy()
-        poses = (
-            {} if segment_starts is None else {k: (pose.x, pose.y, pose.heading) for k, pose in segment_starts.items()}
-        )
+        poses = {k: (pose.x, pose.y, pose.heading) for k, pose in (segment_starts or {}).items()}
         angles = np.zeros_like(length) if heading_offsets is None else heading_offsets
-        inputs = (
-            x,
-            y,
-            heading,
-            start,
-            end,
-            length,
-            angles,
-            *(part for pose_values in poses.values() for part in pose_values),
-        )
+        inputs = (x, y, heading, start, end, length, angles, *chain.from_iterable(poses.values()))
         # A curve that is the same in all scenarios is computed once.
         rows = slice(1) if is_uniform(*inputs) else slice(None)
         nodes = [(x[rows], y[rows], heading[rows])]

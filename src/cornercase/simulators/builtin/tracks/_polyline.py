@@ -29,18 +29,9 @@ class Polyline(Trajectory):
     """
 
     _scenario_arrays = (
-        "x",
-        "y",
-        "heading",
-        "_time",
-        "distance",
-        "_total_length",
-        "lengths",
-        "directions",
-        "vertex_headings",
-        "speeds",
-        "accelerations",
-    )
+        "x", "y", "heading", "_time", "distance", "_total_length", "lengths", "directions", "vertex_headings",
+        "speeds", "accelerations",
+    )  # fmt: skip
 
     def __init__(
         self,

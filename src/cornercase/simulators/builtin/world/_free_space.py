@@ -93,13 +93,12 @@ def _project_onto_road(world: World, pose: Pose, points: FloatArray, where: Bool
     0 outside the mask.
     """
     assert world.network is not None
-    assert pose.road is not None
-    assert pose.s is not None
+    roads, _, s_of_pose = pose.road_coordinates()
     result = np.zeros(points.shape[:2])
-    for number in np.unique(pose.road[where]):
-        rows = np.flatnonzero(where & (pose.road == number))
+    for number in np.unique(roads[where]):
+        rows = np.flatnonzero(where & (roads == number))
         road, flat = world.network.roads[int(number)], points[rows].reshape(-1, 2)
-        s = np.repeat(pose.s[rows], points.shape[1])
+        s = np.repeat(s_of_pose[rows], points.shape[1])
         t = np.zeros_like(s)
         for _ in range(_MAX_ITERATIONS):
             x, y, heading = road.reference_pose(s)
