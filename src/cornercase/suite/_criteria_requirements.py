@@ -9,7 +9,7 @@ from cornercase._common.errors import InputError
 from cornercase._common.io.support_table import issue_notice_warning
 from cornercase.scenario._runner_criteria import RunnerCriterion, read_runner_criteria
 from cornercase.scenario._scope import Scope
-from cornercase.suite._requirement import Requirement, requirement_prefix
+from cornercase.suite._requirement import Requirement, parse_requirement_from, requirement_prefix
 from cornercase.suite._suite_contents import SuiteContents, SuiteScenario
 
 # Criteria that a recording can answer; others need lanes, signals or routes of CARLA's map.
@@ -53,7 +53,8 @@ def requirements_from_files(suite: SuiteContents) -> list[Requirement]:
             texts.append(meaning)
         else:
             texts += [f"{requirement_prefix(file)}{meaning}" for file in files]
-    return [_parse_requirement(text, suite) for text in texts]
+    source = f"`require_from_file`: a criterion in {suite.folder} requires "
+    return [parse_requirement_from(source, text) for text in texts]
 
 
 def _describe_sources(suite: SuiteContents) -> str:
@@ -61,14 +62,6 @@ def _describe_sources(suite: SuiteContents) -> str:
     if len(suite.runnable_scenarios) == 1:
         return suite.runnable_scenarios[0].file_name
     return f"the scenarios of {suite.folder.resolve().name}"
-
-
-def _parse_requirement(text: str, suite: SuiteContents) -> Requirement:
-    try:
-        return Requirement.parse(text)
-    except InputError as error:
-        reason = str(error).removeprefix("`require` ")
-        raise InputError(f"`require_from_file`: a criterion in {suite.folder} requires {reason}") from error
 
 
 def _read_criteria(scenario: SuiteScenario) -> tuple[RunnerCriterion, ...]:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 from typing import Any, Final
 
 from cornercase._common.errors import InputError, suggest_name
-from cornercase._common.io.files import read_file
-from cornercase.suite._requirement import Requirement, requirement_prefix
+from cornercase._common.io.files import parse_toml, read_utf8
+from cornercase.suite._requirement import Requirement, parse_requirement_from, requirement_prefix
 
 _LIST_KEY: Final = "require"
 # Tables of further lists, and the names their patterns are for.
@@ -41,14 +40,7 @@ def read_requirements(path: Path) -> list[Requirement]:
             lines += [f"{prefix}{line}" for line in _require_text_list(path, pattern, requirements)]
     if not lines:
         raise InputError(f'{path}: holds no requirement; write {_LIST_KEY} = ["no collision"].')
-    return [_parse_requirement(path, line) for line in lines]
-
-
-def _parse_requirement(path: Path, text: str) -> Requirement:
-    try:
-        return Requirement.parse(text)
-    except InputError as error:
-        raise InputError(f"{path}: {str(error).removeprefix('`require` ')}") from error
+    return [parse_requirement_from(f"{path}: ", line) for line in lines]
 
 
 def _require_text_list(path: Path, name: str, value: object) -> list[str]:
@@ -58,21 +50,9 @@ def _require_text_list(path: Path, name: str, value: object) -> list[str]:
 
 
 def _load_file(path: Path) -> Any:
-    content = read_file(path, _MAX_FILE_BYTES)
-    try:
-        text = content.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: is not UTF-8 text ({error.reason}).") from error
-    if path.suffix.lower() in (".yaml", ".yml"):
-        return _load_yaml(path, text)
-    try:
-        return tomllib.loads(text)
-    except (ValueError, RecursionError) as error:
-        # Also raised for integers that are too long for Python.
-        raise InputError(f"{path}: is not valid TOML ({str(error)[:200]}).") from error
-
-
-def _load_yaml(path: Path, text: str) -> Any:
+    text = read_utf8(path, _MAX_FILE_BYTES)
+    if path.suffix.lower() not in (".yaml", ".yml"):
+        return parse_toml(path, text)
     try:
         import yaml
     except ImportError as error:
