@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 from rich.table import Column, Table
 
-from cornercase._common.text.sanitize import format_json
 from cornercase.cli import options as opt
 from cornercase.cli.command_options import SectionedCommand, with_options
 from cornercase.cli.options import Option, app, err, out
@@ -111,7 +109,7 @@ def test_suite(
         progress=True,
     )
     if as_json:
-        sys.stdout.write(format_json(result.to_json()) + "\n")
+        opt.print_json(result.to_json())
     else:
         _print_result(result)
         for written in (junit, summary):
