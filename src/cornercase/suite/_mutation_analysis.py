@@ -29,7 +29,7 @@ from cornercase.study._scenario_file import find_explored_scenario
 from cornercase.study._study_file import open_study
 from cornercase.suite._judge import judge
 from cornercase.suite._requirement import Requirement
-from cornercase.suite._suite_contents import SuiteContents
+from cornercase.suite._suite_contents import DEFAULT_SETTINGS, SuiteContents
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -41,7 +41,6 @@ DEFAULT_REQUIREMENT: Final = "no collision"
 """Requirement that a killed mutant violates by default."""
 
 _BUILTIN: Final = "builtin"
-_OPTIONS: Final = ("time_step", "duration", "on_collision")
 
 
 def analyze_mutants(
@@ -116,7 +115,7 @@ def analyze_mutants(
     drivers: dict[str, Any] = dict(settings.get("drivers", {}))
     driver = find_ego_driver(entities[0], drivers, [logical])
     mutants_ = generate_mutants(driver, 2 * n_mutants, seed)
-    options: dict[str, Any] = {name: settings[name] for name in _OPTIONS if name in settings}
+    options: dict[str, Any] = {name: settings[name] for name in DEFAULT_SETTINGS if name in settings}
     options["drivers"] = {name: item for name, item in drivers.items() if name != entities[0]}
     for name, item in options["drivers"].items():
         if not isinstance(item, str):

@@ -45,12 +45,10 @@ from cornercase.suite._reference_drivers import run_reference_drivers
 from cornercase.suite._requirement import Requirement
 from cornercase.suite._requirement_files import read_requirements
 from cornercase.suite._run_scenarios import mark_unsupported, run_pending_scenarios
-from cornercase.suite._suite_contents import SuiteContents
+from cornercase.suite._suite_contents import DEFAULT_SETTINGS, SuiteContents
 from cornercase.suite._suite_result import ScenarioResult, SuiteResult
 from cornercase.suite._verdict import Verdict, worst_state
 
-_DEFAULT_SETTINGS: Final[dict[str, Any]] = {"time_step": 0.05, "duration": 60.0, "on_collision": "continue"}
-_BUILTIN: Final = "builtin"
 _RAN_REQUIREMENT: Final = "runs"
 
 
@@ -68,7 +66,7 @@ class SuiteKeywords(RunKeywords, total=False):
 
 
 SUITE_OPTIONS: Final = {name: OPTIONS[name] for name in SuiteKeywords.__annotations__}
-for _name in ("ego", "other", "metrics", "simulator", *_DEFAULT_SETTINGS):
+for _name in ("ego", "other", "metrics", "simulator", *DEFAULT_SETTINGS):
     SUITE_OPTIONS[_name] = OPTIONS[_name].with_default_of("as in the manifest")
 
 
@@ -161,7 +159,7 @@ def run_suite(
     contents, entities = _resolve_entities(contents, given["ego"], given["other"], parsed, given["drivers"])
     settings = {
         name: contents.settings.get(name, default) if given[name] is None else given[name]
-        for name, default in _DEFAULT_SETTINGS.items()
+        for name, default in DEFAULT_SETTINGS.items()
     }
     name = _choose_simulator(contents, given["simulator"])
     settings["drivers"] = _resolve_drivers(contents, given["drivers"])
@@ -225,17 +223,18 @@ def _prepare_outputs(
     targets: list[tuple[Callable[[SuiteResult, Path], None], Path]] = []
     outputs = (("junit", junit, write_junit, JUNIT_START), ("summary", summary, write_markdown_summary, HEADING_START))
     for name, target, write, first_bytes in outputs:
-        if target is not None:
-            file = path_argument(name, target)
-            for source in inputs:
-                check_output_differs_from_source(file, source, name)
-            # Check before hours of simulations.
-            check_writable_file(name, file)
-            check_output_is_not_study(file, study, name)
-            _require_own_output(name, file, first_bytes)
-            if any(file.resolve() == other.resolve() for _, other in targets):
-                raise InputError(f"`{name}` {file}: is the JUnit file too; choose another name.")
-            targets.append((write, file))
+        if target is None:
+            continue
+        file = path_argument(name, target)
+        for source in inputs:
+            check_output_differs_from_source(file, source, name)
+        # Check before hours of simulations.
+        check_writable_file(name, file)
+        check_output_is_not_study(file, study, name)
+        _require_own_output(name, file, first_bytes)
+        if any(file.resolve() == other.resolve() for _, other in targets):
+            raise InputError(f"`{name}` {file}: is the JUnit file too; choose another name.")
+        targets.append((write, file))
     for _, file in targets:
         # Remove outputs of earlier runs, which would remain if no scenario can be run.
         file.unlink(missing_ok=True)
@@ -259,7 +258,6 @@ def _parse_requirements(require: Sequence[str], requirements: Path | str | None)
 
 
 def _remove_duplicates(requirements: Sequence[Requirement]) -> list[Requirement]:
-    """Return the requirements without duplicates."""
     return list({requirement.text: requirement for requirement in requirements}.values())
 
 
@@ -351,7 +349,7 @@ def _choose_simulator(suite: SuiteContents, requested: str | Simulator | None) -
             f"`simulator`: {suite.path} names '{suite.simulator[:100]}', whose options could run programs; give"
             " `simulator` yourself."
         )
-    return name or _BUILTIN
+    return name or "builtin"
 
 
 def _resolve_drivers(suite: SuiteContents, requested: Mapping[str, str | Driver] | None) -> dict[str, str | Driver]:
@@ -418,11 +416,13 @@ def _build_result(
         verdicts = judge_scenario(study, row, requirements)
         failed = row.state == "failed"
         duration = None
+        ran = Verdict("inconclusive", _RAN_REQUIREMENT, f"it failed: {row.error}")
         if not failed:
             time = study.recording(row.id).time
             duration = float(time[-1] - time[0])
+            ran = Verdict("passed", _RAN_REQUIREMENT, f"it ran for {duration:.6g} s", value=duration)
         if not requirements:
-            verdicts = [_ran_verdict(row.error if failed else None, duration)]
+            verdicts = [ran]
         scenarios.append(
             ScenarioResult(
                 id=row.id,
@@ -451,9 +451,3 @@ def _build_result(
         against=baseline,
         no_comparison_reason=no_baseline_reason,
     )
-
-
-def _ran_verdict(error: str | None, duration: float | None) -> Verdict:
-    if duration is None:
-        return Verdict("inconclusive", _RAN_REQUIREMENT, f"it failed: {error}")
-    return Verdict("passed", _RAN_REQUIREMENT, f"it ran for {duration:.6g} s", value=duration)

@@ -200,10 +200,8 @@ def _run_tests(
     n_filling = len(old.space_filling_ids()), len(new.space_filling_ids())
     # If both designs are mostly the same scenarios, pairs are more powerful.
     if sum(pair.is_score_independent for pair in pairs) < MIN_SAMPLE_SIZE <= min(n_filling):
-        (old_scores, old_facts), (new_scores, new_facts) = (
-            space_filling_scores(old, metrics),
-            space_filling_scores(new, metrics),
-        )
+        old_scores, old_facts = space_filling_scores(old, metrics)
+        new_scores, new_facts = space_filling_scores(new, metrics)
         shared = {name: fact for name, fact in old_facts.items() if name in new_facts}
         tests_ += test_unpaired_samples((old_scores, new_scores), (shared, new_facts))
     if not tests_ and all(pair.run == "in neither" for pair in pairs):
