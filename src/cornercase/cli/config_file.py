@@ -21,11 +21,7 @@ _MAX_BYTES: Final = 1_000_000
 
 
 def read_study_file(path: Path) -> dict[str, Any]:
-    """Read options of `explore` from a TOML file; paths in it are relative to the folder of the file.
-
-    The keys of the result are the names of the parameters in Python. InputError if the file is invalid, or if it names
-    code or an output path.
-    """
+    """Read options of `explore` from a file, by their names in Python; `InputError` if it names code or outputs."""
     options = {}
     for key, value in parse_toml(path, read_utf8(path, _MAX_BYTES)).items():
         if key in _COMMAND_LINE_ONLY or (key in _OPTIONS and not _OPTIONS[key].in_file):

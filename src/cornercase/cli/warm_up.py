@@ -113,10 +113,7 @@ def compile_in_parallel(program: str = _LATE_PROGRAM) -> Iterator[None]:
 
 
 def compile_late_kernels() -> None:
-    """Compile the kernels that the examples need after the simulations.
-
-    Call it in a process of its own; it exits when its standard input closes.
-    """
+    """Compile what the examples need after the simulations, in a process that ends with its standard input."""
     import numpy as np
 
     from cornercase import clustering, dtw, metrics

@@ -231,10 +231,7 @@ class Simulator(Configurable, ABC):
 
 
 def check_seed(seed: int, owner: str) -> int:
-    """Return the seed if it is an integer from 0 to 2147483647.
-
-    Otherwise raise `InputError`, which names the `owner`.
-    """
+    """Return the seed of an owner; `InputError` unless it is an integer from 0 to 2147483647."""
     if not (isinstance(seed, int) and 0 <= seed < 2**31):
         raise InputError(f"The seed of {owner} is {seed}; give a whole number from 0 to 2147483647.")
     return seed

@@ -43,11 +43,7 @@ class DriverSpec:
 def pickle_simulator(
     simulator: str | type[Simulator], options: Mapping[str, Any], dumps: Callable[[Any], bytes]
 ) -> bytes:
-    """Pickle a simulator (name or class) and its options.
-
-    Drivers that were created by class name are sent as `DriverSpec`. Raises `InputError` if a driver or another option
-    cannot be pickled.
-    """
+    """Pickle a simulator and its options; drivers that were created by class name are sent as `DriverSpec`."""
     drivers = {
         entity: DriverSpec.from_driver(driver_spec)
         for entity, driver_spec in (options.get(_DRIVERS_OPTION) or {}).items()

@@ -115,9 +115,6 @@ def warn_if_ego_has_no_driver(simulator: Simulator, scenarios: Iterable[Scenario
 
 
 def _road_network_of(scenario: ScenarioFile) -> RoadNetwork | None:
-    """Return the road network of a scenario.
-
-    None if it was not read in this process, or depends on parameter values.
-    """
+    """Return the road network of a scenario; None if it was not read here, or depends on parameter values."""
     networks = list(PreparedScenario.from_scenario(scenario).networks.values())
     return networks[0] if len(networks) == 1 else None

@@ -44,10 +44,7 @@ def find_baseline_study(suite: SuiteContents, against: Path | None) -> tuple[Pat
 
 
 def compare_with_baseline(suite: SuiteContents, baseline: Path, study: StudyFile) -> dict[int, RecordingDifference]:
-    """Compare the recordings of a suite with earlier recordings of the same scenarios.
-
-    Return the differences by scenario id in `study`, for scenarios that ran in both studies.
-    """
+    """Return how recordings of a suite differ from earlier ones, by scenario id in `study`, where both ran."""
     with StudyFile.open(baseline, readonly=True) as earlier, reraise_as_damage(baseline):
         sources = _match_baseline_rows(suite, earlier)
         differences = {}

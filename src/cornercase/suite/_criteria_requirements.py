@@ -21,11 +21,7 @@ _REQUIREMENT_TEMPLATES: Final[dict[str, Callable[[float | None], str | None]]] =
 
 
 def requirements_from_files(suite: SuiteContents) -> list[Requirement]:
-    """Make requirements from the criteria in the files of a suite.
-
-    A criterion that some files lack applies only to the files that have it. `InputError` if there are no criteria; a
-    warning for criteria that a recording cannot decide.
-    """
+    """Make requirements from the criteria in the files of a suite, and warn about those that no recording decides."""
     files_of: dict[str, list[str]] = {}
     ignored: dict[str, None] = {}
     for scenario in suite.runnable_scenarios:

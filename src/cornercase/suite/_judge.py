@@ -114,11 +114,7 @@ def depends_on_reference(requirement: Requirement, recording: Recording, ego: st
 
 
 def judge_study(study: StudyFile) -> dict[int, list[Verdict]]:
-    """Judge all finished scenarios of an open study by the requirements that the study stores.
-
-    Return the verdicts by scenario id, one for each requirement that applies; empty without requirements. A verdict is
-    inconclusive if the simulator failed.
-    """
+    """Judge the finished scenarios of a study by the requirements that it stores; return verdicts by scenario id."""
     with reraise_as_damage(study.path):
         requirements = [Requirement.parse(text) for text in study.meta.requirements]
         if not requirements:

@@ -31,11 +31,7 @@ _READ_ERRORS: Final = (ValueError, LookupError, TypeError, AttributeError, Arith
 
 
 def read_manifest(path: Path) -> SuiteContents:
-    """Read a manifest and the scenario files that it lists.
-
-    A `reduce` that was interrupted is completed first. `InputError` if it is not a manifest, has another format, or if
-    a listed file is missing or has changed.
-    """
+    """Read a manifest and the scenario files that it lists, after completing a `reduce` that was interrupted."""
     if path.name == MANIFEST:
         complete_replacement(path.parent)
     manifest = _load_manifest_json(path)

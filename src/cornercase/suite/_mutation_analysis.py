@@ -146,11 +146,7 @@ def draw_mutants(
     count: int,
     seed: int,
 ) -> tuple[str, tuple[Mutant, ...]]:
-    """Draw mutants of the ego's driver in a suite; return the name of the driver and its mutants.
-
-    `drivers` override the drivers in the files, by entity. `InputError` if the ego has no driver, if the files name
-    different ones, if the driver cannot be mutated, or if a requirement needs a reference driver.
-    """
+    """Return the ego's driver in a suite, where `drivers` override those in the files, and mutants of it."""
     _require_no_reference(requirements)
     driver = find_ego_driver(ego, drivers, [scenario.scenario for scenario in suite.runnable_scenarios])
     return driver, generate_mutants(driver, check_int("mutants", count, 1), seed)
@@ -197,10 +193,7 @@ def require_builtin_simulator(simulator: str) -> None:
 
 
 def find_ego_driver(ego: str, drivers: Mapping[str, Any], scenarios: Sequence[ScenarioFile]) -> str:
-    """Return the name of the ego's driver; `drivers` override the drivers in the files, by entity.
-
-    `InputError` if there is none, if the files name different ones, or if the driver cannot be mutated.
-    """
+    """Return the name of the ego's driver; `drivers` override the drivers in the files, by entity."""
     if ego in drivers:
         return nearest_preset_name(drivers[ego])
     drivers_in_files = {scenario.drivers.get(ego) for scenario in scenarios}

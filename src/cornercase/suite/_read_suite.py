@@ -82,10 +82,7 @@ def _is_not_scenario(scenario: ScenarioFile) -> bool:
 def _find_varied_parameters(
     scenarios: Sequence[ScenarioFile], unreadable: Container[Path]
 ) -> tuple[list[dict[str, Value]], ParameterSpace]:
-    """Return the values, by file, of parameters that all files declare and that differ, and a space of them.
-
-    If these values do not distinguish all files, the file name is added as a parameter.
-    """
+    """Return the parameter values that differ, by file, and a space of them; with file names if they do not suffice."""
     declarations = [{} if scenario.path in unreadable else declarations_by_name(scenario) for scenario in scenarios]
     names = [
         name

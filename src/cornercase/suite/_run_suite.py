@@ -268,10 +268,7 @@ def _resolve_entities(
     requirements: Sequence[Requirement],
     drivers: Mapping[str, object],
 ) -> tuple[SuiteContents, tuple[str, tuple[str, ...]]]:
-    """Return the suite, in which scenarios that lack an entity are marked, and the names of the ego and the others.
-
-    `InputError` if all scenarios lack one of the entities.
-    """
+    """Return the suite, with a mark where an entity is lacking, and the names of the ego and the others."""
     for role, given, own in (("ego", ego, suite.ego), ("other", other, suite.other)):
         if given is None and not own:
             raise InputError(f"`{role}`: {suite.path} does not define it; name an entity.")

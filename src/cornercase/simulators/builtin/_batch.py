@@ -126,10 +126,7 @@ class Batch:
 
     @property
     def remarks(self) -> list[str]:
-        """Return sentences about drivers that exceeded vehicle limits, and about deviations from the file.
-
-        Call it after the run.
-        """
+        """Return, after the run, sentences about limits that drivers exceeded, and about deviations from the file."""
         if self.failure is not None and self._world.scenarios > 1:
             return []
         # Actions name their line, and their file only if it is not the scenario file.
@@ -137,10 +134,7 @@ class Batch:
         return [*remarks, *(text for remark in self._driver_actions for text in remark.limit_notices.values())]
 
     def run(self, n_threads: int = 1, gil_lock: Lock | None = None) -> None:
-        """Run until every scenario has ended or a driver fails.
-
-        `gil_lock` is held while Python code runs, and released in compiled code.
-        """
+        """Run until every scenario has ended or a driver fails; `gil_lock` is released in compiled code."""
         # Failed scenarios are still computed, but their results are not used.
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             try:

@@ -122,10 +122,7 @@ def _read_entity(body: etree._Element, name: str, scope: Scope) -> Entity:
 
 
 def _read_bounding_box(body: etree._Element, object_type: str, scope: Scope) -> tuple[float, float, float]:
-    """Return length, width and longitudinal centre of the bounding box in m.
-
-    Defaults for the entity's type if missing.
-    """
+    """Return length, width and longitudinal centre of the box in m, by default those of the entity's type."""
     dimensions, center = body.find("BoundingBox/Dimensions"), body.find("BoundingBox/Center")
     length, width, default_center_x = _DEFAULT_SIZES.get(object_type, _DEFAULT_SIZES["car"])
     given = {} if dimensions is None else {key: scope.read_number(dimensions, key, 0.0) for key in ("length", "width")}

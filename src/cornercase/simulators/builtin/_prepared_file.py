@@ -66,10 +66,7 @@ class PreparedScenario:
         return prepared
 
     def check_elements_supported(self) -> None:
-        """Raise `InputError` for the first unsupported element or attribute in the files that were read so far.
-
-        Elements that were checked in an earlier call are skipped.
-        """
+        """Raise `InputError` for the first unsupported element or attribute in what was read since the last call."""
         for file, element in self.scenario.used_elements():
             # The file holds its elements, so their ids stay valid.
             if id(element) not in self._checked_elements and tag_without_namespace(element) != "OpenDRIVE":

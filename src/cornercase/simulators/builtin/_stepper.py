@@ -236,10 +236,7 @@ class Stepper:
         self._run_range(0, self._world.scenarios)
 
     def _ask_drivers(self, waiting: BoolArray) -> None:
-        """Let Python decide speeds in those scenarios of a mask that are behind the others, and run them on.
-
-        So a driver is asked once in each time step, for all scenarios.
-        """
+        """Let Python decide speeds where scenarios are behind the others, so it is asked once in each time step."""
         world, loop, frames = self._world, self._loop_state, self.scene.n_frames
         waiting = waiting & (frames == frames[waiting].min())
         number = int(loop.next_driver[waiting].min())
@@ -259,10 +256,7 @@ class Stepper:
         self._run_until_stopped(has_new_tracks=False)
 
     def _publish_triggers(self) -> BoolArray:
-        """Publish pending triggers to the compiled loop.
-
-        Return the scenarios whose triggers must be evaluated in Python in the next frame.
-        """
+        """Publish pending triggers to the compiled loop; return where Python evaluates triggers in the next frame."""
         world, leaves, waiting = self._world, self._condition_table, self._storyboard.find_waiting_triggers()
         leaves.is_watched[:] = waiting.T
         # Triggers that depend on earlier values: one more evaluation shows whether they fire.

@@ -102,10 +102,7 @@ def plan_actors(
 def select_stop_conditions(
     root: etree._Element, actor_plan: ActorPlan, driven: Collection[str]
 ) -> list[etree._Element]:
-    """Return the condition groups of the stop trigger that depend on agent-driven entities and can be kept.
-
-    Adds a note to the plan for each group that cannot be kept.
-    """
+    """Return the groups of the stop trigger that depend on agents and can be kept; the plan notes the others."""
     groups = []
     for group in root.iterfind("Storyboard/StopTrigger/ConditionGroup"):
         all_findings = [*find_unsupported(group), *_find_implicit_deviations(group, root)]

@@ -25,10 +25,7 @@ _SUPPORTED_CRITERIA: Final = (
 
 
 def pop_criteria(root: etree._Element) -> dict[str, etree._Element]:
-    """Remove the criteria of ScenarioRunner from the stop trigger, with their groups, and return them by name.
-
-    Such a group never becomes true.
-    """
+    """Remove the groups of ScenarioRunner's criteria, which never become true, and return the criteria by name."""
     declared = {declaration.get("name") for declaration in root.iterfind("ParameterDeclarations/ParameterDeclaration")}
     criteria: dict[str, etree._Element] = {}
     for trigger in root.iter("StopTrigger"):

@@ -208,10 +208,7 @@ def carla_map_name(scenario: ScenarioFile, values: Mapping[str, Value]) -> str:
 
 
 def make_concrete_tree(scenario: ScenarioFile, values: Mapping[str, Value]) -> etree._Element:
-    """Return the XML tree of a concrete scenario, with values instead of parameters and entries instead of references.
-
-    Raises `InputError` if a value cannot be evaluated or violates a constraint, or if there are too many entities.
-    """
+    """Return the XML tree of a concrete scenario, with values for parameters and entries for references."""
     # The time grows with the square of the number of entities.
     if len(scenario.entities) > _MAX_ENTITIES:
         raise InputError(

@@ -106,10 +106,7 @@ class ScenarioRunnerProcess:
 
 
 def find_scenario_runner_folder(explicit_folder: str) -> Path:
-    """Return ScenarioRunner's folder: `explicit_folder`, else the environment variable ``SCENARIO_RUNNER_ROOT``.
-
-    No file in the folder is changed. Raises `InputError` if ScenarioRunner is not found, or too old.
-    """
+    """Return ScenarioRunner's folder: the given one, else ``SCENARIO_RUNNER_ROOT``; `InputError` if it is too old."""
     text = explicit_folder or os.environ.get(RUNNER_VARIABLE, "")
     if not text:
         raise InputError(_NOT_FOUND_MESSAGE)
@@ -144,10 +141,7 @@ def _read_source(path: Path) -> str:
 def _wait_for_end(
     process: subprocess.Popen[bytes], tracker: EntityTracker, duration: float, until_collision: bool, silence: float
 ) -> bool:
-    """Wait until the run or the parent process has ended, or must end.
-
-    Return True if ScenarioRunner must be stopped.
-    """
+    """Wait until the run or the parent process has ended or must end; True if ScenarioRunner must be stopped."""
     has_parent, frames, last_frame_time = make_parent_check(), 0, time.monotonic()
     while process.poll() is None and has_parent():
         tracker.find_entities()

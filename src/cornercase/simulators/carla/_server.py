@@ -20,10 +20,7 @@ class CarlaServer:
         self._client: Any = None
 
     def get_client(self) -> Any:
-        """Return the client, which is created on first use.
-
-        `InputError` if no server of the client's version answers.
-        """
+        """Return the client, created at first use; `InputError` if no server of its version answers."""
         if self._client is None:
             import carla
 

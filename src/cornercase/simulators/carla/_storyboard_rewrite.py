@@ -74,10 +74,7 @@ def remove_entities_from_storyboard(root: etree._Element, names: Collection[str]
 def set_initial_state(
     root: etree._Element, recording: Recording, keep_routes_of: Iterable[str], heights: FloatArray
 ) -> None:
-    """Set the initial position and speed of each entity, and remove all other initial actions.
-
-    The routes of the entities `keep_routes_of` are kept. `heights` are the initial heights in m, shape (A,).
-    """
+    """Set initial positions, speeds and heights in m; of other initial actions only some routes stay."""
     actions = root.find("Storyboard/Init/Actions")
     assert actions is not None
     keeps_route, routes = set(keep_routes_of), {}

@@ -35,10 +35,7 @@ _NEVER_TIME: Final = 1e6
 def simulate_builtin(
     scenario: ScenarioFile, values: Mapping[str, Value], time_step: float, duration: float
 ) -> Recording:
-    """Run a concrete scenario in the builtin simulator; time step and duration in s.
-
-    Raises `InputError` if the scenario cannot be run, or if an entity does not exist at the start.
-    """
+    """Run a scenario in the builtin simulator; `InputError` if it fails, or if an entity is missing at the start."""
     simulator = Builtin(time_step=time_step, duration=duration)
     (recording,) = simulator.run([ConcreteScenario(scenario.path, dict(values), scenario)])
     if isinstance(recording, SimulationError):
@@ -53,10 +50,7 @@ def simulate_builtin(
 
 
 def add_trajectories(root: etree._Element, recording: Recording | None, names: list[str], ego: str) -> list[str]:
-    """Add a story in which entities move as in a recording; return notes on differences.
-
-    `recording` is None if no entity moves along a trajectory.
-    """
+    """Add a story in which the named entities, if any, move as in a recording; return notes on differences."""
     storyboard = root.find("Storyboard")
     assert storyboard is not None
     stop = storyboard.find("StopTrigger")
@@ -164,10 +158,7 @@ def _extrapolate(vertex: FloatArray, speed: float, time: float) -> FloatArray:
 
 
 def _find_jumps(time: FloatArray, x: FloatArray, y: FloatArray, speed: FloatArray) -> list[int]:
-    """Return the samples at which an entity jumps: the distance from the previous sample does not match its speed.
-
-    Index 0 stands for a wrong initial speed.
-    """
+    """Return the samples at which an entity jumps instead of moving at its speed; 0 is a wrong initial speed."""
     if len(time) < 2:
         return []
     speeds = np.hypot(np.diff(x), np.diff(y)) / np.diff(time)

@@ -29,11 +29,7 @@ class TclClient:
         self._received = b""
 
     def send(self, command: str, timeout: float) -> str:
-        """Send a Tcl command and return the value in the answer; waits up to `timeout` s.
-
-        Raises `SimulationError` if CarMaker answers with an error, and `SimulatorError` if no complete answer arrives
-        in time.
-        """
+        """Send a Tcl command and return the value in the answer; waits up to `timeout` s."""
         deadline = time.monotonic() + timeout
         # Discard the rest of an earlier answer.
         self._received = b""

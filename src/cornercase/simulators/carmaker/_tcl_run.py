@@ -51,12 +51,7 @@ class TclTestRun:
         )
 
     def run_testrun(self, testrun: str, values: Mapping[str, Value]) -> Path:
-        """Run the TestRun with named values, and return the new result file.
-
-        Raises `SimulationError` if CarMaker refuses the run, does not start or end it in time, pauses it or writes no
-        result file. Raises `SimulatorError` if CarMaker fails or does not stop, and `InputError` if it waits for a
-        licence.
-        """
+        """Run the TestRun with named values, and return the new result file."""
         self._require_idle()
         before = ResultFileTracker(self._project)
         self._send(f'LoadTestRun "{testrun}"')

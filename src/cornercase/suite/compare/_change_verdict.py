@@ -53,11 +53,7 @@ class PairChange:
 def resolve_tolerances(
     metrics: Iterable[str], requirements: Iterable[str], overrides: Mapping[str, float] | None
 ) -> dict[str, float]:
-    """Return the tolerance of each compared metric, and of each metric in the requirements of both studies.
-
-    `overrides` replace the defaults by metric. `InputError` for a negative tolerance, or for a metric that is not
-    compared.
-    """
+    """Return the tolerance of each metric that is compared or in a requirement; `overrides` replace the defaults."""
     required = [name for item in requirements for name in Requirement.parse(item).expression.metrics]
     limits = {name: DEFAULT_TOLERANCES.get(METRICS.create(name).unit, 0.0) for name in (*metrics, *required)}
     for name, value in validation.check_mapping("tolerances", overrides or {}).items():
@@ -143,10 +139,7 @@ def _margin_tolerance(requirement: str, tolerances: Mapping[str, float]) -> floa
 
 
 def _group_into_findings(changes: Iterable[PairChange], metrics: Iterable[str]) -> Iterator[Finding]:
-    """Combine the changes of the same kind and direction into one finding.
-
-    Findings about scores are in the order of `metrics`.
-    """
+    """Combine changes of the same kind and direction; findings about scores are in the order of `metrics`."""
     order = {name: k for k, name in enumerate(metrics)}
     groups: dict[tuple[FindingKind, str, ChangeDirection], list[PairChange]] = {}
     for step in changes:

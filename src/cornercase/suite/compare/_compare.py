@@ -164,18 +164,12 @@ def _require_complete_suite(study: StudyFile) -> None:
 
 
 def _objective_metric(meta: StudyMeta, metrics: Sequence[str]) -> str:
-    """Return the metric that defines criticality.
-
-    It is empty for a weighted sum or a Pareto front, and if the metric is not compared.
-    """
+    """Return the metric that alone defines criticality, if it is compared; else an empty text."""
     return "" if meta.weights or meta.pareto or meta.metrics[0] not in metrics else meta.metrics[0]
 
 
 def _is_deterministic(meta: StudyMeta) -> bool:
-    """Tell whether runs of a study are deterministic.
-
-    This is known if a scenario was run twice, or if all parts of the simulation are cornercase's own and declare it.
-    """
+    """Tell whether runs are deterministic: one was repeated, or all parts are cornercase's own and declare it."""
     declared: bool | None = None
     is_own_code = False
     with suppress(InputError):
@@ -191,10 +185,7 @@ def _is_deterministic(meta: StudyMeta) -> bool:
 def _run_tests(
     old: StudySide, new: StudySide, pairs: Sequence[ScenarioPair], metrics: Sequence[str], deterministic: bool
 ) -> tuple[ChangeTest, ...]:
-    """Test the pairs of scenarios that were chosen independently of scores.
-
-    If there are too few such pairs, the initial designs of both studies are tested as unpaired samples.
-    """
+    """Test pairs chosen independently of scores; with too few of them, the initial designs as unpaired samples."""
     tested = [pair for pair in pairs if deterministic or pair.is_score_independent]
     tests_ = test_pairs(tested, metrics) if any(pair.run != "in neither" for pair in tested) else []
     n_filling = len(old.space_filling_ids()), len(new.space_filling_ids())
@@ -319,10 +310,7 @@ def _format_setting(value: Any) -> str:
 def _count_cluster_changes(
     old: StudyFile, new: StudyFile, pairs: Sequence[ScenarioPair]
 ) -> dict[str, tuple[ClusterChange, ...]]:
-    """Count how many pairs belong to each cluster of the old study, with the old and with the new version.
-
-    Recordings of the new version are assigned to the clusters of the old study.
-    """
+    """Count the pairs in each cluster of the old study; recordings of the new version are assigned to these."""
     clusters = {}
     for by, analysis in read_analyses(old).items():
         if by in old.meta.metrics and by not in new.meta.metrics:

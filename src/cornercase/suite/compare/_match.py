@@ -82,10 +82,7 @@ def has_threshold(study: StudyFile) -> bool:
 
 
 def scenario_key(study: StudyFile, row: ScenarioRecord) -> tuple[object, ...]:
-    """Return the parameter values of a scenario, to find the same scenario in the other study.
-
-    A choice is given as text, any other value as float.
-    """
+    """Return the parameter values of a scenario, texts for choices, to find it in the other study."""
     return tuple(
         str(value) if parameter.choices else float(value)
         for parameter in study.space.parameters
@@ -101,10 +98,7 @@ def criticality_metrics(study: StudyFile) -> tuple[str, ...]:
 
 
 def match_pairs(old: StudySide, new: StudySide, metrics: Sequence[str]) -> tuple[ScenarioPair, ...]:
-    """Pair the scenarios that ended in both studies with the same parameters, and compare their results.
-
-    Pairs are in the order of the old study.
-    """
+    """Pair the scenarios that ended in both studies, in the order of the old one, and compare their results."""
     other = old.study.primary_other()
     partners = {scenario_key(new.study, row): row for row in new.rows}
     pairs = []

@@ -125,10 +125,7 @@ class DriverControl:
                 self._set_speed(self._make_situation(k, track, dt, rows), rows)
 
     def _set_speed(self, situation: Situation, rows: BoolArray) -> None:
-        """Call the driver, and set the speed in the scenarios of a mask.
-
-        Scenarios without a valid acceleration fail.
-        """
+        """Set the speed that the driver decides in the scenarios of a mask; those without a valid acceleration fail."""
         world, speed = self._world, self._world.speed[self.entity]
         acceleration = self._call_driver(situation)
         is_missing = rows & ~np.isfinite(acceleration)

@@ -157,10 +157,7 @@ class LongitudinalDistanceAction(CompiledAction):
 def _read_limit(
     limits: etree._Element | None, name: str, vehicle_limit: float, default: float, scope: Scope
 ) -> FloatArray:
-    """Read a limit of dynamic constraints, shape (N,).
-
-    A missing limit, or one that is too large, becomes that of the vehicle. A limit of 0 becomes a usual value.
-    """
+    """Read a limit, shape (N,); the vehicle's if it is missing or too large, and a usual value if it is 0."""
     vehicle_limit = min(vehicle_limit, _UNLIMITED)
     limit = (
         np.full(scope.n_scenarios, vehicle_limit) if limits is None else scope.read_numbers(limits, name, vehicle_limit)

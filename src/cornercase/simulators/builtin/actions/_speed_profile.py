@@ -23,10 +23,7 @@ _MAX_DELAY: Final = 10.0
 
 
 class ProfileLimits(NamedTuple):
-    """Largest speed, and largest rates of acceleration and jerk upwards and downwards.
-
-    Not negative, shape (N,) each.
-    """
+    """Largest speed, and largest rates of acceleration and jerk upwards and downwards, none negative, (N,) each."""
 
     max_speed: FloatArray
     max_acceleration: FloatArray

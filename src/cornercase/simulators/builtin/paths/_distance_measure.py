@@ -51,10 +51,7 @@ class DistanceMeasure:
     is_free_space: bool
 
     def measure_to_entity(self, world: World, e: int, other: int) -> FloatArray:
-        """Return the signed distance in m to another entity, shape (N,).
-
-        Negative behind, or to the right if lateral.
-        """
+        """Return the signed distance in m to an entity, shape (N,); negative behind, or to the right if lateral."""
         if (kernel_kind := self.kernel_kind(to_entity=True)) is not None:
             return world.compiled.measure_to_entity(e, other, kernel_kind)
         if self.kind == "euclidean":

@@ -96,10 +96,7 @@ def check_dynamics_shape(shape: str, element: etree._Element, scope: Scope) -> N
 
 
 def duration_at_peak_acceleration(shape: str, change: FloatArray, max_acceleration: FloatArray) -> FloatArray:
-    """Return the duration in s of a lateral change by `change` m that peaks at `max_acceleration` m/s².
-
-    A linear change is treated like a cubic one.
-    """
+    """Return the duration in s of a lateral change by its peak acceleration; a linear one counts as cubic."""
     with np.errstate(divide="ignore"):
         if shape == "step":
             return np.zeros_like(change)

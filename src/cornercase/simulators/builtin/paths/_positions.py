@@ -25,10 +25,7 @@ _END_TOLERANCE: Final = 0.1
 
 
 def read_position(holder: etree._Element, scope: Scope, world: World) -> PositionResolver:
-    """Read the position inside an element; return a function that resolves it in a world.
-
-    Raises `InputError` if there is none, its type is not supported, or it refers to something that does not exist.
-    """
+    """Read the position inside an element; return a function that resolves it in a world."""
     element = holder.find("*")
     if element is None:
         raise scope.error_at(holder, f"<{holder.tag}> holds no position.")
@@ -57,10 +54,7 @@ def read_entity_index(element: etree._Element, scope: Scope, world: World, attri
 
 
 def read_entity_refs(holder: etree._Element, scope: Scope, world: World) -> list[int]:
-    """Return the rows of the entities that ``EntityRef`` elements name, also as members of a selection.
-
-    No duplicates.
-    """
+    """Return the rows of the entities and members of selections that ``EntityRef`` elements name, each once."""
     rows = []
     for element in holder.iterfind("EntityRef"):
         name = scope.read_text(element, "entityRef")
@@ -136,10 +130,7 @@ def _read_relative_lane_position(element: etree._Element, scope: Scope, world: W
 
 
 def shift_lane(lane: IntArray, n_lanes: IntArray) -> IntArray:
-    """Return the lane number that is `n_lanes` lanes to the left (negative: right), seen along s, shape (N,).
-
-    Lane numbers skip 0.
-    """
+    """Return the lane `n_lanes` lanes to the left (negative: right), seen along s, shape (N,); there is no lane 0."""
     moved = lane + n_lanes
     return np.where((moved == 0) | (np.sign(moved) != np.sign(lane)), moved + np.sign(n_lanes), moved)
 
@@ -289,11 +280,7 @@ RouteResolver = Callable[[World], list[Pose]]
 
 
 def read_route(holder: etree._Element, scope: Scope, world: World) -> RouteResolver:
-    """Read the ``Route`` or ``CatalogReference`` in an element.
-
-    Return a function that resolves its waypoints in a world. Raises `InputError` if there is none, or if it has fewer
-    than two waypoints.
-    """
+    """Read the ``Route`` or ``CatalogReference`` in an element; return a function that resolves its waypoints."""
     element, scope = scope.resolve_element_or_reference(holder, "Route")
     waypoints = [
         read_position(position, scope, world)

@@ -52,10 +52,7 @@ class TimeConversion:
     shift: FloatArray
 
     def convert(self, file_times: FloatArray) -> FloatArray:
-        """Convert times of the file, shape (N, V).
-
-        If a time is earlier than a previous one, the previous one is repeated, so that times never decrease.
-        """
+        """Convert times of the file, shape (N, V); a time earlier than a previous one becomes the previous one."""
         times = file_times * self.scale[:, None] + self.shift[:, None]
         latest = np.maximum.accumulate(times, axis=1)
         return np.where(times[:, -1:] == latest[:, -1:], latest, times)
@@ -72,10 +69,7 @@ the row of the entity that follows it (None: nobody does).
 def read_trajectory(
     holder: etree._Element, scope: Scope, world: World, read_position: PositionReader
 ) -> TrajectoryBuilder:
-    """Read the ``Trajectory`` or ``CatalogReference`` in an element; `read_position` reads the positions in it.
-
-    Raises `InputError` if there is none, or if it is malformed.
-    """
+    """Read the ``Trajectory`` or ``CatalogReference`` in an element; `read_position` reads the positions in it."""
     element, inner = scope.resolve_element_or_reference(holder, "Trajectory")
     shape = element.find("Shape")
     kind = None if shape is None else shape.find("*")
@@ -90,11 +84,7 @@ def read_trajectory(
 
 
 def has_times(holder: etree._Element, scope: Scope) -> bool:
-    """Return whether the trajectory in an element has times that differ.
-
-    Raises `InputError` for a closed trajectory with times, since its return to the first vertex has none. Raises
-    `BatchSplitError` if only some scenarios have times.
-    """
+    """Return whether the trajectory in an element has times that differ; `BatchSplitError` if in some scenarios."""
     element, inner = scope.resolve_element_or_reference(holder, "Trajectory")
     timed = [
         (part, name)

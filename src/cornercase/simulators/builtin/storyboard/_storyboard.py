@@ -115,10 +115,7 @@ class Storyboard:
         return None
 
     def evaluate_triggers(self, dt: float) -> None:
-        """Evaluate all triggers at the start of a frame, and start elements.
-
-        `dt` is the duration of the frame in s; it is 0 in the first frame, which places entities.
-        """
+        """Evaluate all triggers at the start of a frame of `dt` s (0 for the first one), and start elements."""
         world = self._world
         if dt == 0.0:
             for action in self._init_actions:

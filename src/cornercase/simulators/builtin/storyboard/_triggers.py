@@ -102,10 +102,7 @@ class Condition:
             self.test.leaf_values = leaf_values
 
     def constant_value(self, world: World) -> BoolArray | None:
-        """Return the value (N,) of a condition that only the storyboard or a signal controller can change.
-
-        Otherwise None.
-        """
+        """Return the value (N,) if only the storyboard or a signal controller can change it; else None."""
         test = self.test
         return test.value(world) if isinstance(test, ValueCondition) and test.value is not None else None
 
@@ -139,10 +136,7 @@ class DelayBuffer:
         self._newest_value, self._current_value = (np.full(len(delay), -1, dtype=np.int8) for _ in range(2))
 
     def delayed_value(self, world: World, value: BoolArray, where: BoolArray) -> BoolArray:
-        """Store the present value, and return the delayed value, shape (N,).
-
-        If several stored values have become due since the last call, the result is true if any of them is.
-        """
+        """Store the present value; return the delayed one, shape (N,), true if any that has become due is true."""
         new, time = where & (self._newest_value != value), world.time
         self._newest_value[new] = value[new]
         if self._sudden:

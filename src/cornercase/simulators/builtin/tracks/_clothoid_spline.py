@@ -166,10 +166,7 @@ class ClothoidSpline(Trajectory):
 def evaluate_clothoid(
     distance: FloatArray, start: FloatArray, rate: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return local coordinates (m) and turn (rad) after a distance along clothoids, shape (N,) each.
-
-    `start` is the curvature at the beginning in 1/m, and `rate` its rate of change in 1/m².
-    """
+    """Return x, y (m) and turn (rad) along clothoids, by curvature (1/m) at the start and its rate (1/m²), (N,)."""
     turn = start * distance + 0.5 * rate * distance**2
     is_curved = np.abs(rate) * distance**2 >= _MIN_BEND
     # sinc is accurate for small curvature.

@@ -71,10 +71,8 @@ def _tangent_directions(x: FloatArray, y: FloatArray, dx: FloatArray, dy: FloatA
 
 
 def _weighted_sums(controls: FloatArray, weights: FloatArray) -> FloatArray:
-    """Return weighted sums of control points; (N, C) and (S, C) give (N, S).
-
-    A matrix product would round differently for one scenario than for many.
-    """
+    """Return weighted sums of control points; (N, C) and (S, C) give (N, S)."""
+    # A matrix product would round differently for one scenario than for many.
     result = np.zeros((len(controls), len(weights)))
     for k in range(controls.shape[1]):
         result += controls[:, k, None] * weights[:, k]

@@ -97,10 +97,7 @@ class Track(ABC):
     def nearest_distance(
         self, x: FloatArray, y: FloatArray, rows: IntArray, after: FloatArray | None = None
     ) -> FloatArray:
-        """Return the distance in m along the track of its point nearest to (x, y).
-
-        If the track passes this point several times, the first time after the distance `after` counts.
-        """
+        """Return the distance in m along the track of its point nearest to (x, y), at the first pass beyond `after`."""
 
 
 class Trajectory(Track):

@@ -32,10 +32,7 @@ def locate_target(
 
 
 def distance_along_roads(world: World, entity: int, target: Pose) -> FloatArray:
-    """Return the distance to a target along the entity's track, else along roads, in m, shape (N,).
-
-    It is negative behind the entity, and infinite if no road leads to the target.
-    """
+    """Return the distance to a target along track or roads in m, (N,); negative behind, infinite without a road."""
     result = np.full(world.scenarios, np.inf)
     for _, track, rows in world.iter_followed_tracks(entity, np.isfinite(target.x + target.y)):
         result[rows] = _distance_on_track(world, entity, track, target, rows) - world.distance[entity][rows]
@@ -54,10 +51,7 @@ def distance_along_roads(world: World, entity: int, target: Pose) -> FloatArray:
 def _distance_on_track(
     world: World, entity: int, track: Track, target: Pose, rows: IntArray, *, allow_any_lateral: bool = False
 ) -> FloatArray:
-    """Return the distance to a target along a track in m, shape (R,); infinite if the track does not lead there.
-
-    With `allow_any_lateral`, a target at any lateral distance from a trajectory counts.
-    """
+    """Return the distance to a target along a track in m, shape (R,); infinite if the track does not lead there."""
     along = track.nearest_distance(target.x[rows], target.y[rows], rows, world.distance[entity][rows])
     x, y, _ = track.pose_at(along, np.zeros(len(rows)), rows)
     near = np.hypot(x - target.x[rows], y - target.y[rows]) < _MAX_TRACK_DISTANCE
@@ -71,10 +65,7 @@ def offset_of_entity(world: World, entity: int, other: int) -> FloatArray:
 
 
 def offset_of_point(world: World, entity: int, x: FloatArray, y: FloatArray) -> FloatArray:
-    """Return the offset of a point (in m, NaN if none) from an entity's track in m, shape (N,), positive to the left.
-
-    If the entity follows no track, the offset is measured across its heading.
-    """
+    """Return the offset of a point in m from an entity's track, else across its heading, (N,), positive to the left."""
     cos, sin = np.cos(world.heading[entity]), np.sin(world.heading[entity])
     result = (y - world.y[entity]) * cos - (x - world.x[entity]) * sin + world.offset[entity]
     for _, track, rows in world.iter_followed_tracks(entity, np.isfinite(x)):

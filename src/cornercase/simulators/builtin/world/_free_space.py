@@ -67,10 +67,7 @@ def free_space_to_point_on_road(
 
 
 def lateral_distance_on_road(world: World, entity: int, target: Pose, default: FloatArray) -> FloatArray:
-    """Return the difference in t from an entity to a point on its road in m, shape (N,), positive to the left.
-
-    It is `default` if the point is on another road.
-    """
+    """Return the difference in t to a point on the same road in m, (N,), positive to the left; else `default`."""
     own_pose = road_pose(world, entity)
     if own_pose.road is None or target.road is None or target.s is None:
         return default
@@ -88,10 +85,7 @@ def _sign_along_road(world: World, pose: Pose) -> FloatArray:
 
 
 def _project_onto_road(world: World, pose: Pose, points: FloatArray, where: BoolArray, lateral: bool) -> FloatArray:
-    """Return s (or t if `lateral`) of P points near a pose, on the road of the pose, shape (N, P).
-
-    0 outside the mask.
-    """
+    """Return s (or t if `lateral`) of P points on the road of a pose near them, shape (N, P); 0 outside the mask."""
     assert world.network is not None
     roads, _, s_of_pose = pose.road_coordinates()
     result = np.zeros(points.shape[:2])

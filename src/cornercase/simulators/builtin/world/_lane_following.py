@@ -84,10 +84,7 @@ def _iter_groups(keys: IntArray, where: BoolArray) -> Iterator[tuple[tuple[int, 
 
 
 def change_lane(world: World, entity: int, lane: IntArray, where: BoolArray) -> BoolArray:
-    """Make an entity follow another lane of its road, and return where this lane exists, shape (N,).
-
-    The entity stays where it is, and is then beside the new lane.
-    """
+    """Make an entity, which stays where it is, follow another lane of its road; return where that exists, (N,)."""
     assert world.network is not None
     pose = road_pose(world, entity)
     _, _, s = pose.road_coordinates()
@@ -193,10 +190,7 @@ def follow_track(world: World, entity: int, track: Track, distance: FloatArray, 
 
 
 def get_lane_track(world: World, road: int, lane: int, s: float, along: bool, route: int) -> LaneTrack | None:
-    """Return the track along a lane and its successors, cached per lane section; None if there is no such lane.
-
-    `s` is in m on the road. `along` means in the direction of s. `road` and `route` are road indices.
-    """
+    """Return the track along a lane and its successors from s in m, cached; None if there is no such lane."""
     assert world.network is not None
     section = int(world.network.roads[road].section_at(np.array([s]))[0])
     key = (road, section, lane, along, route)

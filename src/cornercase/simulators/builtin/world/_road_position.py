@@ -109,10 +109,7 @@ def _road_headings(network: RoadNetwork, road: IntArray, s: FloatArray) -> Float
 
 
 def distance_ahead_on_road(world: World, entity: int, target: Pose, default: FloatArray) -> FloatArray:
-    """Return the distance to a target along the reference line of the entity's road in m, shape (N,), negative behind.
-
-    It is `default` if the target is on another road.
-    """
+    """Return the distance ahead to a target along the reference line in m, (N,); `default` on another road."""
     if world.network is None or target.road is None or target.s is None:
         return default
     own_pose = road_pose(world, entity)
@@ -132,10 +129,7 @@ def relative_lane(world: World, pose: Pose, other: Pose) -> IntArray:
 
 
 def is_opposite_direction(world: World, entity: int, pose: Pose) -> BoolArray:
-    """Return whether the s of the pose's road is opposite to that of the entity's road, shape (N,).
-
-    The directions are compared along the entity's lane. False if the roads are not connected.
-    """
+    """Return where s of the pose's road runs against that of the entity's road, along its lane, shape (N,)."""
     assert pose.road is not None
     result = np.zeros(world.scenarios, dtype=np.bool_)
     for _, track, rows in world.iter_followed_tracks(entity, world.present[entity]):
@@ -153,10 +147,7 @@ def is_opposite_direction(world: World, entity: int, pose: Pose) -> BoolArray:
 
 
 def has_drivable_lane_in_range(world: World, pose: Pose, first: int, last: int, opposite: bool) -> BoolArray:
-    """Return whether there is a drivable lane between `first` and `last` lanes to the left of a pose, shape (N,).
-
-    `opposite`: whether lanes of the opposite direction count.
-    """
+    """Return where a drivable lane (or an `opposite` one) is `first` to `last` lanes to the left of a pose, (N,)."""
     assert world.network is not None
     roads, lanes, s = pose.road_coordinates()
     result = np.zeros(world.scenarios, dtype=np.bool_)

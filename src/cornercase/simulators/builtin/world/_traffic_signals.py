@@ -44,10 +44,7 @@ class SignalController:
         return np.asarray(np.minimum((self._phase_ends <= since).sum(axis=0), len(self.names) - 1), dtype=np.int64)
 
     def next_phase_start(self, time: FloatArray) -> FloatArray:
-        """Return the time in s at which the next phase begins, shape (N,).
-
-        Where the signals have not been set yet, this is the present time.
-        """
+        """Return the time in s at which the next phase begins, shape (N,); now if the signals have never been set."""
         since = np.mod(time - self._cycle_start + _TINY, self._phase_ends[-1])
         ends = np.take_along_axis(self._phase_ends, self.phase_at(time)[None], axis=0)[0]
         return np.where(self._phase < 0, time, time + (ends - since))
