@@ -83,7 +83,6 @@ def simulators(*, as_json: opt.Json = False) -> None:
 
 
 def _format_definition(metric: Any) -> str:
-    """Return the definition, unit and options of a metric."""
     text = (inspect.getdoc(metric) or "").replace("``", "").replace("`", "").replace(" ::", ":")
     side = "low" if metric.lower_is_critical else "high"
     unit = f"in {metric.unit}" if metric.unit else "without unit"

@@ -149,7 +149,6 @@ def _print_result(result: SuiteResult) -> None:
 
 
 def _print_kills(result: SuiteResult, exposure: KillMatrix) -> None:
-    """Print which mutants the suite kills, and which scenarios kill them."""
     table = Table(Column("mutation", no_wrap=True), "exposed", "of", box=None)
     for kind, (exposed, count) in exposure.counts_by_mutation.items():
         table.add_row(kind, str(exposed), str(count))

@@ -178,7 +178,6 @@ def _runs_by_room(folder: Path) -> Iterator[tuple[str, Callable[[], Any]]]:
 
 
 def _reduce_large_set() -> None:
-    """Reduce a set of scenarios that is too large for all pairwise distances."""
     import numpy as np
 
     from cornercase.clustering._embedding import EmbeddedDistances
@@ -194,7 +193,6 @@ def _reduce_large_set() -> None:
 
 
 def _two_group_distances() -> FloatArray:
-    """Return a distance matrix of two well separated groups."""
     import numpy as np
 
     positions = np.concatenate([np.linspace(0.0, 1.0, 12), np.linspace(9.0, 10.0, 12)])
@@ -202,7 +200,6 @@ def _two_group_distances() -> FloatArray:
 
 
 def _crossing_recording() -> Recording:
-    """Return a recording of two cars whose paths cross."""
     import numpy as np
 
     from cornercase import recordings

@@ -140,7 +140,6 @@ class PreparedScenario:
 
     @cached_property
     def declarations(self) -> tuple[ParameterDeclaration, ...]:
-        """Return the declarations of the file's parameters."""
         return read_declarations(self.scenario.root, str(self.scenario.path))
 
     def road_network(self, reference: str) -> RoadNetwork:

@@ -237,7 +237,6 @@ def _find_unsupported_init_actions(private: etree._Element) -> Iterator[SupportF
 
 
 def _starts_immediately(act: etree._Element) -> bool:
-    """Return whether an act starts with the scenario."""
     trigger = act.find("StartTrigger")
     for condition in () if trigger is None else trigger.iter("Condition"):
         time = condition.find("ByValueCondition/SimulationTimeCondition")

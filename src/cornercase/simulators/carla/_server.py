@@ -86,5 +86,4 @@ class CarlaServer:
 
 
 def _strip_before_root(text: str) -> str:
-    """Remove everything before the root element."""
     return text[text.find("<OpenDRIVE") :]

@@ -172,7 +172,6 @@ def _describe_status(status: int) -> str:
 
 
 def _format_tcl_word(value: Value) -> str:
-    """Format a value as one Tcl word."""
     text = f"{value:.9g}" if isinstance(value, float) else str(value)
     if any(sign in text for sign in "{}\\\r\n"):
         raise SimulationError(f"'{text}' contains a special character of Tcl")

@@ -184,7 +184,6 @@ class SumoCoupling:
         return track if isinstance(track, LaneTrack) else None
 
     def _set_max_speed(self, world: World, e: int, name: str) -> None:
-        """Set the maximum speed of an entity that SUMO drives."""
         self._sumo.vehicle.setSpeed(name, -1.0)
         max_speed = min(float(world.target_speed[e, 0]), world.entities[e].max_speed)
         if math.isfinite(max_speed):
@@ -237,7 +236,6 @@ class SumoCoupling:
         )
 
     def _move_from_sumo(self, world: World, e: int, name: str) -> None:
-        """Move an entity to its position in SUMO."""
         sumo = self._sumo
         if name not in sumo.vehicle.getIDList():
             # It has arrived at the end of its route, and stays there.

@@ -96,7 +96,6 @@ def find_findings(
 
 
 def _iter_pair_changes(pair: ScenarioPair, tolerances: Mapping[str, float]) -> Iterator[PairChange]:
-    """Yield each change of a pair of scenarios, whether it is better or worse."""
     if pair.run == "not in one":
         yield PairChange("run", "", "worse" if pair.errors[0] is None else "better", pair.ids)
     # Rounding may still cross a bound; that is listed but does not count.

@@ -207,7 +207,6 @@ def _run_tests(
 def _decide_whether_changed(
     pairs: Sequence[ScenarioPair], tests: Sequence[ChangeTest], deterministic: bool
 ) -> tuple[bool, str]:
-    """Tell whether the versions differ, and why."""
     runs = Counter(test.run for test in pairs)
     n_ran = sum(test.both_ran for test in pairs)
     significant = [test for test in tests if test.corrected <= ALPHA]
@@ -255,7 +254,6 @@ def _compute_score_change(pairs: Sequence[ScenarioPair], metric_name: str) -> Sc
 
 
 def _describe_setting_differences(old: StudyMeta, new: StudyMeta) -> Iterator[str]:
-    """Yield a text for each setting that differs between the studies."""
     if bool(old.suite) != bool(new.suite):
         yield f"scenarios: {' → '.join('of a suite' if meta.suite else 'explored' for meta in (old, new))}"
     for name, label in _SETTING_LABELS.items():
@@ -265,14 +263,12 @@ def _describe_setting_differences(old: StudyMeta, new: StudyMeta) -> Iterator[st
 
 
 def _describe_nondeterminism(*studies: StudyFile) -> Iterator[str]:
-    """Yield a text for each study whose runs are not deterministic."""
     for study in studies:
         if study.meta.nondeterminism_text:
             yield f"runs of {study.path.name} differ: {study.meta.nondeterminism_text}"
 
 
 def _describe_value_difference(name: str, old: Any, new: Any) -> Iterator[str]:
-    """Yield texts that describe how two values of a setting differ."""
     if old == new:
         return
     if name.startswith(_DRIVER_PREFIX) and (_is_custom_driver(old) or _is_custom_driver(new)):

@@ -108,7 +108,6 @@ class DriverControl:
 
     @property
     def _display_name(self) -> str:
-        """Return the name of the driver in errors and notices."""
         driver_class, entity = type(self.driver), quote_name(self._world.names[self.entity])
         return f"the driver of {entity}" + (
             "" if is_built_in(driver_class) else f" ({driver_class.__module__}:{driver_class.__qualname__})"
@@ -163,7 +162,6 @@ class DriverControl:
             raise DriverError(PluginError(why), splits=False) from error
 
     def _clip_acceleration(self, acceleration: FloatArray, rows: BoolArray, time: float) -> FloatArray:
-        """Clip accelerations to the limits of the vehicle."""
         entity = self._world.entities[self.entity]
         highest, lowest = entity.max_acceleration, -entity.max_deceleration
         if highest == np.inf == -lowest:

@@ -111,5 +111,4 @@ class FollowTrajectoryAction(CompiledAction):
 
 
 def _is_opposite_heading(heading: FloatArray, line_heading: FloatArray) -> BoolArray:
-    """Check whether a heading points backwards along a line."""
     return np.asarray(np.cos(heading - line_heading) < -_TINY)

@@ -64,7 +64,6 @@ def read_trailer_action(element: etree._Element, scope: Scope, world: World, ent
 
 
 def _disconnect_trailer(world: World, vehicle: int, where: BoolArray) -> None:
-    """Disconnect the trailer of a vehicle."""
     for tow in world.tows:
         released = where & (world.pulled_by[tow.trailer] == vehicle)
         if tow.vehicle == vehicle and released.any():

@@ -36,7 +36,6 @@ class TransitionDynamics:
 
     @property
     def kernel_options(self) -> tuple[int, int]:
-        """Shape and dimension for kernels."""
         return DYNAMICS_SHAPES.index(self.shape), DYNAMICS_DIMENSIONS.index(self.dimension)
 
     def speed_change_duration(

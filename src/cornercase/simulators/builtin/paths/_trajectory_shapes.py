@@ -34,7 +34,6 @@ class WorldPosition:
         self.pose = pose
 
     def __call__(self, world: World) -> Pose:
-        """Return the pose with its road coordinates."""
         if world.network is None:
             return self.pose
         return replace(self.pose, **world.network.locate(self.pose.x, self.pose.y)._asdict())

@@ -59,14 +59,12 @@ class StateWatcher:
         return result
 
     def record_change(self, where: BoolArray, state: int, transition: int) -> None:
-        """Record a change in the scenarios of a mask."""
         self._current_state[where] = state
         self._has_changed |= where
         if state == self._state or transition == self._transition:
             self._was_matched |= where
 
     def clear_changes(self, where: BoolArray) -> None:
-        """Clear recorded changes in the scenarios of a mask."""
         self._has_changed &= ~where
         self._was_matched &= ~where
 
@@ -112,11 +110,9 @@ class Element:
 
     @property
     def has_no_start_trigger(self) -> bool:
-        """Return whether the element has no start trigger."""
         return self._start is None
 
     def set_state(self, where: BoolArray, state: int, transition: int) -> None:
-        """Change the state in the scenarios of a mask."""
         if any_true(where):
             for watch in self._watches:
                 watch.record_change(where, state, transition)
@@ -141,7 +137,6 @@ class Element:
         self._end_complete_parent(ending)
 
     def stop(self, where: BoolArray) -> None:
-        """Stop the element and its descendants in the scenarios of a mask."""
         if not any_true(where):
             return
         for child in self.children:
@@ -151,7 +146,6 @@ class Element:
         self._end_complete_parent(stopped)
 
     def reset(self, where: BoolArray) -> None:
-        """Reset the element and its descendants to their initial state."""
         for child in self.children:
             child.reset(where)
         self.state[where] = INIT

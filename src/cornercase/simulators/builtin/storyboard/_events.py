@@ -62,7 +62,6 @@ class ActionElement(Element):
                 rival.end(where & (rival.state == RUNNING))
 
     def step(self, dt: float, where: BoolArray) -> None:
-        """Act for one time step in the scenarios of a mask."""
         where = where & (self.state == RUNNING)
         if any_true(where):
             self._world.current_action = self._location
@@ -129,7 +128,6 @@ class Event(Element):
         self.set_state(where & (self.state == INIT), STANDBY, NOTHING)
 
     def step(self, dt: float, where: BoolArray) -> None:
-        """Let the actions act for one time step."""
         if any_true(where & (self.state == RUNNING)):
             for action in self._actions:
                 action.step(dt, where)
@@ -196,7 +194,6 @@ class ElementGroup(Element):
             self._start_running(new)
 
     def step(self, dt: float, where: BoolArray) -> None:
-        """Let all actions below the element act for one time step."""
         where = where & (self.state == RUNNING)
         if any_true(where):
             for child in self._parts:

@@ -164,7 +164,6 @@ class Storyboard:
             action.step(0.0, self._world.running)
 
     def step_actions(self, dt: float) -> None:
-        """Let all actions act for a step of `dt` s."""
         running = self._world.running
         for action in self._init_actions:
             action.step(dt, running)

@@ -68,7 +68,6 @@ class Condition:
         self.delay_buffer = DelayBuffer(delay, edge != "none") if any_true(self.delayed) else None
 
     def evaluate(self, world: World, where: BoolArray) -> BoolArray:
-        """Evaluate the condition in the scenarios of the mask, shape (N,)."""
         if not any_true(where):
             return where
         value = self.test(world, where)
@@ -116,7 +115,6 @@ class Condition:
         self._last_value[where] = -1
 
     def reset_delay(self, where: BoolArray) -> None:
-        """Restart the delay in the scenarios of a mask."""
         if self.delay_buffer is not None:
             self.delay_buffer.clear(where)
         if isinstance(self.test, StateWatcher):
@@ -168,7 +166,6 @@ class DelayBuffer:
         return result
 
     def clear(self, where: BoolArray) -> None:
-        """Clear all values in the scenarios of the mask."""
         self._newest_value[where] = self._current_value[where] = -1
         for _, _, changed in self._frames:
             changed &= ~where
