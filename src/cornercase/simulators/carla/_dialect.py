@@ -10,7 +10,7 @@ from typing import Final
 from lxml import etree
 
 from cornercase._common.errors import InputError
-from cornercase.simulators.carla._storyboard_rewrite import format_number
+from cornercase.simulators.carla._storyboard_rewrite import E, format_number
 
 DRIVER_FILE: Final = Path(__file__).with_name("cornercase_driver.py")
 TRAJECTORY_FILE: Final = Path(__file__).with_name("cornercase_trajectory.py")
@@ -95,16 +95,10 @@ def _pop_initial_route(private: etree._Element) -> etree._Element:
 
 
 def _make_controller_action(entity: str, properties: Mapping[str, str]) -> etree._Element:
-    action = etree.Element("PrivateAction")
-    controller_action = etree.SubElement(action, "ControllerAction")
-    controller = etree.SubElement(
-        etree.SubElement(controller_action, "AssignControllerAction"), "Controller", name=f"driver of {entity}"
-    )
-    holder = etree.SubElement(controller, "Properties")
-    for name, value in properties.items():
-        etree.SubElement(holder, "Property", name=name, value=value)
+    elements = [E.Property(name=name, value=value) for name, value in properties.items()]
+    controller = E.Controller(E.Properties(*elements), name=f"driver of {entity}")
     # Required in 1.0; all inactive, since ScenarioRunner would execute them.
-    override = etree.SubElement(controller_action, "OverrideControllerValueAction")
-    for tag, attribute in _INACTIVE_OVERRIDES:
-        etree.SubElement(override, tag, {attribute: "0", "active": "false"})
-    return action
+    overrides = [getattr(E, tag)({attribute: "0", "active": "false"}) for tag, attribute in _INACTIVE_OVERRIDES]
+    return E.PrivateAction(
+        E.ControllerAction(E.AssignControllerAction(controller), E.OverrideControllerValueAction(*overrides))
+    )
