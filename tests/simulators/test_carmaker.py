@@ -8,7 +8,7 @@ import socket
 import sys
 import threading
 import time
-from contextlib import suppress
+from contextlib import closing, suppress
 from functools import partialmethod
 from pathlib import Path
 from types import SimpleNamespace
@@ -317,7 +317,7 @@ def test_a_lost_licence_stops_all_and_says_so(project, course):
 
 def test_a_silent_port_is_given_up():
     port = Port(odd={"SimStatus": "silence"})
-    with TclClient("127.0.0.1", port.number) as line, pytest.raises(SimulatorError, match=r"within 0\.2 s"):
+    with closing(TclClient("127.0.0.1", port.number)) as line, pytest.raises(SimulatorError, match=r"within 0\.2 s"):
         line.send("SimStatus", 0.2)
     port.close()
 

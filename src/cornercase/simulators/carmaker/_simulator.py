@@ -147,12 +147,10 @@ class CarMaker(Simulator):
             "",
             "" if is_cmapi_installed() or _is_port_open() else _MISSING_MESSAGE,
             (
-                "vehicle dynamics",
-                "traffic objects",
-                "collisions go on",
+                "vehicle dynamics", "traffic objects", "collisions go on",
                 "needs IPG's cmapi, or a running CarMaker (-cmdport)",
             ),
-        )
+        )  # fmt: skip
 
     def run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Recording | SimulationError]:
         """Run scenarios; also raises `InputError` if CarMaker does not listen, has no licence or lacks an entity."""

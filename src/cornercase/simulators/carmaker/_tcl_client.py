@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import socket
 import time
-from typing import Self
 
 from cornercase._common.errors import InputError, SimulationError, SimulatorError
 
@@ -68,9 +67,3 @@ class TclClient:
     def close(self) -> None:
         """Close the connection."""
         self._socket.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        self.close()

@@ -43,12 +43,8 @@ class TclTestRun:
     def __init__(
         self, client: TclClient, project: Path, run_timeout: float, start_timeout: float = START_TIMEOUT
     ) -> None:
-        self._client, self._project, self._run_timeout, self._start_timeout = (
-            client,
-            project,
-            run_timeout,
-            start_timeout,
-        )
+        self._client, self._project = client, project
+        self._run_timeout, self._start_timeout = run_timeout, start_timeout
 
     def run_testrun(self, testrun: str, values: Mapping[str, Value]) -> Path:
         """Run the TestRun with named values, and return the new result file."""
@@ -135,11 +131,10 @@ class TclTestRun:
         """Let CarMaker wait for a state, to make polling rare; poll the status afterwards in any case."""
         try:
             self._client.send(f"WaitForStatus {state} {round(1000 * seconds)}", seconds + self._start_timeout)
-        except SimulatorError:
-            raise
-        except SimulationError:
+        except SimulationError as error:
             # The time limit is over, or CarMaker cannot wait.
-            pass
+            if isinstance(error, SimulatorError):
+                raise
 
     def _poll_status(self, is_accepted: Callable[[int], bool], seconds: float) -> int:
         """Poll the status until `is_accepted` accepts it, or for a number of seconds; return the last status."""

@@ -73,17 +73,9 @@ class SumoCoupling:
         types_file = Path(self._folder.name) / "types.add.xml"
         types_file.write_text(_format_vehicle_types(), encoding="utf-8")
         arguments = [
-            "--additional-files",
-            str(types_file),
-            "--net-file",
-            str(network),
-            "--step-length",
-            f"{time_step:g}",
-            "--seed",
-            str(seed),
-            *_SUMO_OPTIONS,
-        ]
-        arguments += ["--default.action-step-length", f"{time_step:g}"]
+            "--additional-files", str(types_file), "--net-file", str(network), "--seed", str(seed), *_SUMO_OPTIONS,
+            "--step-length", f"{time_step:g}", "--default.action-step-length", f"{time_step:g}",
+        ]  # fmt: skip
         # Loading is far faster than starting again.
         if libsumo.simulation.isLoaded():
             libsumo.simulation.load(arguments)

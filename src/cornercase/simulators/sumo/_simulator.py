@@ -98,13 +98,9 @@ class Sumo(Simulator):
             version=installed_version,
             problem="" if installed_version else _MISSING_MESSAGE,
             features=(
-                "pedestrians",
-                "car-following",
-                "right of way",
-                "collisions go on or end the run",
-                "deterministic",
+                "pedestrians", "car-following", "right of way", "collisions go on or end the run", "deterministic",
             ),
-        )
+        )  # fmt: skip
 
     @classmethod
     def notices(cls, scenario: ScenarioFile, values: Mapping[str, Value] | None = None) -> tuple[Notice, ...]:
