@@ -10,11 +10,9 @@ from cornercase._common.configurable import declared_options, given_options
 from cornercase._common.errors import InputError
 from cornercase._common.io.support_table import issue_notice_warning
 from cornercase._common.validation import check_str, not_an_object
-from cornercase.simulators._base import Simulator
+from cornercase.simulators._base import COMMON_OPTIONS, Simulator
 from cornercase.simulators._run_options import SIMULATION_OPTIONS
 
-COMMON_OPTIONS: Final = ("drivers", "on_collision", "time_step", "duration")
-"""Options that every simulator is offered, which it need not declare."""
 _DEFAULT_OPTIONS: Final = {name: SIMULATION_OPTIONS[name].default for name in COMMON_OPTIONS}
 
 

@@ -8,7 +8,6 @@ from typing import Final
 from cornercase._common.errors import InputError
 from cornercase._common.io.support_table import issue_notice_warning
 from cornercase.scenario._runner_criteria import RunnerCriterion, read_runner_criteria
-from cornercase.scenario._scope import Scope
 from cornercase.suite._requirement import Requirement, parse_requirement_from, requirement_prefix
 from cornercase.suite._suite_contents import SuiteContents, SuiteScenario
 
@@ -61,7 +60,4 @@ def _describe_sources(suite: SuiteContents) -> str:
 
 
 def _read_criteria(scenario: SuiteScenario) -> tuple[RunnerCriterion, ...]:
-    root = scenario.scenario.root
-    return read_runner_criteria(
-        root, Scope.from_file(str(scenario.scenario.path), root, [{}], scenario.scenario.find_catalog_entry)
-    )
+    return read_runner_criteria(scenario.scenario.root, scenario.scenario.scope([{}]))

@@ -54,7 +54,7 @@ class Batch:
         drivers: Mapping[str, Driver | str],
         coupling: Coupling | None = None,
     ) -> None:
-        scope, self._file_name = prepared.scope(values), prepared.scenario.path.name
+        scope, self._file_name = prepared.scenario.scope(values), prepared.scenario.path.name
         self._time_step = time_step
         self.failure: DriverError | None = None
         try:

@@ -17,7 +17,6 @@ from cornercase.roads._network import RoadNetwork
 from cornercase.scenario import ParameterDeclaration, Value
 from cornercase.scenario._constraints import read_declarations
 from cornercase.scenario._file import ScenarioFile
-from cornercase.scenario._scope import Scope
 from cornercase.scenario._types import find_type_errors, format_value
 
 OPENSCENARIO_SUPPORT: Final = SupportTable.from_csv("cornercase.simulators.builtin", "openscenario.csv")
@@ -73,10 +72,6 @@ class PreparedScenario:
                 OPENSCENARIO_SUPPORT.check_supported(element, file)
                 self._checked_elements.add(id(element))
 
-    def scope(self, values: Sequence[Mapping[str, Value]]) -> Scope:
-        """Return the parameters of the file for scenarios with these values."""
-        return Scope.from_file(str(self.scenario.path), self.scenario.root, values, self.scenario.find_catalog_entry)
-
     def find_invalid_values(self, values: Sequence[Mapping[str, Value]]) -> dict[int, str]:
         """Return, by index, why a scenario has a value that its parameter cannot have."""
         return find_type_errors(self.declarations, values)
@@ -106,7 +101,7 @@ class PreparedScenario:
     def _own_values(self) -> dict[str, str]:
         """Return the default values of the file's parameters as texts; empty if they cannot be evaluated."""
         try:
-            values = self.scope([{}]).parameter_values
+            values = self.scenario.scope([{}]).parameter_values
         except InputError:
             return {}
         return {name: format_value(value) for name, value in values.items()}

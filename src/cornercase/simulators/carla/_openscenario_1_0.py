@@ -215,7 +215,7 @@ def make_concrete_tree(scenario: ScenarioFile, values: Mapping[str, Value]) -> e
             f"{scenario.path}: has {len(scenario.entities)} entities; at most {_MAX_ENTITIES} can be written."
         )
     root = etree.fromstring(etree.tostring(scenario.root))
-    scope = Scope.from_file(str(scenario.path), scenario.root, [dict(values)], scenario.find_catalog_entry)
+    scope = scenario.scope([values])
     if scope.find_violations_in(scenario.root):
         raise InputError(f"{scenario.path}: the values break a constraint of the parameters' declarations.")
     # The scope contains the file's own declarations already, with the given values.
