@@ -277,7 +277,7 @@ def _run_missing(
     failures: dict[str, str] = {}
     notes_written, notices = False, RunNotices(simulator)
     done = total - len(missing)
-    bar = ProgressBar(total, "simulating", "scenarios") if progress else None
+    bar = ProgressBar(total, "simulating", "scenarios", enabled=progress)
     try:
         with collect_interrupts() as check:
             while missing:
@@ -295,10 +295,8 @@ def _run_missing(
                         outcome.to_csv(folder.path_of(planned.file))
                         notices.add_run(outcome, planned.concrete_scenario.load_file)
                     done += 1
-                    if bar is not None:
-                        bar.update(done, "")
+                    bar.update(done, "")
     finally:
-        if bar is not None:
-            bar.stop()
+        bar.stop()
         notices.issue_warnings()
     return failures

@@ -229,7 +229,7 @@ def run_mutants(
     names = [original, *(mutant.driver for mutant in mutants)]
     failed = np.zeros((len(names), len(scenarios)), dtype=np.bool_)
     broken = np.zeros_like(failed)
-    bar = ProgressBar(len(names), "mutants", "drivers") if check_bool("progress", progress) else None
+    bar = ProgressBar(len(names), "mutants", "drivers", enabled=check_bool("progress", progress))
     try:
         with collect_interrupts() as raise_interrupt:
             for k, name in enumerate(names):
@@ -238,11 +238,9 @@ def run_mutants(
                     for i, verdict in enumerate(_iter_violations(simulator, scenarios, entities, requirements)):
                         broken[k, i], failed[k, i] = verdict is None, verdict is True
                 raise_interrupt()
-                if bar is not None:
-                    bar.update(k + 1, "")
+                bar.update(k + 1, "")
     finally:
-        if bar is not None:
-            bar.stop()
+        bar.stop()
     unusable = failed[0] | broken[0]
     return unusable, (failed[1:] & ~unusable).T
 

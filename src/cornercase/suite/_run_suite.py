@@ -14,13 +14,7 @@ from cornercase._common.io.files import check_output_differs_from_source, check_
 from cornercase._common.option import check_options, document_options
 from cornercase._common.process.dask import open_connection
 from cornercase._common.text.sanitize import escape_control_characters, remove_folders
-from cornercase._common.validation import (
-    check_bool,
-    check_mapping,
-    check_str,
-    check_str_sequence,
-    repr_short,
-)
+from cornercase._common.validation import check_bool, check_mapping, check_str, check_str_sequence, repr_short
 from cornercase._common.validation import check_path as path_argument
 from cornercase.drivers import Driver
 from cornercase.drivers._resolve import is_driver, resolve_driver
@@ -35,16 +29,14 @@ from cornercase.simulators._run_options import RUN_OPTIONS, RunKeywords
 from cornercase.study import StudyFile, StudyMeta
 from cornercase.study._stored_paths import stored_path
 from cornercase.suite._baseline import compare_with_baseline, find_baseline_study
-from cornercase.suite._criteria_requirements import requirements_from_files
 from cornercase.suite._judge import judge_scenario
 from cornercase.suite._junit import JUNIT_START, write_junit
 from cornercase.suite._markdown import HEADING_START, write_markdown_summary
 from cornercase.suite._mutation_analysis import analyze_suite_mutants, draw_mutants, require_builtin_simulator
 from cornercase.suite._read_suite import read_suite
-from cornercase.suite._reference_drivers import run_reference_drivers
 from cornercase.suite._requirement import Requirement
-from cornercase.suite._requirement_files import read_requirements
-from cornercase.suite._run_scenarios import mark_unsupported, run_pending_scenarios
+from cornercase.suite._requirement_files import read_requirements, requirements_from_files
+from cornercase.suite._run_scenarios import mark_unsupported, run_pending_scenarios, run_reference_drivers
 from cornercase.suite._suite_contents import DEFAULT_SETTINGS, SuiteContents
 from cornercase.suite._suite_result import ScenarioResult, SuiteResult
 from cornercase.suite._verdict import Verdict, worst_state
