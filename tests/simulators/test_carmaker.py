@@ -23,8 +23,7 @@ from cornercase._common.errors import InputError, NoticeWarning, SimulationError
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import CarMaker
 from cornercase.simulators.carmaker._cmapi_client import CmapiClient
-from cornercase.simulators.carmaker._tcl_client import TclClient
-from cornercase.simulators.carmaker._tcl_run import TclTestRun
+from cornercase.simulators.carmaker._tcl_run import TclClient, TclTestRun
 from cornercase.simulators.pool._simulator import WorkerSimulator
 from cornercase.study import StudyFile
 from helpers import foreign_recordings as foreign

@@ -18,8 +18,7 @@ from cornercase.scenario._file import ScenarioFile
 from cornercase.simulators._base import Availability, Simulator
 from cornercase.simulators._ports import worker_address
 from cornercase.simulators.carmaker._cmapi_client import CmapiClient, is_cmapi_installed
-from cornercase.simulators.carmaker._tcl_client import TclClient
-from cornercase.simulators.carmaker._tcl_run import START_TIMEOUT, TclTestRun
+from cornercase.simulators.carmaker._tcl_run import START_TIMEOUT, TclClient, TclTestRun
 from cornercase.simulators.carmaker._vehicle_boxes import read_entity_boxes, warn_about_missing_boxes
 
 _DEFAULT_PORT: Final = 16660
