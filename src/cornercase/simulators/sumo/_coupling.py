@@ -8,7 +8,6 @@ import tempfile
 from collections.abc import Mapping
 from contextlib import redirect_stdout
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Final, Self
 from xml.sax.saxutils import quoteattr
 
@@ -17,7 +16,6 @@ import numpy as np
 from cornercase._common.errors import SimulationError
 from cornercase._common.geometry.boxes import wrap_angle
 from cornercase.simulators.builtin.tracks._lane import LaneTrack
-from cornercase.simulators.builtin.world._collisions import all_box_corners
 from cornercase.simulators.builtin.world._track_motion import set_external_motion
 from cornercase.simulators.builtin.world._world import Entity, World
 
@@ -85,9 +83,7 @@ class SumoCoupling:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, error_class: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *exception: object) -> None:
         self._folder.cleanup()
 
     def step(self, world: World, dt: float) -> None:
@@ -204,7 +200,7 @@ class SumoCoupling:
     def _reaches_lane(self, world: World, e: int) -> bool:
         assert world.network is not None
         entity = world.entities[e]
-        corners = all_box_corners(world)[e, 0]
+        corners = world.box_corners()[e, 0]
         points = np.concatenate([corners, corners.mean(axis=0, keepdims=True)])
         positions = world.network.locate(points[:, 0], points[:, 1])
         for road, lane, s, offset in zip(positions.road, positions.lane, positions.s, positions.offset, strict=True):

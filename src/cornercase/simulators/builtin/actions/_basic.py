@@ -16,22 +16,14 @@ from cornercase.simulators.builtin.actions._action import Action
 from cornercase.simulators.builtin.actions._controller import ControllerAction, VisibilityAction
 from cornercase.simulators.builtin.actions._follow_trajectory import FollowTrajectoryAction
 from cornercase.simulators.builtin.actions._lateral import LaneChangeAction, LaneOffsetAction, LateralDistanceAction
-from cornercase.simulators.builtin.actions._longitudinal import (
-    LongitudinalDistanceAction,
-    SpeedAction,
-    require_child,
-)
+from cornercase.simulators.builtin.actions._longitudinal import LongitudinalDistanceAction, SpeedAction, require_child
 from cornercase.simulators.builtin.actions._speed_profile import SpeedProfileAction
 from cornercase.simulators.builtin.actions._synchronize import SynchronizeAction
 from cornercase.simulators.builtin.actions._trailer import read_trailer_action
 from cornercase.simulators.builtin.paths._positions import read_entity_index, read_position, read_route
 from cornercase.simulators.builtin.world._lane_following import assign_route, place_entity
 from cornercase.simulators.builtin.world._text_values import is_unused_by_conditions, read_text_value
-from cornercase.simulators.builtin.world._traffic_signals import (
-    SIGNAL_CONDITIONS,
-    SignalController,
-    read_signal_phase,
-)
+from cornercase.simulators.builtin.world._traffic_signals import SIGNAL_CONDITIONS, SignalController, read_signal_phase
 from cornercase.simulators.builtin.world._world import LATERAL, LONGITUDINAL, World
 
 # Actions without influence on criticality metrics.

@@ -13,11 +13,7 @@ from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.scenario._scope import Scope
 from cornercase.simulators.builtin.actions._action import Action, CompiledAction
 from cornercase.simulators.builtin.actions._longitudinal import read_target, require_child
-from cornercase.simulators.builtin.kernels._action_table import (
-    DYNAMICS_SHAPES,
-    LANE_CHANGE_ACTION,
-    LANE_OFFSET_ACTION,
-)
+from cornercase.simulators.builtin.kernels._action_table import DYNAMICS_SHAPES, LANE_CHANGE_ACTION, LANE_OFFSET_ACTION
 from cornercase.simulators.builtin.paths._dynamics import (
     TransitionDynamics,
     check_dynamics_shape,

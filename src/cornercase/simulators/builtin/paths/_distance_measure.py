@@ -17,7 +17,6 @@ from cornercase.simulators.builtin.kernels._distances import (
     LONGITUDINAL_DISTANCE,
 )
 from cornercase.simulators.builtin.tracks._track import Pose
-from cornercase.simulators.builtin.world._collisions import all_box_corners
 from cornercase.simulators.builtin.world._entity_distances import (
     distance_along_roads,
     free_space_to_entity,
@@ -121,7 +120,7 @@ def read_distance_measure(element: etree._Element, scope: Scope) -> DistanceMeas
 
 
 def _box_distance(world: World, e: int, other: int) -> FloatArray:
-    corners_a, corners_b = all_box_corners(world)[[e, other]]
+    corners_a, corners_b = world.box_corners()[[e, other]]
     smallest = np.full(world.scenarios, np.inf)
     for points, box in ((corners_a, corners_b), (corners_b, corners_a)):
         for k in range(4):

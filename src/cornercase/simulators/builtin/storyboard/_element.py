@@ -19,12 +19,7 @@ INIT, STANDBY, RUNNING, COMPLETE = 0, 1, 2, 3
 NOTHING, START, END, STOP, SKIP = 0, 1, 2, 3, 4
 
 _STATES: Final = {"standbyState": STANDBY, "runningState": RUNNING, "completeState": COMPLETE}
-_TRANSITIONS: Final = {
-    "startTransition": START,
-    "endTransition": END,
-    "stopTransition": STOP,
-    "skipTransition": SKIP,
-}
+_TRANSITIONS: Final = {"startTransition": START, "endTransition": END, "stopTransition": STOP, "skipTransition": SKIP}
 
 
 class StateWatcher:

@@ -22,7 +22,6 @@ from cornercase.simulators.builtin.paths._positions import read_entity_index, re
 from cornercase.simulators.builtin.storyboard._element import RUNNING, STANDBY, Element, StateWatcher
 from cornercase.simulators.builtin.storyboard._events import ActionElement, ElementGroup, Event
 from cornercase.simulators.builtin.storyboard._triggers import Trigger, read_trigger
-from cornercase.simulators.builtin.world._collisions import update_overlaps
 from cornercase.simulators.builtin.world._track_motion import heading_velocity
 from cornercase.simulators.builtin.world._world import World
 
@@ -122,7 +121,7 @@ class Storyboard:
                 action.start(world.running.copy())
             # Nothing has moved yet, but conditions on velocities and collisions already apply.
             world.step_velocity[0][:], world.step_velocity[1][:] = heading_velocity(world)
-            update_overlaps(world)
+            world.update_overlaps()
             for story in self.stories:
                 story.start(world.running.copy())
         world.has_leaf_values = False

@@ -9,11 +9,7 @@ from typing import Final
 import numpy as np
 
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
-from cornercase.simulators.builtin.track_kernels._track_layout import (
-    CLOTHOID_TRACK,
-    TrackTable,
-    make_trajectory_table,
-)
+from cornercase.simulators.builtin.track_kernels._track_layout import CLOTHOID_TRACK, TrackTable, make_trajectory_table
 from cornercase.simulators.builtin.tracks._track import Pose, Trajectory, is_uniform
 
 # Chord length of a spline in m, and maximum number of chords; longer splines get longer chords.

@@ -8,7 +8,6 @@ import numpy as np
 
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.simulators.builtin.tracks._track import Pose
-from cornercase.simulators.builtin.world._collisions import all_box_corners
 from cornercase.simulators.builtin.world._road_position import is_heading_along_road, road_pose
 from cornercase.simulators.builtin.world._world import World
 
@@ -27,7 +26,7 @@ def free_space_to_entity_on_road(
     own_pose, other_pose = road_pose(world, entity), road_pose(world, other)
     if own_pose.road is None or other_pose.road is None:
         return default
-    corners = all_box_corners(world)
+    corners = world.box_corners()
     same_road = (own_pose.road == other_pose.road) & world.present[entity] & world.present[other]
     first, second = (
         _project_onto_road(world, pose, corners[k], same_road, lateral)
@@ -56,7 +55,7 @@ def free_space_to_point_on_road(
     if own_pose.road is None or target.road is None or target.s is None:
         return default
     same_road = (own_pose.road == target.road) & world.present[entity] & np.isfinite(target.x)
-    first = _project_onto_road(world, own_pose, all_box_corners(world)[entity], same_road, lateral)
+    first = _project_onto_road(world, own_pose, world.box_corners()[entity], same_road, lateral)
     point = np.stack([target.x, target.y], axis=-1)[:, None, :]
     differences = _project_onto_road(world, target, point, same_road, lateral) - first
     if not lateral:
