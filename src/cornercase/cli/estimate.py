@@ -45,13 +45,7 @@ def estimate(
     from cornercase import exploration
 
     estimation = exploration.estimate(
-        study,
-        output,
-        budget=budget,
-        encounter=encounter,
-        scenario=scenario,
-        **options,
-        progress=True,
+        study, output, budget=budget, encounter=encounter, scenario=scenario, **options, progress=True
     )
     if as_json:
         from cornercase.report.text._show import estimate_to_dict

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -245,16 +246,12 @@ def _starts_immediately(act: etree._Element) -> bool:
     return True
 
 
-def _approximate_finding(element: etree._Element, note: str) -> SupportFinding:
-    return _make_finding(element, HandlingStatus.APPROXIMATE, note)
-
-
-def _sampled_finding(element: etree._Element, note: str) -> SupportFinding:
-    return _make_finding(element, HandlingStatus.SAMPLED, note)
-
-
-def _make_finding(element: etree._Element, status: HandlingStatus, note: str) -> SupportFinding:
+def _make_finding(status: HandlingStatus, element: etree._Element, note: str) -> SupportFinding:
     return SupportFinding(f"<{element.tag}>", SupportRow(str(element.tag), "", (), status, note), element)
+
+
+_approximate_finding = partial(_make_finding, HandlingStatus.APPROXIMATE)
+_sampled_finding = partial(_make_finding, HandlingStatus.SAMPLED)
 
 
 def _has_cornercase_driver(root: etree._Element, name: str) -> bool:

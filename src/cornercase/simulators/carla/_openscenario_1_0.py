@@ -85,11 +85,7 @@ class Conversion:
 
 
 def convert(
-    scenario: ScenarioFile | Path | str,
-    output: Path | str,
-    *,
-    ego: str,
-    values: Mapping[str, Value] | None = None,
+    scenario: ScenarioFile | Path | str, output: Path | str, *, ego: str, values: Mapping[str, Value] | None = None
 ) -> Conversion:
     """Write a concrete scenario as OpenSCENARIO 1.0, as CARLA's ScenarioRunner reads it.
 
