@@ -85,7 +85,7 @@ class Element:
     ) -> None:
         self.kind, self.name, self.children = kind, name, children
         self.state = np.full(scenarios, INIT, dtype=np.int8)
-        self._start, self._stop, self._times = start, stop, max_executions
+        self.start_trigger, self._stop, self._times = start, stop, max_executions
         self._executions = np.zeros(scenarios, dtype=np.int64)
         self._parent: Element | None = None
         self._watches: list[StateWatcher] = []
@@ -98,14 +98,10 @@ class Element:
 
     def iter_triggers(self) -> Iterator[tuple[Trigger, int]]:
         """Yield the triggers of the element, each with the state in which it can fire."""
-        if self._start is not None:
-            yield self._start, STANDBY
+        if self.start_trigger is not None:
+            yield self.start_trigger, STANDBY
         if self._stop is not None:
             yield self._stop, RUNNING
-
-    @property
-    def has_no_start_trigger(self) -> bool:
-        return self._start is None
 
     def set_state(self, where: BoolArray, state: int, transition: int) -> None:
         if any_true(where):
@@ -147,7 +143,7 @@ class Element:
         self._reset_triggers(where)
 
     def _reset_triggers(self, where: BoolArray) -> None:
-        for trigger in (self._start, self._stop):
+        for trigger in (self.start_trigger, self._stop):
             if trigger is not None:
                 trigger.reset(where)
 

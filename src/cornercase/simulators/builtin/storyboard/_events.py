@@ -119,7 +119,7 @@ class Event(Element):
         """Start the event where its maneuver runs and its trigger fires."""
         waiting = where & (self.state == STANDBY)
         if any_true(waiting):
-            fired = waiting if self._start is None else self._start.fires(world, waiting)
+            fired = waiting if self.start_trigger is None else self.start_trigger.fires(world, waiting)
             world.changed |= fired
             self._start_actions(fired)
 
@@ -177,7 +177,7 @@ class ElementGroup(Element):
             self.stop(self._stop.fires(world, where & (self.state == RUNNING)))
         waiting = where & (self.state == STANDBY)
         if any_true(waiting):
-            begins = waiting if self._start is None else self._start.fires(world, waiting)
+            begins = waiting if self.start_trigger is None else self.start_trigger.fires(world, waiting)
             world.changed |= begins
             self._start_running(begins)
         running = where & (self.state == RUNNING)
@@ -188,7 +188,7 @@ class ElementGroup(Element):
     def start(self, where: BoolArray) -> None:
         """Start together with the parent, or wait for the start trigger."""
         new = where & (self.state == INIT)
-        if self._start is not None:
+        if self.start_trigger is not None:
             self.set_state(new, STANDBY, NOTHING)
         else:
             self._start_running(new)

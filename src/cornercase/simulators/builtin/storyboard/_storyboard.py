@@ -79,7 +79,7 @@ class Storyboard:
         self.triggers: list[Trigger] = [self._stop, *(trigger for trigger, _, _ in triggers)]
         self._trigger_rows = np.array([row for _, row, _ in triggers], dtype=np.int64)
         self._awaited_states = np.array([[state] for _, _, state in triggers], dtype=np.int8).reshape(-1, 1)
-        self._untriggered_rows = [rows[element] for element in self._registered if element.has_no_start_trigger]
+        self._untriggered_rows = [rows[element] for element in self._registered if element.start_trigger is None]
         self._action_rows = [rows[action] for action in self.actions]
 
     def find_waiting_triggers(self) -> BoolArray:
