@@ -81,11 +81,7 @@ def warm_up() -> None:
 
 @contextmanager
 def compile_in_parallel(program: str = _LATE_PROGRAM) -> Iterator[None]:
-    """Within the block, once this process begins to compile, compile the later kernels in a second process.
-
-    The later kernels are those that are needed after the simulations. Both processes share the cache on disk, so this
-    process finds them compiled.
-    """
+    """Within the block, let a second process compile later kernels once this one compiles; they share the cache."""
     from cornercase._common.numba.interpret import compile_loops_at_once
     from cornercase._common.numba.kernel import call_on_first_compilation
     from cornercase._common.platform import count_available_cpus

@@ -74,11 +74,7 @@ class RunNotices:
 def find_entities_far_from_roads(
     network: RoadNetwork, recording: Recording, skip: Collection[str] = ()
 ) -> list[tuple[str, float, float]]:
-    """List entities far from every road as (name, distance in m, first time in s), in the order of the recording.
-
-    Positions are checked once a second. Far means more than 10 m from the nearest lane, or 50 m for pedestrians and
-    misc objects, which may be beside a road. Trailers, trains and the names in `skip` are not checked.
-    """
+    """List entities far from every road, once a second, as (name, distance in m, first time in s)."""
     indices = [
         a
         for a, object_type in enumerate(recording.object_types)

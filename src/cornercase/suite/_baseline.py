@@ -17,12 +17,7 @@ _MAX_NAME_BYTES: Final = 255
 
 
 def find_baseline_study(suite: SuiteContents, against: Path | None) -> tuple[Path | None, str]:
-    """Find the earlier study with which the recordings of a suite are compared.
-
-    Without `against`, the study is searched by name beside the manifest and in the folder above, and recognized by its
-    fingerprint. If there is none, return None and the reason, a sentence without a period. `InputError` if the study
-    `against` has other scenarios or cannot be used.
-    """
+    """Return the earlier study of a suite: `against`, else one found near the manifest, else None and why not."""
     if against is not None:
         with StudyFile.open(against, readonly=True) as study, reraise_as_damage(against):
             _read_baseline(suite, study)

@@ -162,11 +162,7 @@ def analyze_suite_mutants(
     client: Client | None = None,
     progress: bool = False,
 ) -> KillMatrix:
-    """Find which scenarios of a suite kill which mutants of the ego's driver.
-
-    `entities` are the names of the ego and of the others. `options` are those of the builtin simulator. Without
-    requirements, ``"no collision"`` is required. Scenario ids in the result are positions in the suite, from 1 on.
-    """
+    """Find which scenarios of a suite, by position from 1 on, kill which mutants; by default with a collision."""
     parsed = list(requirements) or _parse_requirements(())
     failed, killed = run_mutants(
         [scenario.concrete_scenario for scenario in suite.runnable_scenarios],

@@ -21,12 +21,7 @@ _FILE_PARAMETER: Final = "file"
 
 
 def read_suite(source: Path | str) -> SuiteContents:
-    """Read a suite from a manifest that `cornercase.reduce` wrote, its folder, any folder of scenarios, or one file.
-
-    Without a manifest, all ``.xosc`` files of the folder belong to the suite. Files that hold parameter distributions
-    or catalogs instead of a scenario are left out with a warning. `InputError` if there is nothing to run, or if a file
-    cannot be used, is missing, or has changed since the manifest was written.
-    """
+    """Read a suite from a manifest, its folder, any folder of scenarios, or one file; leave out what is no scenario."""
     path = path_argument("suite", source)
     if path.is_dir():
         manifest = path / MANIFEST

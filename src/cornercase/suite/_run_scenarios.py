@@ -49,12 +49,7 @@ def mark_unsupported(suite: SuiteContents, simulator: Simulator) -> SuiteContent
 def run_pending_scenarios(
     suite: SuiteContents, meta: StudyMeta, simulator: Simulator, study_path: Path, workers: int | None, progress: bool
 ) -> int:
-    """Run the scenarios that the study does not hold yet, and store each result as soon as a scenario has ended.
-
-    `workers` is the number of parallel simulators; None means as many as a cluster has. Return the number of scenarios
-    that had ended before. `InputError` if no scenario can be run, or if the study has other scenarios or settings; the
-    study then stays as it was.
-    """
+    """Run the scenarios that the study lacks, and store each result at once; return how many had ended before."""
     _warn_about_files(suite, simulator, meta.ego)
     metrics = [METRICS.create(name) for name in meta.metrics]
     with open_or_create_study(study_path, meta) as study:
@@ -150,11 +145,7 @@ def run_reference_drivers(
     requirements: Sequence[Requirement],
     simulators_by_driver: Mapping[str, Simulator],
 ) -> None:
-    """Run scenarios again whose verdict depends on reference drivers, and store the outcomes.
-
-    `study` has to be open for writing; outcomes that are stored already are not computed again. `simulators_by_driver`
-    maps the name of a reference driver to a simulator in which it drives the ego.
-    """
+    """Run scenarios again whose verdict depends on reference drivers, and store the outcomes that the study lacks."""
     ego, others = study.meta.ego, study.meta.others
     for name, simulator in simulators_by_driver.items():
         applicable = [item for item in requirements if name in item.expression.reference_drivers]

@@ -44,11 +44,7 @@ _LIMIT_ATTRIBUTES: Final = ("maxSpeed", "maxAcceleration", "maxDeceleration")
 
 
 def read_entities(objects: Sequence[etree._Element], scope: Scope) -> tuple[tuple[Entity, ...], tuple[Tow, ...]]:
-    """Read all entities of a file, and which vehicle pulls which trailer (from front to back).
-
-    The entities of the file come first, in order, then trailers without a name of their own. Such a trailer is named
-    after its vehicle, with ``+``. Raises `InputError` for malformed entities, and for trailers that cannot be pulled.
-    """
+    """Read all entities of a file, then unnamed trailers (their vehicle with ``+``), and who pulls them."""
     bodies = [_resolve_body(element, element.get("name", ""), scope) for element in objects]
     names = [element.get("name", "") for element in objects]
     entities = [_read_entity(body, name, body_scope) for name, (body, body_scope) in zip(names, bodies, strict=True)]

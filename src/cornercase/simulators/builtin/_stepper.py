@@ -272,11 +272,7 @@ class Stepper:
         return np.asarray(in_python)
 
     def _run_until_stopped(self, has_new_tracks: bool = True) -> None:
-        """Run the compiled loop until all scenarios have stopped.
-
-        It also stops where a scenario needs the next lane of a path, or the position of an entity on its road. Python
-        provides them, and the scenario continues.
-        """
+        """Run the compiled loop until all scenarios have stopped; provide the lanes and positions that it asks for."""
         world, status = self._world, self._loop_state.status
         while True:
             if has_new_tracks:

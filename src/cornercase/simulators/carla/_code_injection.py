@@ -55,11 +55,7 @@ def add_criteria(root: etree._Element, criteria: Mapping[str, etree._Element]) -
 
 
 def refuse_code_injection(root: etree._Element, source: Path) -> None:
-    """Refuse a concrete scenario that names code for ScenarioRunner to execute.
-
-    Such code is a user-defined action, or a controller module that does not belong to ScenarioRunner, or a condition
-    whose name ScenarioRunner would use as the name of a class.
-    """
+    """Refuse a scenario that names code: user-defined actions, other controllers, conditions named like classes."""
     for action in root.iter("UserDefinedAction"):
         command = action.find("CustomCommandAction")
         description = "" if command is None else f" with the <CustomCommandAction> '{command.get('type')}'"

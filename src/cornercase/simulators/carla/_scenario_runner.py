@@ -40,11 +40,7 @@ _ERROR_PATTERN: Final = re.compile(r"^\w*(Error|Exception)\b")
 
 
 class ScenarioRunnerProcess:
-    """Runs OpenSCENARIO 1.0 files with ScenarioRunner, one process per file.
-
-    For empty arguments, the environment variables are used, as in `Carla`. Raises `InputError` if ScenarioRunner is not
-    found or too old.
-    """
+    """Runs files with ScenarioRunner, one process per file; environment variables stand for empty arguments."""
 
     def __init__(self, folder: str, python: str, carla_root: str) -> None:
         self._folder = find_scenario_runner_folder(folder)

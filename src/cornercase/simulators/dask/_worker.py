@@ -146,11 +146,7 @@ def run_scenarios_of_job(
     bundles: Mapping[str, ScenarioBundle],
     scenarios: Sequence[tuple[str, Mapping[str, Value]]],
 ) -> BatchResult | None:
-    """Run scenarios of a job in this process, or in a child process that stays alive.
-
-    Each scenario is a bundle key and parameter values. Returns None if too many workers were lost with these scenarios.
-    Raises `InputError` if the sender has another version of cornercase, or if no scenario can be run.
-    """
+    """Run scenarios (bundle key and values) of a job here; None if too many workers were lost with them."""
     if job.version != __version__:
         raise InputError(
             f"`cluster`: a worker has cornercase {__version__}, this machine has {job.version}; install"

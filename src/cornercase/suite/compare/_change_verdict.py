@@ -193,11 +193,7 @@ def decide_verdict(
     changed: tuple[bool, str],
     deterministic: bool,
 ) -> tuple[ComparisonVerdict, str]:
-    """Return the verdict on the new version, and the reason without a final full stop.
-
-    `findings` are two sequences: what is worse, and what is better. `changed` says whether the versions differ at all,
-    and why.
-    """
+    """Return the verdict on the new version, and the reason; `findings` are what is worse, and what is better."""
     worse, better = (describe_findings(item) for item in findings)
     if worse and better:
         return "mixed", f"Worse: {worse}; better: {better}"

@@ -249,11 +249,7 @@ def _criticality_key(study: StudyFile) -> tuple[object, ...]:
 
 
 def space_filling_scores(side: StudySide, metrics: Sequence[str]) -> tuple[dict[str, FloatArray], dict[str, BoolArray]]:
-    """Return scores and facts of the scenarios of one study that fill the space, as arrays of shape (n,).
-
-    Scores are by metric; facts are ``"collision"`` and, if known, ``"critical"``. They serve for tests of studies that
-    have too few scenarios in common.
-    """
+    """Return scores by metric, and facts, of the scenarios of one study that fill the space, arrays of shape (n,)."""
     ids, meta = side.space_filling_ids(), side.study.meta
     scores = {name: np.array([side.scores[scenario][name] for scenario in ids]) for name in metrics}
     hits = [

@@ -137,11 +137,7 @@ class Storyboard:
             story.evaluate_triggers(world, world.running & self._is_active)
 
     def would_continue(self) -> BoolArray:
-        """Return the scenarios that do not end yet although all elements have run, shape (N,).
-
-        They wait for a stop trigger of the storyboard or of a running act that can still fire, or for an entity that
-        follows a trajectory with times.
-        """
+        """Return where, after all elements, a stop trigger may fire or a trajectory with times go on, shape (N,)."""
         all_scenarios = np.ones(self._world.scenarios, dtype=np.bool_)
         result = self._stop.may_fire(self._world)
         for act in (act for story in self.stories for act in story.children if isinstance(act, ElementGroup)):

@@ -19,11 +19,7 @@ _MAX_TRACK_DISTANCE: Final = 20.0
 def locate_target(
     world: World, entity: int, target: Pose, number: FloatArray, distance: FloatArray, where: BoolArray
 ) -> None:
-    """Locate a fixed target on the track that an entity follows, in the scenarios of a mask.
-
-    Stores the number of the track, and the distance of the target along it in m, shape (N,). On a trajectory this is
-    the distance of the point nearest to the target. The distance is infinite if the track does not lead to the target.
-    """
+    """Store track and distance along it (m) of a fixed target; infinite if the track does not lead there."""
     for k, track, rows in world.iter_followed_tracks(entity, where & np.isfinite(target.x + target.y)):
         new = rows[(number[rows] != k) | np.isnan(distance[rows])]
         if new.size:
