@@ -9,9 +9,9 @@ from typing import Any, Final
 from cornercase._common.errors import InputError, suggest_name
 from cornercase._common.io.files import parse_toml, read_utf8
 from cornercase._common.io.support_table import issue_notice_warning
-from cornercase.scenario._runner_criteria import RunnerCriterion, read_runner_criteria
+from cornercase.scenario._runner_criteria import read_runner_criteria
 from cornercase.suite._requirement import Requirement, parse_requirement_from, requirement_prefix
-from cornercase.suite._suite_contents import SuiteContents, SuiteScenario
+from cornercase.suite._suite_contents import SuiteContents
 
 _LIST_KEY: Final = "require"
 # Tables of further lists, and the names their patterns are for.
@@ -80,7 +80,7 @@ def requirements_from_files(suite: SuiteContents) -> list[Requirement]:
     files_of: dict[str, list[str]] = {}
     ignored: dict[str, None] = {}
     for scenario in suite.runnable_scenarios:
-        for criterion in _read_criteria(scenario):
+        for criterion in read_runner_criteria(scenario.scenario.root, scenario.scenario.scope([{}])):
             template = _REQUIREMENT_TEMPLATES.get(criterion.name)
             meaning = None if template is None else template(criterion.threshold)
             if meaning is None:
@@ -113,7 +113,3 @@ def _describe_sources(suite: SuiteContents) -> str:
     if len(suite.runnable_scenarios) == 1:
         return suite.runnable_scenarios[0].file_name
     return f"the scenarios of {suite.folder.resolve().name}"
-
-
-def _read_criteria(scenario: SuiteScenario) -> tuple[RunnerCriterion, ...]:
-    return read_runner_criteria(scenario.scenario.root, scenario.scenario.scope([{}]))

@@ -276,8 +276,11 @@ class Stepper:
         world, status = self._world, self._loop_state.status
         while True:
             if has_new_tracks:
-                self._update_tracks()
-            self._run_compiled_loop()
+                self._tracks = self._track_pool.update(world.tracks)
+                self._plan_routes()
+            self._bind_tables()
+            with release_gil_lock(self._gil_lock):
+                list(self._parallel_map(self._run_range, self._bounds[:-1], self._bounds[1:]))
             if status.max() < ACTION_ENDED:
                 return
             needs_lane = status == NEEDS_LANE
@@ -295,15 +298,6 @@ class Stepper:
                 self._storyboard.look_up_positions(needs_lookup)
                 status[needs_lookup & needs_act], status[needs_lookup & needs_move] = ACT, MOVE
             has_new_tracks = True
-
-    def _update_tracks(self) -> None:
-        self._tracks = self._track_pool.update(self._world.tracks)
-        self._plan_routes()
-
-    def _run_compiled_loop(self) -> None:
-        self._bind_tables()
-        with release_gil_lock(self._gil_lock):
-            list(self._parallel_map(self._run_range, self._bounds[:-1], self._bounds[1:]))
 
     def _bind_tables(self) -> None:
         tracks, fleet = self._tracks, self._fleet

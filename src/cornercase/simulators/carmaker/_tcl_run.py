@@ -32,7 +32,6 @@ START_TIMEOUT: Final = 60.0
 _RESULT_TIMEOUT: Final = 5.0
 _POLL_INTERVAL: Final = 0.05
 
-
 # Maximum size of an answer, and time limit in s to connect.
 _MAX_REPLY_SIZE, _CONNECT_TIMEOUT = 1_000_000, 60.0
 

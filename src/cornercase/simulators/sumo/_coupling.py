@@ -111,11 +111,8 @@ class SumoCoupling:
                 if name in self._types:
                     self._move_from_sumo(world, e, name)
         except self._sumo.TraCIException as error:
-            self._stop_with_error(world, f"SUMO fails at {world.time:g} s ({error})")
-
-    def _stop_with_error(self, world: World, reason: str) -> None:
-        self.error = SimulationError(reason)
-        world.running[:] = False
+            self.error = SimulationError(f"SUMO fails at {world.time:g} s ({error})")
+            world.running[:] = False
 
     def _add_entity(self, world: World, e: int) -> None:
         sumo, entity = self._sumo, world.entities[e]
@@ -186,7 +183,9 @@ class SumoCoupling:
         if not (follows_lane or self._is_on_lane(world, e)):
             x, y = x + _REMOTE_OFFSET, y + _REMOTE_OFFSET
         self._sumo.vehicle.setSpeed(name, max(speed, 0.0))
-        self._sumo.vehicle.moveToXY(name, "", -1, x, y, _to_compass(heading), keepRoute=1 if follows_lane else 2)
+        # In degrees clockwise from north.
+        angle = (90.0 - math.degrees(heading)) % 360.0
+        self._sumo.vehicle.moveToXY(name, "", -1, x, y, angle, keepRoute=1 if follows_lane else 2)
 
     def _is_on_lane(self, world: World, e: int) -> bool:
         """Return whether an entity's box reaches into a drivable lane; cached while the entity stands."""
@@ -241,11 +240,6 @@ class SumoCoupling:
             np.array([wrap_angle(heading)]),
             np.array([sumo.vehicle.getSpeed(name)]),
         )
-
-
-def _to_compass(heading: float) -> float:
-    """Convert a heading in rad to degrees clockwise from north."""
-    return (90.0 - math.degrees(heading)) % 360.0
 
 
 def _format_vehicle_types() -> str:

@@ -32,7 +32,6 @@ WITHOUT_EFFECT: Final = (
     "OverrideControllerValueAction", "SetMonitorAction",
 )  # fmt: skip
 
-
 _GROUPING_TAGS: Final = (
     "LongitudinalAction", "LateralAction", "RoutingAction", "InfrastructureAction", "TrafficSignalAction",
 )  # fmt: skip

@@ -55,12 +55,14 @@ def read_entity_index(element: etree._Element, scope: Scope, world: World, attri
 
 def read_entity_refs(holder: etree._Element, scope: Scope, world: World) -> list[int]:
     """Return the rows of the entities and members of selections that ``EntityRef`` elements name, each once."""
-    rows = []
-    for element in holder.iterfind("EntityRef"):
-        name = scope.read_text(element, "entityRef")
-        members = world.selections.get(name)
-        rows += [read_entity_index(element, scope, world)] if members is None else members
+    rows = (row for element in holder.iterfind("EntityRef") for row in read_members(element, scope, world))
     return list(dict.fromkeys(rows))
+
+
+def read_members(element: etree._Element, scope: Scope, world: World) -> list[int]:
+    """Return the row of the entity that ``entityRef`` names, or the rows of the members of a selection."""
+    members = world.selections.get(scope.read_text(element, "entityRef"))
+    return [read_entity_index(element, scope, world)] if members is None else members
 
 
 def _read_world_position(element: etree._Element, scope: Scope, world: World) -> PositionResolver:

@@ -18,7 +18,7 @@ from cornercase._common.typing import BoolArray
 from cornercase.scenario._file import ScenarioFile
 from cornercase.scenario._scope import Scope
 from cornercase.simulators.builtin.actions._basic import find_action_element, read_action
-from cornercase.simulators.builtin.paths._positions import read_entity_index, read_entity_refs
+from cornercase.simulators.builtin.paths._positions import read_entity_refs, read_members
 from cornercase.simulators.builtin.storyboard._element import RUNNING, STANDBY, Element, StateWatcher
 from cornercase.simulators.builtin.storyboard._events import ActionElement, ElementGroup, Event
 from cornercase.simulators.builtin.storyboard._triggers import Trigger, read_trigger
@@ -174,13 +174,9 @@ class Storyboard:
             if element.tag != "Private":
                 yield self._read_action("init", element, scope, None)
                 continue
-            for entity in self._read_entities(element, scope):
+            for entity in read_members(element, scope, self._world):
                 for private_action in element.iterfind("PrivateAction"):
                     yield self._read_action("init", private_action, scope, entity)
-
-    def _read_entities(self, element: etree._Element, scope: Scope) -> list[int]:
-        members = self._world.selections.get(scope.read_text(element, "entityRef"))
-        return [read_entity_index(element, scope, self._world)] if members is None else members
 
     def _read_story(self, story: etree._Element, scope: Scope) -> ElementGroup:
         scope = scope.nested_scope(story)

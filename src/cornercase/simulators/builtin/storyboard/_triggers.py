@@ -41,7 +41,6 @@ _CONSTANT: Final = LeafCondition(conditions_module.CONSTANT_CONDITION)
 # Conditions that only a user's program or the time of day can make true.
 NEVER_TRUE: Final = ("UserDefinedValueCondition", "TimeOfDayCondition")
 
-
 _TEXT_RULES: Final[dict[str, Callable[[Any, Any], Any]]] = {
     "equalTo": np.equal,
     "notEqualTo": np.not_equal,

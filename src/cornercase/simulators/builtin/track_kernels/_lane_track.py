@@ -17,7 +17,6 @@ from cornercase.simulators.builtin.track_kernels import _track_layout as track_l
 # If a lane is shorter than this fraction of the reference line, steps are made along the lane.
 _MIN_SCALE = 0.1
 
-
 # Relative difference between the length over ground and the requested step that is tolerated.
 _STEP_TOLERANCE = 1e-3
 # A cell that advances less along the reference line than this fraction of the cells at both ends is a jump.
