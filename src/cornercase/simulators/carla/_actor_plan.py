@@ -47,12 +47,9 @@ def plan_actors(
 
     An entity that does not react to agent-driven entities moves the same way in each run. So it can follow a trajectory
     without loss, and does so if ScenarioRunner deviates from its storyboard. An entity that reacts is moved by the
-    storyboard, as long as ScenarioRunner does something similar.
-
-    `driven` are the entities that an agent drives. `carla_map_name` is the name of CARLA's map, or empty if the
-    scenario has a road file; trajectories need a road file. `deviations` has reasons why ScenarioRunner's own controls
-    would move an entity elsewhere. `lowest_speeds` has the lowest speed of each entity in the builtin simulator in m/s
-    (default 0). Raises `InputError` if an entity needs a trajectory and there is no road file.
+    storyboard, as long as ScenarioRunner does something similar. `deviations` has reasons why ScenarioRunner's own
+    controls would move an entity elsewhere, `lowest_speeds` the lowest speed of each entity in the builtin simulator in
+    m/s.
     """
     names = [element.get("name", "") for element in root.iterfind("Entities/ScenarioObject")]
     parts = {name: list(_elements_moving(root, name)) for name in names}

@@ -41,12 +41,11 @@ class DrivingAgents:
 def assign_controllers(
     root: etree._Element, source: Path, ego: str, agents: DrivingAgents, box_offsets: Mapping[str, float]
 ) -> set[Path]:
-    """Assign controllers to the entities that ScenarioRunner's own controls do not move.
+    """Assign controllers to entities that ScenarioRunner's own controls do not move; return their files.
 
-    Return the controller files used. Entities with an initial route get a controller of cornercase, since
-    ScenarioRunner 0.9.16 does not execute routes. `box_offsets` has the entities on trajectories, and by how many m the
-    centre of the box is ahead of the reference point. Raises `InputError` if an entity with a behaviour agent has no
-    route.
+    Entities with an initial route get one of cornercase, since ScenarioRunner 0.9.16 does not execute routes.
+    `box_offsets` has, for entities on trajectories, by how many m the centre of the box is ahead of the reference
+    point.
     """
     controllers = set()
     for private in root.iterfind("Storyboard/Init/Actions/Private"):

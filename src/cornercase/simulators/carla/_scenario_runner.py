@@ -58,13 +58,7 @@ class ScenarioRunnerProcess:
         until_collision: bool,
         silence: float,
     ) -> None:
-        """Run a scenario until it ends, or a limit is reached.
-
-        The limits are a collision (if `until_collision`), `duration` s of simulated time, and `silence` s without a
-        frame. The output of ScenarioRunner goes to ``scenario_runner.log`` next to the file. `drivers` is the folder of
-        cornercase's controllers, and is added to Python's path. Raises `SimulationError` if the scenario did not run to
-        the end, and `SimulatorError` if the server did not answer.
-        """
+        """Run a scenario until it ends or collides, or for `duration` s, or until no frame comes for `silence` s."""
         command = [self._python, str(self._folder / "scenario_runner.py"), "--sync", "--openscenario", str(file)]
         command += [str(part) for pair in options.items() for part in pair]
         log = file.with_name("scenario_runner.log")
