@@ -8,7 +8,7 @@ import socket
 import sys
 import threading
 import time
-from contextlib import suppress
+from contextlib import closing, suppress
 from functools import partialmethod
 from pathlib import Path
 from types import SimpleNamespace
@@ -23,8 +23,7 @@ from cornercase._common.errors import InputError, NoticeWarning, SimulationError
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import CarMaker
 from cornercase.simulators.carmaker._cmapi_client import CmapiClient
-from cornercase.simulators.carmaker._tcl_client import TclClient
-from cornercase.simulators.carmaker._tcl_run import TclTestRun
+from cornercase.simulators.carmaker._tcl_run import TclClient, TclTestRun
 from cornercase.simulators.pool._simulator import WorkerSimulator
 from cornercase.study import StudyFile
 from helpers import foreign_recordings as foreign
@@ -317,7 +316,7 @@ def test_a_lost_licence_stops_all_and_says_so(project, course):
 
 def test_a_silent_port_is_given_up():
     port = Port(odd={"SimStatus": "silence"})
-    with TclClient("127.0.0.1", port.number) as line, pytest.raises(SimulatorError, match=r"within 0\.2 s"):
+    with closing(TclClient("127.0.0.1", port.number)) as line, pytest.raises(SimulatorError, match=r"within 0\.2 s"):
         line.send("SimStatus", 0.2)
     port.close()
 

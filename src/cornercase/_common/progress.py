@@ -37,10 +37,12 @@ class ProgressBar:
     """Shows progress, rate, remaining time and a status word: as a bar in a terminal or notebook, otherwise as lines.
 
     `activity` is what is done (``"exploring"``), `unit` what is counted (``"scenarios"``). `start_time` is the start by
-    `time.monotonic`; without it, the rate is measured from the first `update` on.
+    `time.monotonic`; without it, the rate is measured from the first `update` on. It shows nothing unless `enabled`.
     """
 
-    def __init__(self, total: int, activity: str, unit: str, start_time: float | None = None) -> None:
+    def __init__(
+        self, total: int, activity: str, unit: str, start_time: float | None = None, *, enabled: bool = True
+    ) -> None:
         self._total, self._unit = total, unit
         self._last_line_time, self._last_n_done = 0.0, -1
         # Number done at first; (number done, time) from which the rate is counted.
@@ -49,7 +51,7 @@ class ProgressBar:
         console = Console(stderr=True)
         self._progress: Progress | None = None
         self._task: Any = None
-        self._is_quiet = verbosity.get() == "quiet"
+        self._is_quiet = not enabled or verbosity.get() == "quiet"
         self._notebook_bar = _NotebookBar(activity, unit) if _is_in_notebook() and not self._is_quiet else None
         if self._notebook_bar is not None:
             self._notebook_bar.show(0, total, "", is_last=True)

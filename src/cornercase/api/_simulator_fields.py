@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from cornercase.simulators import SIMULATORS, Simulator
-from cornercase.simulators._common_options import COMMON_OPTIONS, split_common_options
+from cornercase.simulators._base import COMMON_OPTIONS
+from cornercase.simulators._common_options import split_common_options
 
 
 def simulator_fields(simulator: Simulator | str) -> dict[str, Any]:

@@ -10,16 +10,10 @@ from typing import Final
 from cornercase._common.platform import replace_unencodable_output
 from cornercase._common.process.signals import install_signal_handlers
 
-# Their order is that of the commands in the help.
 # isort: off
-from cornercase.cli import explore, scenario, recordings, listing, study, report, demo
-from cornercase.cli import vary
-from cornercase.cli import simulate
-from cornercase.cli import test
-from cornercase.cli import estimate
-from cornercase.cli import compare
-from cornercase.cli import verify
-from cornercase.cli import warm_up
+# Their order is that of the commands in the help.
+from cornercase.cli import explore, scenario, recordings, listing, study, report, demo, vary  # noqa: F401
+from cornercase.cli import simulate, test, estimate, compare, verify, warm_up  # noqa: F401
 
 # isort: on
 from cornercase.cli.errors import run_command
@@ -29,24 +23,7 @@ from cornercase.cli.options import app, show_tracebacks
 # Instead of Python's 700: the many long-lived objects of packages would be scanned three times at import.
 _OBJECTS_BETWEEN_COLLECTIONS: Final = 10_000
 
-__all__ = [
-    "app",
-    "compare",
-    "demo",
-    "estimate",
-    "explore",
-    "listing",
-    "main",
-    "recordings",
-    "report",
-    "scenario",
-    "simulate",
-    "study",
-    "test",
-    "vary",
-    "verify",
-    "warm_up",
-]  # fmt: skip
+__all__ = ["app", "main"]
 
 
 def main() -> None:

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cornercase._common.text.sanitize import format_json
 from cornercase.cli import options as opt
 from cornercase.cli import parsing
 from cornercase.cli.options import Option, app, err, out
@@ -74,7 +72,7 @@ def compare(
         page = write_comparison(comparison, old, new, output, scenario=scenario)
         err.print(f"The page is {page.resolve()}")
     if as_json:
-        sys.stdout.write(format_json(comparison.to_json()) + "\n")
+        opt.print_json(comparison.to_json())
     else:
         for section in describe_comparison(comparison):
             _print_section(section)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Final
 
 import typer
 
 from cornercase._common.errors import InputError, suggest_name
-from cornercase._common.io.files import read_file
+from cornercase._common.io.files import parse_toml, read_utf8
 from cornercase._common.option import Option
 from cornercase.exploration._explore_options import OPTIONS
 
@@ -22,22 +21,9 @@ _MAX_BYTES: Final = 1_000_000
 
 
 def read_study_file(path: Path) -> dict[str, Any]:
-    """Read options of `explore` from a TOML file; paths in it are relative to the folder of the file.
-
-    The keys of the result are the names of the parameters in Python. InputError if the file is invalid, or if it names
-    code or an output path.
-    """
-    try:
-        table = tomllib.loads(read_file(path, _MAX_BYTES).decode("utf-8-sig"))
-    except InputError:
-        raise
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: is not UTF-8 text ({error.reason}).") from error
-    except (ValueError, RecursionError) as error:
-        # Also raised for integers that are too long for Python.
-        raise InputError(f"{path}: is not valid TOML ({str(error)[:200]}).") from error
+    """Read options of `explore` from a file, by their names in Python; `InputError` if it names code or outputs."""
     options = {}
-    for key, value in table.items():
+    for key, value in parse_toml(path, read_utf8(path, _MAX_BYTES)).items():
         if key in _COMMAND_LINE_ONLY or (key in _OPTIONS and not _OPTIONS[key].in_file):
             raise InputError(f"{path}: '{key}' is not allowed in a study file; give --{key} on the command line.")
         if key not in _OPTIONS:

@@ -8,7 +8,8 @@ import os
 import signal
 import sys
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from itertools import chain
 from pathlib import Path
 from types import FrameType
 from typing import Any, Final, cast
@@ -58,7 +59,8 @@ def run_command(command: Callable[[], Any]) -> int:
             return interrupt_exit_code()
         if _is_closed_pipe(error) or (isinstance(error, SystemExit) and _is_closed_pipe(error.__context__)):
             # typer turns a closed pipe into SystemExit.
-            _discard_output()
+            # As long as the process, so that writing what Python still buffers does not fail at exit.
+            sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
             return 1
         if isinstance(error, SystemExit) and _is_raised_by_typer(error):
             return error.code if isinstance(error.code, int) else 0
@@ -95,11 +97,6 @@ def _expression_excerpt(error: BaseException | None) -> str:
     return ""
 
 
-def _discard_output() -> None:
-    """Discard output that Python still buffers for a closed pipe, so that writing it at exit does not fail."""
-    sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115 - as long as the process
-
-
 def _describe_error(error: BaseException) -> str:
     if isinstance(error, InputError | StudyLostError):
         return str(error)
@@ -122,23 +119,15 @@ def _describe_error(error: BaseException) -> str:
         # Not raised by cornercase, but by user code, for example with sys.exit().
         return f"user code ended the command with {describe_error(error)}; fix that code."
     return (
-        f"{prefix or 'the command '}{fault} ({shorten(format_exception(error), 200)}{place});"
-        f" please report it, with the"
-        f" output of 'cornercase --debug'{' and that file' if file else ''}."
+        f"{prefix or 'the command '}{fault} ({shorten(format_exception(error), 200)}{place}); please report it, with"
+        f" the output of 'cornercase --debug'{' and that file' if file else ''}."
     )
 
 
 def _file_in_use(frames: list[FrameType]) -> Path | None:
-    """Return the file that the innermost function was working on; None if there is none."""
-    for frame in reversed(frames):
-        for value in frame.f_locals.values():
-            if isinstance(value, Path) and _is_file(value):
-                return value
-    return next(_files_in_arguments(), None)
-
-
-def _files_in_arguments() -> Iterator[Path]:
-    yield from (path for argument in sys.argv[2:] if _is_file(path := Path(argument)))
+    """Return the file that the innermost function was working on, else one in the arguments; None without any."""
+    values = (value for frame in reversed(frames) for value in frame.f_locals.values() if isinstance(value, Path))
+    return next(filter(_is_file, chain(values, map(Path, sys.argv[2:]))), None)
 
 
 def _is_file(path: Path) -> bool:

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cornercase._common.text.sanitize import format_json
 from cornercase.cli import options as opt
 from cornercase.cli.command_options import SectionedCommand, with_options
 from cornercase.cli.options import Option, app, err, out
@@ -47,18 +45,12 @@ def estimate(
     from cornercase import exploration
 
     estimation = exploration.estimate(
-        study,
-        output,
-        budget=budget,
-        encounter=encounter,
-        scenario=scenario,
-        **options,
-        progress=True,
+        study, output, budget=budget, encounter=encounter, scenario=scenario, **options, progress=True
     )
     if as_json:
         from cornercase.report.text._show import estimate_to_dict
 
-        sys.stdout.write(format_json(estimate_to_dict(estimation.to_json())) + "\n")
+        opt.print_json(estimate_to_dict(estimation.to_json()))
     else:
         _print_estimation(estimation)
     if estimation.interrupted:

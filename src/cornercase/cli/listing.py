@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import inspect
-import sys
 from typing import Annotated, Any
 
 import typer
 from rich.table import Column, Table
 
-from cornercase._common.text.sanitize import docstring_summary, format_json
+from cornercase._common.text.sanitize import docstring_summary
 from cornercase.cli import options as opt
 from cornercase.cli.options import app, out
 
@@ -43,7 +42,7 @@ def metrics(
         rows = [
             {key: getattr(metric, key) for key in keys} | {"definition": docstring_summary(metric)} for metric in listed
         ]
-        sys.stdout.write(format_json(rows) + "\n")
+        opt.print_json(rows)
         return
     # Names are printed whole even on a narrow terminal, as they are typed again.
     table = Table(Column("metric", no_wrap=True), "unit", "critical is", "what it is", "source", box=None)
@@ -72,7 +71,7 @@ def simulators(*, as_json: opt.Json = False) -> None:
             name: {keys.get(field, field): value for field, value in asdict(simulator).items()}
             for name, simulator in available.items()
         }
-        sys.stdout.write(format_json(rows) + "\n")
+        opt.print_json(rows)
         return
     # Addresses are printed whole even on a narrow terminal.
     missing = Column("what is missing", overflow="fold")
@@ -84,7 +83,6 @@ def simulators(*, as_json: opt.Json = False) -> None:
 
 
 def _format_definition(metric: Any) -> str:
-    """Return the definition, unit and options of a metric."""
     text = (inspect.getdoc(metric) or "").replace("``", "").replace("`", "").replace(" ::", ":")
     side = "low" if metric.lower_is_critical else "high"
     unit = f"in {metric.unit}" if metric.unit else "without unit"

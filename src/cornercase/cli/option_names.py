@@ -29,10 +29,7 @@ _QUOTED: Final = re.compile(r"`(\w+)`")
 
 
 def use_option_names(message: str) -> str:
-    """Replace names of parameters and functions in backticks by options and commands.
-
-    Example: `` `stop_when` `` becomes ``--stop-when``.
-    """
+    """Replace names in backticks by options and commands: `` `stop_when` `` becomes ``--stop-when``."""
     names = _names_on_command_line()
     return _QUOTED.sub(lambda match: names.get(match[1], match[0]), message)
 

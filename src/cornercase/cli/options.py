@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 import warnings
 from collections.abc import Mapping
 from contextvars import ContextVar
@@ -15,7 +16,7 @@ from rich.text import Text
 
 from cornercase._common.errors import NoticeWarning
 from cornercase._common.progress import verbosity
-from cornercase._common.text.sanitize import escape_control_characters, shorten
+from cornercase._common.text.sanitize import escape_control_characters, format_json, shorten
 from cornercase._common.version import __version__
 from cornercase.cli.signals import InterruptibleGroup, interrupt_exit_code
 
@@ -167,6 +168,11 @@ def print_ending(result: ExplorationResult) -> None:
         raise typer.Exit(interrupt_exit_code())
     if result.failed and not result.done:
         raise typer.Exit(1)
+
+
+def print_json(value: object) -> None:
+    """Print a value as JSON, for programs."""
+    sys.stdout.write(format_json(value) + "\n")
 
 
 def print_failure_reasons(reasons: Mapping[str, int], suffix: str = "") -> None:

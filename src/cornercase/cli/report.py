@@ -10,7 +10,6 @@ import typer
 
 from cornercase._common.errors import InputError
 from cornercase._common.memory import DEFAULT_MEMORY
-from cornercase._common.text.sanitize import format_json
 from cornercase.cli import options as opt
 from cornercase.cli.options import Option, app, out
 from cornercase.cli.profiling import Profile
@@ -152,7 +151,7 @@ def show(
         return
     summary = summary_to_dict(summarize(study, critical=critical))
     if as_json:
-        sys.stdout.write(format_json(summary) + "\n")
+        opt.print_json(summary)
         return
     for key, value in replace_keys_by_words(summary).items():
         if value != {}:

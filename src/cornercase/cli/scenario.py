@@ -68,7 +68,6 @@ def check(
 
 
 def _print_check(report: Any) -> None:
-    """Print the result of the check of one scenario."""
     for key, count in report.contents.items():
         out.print(f"{key}: {count}")
     out.print(f"parameters: {', '.join(report.parameters) or 'none'}")

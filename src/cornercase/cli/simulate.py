@@ -77,7 +77,6 @@ def simulate(
 
 
 def _print_folder_result(result: SimulatedFolder) -> None:
-    """Print how many scenarios were run; exit with code 1 if some failed."""
     before = f", {result.n_existing} of which existed before" if result.n_existing else ""
     out.print(f"{result.done} recording{'s' if result.done > 1 else ''} in {result.folder}{before}.")
     if result.failed:

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 from rich.table import Column, Table
 
-from cornercase._common.text.sanitize import format_json
 from cornercase.cli import options as opt
 from cornercase.cli.command_options import SectionedCommand, with_options
 from cornercase.cli.options import Option, app, err, out
@@ -111,7 +109,7 @@ def test_suite(
         progress=True,
     )
     if as_json:
-        sys.stdout.write(format_json(result.to_json()) + "\n")
+        opt.print_json(result.to_json())
     else:
         _print_result(result)
         for written in (junit, summary):
@@ -143,16 +141,14 @@ def _print_result(result: SuiteResult) -> None:
     out.print(f"{result.comparison_summary}.")
     if result.n_ran_before:
         out.print(
-            f"{result.n_ran_before} of them were already in {result.study} and were not run again;"
-            f" to test a new version,"
-            " name another study with -o."
+            f"{result.n_ran_before} of them were already in {result.study} and were not run again; to test a new"
+            " version, name another study with -o."
         )
     if result.kill_matrix is not None:
         _print_kills(result, result.kill_matrix)
 
 
 def _print_kills(result: SuiteResult, exposure: KillMatrix) -> None:
-    """Print which mutants the suite kills, and which scenarios kill them."""
     table = Table(Column("mutation", no_wrap=True), "exposed", "of", box=None)
     for kind, (exposed, count) in exposure.counts_by_mutation.items():
         table.add_row(kind, str(exposed), str(count))

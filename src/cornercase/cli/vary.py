@@ -69,7 +69,6 @@ def vary_scenario(
 
 
 def _print_variables(variables: tuple[Variable, ...]) -> None:
-    """Print the numbers of a scenario that could vary, in groups."""
     if not variables:
         out.print("no numbers that could vary")
         return
@@ -96,7 +95,6 @@ def _print_variables(variables: tuple[Variable, ...]) -> None:
 
 
 def _shorten_value(text: str) -> str:
-    """Shorten the text of a value so that it fits its column."""
     with suppress(ValueError):
         return text if len(text) <= _MAX_VALUE_LENGTH else f"{float(text):.6g}"
     return shorten(text, _MAX_VALUE_LENGTH)

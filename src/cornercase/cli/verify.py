@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from cornercase._common.memory import DEFAULT_MEMORY
-from cornercase._common.text.sanitize import format_json
 from cornercase.cli import options as opt
 from cornercase.cli.command_options import with_options
 from cornercase.cli.options import Option, app, out
@@ -55,7 +53,7 @@ def verify(
         values = {"sound": result.is_sound, "checked": result.checked, "problems": list(result.problems)}
         if repair:
             values |= {"damaged": None if damaged is None else str(damaged), "again": list(again), "lost": list(lost)}
-        sys.stdout.write(format_json(values) + "\n")
+        opt.print_json(values)
     else:
         for problem in result.problems:
             out.print(f"{study}: {problem}")

@@ -81,11 +81,7 @@ def warm_up() -> None:
 
 @contextmanager
 def compile_in_parallel(program: str = _LATE_PROGRAM) -> Iterator[None]:
-    """Within the block, once this process begins to compile, compile the later kernels in a second process.
-
-    The later kernels are those that are needed after the simulations. Both processes share the cache on disk, so this
-    process finds them compiled.
-    """
+    """Within the block, let a second process compile later kernels once this one compiles; they share the cache."""
     from cornercase._common.numba.interpret import compile_loops_at_once
     from cornercase._common.numba.kernel import call_on_first_compilation
     from cornercase._common.platform import count_available_cpus
@@ -113,10 +109,7 @@ def compile_in_parallel(program: str = _LATE_PROGRAM) -> Iterator[None]:
 
 
 def compile_late_kernels() -> None:
-    """Compile the kernels that the examples need after the simulations.
-
-    Call it in a process of its own; it exits when its standard input closes.
-    """
+    """Compile what the examples need after the simulations, in a process that ends with its standard input."""
     import numpy as np
 
     from cornercase import clustering, dtw, metrics
@@ -181,7 +174,6 @@ def _runs_by_room(folder: Path) -> Iterator[tuple[str, Callable[[], Any]]]:
 
 
 def _reduce_large_set() -> None:
-    """Reduce a set of scenarios that is too large for all pairwise distances."""
     import numpy as np
 
     from cornercase.clustering._embedding import EmbeddedDistances
@@ -197,7 +189,6 @@ def _reduce_large_set() -> None:
 
 
 def _two_group_distances() -> FloatArray:
-    """Return a distance matrix of two well separated groups."""
     import numpy as np
 
     positions = np.concatenate([np.linspace(0.0, 1.0, 12), np.linspace(9.0, 10.0, 12)])
@@ -205,7 +196,6 @@ def _two_group_distances() -> FloatArray:
 
 
 def _crossing_recording() -> Recording:
-    """Return a recording of two cars whose paths cross."""
     import numpy as np
 
     from cornercase import recordings

@@ -12,6 +12,7 @@ from lxml import etree
 from cornercase._common.errors import InputError
 from cornercase._common.io.tracked_xml import note_adaptation
 from cornercase._common.text.parse_number import parse_finite_number, parse_number
+from cornercase._common.text.source_lines import format_location
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.scenario._batch_split import BatchSplitError
 from cornercase.scenario._constraints import ParameterDeclaration
@@ -198,7 +199,9 @@ class AttributeReader:
         return number
 
     def _error(self, element: _SourceElement, attribute: str, reason: str) -> InputError:
-        line = f", line {element.sourceline}" if element.sourceline else ""
-        return InputError(
-            f"{self.file_name}{line}: {attribute} of <{element.tag}> {reason}{'' if reason.endswith('?') else '.'}"
-        )
+        ending = "" if reason.endswith("?") else "."
+        return self.error_at(element, f"{attribute} of <{element.tag}> {reason}{ending}")
+
+    def error_at(self, element: _SourceElement, message: str) -> InputError:
+        """Return the error that names the file and line of an element before a message."""
+        return InputError(f"{format_location(element, self.file_name)}: {message}")

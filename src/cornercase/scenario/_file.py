@@ -35,6 +35,7 @@ from cornercase.scenario._openpass import (
 )
 from cornercase.scenario._other_formats import describe_other_xml_format, record_later_version
 from cornercase.scenario._parameter import Value
+from cornercase.scenario._scope import Scope
 from cornercase.scenario._xml import XmlFileCache, parse_xml
 
 DRIVER_PROPERTY = "cornercase.driver"
@@ -294,6 +295,10 @@ class ScenarioFile:
             if file
             else self._catalogs.find_entry(catalog_name, entry_name)
         )
+
+    def scope(self, values: Sequence[Mapping[str, Value]]) -> Scope:
+        """Return the parameters of the file, for concrete scenarios with these values."""
+        return Scope.from_file(str(self.path), self.root, values, self.find_catalog_entry)
 
     def _vehicle_of_agent_profile(self, profiles_path: Path, profile: str) -> etree._Element:
         """Return the catalog vehicle that is the most probable vehicle model of an agent profile of openPASS."""

@@ -12,7 +12,6 @@ from cornercase.scenario._batch_split import BatchSplitError
 from cornercase.scenario._expressions import parameter_names_in
 from cornercase.scenario._file import ScenarioFile
 from cornercase.scenario._parameter import Parameter, Value
-from cornercase.scenario._scope import Scope
 from cornercase.scenario._space import ParameterSpace
 
 # Largest number of combinations that are tried.
@@ -34,7 +33,7 @@ def add_varied_roads(scenario: ScenarioFile, space: ParameterSpace) -> ScenarioF
     for combination in islice(product(*map(_assignments_of, chosen)), _MAX_COMBINATIONS):
         values = {name: value for part in combination for name, value in part.items()}
         try:
-            scope = Scope.from_file(str(scenario.path), scenario.root, [values], scenario.find_catalog_entry)
+            scope = scenario.scope([values])
             roads[scope.read_text(holder, "filepath")] = None
         except (InputError, BatchSplitError):
             continue  # reported when the scenario runs

@@ -19,8 +19,8 @@ from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario, Value
 from cornercase.scenario._file import ScenarioFile
 
-COMMON_OPTIONS: Final = frozenset({"time_step", "duration", "on_collision", "drivers"})
-"""Options that are offered to every simulator."""
+COMMON_OPTIONS: Final = ("drivers", "on_collision", "time_step", "duration")
+"""Options that every simulator is offered, which it need not declare."""
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,7 @@ class Simulator(Configurable, ABC):
     ...             )
     """
 
-    options_outside_name = COMMON_OPTIONS | {"ego", "worker"}
+    options_outside_name = frozenset({*COMMON_OPTIONS, "ego", "worker"})
     settings: dict[str, object]
     requires: ClassVar[tuple[str, ...]] = ()
     in_process: ClassVar[bool] = False
@@ -231,10 +231,7 @@ class Simulator(Configurable, ABC):
 
 
 def check_seed(seed: int, owner: str) -> int:
-    """Return the seed if it is an integer from 0 to 2147483647.
-
-    Otherwise raise `InputError`, which names the `owner`.
-    """
+    """Return the seed of an owner; `InputError` unless it is an integer from 0 to 2147483647."""
     if not (isinstance(seed, int) and 0 <= seed < 2**31):
         raise InputError(f"The seed of {owner} is {seed}; give a whole number from 0 to 2147483647.")
     return seed

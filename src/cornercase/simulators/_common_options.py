@@ -10,20 +10,14 @@ from cornercase._common.configurable import declared_options, given_options
 from cornercase._common.errors import InputError
 from cornercase._common.io.support_table import issue_notice_warning
 from cornercase._common.validation import check_str, not_an_object
-from cornercase.simulators._base import Simulator
+from cornercase.simulators._base import COMMON_OPTIONS, Simulator
 from cornercase.simulators._run_options import SIMULATION_OPTIONS
 
-COMMON_OPTIONS: Final = ("drivers", "on_collision", "time_step", "duration")
-"""Options that every simulator is offered, which it need not declare."""
 _DEFAULT_OPTIONS: Final = {name: SIMULATION_OPTIONS[name].default for name in COMMON_OPTIONS}
 
 
 def select_declared_options(name: str, simulator: type[Simulator], options: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the options that the constructor of a simulator declares; all options if it takes ``**options``.
-
-    Raises `InputError` if drivers or ``on_collision="stop"`` are given and not declared. Warns if a time step or
-    duration is not declared, and so has no effect.
-    """
+    """Return the options that a simulator's constructor declares; refuse or warn about others that were given."""
     declared = declared_options(simulator)
     for key, default in _DEFAULT_OPTIONS.items():
         value = options.get(key)
@@ -50,11 +44,7 @@ def select_declared_options(name: str, simulator: type[Simulator], options: Mapp
 def split_common_options(
     simulator: str | Simulator, options: Mapping[str, Any]
 ) -> tuple[str | Simulator, dict[str, Any]]:
-    """Return a simulator without the options that all simulators have.
-
-    And these options, from `simulator` or `options`. Raises `InputError` if both have different values for an option,
-    or if `simulator` is neither a text nor a simulator.
-    """
+    """Return a simulator without the options that all have, and these options, from it or from `options`."""
     common = {key: options[key] for key in _DEFAULT_OPTIONS}
     if isinstance(simulator, str):
         return check_str("simulator", simulator), common

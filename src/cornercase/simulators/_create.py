@@ -38,19 +38,9 @@ def create_simulator(
 ) -> Simulator:
     """Create a simulator from a name or an object, in this process, in worker processes or on a Dask cluster.
 
-    A simulator with `in_process` runs in this process unless there are several workers, a time-out or a user's driver
-    given by name. Otherwise it runs in worker processes, where a crash or hang costs only the scenario at fault.
-    Drivers given as objects do not cause the use of worker processes, since they may not be picklable. Neither do named
-    drivers in a script without ``__name__ == "__main__"``, since a worker process would run this script again.
-
-    The simulator gets the `options` that its constructor declares (``time_step``, ``duration``, ``on_collision``,
-    ``drivers``; all picklable). `timeout` is in s per scenario. Raises `InputError` for an unknown simulator, values
-    out of range, or undeclared drivers or ``on_collision``; warns if a time step or duration has no effect.
-
-    >>> from cornercase.simulators._create import create_simulator
-    >>> with create_simulator("builtin", {"duration": 20.0}) as simulator:
-    ...     simulator.settings["duration"]
-    20.0
+    In worker processes, a crash or hang costs only the scenario at fault. A simulator with `in_process` runs here,
+    unless there are several workers, a time-out, or a user's driver given by name: drivers given as objects may not be
+    picklable, and worker processes would run a script without ``__name__ == "__main__"`` again.
     """
     timeout = None if timeout is None else check_float("timeout", timeout, above=0.0)
     workers = check_int("workers", workers, 1, MAX_WORKERS)

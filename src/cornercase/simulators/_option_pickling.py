@@ -43,11 +43,7 @@ class DriverSpec:
 def pickle_simulator(
     simulator: str | type[Simulator], options: Mapping[str, Any], dumps: Callable[[Any], bytes]
 ) -> bytes:
-    """Pickle a simulator (name or class) and its options.
-
-    Drivers that were created by class name are sent as `DriverSpec`. Raises `InputError` if a driver or another option
-    cannot be pickled.
-    """
+    """Pickle a simulator and its options; drivers that were created by class name are sent as `DriverSpec`."""
     drivers = {
         entity: DriverSpec.from_driver(driver_spec)
         for entity, driver_spec in (options.get(_DRIVERS_OPTION) or {}).items()
@@ -68,24 +64,15 @@ def _require_picklable(entity: str, driver: Any, dumps: Callable[[Any], bytes]) 
         dumps(driver)
     except Exception as error:
         cls = type(driver)
-        culprit = next(
-            (
-                f"its attribute '{name}'"
-                for name, value in _instance_attributes(driver)
-                if not _is_picklable(dumps, value)
-            ),
-            "it",
-        )
+        attributes = getattr(driver, "__dict__", {}).items()
+        culprits = [f"its attribute '{name}'" for name, value in attributes if not _is_picklable(dumps, value)]
+        culprit = next(iter(culprits), "it")
         reason = format_exception(error)
         raise InputError(
             f"`drivers` {entity}: the driver {cls.__module__}:{cls.__qualname__} cannot be sent to another process,"
             f" which `workers`, `timeout` and `cluster` require: {culprit} cannot be pickled ({reason}). Create that in"
             f" start(), give the class by name ({entity}=package.module:Class), or define __getstate__."
         ) from error
-
-
-def _instance_attributes(driver: Any) -> list[tuple[str, Any]]:
-    return list(getattr(driver, "__dict__", {}).items())
 
 
 def _is_picklable(dumps: Callable[[Any], bytes], value: Any) -> bool:

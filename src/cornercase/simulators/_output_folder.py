@@ -94,7 +94,6 @@ class RecordingsFolder:
                 writer.writerow(map(escape_csv_cell, (file, *([notes[_SCENARIO_KEY]] if several else ()), *cells)))
 
     def _read_notes(self) -> dict[str, Any]:
-        """Read the notes on existing recordings."""
         notes = self._path / NOTES_FILE
         if not notes.exists():
             for file in (*self._planned, TABLE_FILE):

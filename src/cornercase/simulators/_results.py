@@ -70,10 +70,7 @@ def run_scenarios_as_given(simulator: Simulator, concretes: Sequence[ConcreteSce
 def check_simulator_accepts(
     simulator: Simulator, scenarios: Iterable[ScenarioFile], concretes: Sequence[ConcreteScenario] = ()
 ) -> None:
-    """Let a simulator check scenarios before anything is run; `InputError` if it refuses one, or if its check fails.
-
-    All of `scenarios` must be supported, and at least one of the sample `concretes` must be runnable.
-    """
+    """Raise `InputError` if a simulator refuses one of the scenarios, or can run none of the sample `concretes`."""
     with convert_plugin_errors(
         f"The simulator '{simulator.name}'", get_simulator_class(simulator), "in require_means or require_runnable"
     ):
@@ -84,10 +81,7 @@ def check_simulator_accepts(
 
 
 def find_refusals(simulator: Simulator, concretes: Sequence[ConcreteScenario]) -> dict[int, str]:
-    """Return, by index, why a simulator cannot run some scenario files; nothing is run.
-
-    Each concrete scenario has its own file. Raises `InputError` if all scenarios are refused, or if the check fails.
-    """
+    """Return, by index, why a simulator refuses scenarios with a file each; `InputError` if it refuses all of them."""
     if len(concretes) == 1:
         check_simulator_accepts(simulator, [concretes[0].load_file()], concretes)
         return {}
@@ -114,10 +108,7 @@ def describe_file_error(path: Path, error: InputError) -> str:
 def list_ignored_content(
     simulator: Simulator, scenario: ScenarioFile, values: Mapping[str, Value] | None = None
 ) -> tuple[Notice, ...]:
-    """List the content of a scenario that has no effect in a simulator.
-
-    `InputError` if the simulator's method fails.
-    """
+    """List the content of a scenario that has no effect in a simulator."""
     declared = get_simulator_class(simulator)
     with convert_plugin_errors(f"The simulator '{simulator.name}'", declared, "in notices"):
         return tuple(declared.notices(scenario, values))

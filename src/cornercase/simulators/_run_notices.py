@@ -58,9 +58,8 @@ class RunNotices:
                 else ""
             )
             issue_notice_warning(
-                f"far from every road: {', '.join(descriptions[:_MAX_NAMED_ENTITIES])}{more}; check"
-                f" that the road file, its"
-                " axes and the positions in the scenario match"
+                f"far from every road: {', '.join(descriptions[:_MAX_NAMED_ENTITIES])}{more}; check that the road file,"
+                " its axes and the positions in the scenario match"
             )
         if self._n_cut_off:
             runs = "the run was" if self._n_runs == 1 else f"{self._n_cut_off} of {self._n_runs} runs were"
@@ -75,11 +74,7 @@ class RunNotices:
 def find_entities_far_from_roads(
     network: RoadNetwork, recording: Recording, skip: Collection[str] = ()
 ) -> list[tuple[str, float, float]]:
-    """List entities far from every road as (name, distance in m, first time in s), in the order of the recording.
-
-    Positions are checked once a second. Far means more than 10 m from the nearest lane, or 50 m for pedestrians and
-    misc objects, which may be beside a road. Trailers, trains and the names in `skip` are not checked.
-    """
+    """List entities far from every road, once a second, as (name, distance in m, first time in s)."""
     indices = [
         a
         for a, object_type in enumerate(recording.object_types)
@@ -116,9 +111,6 @@ def warn_if_ego_has_no_driver(simulator: Simulator, scenarios: Iterable[Scenario
 
 
 def _road_network_if_read(scenario: ScenarioFile) -> RoadNetwork | None:
-    """Return the road network of a scenario.
-
-    None if it was not read in this process, or depends on parameter values.
-    """
+    """Return the road network of a scenario; None if it was not read here, or depends on parameter values."""
     networks = list(PreparedScenario.from_scenario(scenario).networks.values())
     return networks[0] if len(networks) == 1 else None

@@ -20,7 +20,7 @@ from cornercase.drivers._resolve import resolve_driver
 from cornercase.scenario import ConcreteScenario, Value
 from cornercase.scenario._file import ScenarioFile
 from cornercase.scenario._value_table import FILE_COLUMN, read_value_table
-from cornercase.simulators._base import Simulator
+from cornercase.simulators._base import COMMON_OPTIONS, Simulator
 from cornercase.simulators._common_options import split_common_options
 from cornercase.simulators._create import create_simulator
 from cornercase.simulators._output_folder import NOTES_FILE, TABLE_FILE, PlannedRecording, RecordingsFolder
@@ -165,12 +165,10 @@ def simulate_many(
         for name in (TABLE_FILE, NOTES_FILE):
             check_output_differs_from_source(folder / name, table, "folder")
     simulator, settings = split_common_options(
-        checked.pop("simulator"),
-        {name: checked.pop(name) for name in ("time_step", "duration", "on_collision", "drivers")},
+        checked.pop("simulator"), {name: checked.pop(name) for name in COMMON_OPTIONS}
     )
     settings["drivers"] = {entity: resolve_driver(driver) for entity, driver in settings["drivers"].items()}
-    started = create_simulator(simulator, settings, ego=ego, **checked)
-    with started:
+    with create_simulator(simulator, settings, ego=ego, **checked) as started:
         if table is None:
             refused = find_refusals(started, [plan.concrete_scenario for plan in planned])
             failures |= {
@@ -279,7 +277,7 @@ def _run_missing(
     failures: dict[str, str] = {}
     notes_written, notices = False, RunNotices(simulator)
     done = total - len(missing)
-    bar = ProgressBar(total, "simulating", "scenarios") if progress else None
+    bar = ProgressBar(total, "simulating", "scenarios", enabled=progress)
     try:
         with collect_interrupts() as check:
             while missing:
@@ -297,10 +295,8 @@ def _run_missing(
                         outcome.to_csv(folder.path_of(planned.file))
                         notices.add_run(outcome, planned.concrete_scenario.load_file)
                     done += 1
-                    if bar is not None:
-                        bar.update(done, "")
+                    bar.update(done, "")
     finally:
-        if bar is not None:
-            bar.stop()
+        bar.stop()
         notices.issue_warnings()
     return failures

@@ -72,10 +72,7 @@ class SimulatorStream:
                 self._results.put((key, None, error))
 
     def submit(self, key: int, work: SimulatorWork, name: str | None = None) -> None:
-        """Submit work under a key, for the simulator called `name` or the first one.
-
-        The work may run in another thread.
-        """
+        """Submit work under a key, for the simulator called `name` or the first one; it may run in another thread."""
         desk = self._queues[self._first_name if name is None else name]
         if desk.threads or self._start_threads(desk):
             desk.queue.put((key, work))
@@ -88,10 +85,7 @@ class SimulatorStream:
         return not self._results.empty()
 
     def wait_for_result(self, check: Callable[[], None]) -> tuple[int, Any]:
-        """Wait for the next result, and return it with its key; raises the error if the work failed.
-
-        `check` is called from time to time during the wait.
-        """
+        """Return the next result with its key, or raise the error of its work; `check` is called during the wait."""
         while True:
             check()
             if self._local_work and not self.has_result:

@@ -17,12 +17,7 @@ _MAX_NAME_BYTES: Final = 255
 
 
 def find_baseline_study(suite: SuiteContents, against: Path | None) -> tuple[Path | None, str]:
-    """Find the earlier study with which the recordings of a suite are compared.
-
-    Without `against`, the study is searched by name beside the manifest and in the folder above, and recognized by its
-    fingerprint. If there is none, return None and the reason, a sentence without a period. `InputError` if the study
-    `against` has other scenarios or cannot be used.
-    """
+    """Return the earlier study of a suite: `against`, else one found near the manifest, else None and why not."""
     if against is not None:
         with StudyFile.open(against, readonly=True) as study, reraise_as_damage(against):
             _read_baseline(suite, study)
@@ -44,10 +39,7 @@ def find_baseline_study(suite: SuiteContents, against: Path | None) -> tuple[Pat
 
 
 def compare_with_baseline(suite: SuiteContents, baseline: Path, study: StudyFile) -> dict[int, RecordingDifference]:
-    """Compare the recordings of a suite with earlier recordings of the same scenarios.
-
-    Return the differences by scenario id in `study`, for scenarios that ran in both studies.
-    """
+    """Return how recordings of a suite differ from earlier ones, by scenario id in `study`, where both ran."""
     with StudyFile.open(baseline, readonly=True) as earlier, reraise_as_damage(baseline):
         sources = _match_baseline_rows(suite, earlier)
         differences = {}
@@ -90,9 +82,8 @@ def _match_baseline_rows(suite: SuiteContents, study: StudyFile) -> Mapping[int,
         row = rows.get(scenario.source_id or 0)
         if row is None or dict(row.values) != dict(scenario.values):
             raise InputError(
-                f"`against` {study.path}: has another scenario {scenario.source_id} than"
-                f" {suite.path} was made from; name"
-                " the study that was reduced."
+                f"`against` {study.path}: has another scenario {scenario.source_id} than {suite.path} was made from;"
+                " name the study that was reduced."
             )
         sources[k] = row
     return sources

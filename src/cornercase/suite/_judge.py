@@ -95,12 +95,7 @@ def judge(
 
 
 def compute_margin(requirement: Requirement, recording: Recording, ego: str, others: Sequence[str]) -> float | None:
-    """Return by how much a recording fulfills a requirement; negative if it is violated, None for collisions.
-
-    It is the smallest robustness value against any of the other entities, in the unit of the requirement. For a
-    required position or distance, it is how much closer the ego comes, or how much farther it drives, than required, in
-    m.
-    """
+    """Return by how much a recording fulfills a requirement, in its unit; negative if violated, None for collisions."""
     if not requirement.expression.has_margin:
         return None
     evaluations = evaluate_run(requirement.expression.root, recording, ego, others).values()
@@ -114,11 +109,7 @@ def depends_on_reference(requirement: Requirement, recording: Recording, ego: st
 
 
 def judge_study(study: StudyFile) -> dict[int, list[Verdict]]:
-    """Judge all finished scenarios of an open study by the requirements that the study stores.
-
-    Return the verdicts by scenario id, one for each requirement that applies; empty without requirements. A verdict is
-    inconclusive if the simulator failed.
-    """
+    """Judge the finished scenarios of a study by the requirements that it stores; return verdicts by scenario id."""
     with reraise_as_damage(study.path):
         requirements = [Requirement.parse(text) for text in study.meta.requirements]
         if not requirements:

@@ -24,19 +24,14 @@ from cornercase.scenario._file import ScenarioFile
 from cornercase.scenario._types import convert_to_type
 from cornercase.simulators import check_settings
 from cornercase.study._import_recordings import IMPORTED_SIMULATOR
-from cornercase.suite._suite_contents import SuiteContents, SuiteScenario
+from cornercase.suite._suite_contents import DEFAULT_SETTINGS, SuiteContents, SuiteScenario
 
 # Errors that damaged values cause.
 _READ_ERRORS: Final = (ValueError, LookupError, TypeError, AttributeError, ArithmeticError, RecursionError)
-_DEFAULT_SETTINGS: Final[dict[str, Any]] = {"time_step": 0.05, "duration": 60.0, "on_collision": "continue"}
 
 
 def read_manifest(path: Path) -> SuiteContents:
-    """Read a manifest and the scenario files that it lists.
-
-    A `reduce` that was interrupted is completed first. `InputError` if it is not a manifest, has another format, or if
-    a listed file is missing or has changed.
-    """
+    """Read a manifest and the scenario files that it lists, after completing a `reduce` that was interrupted."""
     if path.name == MANIFEST:
         complete_replacement(path.parent)
     manifest = _load_manifest_json(path)
@@ -72,9 +67,8 @@ def _load_manifest_json(path: Path) -> dict[str, Any]:
         raise InputError(f"{path}: its recordings were imported, so there are no scenario files to run.")
     if "format" not in manifest:
         raise InputError(
-            f"{path}: lacks what is needed to run the scenarios again, because an earlier version of cornercase"
-            " wrote it; run `reduce`"
-            " again."
+            f"{path}: lacks what is needed to run the scenarios again, because an earlier version of cornercase wrote"
+            " it; run `reduce` again."
         )
     if manifest["format"] == 1:
         # Format 1 had other keys.
@@ -116,7 +110,7 @@ def _build_suite(path: Path, manifest: Mapping[str, Any]) -> SuiteContents:
     _require_valid_values(path, space, scenarios)
     settings = dict(manifest["settings"])
     metrics = tuple(METRICS.create(_require_text(name)).name for name in manifest["metrics"])
-    time_step, duration, on_collision = (settings.get(name, default) for name, default in _DEFAULT_SETTINGS.items())
+    time_step, duration, on_collision = (settings.get(name, default) for name, default in DEFAULT_SETTINGS.items())
     check_settings(time_step, duration, on_collision, None)
     critical = manifest["critical_threshold"]
     return SuiteContents(
@@ -130,7 +124,7 @@ def _build_suite(path: Path, manifest: Mapping[str, Any]) -> SuiteContents:
         metrics=metrics,
         critical=None if critical is None else _require_finite(critical),
         simulator=_require_text(manifest["simulator"]),
-        settings={name: settings[name] for name in _DEFAULT_SETTINGS if name in settings},
+        settings={name: settings[name] for name in DEFAULT_SETTINGS if name in settings},
         # A file must not name code to run: custom drivers have to be given again.
         custom_drivers={
             _require_text(entity): driver_command_option(driver) or ""
@@ -172,15 +166,12 @@ def _require_valid_values(path: Path, space: ParameterSpace, scenarios: Sequence
 
 
 def _require_values_of_file(path: Path, scenario: SuiteScenario) -> None:
-    declared = {
-        declaration.name: declaration
-        for declaration in read_declarations(scenario.scenario.root, str(scenario.scenario.path))
-    }
+    declared = declarations_by_name(scenario.scenario)
     scenario.scenario.require_declared(list(scenario.values))
     # Paths in the copied file differ from those in the logical scenario.
     path_names = scenario.scenario.path_parameters
     for name, value in scenario.values.items():
-        if name not in path_names and _convert_to_type(value, declared[name]) != _convert_to_type(
+        if name not in path_names and as_declared(value, declared[name]) != as_declared(
             declared[name].value, declared[name]
         ):
             raise InputError(
@@ -191,7 +182,13 @@ def _require_values_of_file(path: Path, scenario: SuiteScenario) -> None:
             )
 
 
-def _convert_to_type(value: Value, declaration: ParameterDeclaration) -> Value:
+def declarations_by_name(scenario: ScenarioFile) -> dict[str, ParameterDeclaration]:
+    """Return the declared parameters of a scenario file."""
+    return {declaration.name: declaration for declaration in read_declarations(scenario.root, str(scenario.path))}
+
+
+def as_declared(value: Value, declaration: ParameterDeclaration) -> Value:
+    """Return a value in the type of its declaration; as text if it has another one."""
     try:
         return convert_to_type(value, declaration.type_name)
     except ValueError:

@@ -29,7 +29,7 @@ from cornercase.study._scenario_file import find_explored_scenario
 from cornercase.study._study_file import open_study
 from cornercase.suite._judge import judge
 from cornercase.suite._requirement import Requirement
-from cornercase.suite._suite_contents import SuiteContents
+from cornercase.suite._suite_contents import DEFAULT_SETTINGS, SuiteContents
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -41,7 +41,6 @@ DEFAULT_REQUIREMENT: Final = "no collision"
 """Requirement that a killed mutant violates by default."""
 
 _BUILTIN: Final = "builtin"
-_OPTIONS: Final = ("time_step", "duration", "on_collision")
 
 
 def analyze_mutants(
@@ -116,7 +115,7 @@ def analyze_mutants(
     drivers: dict[str, Any] = dict(settings.get("drivers", {}))
     driver = find_ego_driver(entities[0], drivers, [logical])
     mutants_ = generate_mutants(driver, 2 * n_mutants, seed)
-    options: dict[str, Any] = {name: settings[name] for name in _OPTIONS if name in settings}
+    options: dict[str, Any] = {name: settings[name] for name in DEFAULT_SETTINGS if name in settings}
     options["drivers"] = {name: item for name, item in drivers.items() if name != entities[0]}
     for name, item in options["drivers"].items():
         if not isinstance(item, str):
@@ -147,11 +146,7 @@ def draw_mutants(
     count: int,
     seed: int,
 ) -> tuple[str, tuple[Mutant, ...]]:
-    """Draw mutants of the ego's driver in a suite; return the name of the driver and its mutants.
-
-    `drivers` override the drivers in the files, by entity. `InputError` if the ego has no driver, if the files name
-    different ones, if the driver cannot be mutated, or if a requirement needs a reference driver.
-    """
+    """Return the ego's driver in a suite, where `drivers` override those in the files, and mutants of it."""
     _require_no_reference(requirements)
     driver = find_ego_driver(ego, drivers, [scenario.scenario for scenario in suite.runnable_scenarios])
     return driver, generate_mutants(driver, check_int("mutants", count, 1), seed)
@@ -167,11 +162,7 @@ def analyze_suite_mutants(
     client: Client | None = None,
     progress: bool = False,
 ) -> KillMatrix:
-    """Find which scenarios of a suite kill which mutants of the ego's driver.
-
-    `entities` are the names of the ego and of the others. `options` are those of the builtin simulator. Without
-    requirements, ``"no collision"`` is required. Scenario ids in the result are positions in the suite, from 1 on.
-    """
+    """Find which scenarios of a suite, by position from 1 on, kill which mutants; by default with a collision."""
     parsed = list(requirements) or _parse_requirements(())
     failed, killed = run_mutants(
         [scenario.concrete_scenario for scenario in suite.runnable_scenarios],
@@ -198,10 +189,7 @@ def require_builtin_simulator(simulator: str) -> None:
 
 
 def find_ego_driver(ego: str, drivers: Mapping[str, Any], scenarios: Sequence[ScenarioFile]) -> str:
-    """Return the name of the ego's driver; `drivers` override the drivers in the files, by entity.
-
-    `InputError` if there is none, if the files name different ones, or if the driver cannot be mutated.
-    """
+    """Return the name of the ego's driver; `drivers` override the drivers in the files, by entity."""
     if ego in drivers:
         return nearest_preset_name(drivers[ego])
     drivers_in_files = {scenario.drivers.get(ego) for scenario in scenarios}
@@ -237,7 +225,7 @@ def run_mutants(
     names = [original, *(mutant.driver for mutant in mutants)]
     failed = np.zeros((len(names), len(scenarios)), dtype=np.bool_)
     broken = np.zeros_like(failed)
-    bar = ProgressBar(len(names), "mutants", "drivers") if check_bool("progress", progress) else None
+    bar = ProgressBar(len(names), "mutants", "drivers", enabled=check_bool("progress", progress))
     try:
         with collect_interrupts() as raise_interrupt:
             for k, name in enumerate(names):
@@ -246,11 +234,9 @@ def run_mutants(
                     for i, verdict in enumerate(_iter_violations(simulator, scenarios, entities, requirements)):
                         broken[k, i], failed[k, i] = verdict is None, verdict is True
                 raise_interrupt()
-                if bar is not None:
-                    bar.update(k + 1, "")
+                bar.update(k + 1, "")
     finally:
-        if bar is not None:
-            bar.stop()
+        bar.stop()
     unusable = failed[0] | broken[0]
     return unusable, (failed[1:] & ~unusable).T
 

@@ -12,23 +12,16 @@ from cornercase._common.text.sanitize import escape_control_characters
 from cornercase._common.validation import check_path as path_argument
 from cornercase.reduction._set_folder import MANIFEST
 from cornercase.scenario import Parameter, ParameterDeclaration, ParameterSpace, Value
-from cornercase.scenario._constraints import read_declarations
 from cornercase.scenario._file import ScenarioFile
-from cornercase.scenario._types import convert_to_type
 from cornercase.simulators._results import describe_file_error
-from cornercase.suite._manifest import read_manifest
+from cornercase.suite._manifest import as_declared, declarations_by_name, read_manifest
 from cornercase.suite._suite_contents import SuiteContents, SuiteScenario
 
 _FILE_PARAMETER: Final = "file"
 
 
 def read_suite(source: Path | str) -> SuiteContents:
-    """Read a suite from a manifest that `cornercase.reduce` wrote, its folder, any folder of scenarios, or one file.
-
-    Without a manifest, all ``.xosc`` files of the folder belong to the suite. Files that hold parameter distributions
-    or catalogs instead of a scenario are left out with a warning. `InputError` if there is nothing to run, or if a file
-    cannot be used, is missing, or has changed since the manifest was written.
-    """
+    """Read a suite from a manifest, its folder, any folder of scenarios, or one file; leave out what is no scenario."""
     path = path_argument("suite", source)
     if path.is_dir():
         manifest = path / MANIFEST
@@ -84,22 +77,14 @@ def _is_not_scenario(scenario: ScenarioFile) -> bool:
 def _find_varied_parameters(
     scenarios: Sequence[ScenarioFile], unreadable: Container[Path]
 ) -> tuple[list[dict[str, Value]], ParameterSpace]:
-    """Return the values, by file, of parameters that all files declare and that differ, and a space of them.
-
-    If these values do not distinguish all files, the file name is added as a parameter.
-    """
-    declarations = [
-        {}
-        if scenario.path in unreadable
-        else {declaration.name: declaration for declaration in read_declarations(scenario.root, str(scenario.path))}
-        for scenario in scenarios
-    ]
+    """Return the parameter values that differ, by file, and a space of them; with file names if they do not suffice."""
+    declarations = [{} if scenario.path in unreadable else declarations_by_name(scenario) for scenario in scenarios]
     names = [
         name
         for name, declaration in declarations[0].items()
         if all(name in scenario and scenario[name].type_name == declaration.type_name for scenario in declarations)
     ]
-    columns = {name: [_parse_declared_value(scenario[name]) for scenario in declarations] for name in names}
+    columns = {name: [as_declared(scenario[name].value, scenario[name]) for scenario in declarations] for name in names}
     columns = {name: values for name, values in columns.items() if len(set(values)) > 1}
     parameters = [_make_parameter(name, values) for name, values in columns.items()]
     if len(set(zip(*columns.values(), strict=True))) < len(scenarios):
@@ -115,14 +100,6 @@ def _find_varied_parameters(
     return rows, ParameterSpace(parameters).with_types(
         [first_declared[name] for name in columns if name in first_declared], str(scenarios[0].path)
     )
-
-
-def _parse_declared_value(declaration: ParameterDeclaration) -> Value:
-    try:
-        return convert_to_type(declaration.value, declaration.type_name)
-    except ValueError:
-        # It may be an expression.
-        return declaration.value
 
 
 def _make_parameter(name: str, values: Sequence[Value]) -> Parameter:

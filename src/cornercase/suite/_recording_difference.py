@@ -55,10 +55,7 @@ class RecordingDifference:
 def compare_recording_pair(
     earlier: Recording, later: Recording, ego: str, scores: Mapping[str, tuple[float, float]] | None = None
 ) -> RecordingDifference:
-    """Compare two recordings of the same scenario.
-
-    If their time steps differ, the earlier path of the ego is interpolated at the later times.
-    """
+    """Compare two recordings of a scenario, with the earlier path of the ego interpolated at the later times."""
     distances = _ego_distances(earlier, later, ego)
     is_known = np.isfinite(distances)
     exceeding = np.flatnonzero(is_known & (distances > DISTANCE_TOLERANCE))
@@ -72,10 +69,7 @@ def compare_recording_pair(
 
 
 def _ego_distances(earlier: Recording, later: Recording, ego: str) -> FloatArray:
-    """Return the distance in m between the two positions of the ego, at the times of the later recording, shape (T,).
-
-    It is NaN while the ego is absent in one of the recordings.
-    """
+    """Return the distances in m of the ego at the later times, shape (T,); NaN while it is absent in one of them."""
     i, j = earlier.entity_index(ego), later.entity_index(ego)
     # NaN beyond its ends, and between a time with the ego and one without.
     x, y = (

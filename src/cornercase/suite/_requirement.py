@@ -107,6 +107,14 @@ class Requirement:
         return not self.pattern or fnmatchcase(kind if self.is_for_clusters else file, self.pattern.replace("[", "[[]"))
 
 
+def parse_requirement_from(source: str, text: str) -> Requirement:
+    """Parse a requirement that the user did not write as an argument; `source` begins the message of an error."""
+    try:
+        return Requirement.parse(text)
+    except InputError as error:
+        raise InputError(f"{source}{str(error).removeprefix('`require` ')}") from error
+
+
 def requirement_prefix(pattern: str, *, is_for_clusters: bool = False) -> str:
     """Return the text before a requirement that limits it to files, or clusters, whose name matches a pattern."""
     if is_for_clusters or not _UNQUOTED_PATTERN.fullmatch(pattern):

@@ -1,19 +1,28 @@
-"""Read requirements from a TOML or YAML file."""
+"""Read requirements from a TOML or YAML file, and from the criteria of ScenarioRunner in scenario files."""
 
 from __future__ import annotations
 
-import tomllib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
 from cornercase._common.errors import InputError, suggest_name
-from cornercase._common.io.files import read_file
-from cornercase.suite._requirement import Requirement, requirement_prefix
+from cornercase._common.io.files import parse_toml, read_utf8
+from cornercase._common.io.support_table import issue_notice_warning
+from cornercase.scenario._runner_criteria import read_runner_criteria
+from cornercase.suite._requirement import Requirement, parse_requirement_from, requirement_prefix
+from cornercase.suite._suite_contents import SuiteContents
 
 _LIST_KEY: Final = "require"
 # Tables of further lists, and the names their patterns are for.
 _PATTERN_TABLES: Final = {"for": "file names", "kind": "names of kinds"}
 _MAX_FILE_BYTES: Final = 1_000_000
+# Criteria that a recording can answer; others need lanes, signals or routes of CARLA's map.
+_REQUIREMENT_TEMPLATES: Final[dict[str, Callable[[float | None], str | None]]] = {
+    "CollisionTest": lambda _: "no collision",
+    "DrivenDistanceTest": lambda least: None if least is None else f"drive {least:.15g}",
+    "MaxVelocityTest": lambda most: None if most is None else f"ego.speed <= {most:.15g} m/s",
+}
 
 
 def read_requirements(path: Path) -> list[Requirement]:
@@ -41,14 +50,7 @@ def read_requirements(path: Path) -> list[Requirement]:
             lines += [f"{prefix}{line}" for line in _require_text_list(path, pattern, requirements)]
     if not lines:
         raise InputError(f'{path}: holds no requirement; write {_LIST_KEY} = ["no collision"].')
-    return [_parse_requirement(path, line) for line in lines]
-
-
-def _parse_requirement(path: Path, text: str) -> Requirement:
-    try:
-        return Requirement.parse(text)
-    except InputError as error:
-        raise InputError(f"{path}: {str(error).removeprefix('`require` ')}") from error
+    return [parse_requirement_from(f"{path}: ", line) for line in lines]
 
 
 def _require_text_list(path: Path, name: str, value: object) -> list[str]:
@@ -58,21 +60,9 @@ def _require_text_list(path: Path, name: str, value: object) -> list[str]:
 
 
 def _load_file(path: Path) -> Any:
-    content = read_file(path, _MAX_FILE_BYTES)
-    try:
-        text = content.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: is not UTF-8 text ({error.reason}).") from error
-    if path.suffix.lower() in (".yaml", ".yml"):
-        return _load_yaml(path, text)
-    try:
-        return tomllib.loads(text)
-    except (ValueError, RecursionError) as error:
-        # Also raised for integers that are too long for Python.
-        raise InputError(f"{path}: is not valid TOML ({str(error)[:200]}).") from error
-
-
-def _load_yaml(path: Path, text: str) -> Any:
+    text = read_utf8(path, _MAX_FILE_BYTES)
+    if path.suffix.lower() not in (".yaml", ".yml"):
+        return parse_toml(path, text)
     try:
         import yaml
     except ImportError as error:
@@ -83,3 +73,43 @@ def _load_yaml(path: Path, text: str) -> Any:
         return yaml.safe_load(text)
     except (yaml.YAMLError, RecursionError, ValueError) as error:
         raise InputError(f"{path}: is not valid YAML ({' '.join(str(error).split())[:200]}).") from error
+
+
+def requirements_from_files(suite: SuiteContents) -> list[Requirement]:
+    """Make requirements from the criteria in the files of a suite, and warn about those that no recording decides."""
+    files_of: dict[str, list[str]] = {}
+    ignored: dict[str, None] = {}
+    for scenario in suite.runnable_scenarios:
+        for criterion in read_runner_criteria(scenario.scenario.root, scenario.scenario.scope([{}])):
+            template = _REQUIREMENT_TEMPLATES.get(criterion.name)
+            meaning = None if template is None else template(criterion.threshold)
+            if meaning is None:
+                ignored[criterion.name] = None
+            elif scenario.file_name not in files_of.setdefault(meaning, []):
+                files_of[meaning].append(scenario.file_name)
+    reason = "a recording cannot answer them, or they lack a bound"
+    if not files_of:
+        note = f" (not used: {', '.join(ignored)}; {reason})" if ignored else ""
+        raise InputError(
+            f"`require_from_file`: {suite.folder} has none of ScenarioRunner's criteria that can be used as"
+            f" requirements, which are {', '.join(_REQUIREMENT_TEMPLATES)}{note}; give requirements with `require`."
+        )
+    if ignored:
+        issue_notice_warning(
+            f"not used as requirements from {_describe_sources(suite)}: {', '.join(ignored)}; {reason}"
+        )
+    texts = []
+    for meaning, files in files_of.items():
+        if len(files) == len(suite.runnable_scenarios):
+            texts.append(meaning)
+        else:
+            texts += [f"{requirement_prefix(file)}{meaning}" for file in files]
+    source = f"`require_from_file`: a criterion in {suite.folder} requires "
+    return [parse_requirement_from(source, text) for text in texts]
+
+
+def _describe_sources(suite: SuiteContents) -> str:
+    """Return the name of the file or folder that the criteria come from."""
+    if len(suite.runnable_scenarios) == 1:
+        return suite.runnable_scenarios[0].file_name
+    return f"the scenarios of {suite.folder.resolve().name}"

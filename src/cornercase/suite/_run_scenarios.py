@@ -1,9 +1,9 @@
-"""Run the scenarios of a suite, measure them and store the results."""
+"""Run the scenarios of a suite, also with reference drivers, measure them and store the results."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -13,6 +13,7 @@ from cornercase._common.errors import InputError, SimulationError
 from cornercase._common.io.support_table import deduplicate_notices, warn_notices
 from cornercase._common.process.signals import collect_interrupts
 from cornercase._common.progress import ProgressBar
+from cornercase.drivers.references.r157._preventability import assess_preventability
 from cornercase.exploration._repeatability import check_repeatability
 from cornercase.metrics import METRICS, Metric
 from cornercase.metrics._measure import evaluate_metrics
@@ -22,6 +23,8 @@ from cornercase.simulators._results import find_refusals, get_simulator_class, l
 from cornercase.simulators._run_notices import RunNotices, warn_if_ego_has_no_driver
 from cornercase.study import ScenarioRecord, StudyFile, StudyMeta
 from cornercase.study._study_file import open_or_create_study
+from cornercase.suite._judge import depends_on_reference
+from cornercase.suite._requirement import Requirement
 from cornercase.suite._suite_contents import SuiteContents, SuiteScenario
 
 _NONDETERMINISM_ADVICE: Final = (
@@ -46,12 +49,7 @@ def mark_unsupported(suite: SuiteContents, simulator: Simulator) -> SuiteContent
 def run_pending_scenarios(
     suite: SuiteContents, meta: StudyMeta, simulator: Simulator, study_path: Path, workers: int | None, progress: bool
 ) -> int:
-    """Run the scenarios that the study does not hold yet, and store each result as soon as a scenario has ended.
-
-    `workers` is the number of parallel simulators; None means as many as a cluster has. Return the number of scenarios
-    that had ended before. `InputError` if no scenario can be run, or if the study has other scenarios or settings; the
-    study then stays as it was.
-    """
+    """Run the scenarios that the study lacks, and store each result at once; return how many had ended before."""
     _warn_about_files(suite, simulator, meta.ego)
     metrics = [METRICS.create(name) for name in meta.metrics]
     with open_or_create_study(study_path, meta) as study:
@@ -60,17 +58,15 @@ def run_pending_scenarios(
         rows = study.rows() or study.writer.add_pending(1, meta.space.points(values), values)
         n_before = sum(row.state != "pending" for row in rows)
         notices = RunNotices(simulator)
-        bar = ProgressBar(len(rows), "testing", "scenarios") if progress else None
+        bar = ProgressBar(len(rows), "testing", "scenarios", enabled=progress)
         try:
             with collect_interrupts() as raise_interrupt:
                 for n_done in _run_pending(study, rows, suite.scenarios, simulator, metrics, workers, notices):
                     raise_interrupt()
-                    if bar is not None:
-                        bar.update(n_done, "")
+                    bar.update(n_done, "")
                 check_repeatability(study, partial(_run_again, suite, simulator), _NONDETERMINISM_ADVICE)
         finally:
-            if bar is not None:
-                bar.stop()
+            bar.stop()
             notices.issue_warnings()
         failed = study.failed_rows()
         if not study.finished_rows():
@@ -141,3 +137,32 @@ def _run_pending(
             yield done
         # Let the simulator clean up.
         next(outcomes, None)
+
+
+def run_reference_drivers(
+    suite: SuiteContents,
+    study: StudyFile,
+    requirements: Sequence[Requirement],
+    simulators_by_driver: Mapping[str, Simulator],
+) -> None:
+    """Run scenarios again whose verdict depends on reference drivers, and store the outcomes that the study lacks."""
+    ego, others = study.meta.ego, study.meta.others
+    for name, simulator in simulators_by_driver.items():
+        applicable = [item for item in requirements if name in item.expression.reference_drivers]
+        rows = [row for row in study.finished_rows() if _needs_reference_run(suite, study, row, name, applicable)]
+        outcomes = run_scenarios(simulator, [suite.scenarios[row.id - 1].concrete_scenario for row in rows])
+        for row, run in zip(rows, outcomes, strict=False):
+            if not isinstance(run, SimulationError):
+                outcome = assess_preventability(name, run, study.recording(row.id), ego, others)
+                study.writer.save_reference_outcome(row.id, name, outcome)
+
+
+def _needs_reference_run(
+    suite: SuiteContents, study: StudyFile, row: ScenarioRecord, reference: str, requirements: Sequence[Requirement]
+) -> bool:
+    scenario = suite.scenarios[row.id - 1]
+    applicable = [item for item in requirements if item.applies_to(scenario.file_name, scenario.cluster_name)]
+    if not applicable or study.reference_outcome(row.id, reference) is not None:
+        return False
+    recording, ego, others = study.recording(row.id), study.meta.ego, study.meta.others
+    return any(depends_on_reference(item, recording, ego, others) for item in applicable)

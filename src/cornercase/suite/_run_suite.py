@@ -14,13 +14,7 @@ from cornercase._common.io.files import check_output_differs_from_source, check_
 from cornercase._common.option import check_options, document_options
 from cornercase._common.process.dask import open_connection
 from cornercase._common.text.sanitize import escape_control_characters, remove_folders
-from cornercase._common.validation import (
-    check_bool,
-    check_mapping,
-    check_str,
-    check_str_sequence,
-    repr_short,
-)
+from cornercase._common.validation import check_bool, check_mapping, check_str, check_str_sequence, repr_short
 from cornercase._common.validation import check_path as path_argument
 from cornercase.drivers import Driver
 from cornercase.drivers._resolve import is_driver, resolve_driver
@@ -35,22 +29,18 @@ from cornercase.simulators._run_options import RUN_OPTIONS, RunKeywords
 from cornercase.study import StudyFile, StudyMeta
 from cornercase.study._stored_paths import stored_path
 from cornercase.suite._baseline import compare_with_baseline, find_baseline_study
-from cornercase.suite._criteria_requirements import requirements_from_files
 from cornercase.suite._judge import judge_scenario
 from cornercase.suite._junit import JUNIT_START, write_junit
 from cornercase.suite._markdown import HEADING_START, write_markdown_summary
 from cornercase.suite._mutation_analysis import analyze_suite_mutants, draw_mutants, require_builtin_simulator
 from cornercase.suite._read_suite import read_suite
-from cornercase.suite._reference_drivers import run_reference_drivers
 from cornercase.suite._requirement import Requirement
-from cornercase.suite._requirement_files import read_requirements
-from cornercase.suite._run_scenarios import mark_unsupported, run_pending_scenarios
-from cornercase.suite._suite_contents import SuiteContents
+from cornercase.suite._requirement_files import read_requirements, requirements_from_files
+from cornercase.suite._run_scenarios import mark_unsupported, run_pending_scenarios, run_reference_drivers
+from cornercase.suite._suite_contents import DEFAULT_SETTINGS, SuiteContents
 from cornercase.suite._suite_result import ScenarioResult, SuiteResult
 from cornercase.suite._verdict import Verdict, worst_state
 
-_DEFAULT_SETTINGS: Final[dict[str, Any]] = {"time_step": 0.05, "duration": 60.0, "on_collision": "continue"}
-_BUILTIN: Final = "builtin"
 _RAN_REQUIREMENT: Final = "runs"
 
 
@@ -68,7 +58,7 @@ class SuiteKeywords(RunKeywords, total=False):
 
 
 SUITE_OPTIONS: Final = {name: OPTIONS[name] for name in SuiteKeywords.__annotations__}
-for _name in ("ego", "other", "metrics", "simulator", *_DEFAULT_SETTINGS):
+for _name in ("ego", "other", "metrics", "simulator", *DEFAULT_SETTINGS):
     SUITE_OPTIONS[_name] = OPTIONS[_name].with_default_of("as in the manifest")
 
 
@@ -161,7 +151,7 @@ def run_suite(
     contents, entities = _resolve_entities(contents, given["ego"], given["other"], parsed, given["drivers"])
     settings = {
         name: contents.settings.get(name, default) if given[name] is None else given[name]
-        for name, default in _DEFAULT_SETTINGS.items()
+        for name, default in DEFAULT_SETTINGS.items()
     }
     name = _choose_simulator(contents, given["simulator"])
     settings["drivers"] = _resolve_drivers(contents, given["drivers"])
@@ -225,17 +215,18 @@ def _prepare_outputs(
     targets: list[tuple[Callable[[SuiteResult, Path], None], Path]] = []
     outputs = (("junit", junit, write_junit, JUNIT_START), ("summary", summary, write_markdown_summary, HEADING_START))
     for name, target, write, first_bytes in outputs:
-        if target is not None:
-            file = path_argument(name, target)
-            for source in inputs:
-                check_output_differs_from_source(file, source, name)
-            # Check before hours of simulations.
-            check_writable_file(name, file)
-            check_output_is_not_study(file, study, name)
-            _require_own_output(name, file, first_bytes)
-            if any(file.resolve() == other.resolve() for _, other in targets):
-                raise InputError(f"`{name}` {file}: is the JUnit file too; choose another name.")
-            targets.append((write, file))
+        if target is None:
+            continue
+        file = path_argument(name, target)
+        for source in inputs:
+            check_output_differs_from_source(file, source, name)
+        # Check before hours of simulations.
+        check_writable_file(name, file)
+        check_output_is_not_study(file, study, name)
+        _require_own_output(name, file, first_bytes)
+        if any(file.resolve() == other.resolve() for _, other in targets):
+            raise InputError(f"`{name}` {file}: is the JUnit file too; choose another name.")
+        targets.append((write, file))
     for _, file in targets:
         # Remove outputs of earlier runs, which would remain if no scenario can be run.
         file.unlink(missing_ok=True)
@@ -259,7 +250,6 @@ def _parse_requirements(require: Sequence[str], requirements: Path | str | None)
 
 
 def _remove_duplicates(requirements: Sequence[Requirement]) -> list[Requirement]:
-    """Return the requirements without duplicates."""
     return list({requirement.text: requirement for requirement in requirements}.values())
 
 
@@ -270,10 +260,7 @@ def _resolve_entities(
     requirements: Sequence[Requirement],
     drivers: Mapping[str, object],
 ) -> tuple[SuiteContents, tuple[str, tuple[str, ...]]]:
-    """Return the suite, in which scenarios that lack an entity are marked, and the names of the ego and the others.
-
-    `InputError` if all scenarios lack one of the entities.
-    """
+    """Return the suite, with a mark where an entity is lacking, and the names of the ego and the others."""
     for role, given, own in (("ego", ego, suite.ego), ("other", other, suite.other)):
         if given is None and not own:
             raise InputError(f"`{role}`: {suite.path} does not define it; name an entity.")
@@ -351,7 +338,7 @@ def _choose_simulator(suite: SuiteContents, requested: str | Simulator | None) -
             f"`simulator`: {suite.path} names '{suite.simulator[:100]}', whose options could run programs; give"
             " `simulator` yourself."
         )
-    return name or _BUILTIN
+    return name or "builtin"
 
 
 def _resolve_drivers(suite: SuiteContents, requested: Mapping[str, str | Driver] | None) -> dict[str, str | Driver]:
@@ -418,11 +405,13 @@ def _build_result(
         verdicts = judge_scenario(study, row, requirements)
         failed = row.state == "failed"
         duration = None
+        ran = Verdict("inconclusive", _RAN_REQUIREMENT, f"it failed: {row.error}")
         if not failed:
             time = study.recording(row.id).time
             duration = float(time[-1] - time[0])
+            ran = Verdict("passed", _RAN_REQUIREMENT, f"it ran for {duration:.6g} s", value=duration)
         if not requirements:
-            verdicts = [_ran_verdict(row.error if failed else None, duration)]
+            verdicts = [ran]
         scenarios.append(
             ScenarioResult(
                 id=row.id,
@@ -451,9 +440,3 @@ def _build_result(
         against=baseline,
         no_comparison_reason=no_baseline_reason,
     )
-
-
-def _ran_verdict(error: str | None, duration: float | None) -> Verdict:
-    if duration is None:
-        return Verdict("inconclusive", _RAN_REQUIREMENT, f"it failed: {error}")
-    return Verdict("passed", _RAN_REQUIREMENT, f"it ran for {duration:.6g} s", value=duration)

@@ -7,11 +7,17 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from cornercase._common.errors import InputError
 from cornercase.scenario import ConcreteScenario, ParameterSpace, Value
 from cornercase.scenario._file import ScenarioFile
+from cornercase.simulators._run_options import SIMULATION_OPTIONS
+
+DEFAULT_SETTINGS: Final[dict[str, Any]] = {
+    name: SIMULATION_OPTIONS[name].default for name in ("time_step", "duration", "on_collision")
+}
+"""Settings of a suite that does not define them."""
 
 
 @dataclass(frozen=True)

@@ -40,8 +40,5 @@ class Verdict:
 
 
 def worst_state(verdicts: Iterable[Verdict]) -> VerdictState:
-    """Return the worst state of several verdicts; inconclusive if there are no verdicts.
-
-    From worst to best, the states are failed, inconclusive and passed.
-    """
+    """Return the worst state of several verdicts; inconclusive if there are none."""
     return max((verdict.state for verdict in verdicts), key=_STATES_BEST_FIRST.index, default="inconclusive")

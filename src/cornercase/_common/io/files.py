@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import os
 import re
+import tomllib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from cornercase._common.errors import InputError
 from cornercase._common.io.atomic import SQLITE_SUFFIXES, atomic_write_group, current_or_new_group, write_error
@@ -58,6 +59,23 @@ def read_file(path: Path | str, max_size: int = MAX_FILE_SIZE) -> bytes:
     if len(content) > max_size:
         raise InputError(f"{path}: has more than {max_size} bytes; larger files are not read.")
     return content
+
+
+def read_utf8(path: Path, max_size: int = MAX_FILE_SIZE) -> str:
+    """Return the text of a file in UTF-8; `InputError` as in `read_file`, or if it is in another encoding."""
+    try:
+        return read_file(path, max_size).decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: is not UTF-8 text ({error.reason}).") from error
+
+
+def parse_toml(path: Path, text: str) -> dict[str, Any]:
+    """Parse the text of a TOML file; `InputError` if it is not valid."""
+    try:
+        return tomllib.loads(text)
+    except (ValueError, RecursionError) as error:
+        # Also raised for integers that are too long for Python.
+        raise InputError(f"{path}: is not valid TOML ({str(error)[:200]}).") from error
 
 
 @contextmanager

@@ -20,7 +20,6 @@ from cornercase.scenario import Value
 from cornercase.scenario._other_formats import later_minor_version
 from cornercase.scenario._scope import Scope
 from cornercase.simulators.builtin._entities import read_entities
-from cornercase.simulators.builtin._openscenario_support import check_elements_supported
 from cornercase.simulators.builtin._prepared_file import PreparedScenario, UnusableValuesError
 from cornercase.simulators.builtin._stepper import Coupling, Stepper
 from cornercase.simulators.builtin.actions._controller import DriverControl, DriverError, create_file_driver
@@ -32,7 +31,6 @@ from cornercase.simulators.builtin.world._traffic_signals import read_signal_con
 from cornercase.simulators.builtin.world._world import World
 
 _MAX_ENTITIES: Final = 500
-_OBJECT_TYPES: Final = {"pedestrian": "pedestrian", "misc": "miscellaneous"}
 
 
 class Batch:
@@ -56,7 +54,7 @@ class Batch:
         drivers: Mapping[str, Driver | str],
         coupling: Coupling | None = None,
     ) -> None:
-        scope, self._file_name = prepared.scope(values), prepared.scenario.path.name
+        scope, self._file_name = prepared.scenario.scope(values), prepared.scenario.path.name
         self._time_step = time_step
         self.failure: DriverError | None = None
         try:
@@ -70,7 +68,7 @@ class Batch:
 
     def _read_file(self, prepared: PreparedScenario, scope: Scope, drivers: Mapping[str, Driver | str]) -> None:
         scenario = prepared.scenario
-        check_elements_supported(prepared)
+        prepared.check_elements_supported()
         storyboard = scenario.root.find("Storyboard")
         init_element = None if storyboard is None else storyboard.find("Init")
         reference = storyboard if init_element is None else init_element
@@ -113,7 +111,7 @@ class Batch:
             self._world.assign_control(e, np.ones(scope.n_scenarios, dtype=np.bool_), number, True)
         self._storyboard = Storyboard(scenario, scope, self._world)
         # Again, as catalog entries have been read meanwhile.
-        check_elements_supported(prepared)
+        prepared.check_elements_supported()
         for message, mask in scope.invalid_values():
             self._world.fail(mask, message)
 
@@ -128,10 +126,7 @@ class Batch:
 
     @property
     def remarks(self) -> list[str]:
-        """Return sentences about drivers that exceeded vehicle limits, and about deviations from the file.
-
-        Call it after the run.
-        """
+        """Return, after the run, sentences about limits that drivers exceeded, and about deviations from the file."""
         if self.failure is not None and self._world.scenarios > 1:
             return []
         # Actions name their line, and their file only if it is not the scenario file.
@@ -139,10 +134,7 @@ class Batch:
         return [*remarks, *(text for remark in self._driver_actions for text in remark.limit_notices.values())]
 
     def run(self, n_threads: int = 1, gil_lock: Lock | None = None) -> None:
-        """Run until every scenario has ended or a driver fails.
-
-        `gil_lock` is held while Python code runs, and released in compiled code.
-        """
+        """Run until every scenario has ended or a driver fails; `gil_lock` is released in compiled code."""
         # Failed scenarios are still computed, but their results are not used.
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             try:
@@ -203,8 +195,7 @@ class Batch:
     @cached_property
     def _recording_sizes(self) -> list[int]:
         scene = self._stepper.scene
-        sizes: list[int] = (scene.n_frames * scene.pages[0, :, :, 0].nbytes).tolist()
-        return sizes
+        return list(map(int, scene.n_frames * scene.pages[0, :, :, 0].nbytes))
 
     @cached_property
     def _is_cut_off(self) -> BoolArray:
@@ -228,13 +219,12 @@ class Batch:
 
 
 def _to_parameter_array(value: Any, n_scenarios: int) -> Any:
-    if isinstance(value, bool | np.bool_ | str):
-        text = str(value).lower() if not isinstance(value, str) else value
-        return np.full(n_scenarios, text)
     array = np.asarray(value)
     if array.dtype.kind == "b":
-        return np.broadcast_to(np.where(array, "true", "false"), (n_scenarios,)).copy()
-    return np.broadcast_to(array.astype(np.float64), (n_scenarios,)).copy()
+        array = np.where(array, "true", "false")
+    elif array.dtype.kind != "U":
+        array = array.astype(np.float64)
+    return np.broadcast_to(array, (n_scenarios,)).copy()
 
 
 def _read_entity_selections(root: etree._Element, world: World, scope: Scope) -> dict[str, list[int]]:
@@ -246,10 +236,6 @@ def _read_entity_selections(root: etree._Element, world: World, scope: Scope) ->
             continue
         rows = read_entity_refs(members, scope, world)
         for by_type in members.iterfind("ByType"):
-            object_type = scope.read_text(by_type, "objectType")
-            of_type = [
-                k for k, entity in enumerate(world.entities) if _OBJECT_TYPES.get(entity.kind, "vehicle") == object_type
-            ]
-            rows += [k for k in of_type if k not in rows]
+            rows += [k for k in world.entities_of_type(scope.read_text(by_type, "objectType")) if k not in rows]
         selections[scope.read_text(selection, "name")] = rows
     return selections

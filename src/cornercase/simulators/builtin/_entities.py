@@ -8,9 +8,8 @@ from typing import Final
 import numpy as np
 from lxml import etree
 
-from cornercase._common.errors import InputError, suggest_name
+from cornercase._common.errors import suggest_name
 from cornercase._common.io.tracked_xml import find_by_name, find_untracked, note_adaptation
-from cornercase._common.text.source_lines import format_location
 from cornercase.scenario._scope import Scope
 from cornercase.simulators.builtin.track_kernels._track_layout import ALONG_SEGMENTS, AT_CORNERS, AT_VERTICES
 from cornercase.simulators.builtin.world._trailers import MAX_TRAILERS, read_tow, sort_front_to_back
@@ -45,11 +44,7 @@ _LIMIT_ATTRIBUTES: Final = ("maxSpeed", "maxAcceleration", "maxDeceleration")
 
 
 def read_entities(objects: Sequence[etree._Element], scope: Scope) -> tuple[tuple[Entity, ...], tuple[Tow, ...]]:
-    """Read all entities of a file, and which vehicle pulls which trailer (from front to back).
-
-    The entities of the file come first, in order, then trailers without a name of their own. Such a trailer is named
-    after its vehicle, with ``+``. Raises `InputError` for malformed entities, and for trailers that cannot be pulled.
-    """
+    """Read all entities of a file, then unnamed trailers (their vehicle with ``+``), and who pulls them."""
     bodies = [_resolve_body(element, element.get("name", ""), scope) for element in objects]
     names = [element.get("name", "") for element in objects]
     entities = [_read_entity(body, name, body_scope) for name, (body, body_scope) in zip(names, bodies, strict=True)]
@@ -59,10 +54,10 @@ def read_entities(objects: Sequence[etree._Element], scope: Scope) -> tuple[tupl
         for trailer in _iter_trailers(body, body_scope, names[k]):
             if isinstance(trailer, str):
                 if trailer not in names:
-                    raise InputError(
-                        f"{format_location(body, body_scope.file_name)}: <Trailer>: the entity"
-                        f" '{names[k]}' pulls '{trailer}',"
-                        f" which does not exist; {suggest_name(trailer, names)}"
+                    raise body_scope.error_at(
+                        body,
+                        f"<Trailer>: the entity '{names[k]}' pulls"
+                        f" '{trailer}', which does not exist; {suggest_name(trailer, names)}",
                     )
                 pairs.append((front, names.index(trailer)))
                 break
@@ -83,10 +78,10 @@ def _resolve_body(element: etree._Element, name: str, scope: Scope) -> tuple[etr
     elif body is not None:
         scope = scope.nested_scope(body)
     if body is None or body.tag not in ("Vehicle", "Pedestrian", "MiscObject"):
-        raise InputError(
-            f"{format_location(element, outer_scope.file_name)}: the <{element.tag}> '{name}' is"
-            f" not a vehicle, pedestrian or"
-            " misc object, the only ones that the builtin simulator can move."
+        raise outer_scope.error_at(
+            element,
+            f"the <{element.tag}> '{name}' is not a vehicle,"
+            " pedestrian or misc object, the only ones that the builtin simulator can move.",
         )
     return body, scope
 
@@ -102,20 +97,15 @@ def _read_entity(body: etree._Element, name: str, scope: Scope) -> Entity:
         limits = [scope.read_number(performance, a, np.inf) for a in _LIMIT_ATTRIBUTES]
         for attribute, limit in zip(_LIMIT_ATTRIBUTES, limits, strict=True):
             if limit < 0.0:
-                location = format_location(performance, scope.file_name)
-                raise InputError(
-                    f"{location}: <Performance>: {attribute} of '{name}' is {limit:g}; it must not be below 0."
+                raise scope.error_at(
+                    performance, f"<Performance>: {attribute} of '{name}' is {limit:g}; it must not be below 0."
                 )
     length, width, center_x = _read_bounding_box(body, kind, scope)
     if not (length > 0 and width > 0):
-        raise InputError(
-            f"{format_location(body, scope.file_name)}: <Dimensions>: the bounding box of '{name}' needs a positive"
-            " length and width."
-        )
+        raise scope.error_at(body, f"<Dimensions>: the bounding box of '{name}' needs a positive length and width.")
     if max(length, width, abs(center_x)) > _MAX_SIZE:
-        raise InputError(
-            f"{format_location(body, scope.file_name)}: <BoundingBox>: the bounding box of '{name}' is larger than"
-            f" {_MAX_SIZE:g} m; give it in m."
+        raise scope.error_at(
+            body, f"<BoundingBox>: the bounding box of '{name}' is larger than {_MAX_SIZE:g} m; give it in m."
         )
     # Two properties that esmini defines.
     items = find_untracked(body, "Properties", "Property")
@@ -128,10 +118,7 @@ def _read_entity(body: etree._Element, name: str, scope: Scope) -> Entity:
 
 
 def _read_bounding_box(body: etree._Element, object_type: str, scope: Scope) -> tuple[float, float, float]:
-    """Return length, width and longitudinal centre of the bounding box in m.
-
-    Defaults for the entity's type if missing.
-    """
+    """Return length, width and longitudinal centre of the box in m, by default those of the entity's type."""
     dimensions, center = body.find("BoundingBox/Dimensions"), body.find("BoundingBox/Center")
     length, width, default_center_x = _DEFAULT_SIZES.get(object_type, _DEFAULT_SIZES["car"])
     given = {} if dimensions is None else {key: scope.read_number(dimensions, key, 0.0) for key in ("length", "width")}
@@ -163,10 +150,7 @@ def _iter_trailers(
             return
         body, scope = _resolve_body(inner, vehicle_name, scope)
         yield body, scope
-    location = format_location(body, scope.file_name)
-    raise InputError(
-        f"{location}: the <Trailer> of the entity '{vehicle_name}' pulls more than {MAX_TRAILERS} trailers."
-    )
+    raise scope.error_at(body, f"the <Trailer> of the entity '{vehicle_name}' pulls more than {MAX_TRAILERS} trailers.")
 
 
 def _referenced_entity(holder: etree._Element, scope: Scope) -> str:

@@ -11,13 +11,16 @@ from typing import Final
 from lxml import etree
 
 from cornercase._common.errors import InputError
+from cornercase._common.io.support_table import SupportTable, tag_without_namespace
 from cornercase._common.text.source_lines import remove_file_prefix
 from cornercase.roads._network import RoadNetwork
 from cornercase.scenario import ParameterDeclaration, Value
 from cornercase.scenario._constraints import read_declarations
 from cornercase.scenario._file import ScenarioFile
-from cornercase.scenario._scope import Scope
 from cornercase.scenario._types import find_type_errors, format_value
+
+OPENSCENARIO_SUPPORT: Final = SupportTable.from_csv("cornercase.simulators.builtin", "openscenario.csv")
+"""Elements and attributes of OpenSCENARIO XML 1.3, and those of earlier versions that are still read."""
 
 # Bytes per scenario: of a trajectory, of a vertex, of sampled curves per km, of what a driver gets of a trajectory.
 _BYTES_PER_TRAJECTORY: Final = 1_000
@@ -44,14 +47,13 @@ class PreparedScenario:
     """A scenario file, with everything that its batches have in common.
 
     `split_parameters`: parameters that determine the storyboard; they must be equal in all scenarios of a batch.
-    `checked_elements`: ids of elements that were checked for unsupported content.
     """
 
     def __init__(self, scenario: ScenarioFile) -> None:
         self.scenario = scenario
         self.split_parameters: set[str] = set()
         self._error_with_own_values: str | None = None
-        self.checked_elements: set[int] = set()
+        self._checked_elements: set[int] = set()
         self.networks: dict[Path, RoadNetwork] = {}
 
     @classmethod
@@ -62,9 +64,13 @@ class PreparedScenario:
         prepared: PreparedScenario = scenario.cache[cls]
         return prepared
 
-    def scope(self, values: Sequence[Mapping[str, Value]]) -> Scope:
-        """Return the parameters of the file for scenarios with these values."""
-        return Scope.from_file(str(self.scenario.path), self.scenario.root, values, self.scenario.find_catalog_entry)
+    def check_elements_supported(self) -> None:
+        """Raise `InputError` for the first unsupported element or attribute in what was read since the last call."""
+        for file, element in self.scenario.used_elements():
+            # The file holds its elements, so their ids stay valid.
+            if id(element) not in self._checked_elements and tag_without_namespace(element) != "OpenDRIVE":
+                OPENSCENARIO_SUPPORT.check_supported(element, file)
+                self._checked_elements.add(id(element))
 
     def find_invalid_values(self, values: Sequence[Mapping[str, Value]]) -> dict[int, str]:
         """Return, by index, why a scenario has a value that its parameter cannot have."""
@@ -95,7 +101,7 @@ class PreparedScenario:
     def _own_values(self) -> dict[str, str]:
         """Return the default values of the file's parameters as texts; empty if they cannot be evaluated."""
         try:
-            values = self.scope([{}]).parameter_values
+            values = self.scenario.scope([{}]).parameter_values
         except InputError:
             return {}
         return {name: format_value(value) for name, value in values.items()}
@@ -129,7 +135,6 @@ class PreparedScenario:
 
     @cached_property
     def declarations(self) -> tuple[ParameterDeclaration, ...]:
-        """Return the declarations of the file's parameters."""
         return read_declarations(self.scenario.root, str(self.scenario.path))
 
     def road_network(self, reference: str) -> RoadNetwork:

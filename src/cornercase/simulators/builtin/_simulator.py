@@ -75,7 +75,7 @@ class Builtin(Simulator):
         self.settings = check_settings(time_step, duration, on_collision, drivers)
         self._time_step, self._duration, self._on_collision = time_step, duration, on_collision
         self._drivers = dict(drivers or {})
-        self._prepared: PreparedScenario | None = None
+        self._last_scenario: ScenarioFile | None = None
 
     @classmethod
     def availability(cls) -> Availability:
@@ -170,10 +170,8 @@ class Builtin(Simulator):
 
     def _prepare(self, concrete: ConcreteScenario) -> PreparedScenario:
         """Return the prepared file of a concrete scenario; that of the last run if its content is the same."""
-        scenario = concrete.load_file(None if self._prepared is None else self._prepared.scenario)
-        if self._prepared is None or self._prepared.scenario is not scenario:
-            self._prepared = PreparedScenario.from_scenario(scenario)
-        return self._prepared
+        self._last_scenario = concrete.load_file(self._last_scenario)
+        return PreparedScenario.from_scenario(self._last_scenario)
 
     def _make_batch(self, prepared: PreparedScenario, concretes: Sequence[ConcreteScenario]) -> Batch:
         return Batch(

@@ -236,10 +236,7 @@ class Stepper:
         self._run_range(0, self._world.scenarios)
 
     def _ask_drivers(self, waiting: BoolArray) -> None:
-        """Let Python decide speeds in those scenarios of a mask that are behind the others, and run them on.
-
-        So a driver is asked once in each time step, for all scenarios.
-        """
+        """Let Python decide speeds where scenarios are behind the others, so it is asked once in each time step."""
         world, loop, frames = self._world, self._loop_state, self.scene.n_frames
         waiting = waiting & (frames == frames[waiting].min())
         number = int(loop.next_driver[waiting].min())
@@ -259,10 +256,7 @@ class Stepper:
         self._run_until_stopped(has_new_tracks=False)
 
     def _publish_triggers(self) -> BoolArray:
-        """Publish pending triggers to the compiled loop.
-
-        Return the scenarios whose triggers must be evaluated in Python in the next frame.
-        """
+        """Publish pending triggers to the compiled loop; return where Python evaluates triggers in the next frame."""
         world, leaves, waiting = self._world, self._condition_table, self._storyboard.find_waiting_triggers()
         leaves.is_watched[:] = waiting.T
         # Triggers that depend on earlier values: one more evaluation shows whether they fire.
@@ -278,16 +272,15 @@ class Stepper:
         return np.asarray(in_python)
 
     def _run_until_stopped(self, has_new_tracks: bool = True) -> None:
-        """Run the compiled loop until all scenarios have stopped.
-
-        It also stops where a scenario needs the next lane of a path, or the position of an entity on its road. Python
-        provides them, and the scenario continues.
-        """
+        """Run the compiled loop until all scenarios have stopped; provide the lanes and positions that it asks for."""
         world, status = self._world, self._loop_state.status
         while True:
             if has_new_tracks:
-                self._update_tracks()
-            self._run_compiled_loop()
+                self._tracks = self._track_pool.update(world.tracks)
+                self._give_drivers_their_paths()
+            self._bind_tables()
+            with release_gil_lock(self._gil_lock):
+                list(self._parallel_map(self._run_range, self._bounds[:-1], self._bounds[1:]))
             if status.max() < ACTION_ENDED:
                 return
             needs_lane = status == NEEDS_LANE
@@ -305,15 +298,6 @@ class Stepper:
                 self._storyboard.look_up_positions(needs_lookup)
                 status[needs_lookup & needs_act], status[needs_lookup & needs_move] = ACT, MOVE
             has_new_tracks = True
-
-    def _update_tracks(self) -> None:
-        self._tracks = self._track_pool.update(self._world.tracks)
-        self._give_drivers_their_paths()
-
-    def _run_compiled_loop(self) -> None:
-        self._bind_tables()
-        with release_gil_lock(self._gil_lock):
-            list(self._parallel_map(self._run_range, self._bounds[:-1], self._bounds[1:]))
 
     def _bind_tables(self) -> None:
         tracks, fleet = self._tracks, self._fleet

@@ -21,15 +21,11 @@ from cornercase.scenario._file import ScenarioFile
 from cornercase.scenario._openpass import profile_controller_notices, profiles_file_notice
 from cornercase.scenario._other_formats import NEWEST_MINOR_VERSION, later_minor_version
 from cornercase.simulators.builtin._batch import Batch
-from cornercase.simulators.builtin._openscenario_support import OPENSCENARIO_SUPPORT
-from cornercase.simulators.builtin._prepared_file import PreparedScenario
+from cornercase.simulators.builtin._prepared_file import OPENSCENARIO_SUPPORT, PreparedScenario
 
 
 def read_and_collect_notices(scenario: ScenarioFile, values: Mapping[str, Value] | None = None) -> tuple[Notice, ...]:
-    """Read a scenario as for a run, and return its notices; `values` replace parameters.
-
-    If the scenario cannot be run, reading stops early, and the notices do not cover the rest.
-    """
+    """Read a scenario as for a run, and return its notices; if it cannot be run, those of what was read."""
     try:
         Batch(PreparedScenario.from_scenario(scenario), [dict(values or {})], 0.05, 1.0, False, {})
     except (InputError, BatchSplitError):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -46,12 +47,9 @@ def plan_actors(
 
     An entity that does not react to agent-driven entities moves the same way in each run. So it can follow a trajectory
     without loss, and does so if ScenarioRunner deviates from its storyboard. An entity that reacts is moved by the
-    storyboard, as long as ScenarioRunner does something similar.
-
-    `driven` are the entities that an agent drives. `carla_map_name` is the name of CARLA's map, or empty if the
-    scenario has a road file; trajectories need a road file. `deviations` has reasons why ScenarioRunner's own controls
-    would move an entity elsewhere. `lowest_speeds` has the lowest speed of each entity in the builtin simulator in m/s
-    (default 0). Raises `InputError` if an entity needs a trajectory and there is no road file.
+    storyboard, as long as ScenarioRunner does something similar. `deviations` has reasons why ScenarioRunner's own
+    controls would move an entity elsewhere, `lowest_speeds` the lowest speed of each entity in the builtin simulator in
+    m/s.
     """
     names = [element.get("name", "") for element in root.iterfind("Entities/ScenarioObject")]
     parts = {name: list(_elements_moving(root, name)) for name in names}
@@ -102,10 +100,7 @@ def plan_actors(
 def select_stop_conditions(
     root: etree._Element, actor_plan: ActorPlan, driven: Collection[str]
 ) -> list[etree._Element]:
-    """Return the condition groups of the stop trigger that depend on agent-driven entities and can be kept.
-
-    Adds a note to the plan for each group that cannot be kept.
-    """
+    """Return the groups of the stop trigger that depend on agents and can be kept; the plan notes the others."""
     groups = []
     for group in root.iterfind("Storyboard/StopTrigger/ConditionGroup"):
         all_findings = [*find_unsupported(group), *_find_implicit_deviations(group, root)]
@@ -240,7 +235,6 @@ def _find_unsupported_init_actions(private: etree._Element) -> Iterator[SupportF
 
 
 def _starts_immediately(act: etree._Element) -> bool:
-    """Return whether an act starts with the scenario."""
     trigger = act.find("StartTrigger")
     for condition in () if trigger is None else trigger.iter("Condition"):
         time = condition.find("ByValueCondition/SimulationTimeCondition")
@@ -249,16 +243,12 @@ def _starts_immediately(act: etree._Element) -> bool:
     return True
 
 
-def _approximate_finding(element: etree._Element, note: str) -> SupportFinding:
-    return _make_finding(element, HandlingStatus.APPROXIMATE, note)
-
-
-def _sampled_finding(element: etree._Element, note: str) -> SupportFinding:
-    return _make_finding(element, HandlingStatus.SAMPLED, note)
-
-
-def _make_finding(element: etree._Element, status: HandlingStatus, note: str) -> SupportFinding:
+def _make_finding(status: HandlingStatus, element: etree._Element, note: str) -> SupportFinding:
     return SupportFinding(f"<{element.tag}>", SupportRow(str(element.tag), "", (), status, note), element)
+
+
+_approximate_finding = partial(_make_finding, HandlingStatus.APPROXIMATE)
+_sampled_finding = partial(_make_finding, HandlingStatus.SAMPLED)
 
 
 def _has_cornercase_driver(root: etree._Element, name: str) -> bool:

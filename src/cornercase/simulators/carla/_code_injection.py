@@ -25,10 +25,7 @@ _SUPPORTED_CRITERIA: Final = (
 
 
 def pop_criteria(root: etree._Element) -> dict[str, etree._Element]:
-    """Remove the criteria of ScenarioRunner from the stop trigger, with their groups, and return them by name.
-
-    Such a group never becomes true.
-    """
+    """Remove the groups of ScenarioRunner's criteria, which never become true, and return the criteria by name."""
     declared = {declaration.get("name") for declaration in root.iterfind("ParameterDeclarations/ParameterDeclaration")}
     criteria: dict[str, etree._Element] = {}
     for trigger in root.iter("StopTrigger"):
@@ -58,11 +55,7 @@ def add_criteria(root: etree._Element, criteria: Mapping[str, etree._Element]) -
 
 
 def refuse_code_injection(root: etree._Element, source: Path) -> None:
-    """Refuse a concrete scenario that names code for ScenarioRunner to execute.
-
-    Such code is a user-defined action, or a controller module that does not belong to ScenarioRunner, or a condition
-    whose name ScenarioRunner would use as the name of a class.
-    """
+    """Refuse a scenario that names code: user-defined actions, other controllers, conditions named like classes."""
     for action in root.iter("UserDefinedAction"):
         command = action.find("CustomCommandAction")
         description = "" if command is None else f" with the <CustomCommandAction> '{command.get('type')}'"

@@ -10,7 +10,7 @@ from typing import Final
 from lxml import etree
 
 from cornercase._common.errors import InputError
-from cornercase.simulators.carla._storyboard_rewrite import format_number
+from cornercase.simulators.carla._storyboard_rewrite import E, format_number
 
 DRIVER_FILE: Final = Path(__file__).with_name("cornercase_driver.py")
 TRAJECTORY_FILE: Final = Path(__file__).with_name("cornercase_trajectory.py")
@@ -41,12 +41,11 @@ class DrivingAgents:
 def assign_controllers(
     root: etree._Element, source: Path, ego: str, agents: DrivingAgents, box_offsets: Mapping[str, float]
 ) -> set[Path]:
-    """Assign controllers to the entities that ScenarioRunner's own controls do not move.
+    """Assign controllers to entities that ScenarioRunner's own controls do not move; return their files.
 
-    Return the controller files used. Entities with an initial route get a controller of cornercase, since
-    ScenarioRunner 0.9.16 does not execute routes. `box_offsets` has the entities on trajectories, and by how many m the
-    centre of the box is ahead of the reference point. Raises `InputError` if an entity with a behaviour agent has no
-    route.
+    Entities with an initial route get one of cornercase, since ScenarioRunner 0.9.16 does not execute routes.
+    `box_offsets` has, for entities on trajectories, by how many m the centre of the box is ahead of the reference
+    point.
     """
     controllers = set()
     for private in root.iterfind("Storyboard/Init/Actions/Private"):
@@ -95,16 +94,10 @@ def _pop_initial_route(private: etree._Element) -> etree._Element:
 
 
 def _make_controller_action(entity: str, properties: Mapping[str, str]) -> etree._Element:
-    action = etree.Element("PrivateAction")
-    controller_action = etree.SubElement(action, "ControllerAction")
-    controller = etree.SubElement(
-        etree.SubElement(controller_action, "AssignControllerAction"), "Controller", name=f"driver of {entity}"
-    )
-    holder = etree.SubElement(controller, "Properties")
-    for name, value in properties.items():
-        etree.SubElement(holder, "Property", name=name, value=value)
+    elements = [E.Property(name=name, value=value) for name, value in properties.items()]
+    controller = E.Controller(E.Properties(*elements), name=f"driver of {entity}")
     # Required in 1.0; all inactive, since ScenarioRunner would execute them.
-    override = etree.SubElement(controller_action, "OverrideControllerValueAction")
-    for tag, attribute in _INACTIVE_OVERRIDES:
-        etree.SubElement(override, tag, {attribute: "0", "active": "false"})
-    return action
+    overrides = [getattr(E, tag)({attribute: "0", "active": "false"}) for tag, attribute in _INACTIVE_OVERRIDES]
+    return E.PrivateAction(
+        E.ControllerAction(E.AssignControllerAction(controller), E.OverrideControllerValueAction(*overrides))
+    )

@@ -85,11 +85,7 @@ class Conversion:
 
 
 def convert(
-    scenario: ScenarioFile | Path | str,
-    output: Path | str,
-    *,
-    ego: str,
-    values: Mapping[str, Value] | None = None,
+    scenario: ScenarioFile | Path | str, output: Path | str, *, ego: str, values: Mapping[str, Value] | None = None
 ) -> Conversion:
     """Write a concrete scenario as OpenSCENARIO 1.0, as CARLA's ScenarioRunner reads it.
 
@@ -208,17 +204,14 @@ def carla_map_name(scenario: ScenarioFile, values: Mapping[str, Value]) -> str:
 
 
 def make_concrete_tree(scenario: ScenarioFile, values: Mapping[str, Value]) -> etree._Element:
-    """Return the XML tree of a concrete scenario, with values instead of parameters and entries instead of references.
-
-    Raises `InputError` if a value cannot be evaluated or violates a constraint, or if there are too many entities.
-    """
+    """Return the XML tree of a concrete scenario, with values for parameters and entries for references."""
     # The time grows with the square of the number of entities.
     if len(scenario.entities) > _MAX_ENTITIES:
         raise InputError(
             f"{scenario.path}: has {len(scenario.entities)} entities; at most {_MAX_ENTITIES} can be written."
         )
     root = etree.fromstring(etree.tostring(scenario.root))
-    scope = Scope.from_file(str(scenario.path), scenario.root, [dict(values)], scenario.find_catalog_entry)
+    scope = scenario.scope([values])
     if scope.find_violations_in(scenario.root):
         raise InputError(f"{scenario.path}: the values break a constraint of the parameters' declarations.")
     # The scope contains the file's own declarations already, with the given values.

@@ -40,11 +40,7 @@ _ERROR_PATTERN: Final = re.compile(r"^\w*(Error|Exception)\b")
 
 
 class ScenarioRunnerProcess:
-    """Runs OpenSCENARIO 1.0 files with ScenarioRunner, one process per file.
-
-    For empty arguments, the environment variables are used, as in `Carla`. Raises `InputError` if ScenarioRunner is not
-    found or too old.
-    """
+    """Runs files with ScenarioRunner, one process per file; environment variables stand for empty arguments."""
 
     def __init__(self, folder: str, python: str, carla_root: str) -> None:
         self._folder = find_scenario_runner_folder(folder)
@@ -62,13 +58,7 @@ class ScenarioRunnerProcess:
         until_collision: bool,
         silence: float,
     ) -> None:
-        """Run a scenario until it ends, or a limit is reached.
-
-        The limits are a collision (if `until_collision`), `duration` s of simulated time, and `silence` s without a
-        frame. The output of ScenarioRunner goes to ``scenario_runner.log`` next to the file. `drivers` is the folder of
-        cornercase's controllers, and is added to Python's path. Raises `SimulationError` if the scenario did not run to
-        the end, and `SimulatorError` if the server did not answer.
-        """
+        """Run a scenario until it ends or collides, or for `duration` s, or until no frame comes for `silence` s."""
         command = [self._python, str(self._folder / "scenario_runner.py"), "--sync", "--openscenario", str(file)]
         command += [str(part) for pair in options.items() for part in pair]
         log = file.with_name("scenario_runner.log")
@@ -106,10 +96,7 @@ class ScenarioRunnerProcess:
 
 
 def find_scenario_runner_folder(explicit_folder: str) -> Path:
-    """Return ScenarioRunner's folder: `explicit_folder`, else the environment variable ``SCENARIO_RUNNER_ROOT``.
-
-    No file in the folder is changed. Raises `InputError` if ScenarioRunner is not found, or too old.
-    """
+    """Return ScenarioRunner's folder: the given one, else ``SCENARIO_RUNNER_ROOT``; `InputError` if it is too old."""
     text = explicit_folder or os.environ.get(RUNNER_VARIABLE, "")
     if not text:
         raise InputError(_NOT_FOUND_MESSAGE)
@@ -144,10 +131,7 @@ def _read_source(path: Path) -> str:
 def _wait_for_end(
     process: subprocess.Popen[bytes], tracker: EntityTracker, duration: float, until_collision: bool, silence: float
 ) -> bool:
-    """Wait until the run or the parent process has ended, or must end.
-
-    Return True if ScenarioRunner must be stopped.
-    """
+    """Wait until the run or the parent process has ended or must end; True if ScenarioRunner must be stopped."""
     has_parent, frames, last_frame_time = make_parent_check(), 0, time.monotonic()
     while process.poll() is None and has_parent():
         tracker.find_entities()

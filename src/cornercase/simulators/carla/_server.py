@@ -20,10 +20,7 @@ class CarlaServer:
         self._client: Any = None
 
     def get_client(self) -> Any:
-        """Return the client, which is created on first use.
-
-        `InputError` if no server of the client's version answers.
-        """
+        """Return the client, created at first use; `InputError` if no server of its version answers."""
         if self._client is None:
             import carla
 
@@ -89,5 +86,4 @@ class CarlaServer:
 
 
 def _strip_before_root(text: str) -> str:
-    """Remove everything before the root element."""
     return text[text.find("<OpenDRIVE") :]

@@ -240,7 +240,6 @@ class Carla(Simulator):
         self._behavior_agents(scenario)
 
     def _behavior_agents(self, scenario: ScenarioFile) -> dict[str, str]:
-        """Return CARLA's behaviour agents by entity."""
         scenario.require_entity(self._ego, "ego")
         for entity in self._drivers:
             scenario.require_entity(entity, "driven entity")

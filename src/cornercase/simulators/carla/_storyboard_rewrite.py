@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+from collections.abc import Callable, Collection, Iterable
 from copy import deepcopy
-from typing import Final
+from typing import Final, Protocol
 
 from lxml import etree
+from lxml.builder import ElementMaker
 
 from cornercase._common.typing import FloatArray
 from cornercase.recordings import Recording
 from cornercase.simulators.carla._support_table import HandlingStatus, SupportFinding, find_unsupported
+
+
+class _TypedMaker(Protocol):
+    """Types of lxml's maker of elements: ``E.Tag(child, name="value")``."""
+
+    def __getattr__(self, tag: str) -> Callable[..., etree._Element]: ...
+
+
+E: Final[_TypedMaker] = ElementMaker()
 
 _NAMED_ELEMENTS: Final = ("Story", "Act", "ManeuverGroup", "Maneuver", "Event", "Action", "Condition")
 # Without effect, but required in 1.0 or removed elsewhere.
@@ -74,10 +84,7 @@ def remove_entities_from_storyboard(root: etree._Element, names: Collection[str]
 def set_initial_state(
     root: etree._Element, recording: Recording, keep_routes_of: Iterable[str], heights: FloatArray
 ) -> None:
-    """Set the initial position and speed of each entity, and remove all other initial actions.
-
-    The routes of the entities `keep_routes_of` are kept. `heights` are the initial heights in m, shape (A,).
-    """
+    """Set initial positions, speeds and heights in m; of other initial actions only some routes stay."""
     actions = root.find("Storyboard/Init/Actions")
     assert actions is not None
     keeps_route, routes = set(keep_routes_of), {}
@@ -92,33 +99,27 @@ def set_initial_state(
         if name not in entities:
             # Trailers are left out.
             continue
-        private = etree.SubElement(actions, "Private", entityRef=name)
-        holder = etree.SubElement(etree.SubElement(private, "PrivateAction"), "TeleportAction")
         position = make_world_position(recording.x[k, 0], recording.y[k, 0], recording.heading[k, 0])
         if heights[k]:
             position[0].set("z", format_number(heights[k]))
-        holder.append(position)
+        private = E.Private(E.PrivateAction(E.TeleportAction(position)), entityRef=name)
         if name in keeps_route and name in routes:
             private.append(routes[name])
         if recording.object_types[k] != "misc":
-            outer = etree.SubElement(etree.SubElement(private, "PrivateAction"), "LongitudinalAction")
-            outer.append(make_speed_action(max(float(recording.speed[k, 0]), 0.0)))
+            private.append(make_speed_action(max(float(recording.speed[k, 0]), 0.0)))
+        actions.append(private)
 
 
 def make_world_position(x: float, y: float, heading: float) -> etree._Element:
     """Create a <Position> of x and y in m and a heading in rad."""
-    position = etree.Element("Position")
-    etree.SubElement(position, "WorldPosition", x=format_number(x), y=format_number(y), h=format_number(heading))
-    return position
+    return E.Position(E.WorldPosition(x=format_number(x), y=format_number(y), h=format_number(heading)))
 
 
 def make_speed_action(speed: float) -> etree._Element:
-    """Create a ``SpeedAction`` that takes effect at once; speed in m/s."""
-    action = etree.Element("SpeedAction")
-    etree.SubElement(action, "SpeedActionDynamics", dynamicsShape="step", dynamicsDimension="time", value="0")
-    target = etree.SubElement(action, "SpeedActionTarget")
-    etree.SubElement(target, "AbsoluteTargetSpeed", value=format_number(speed))
-    return action
+    """Create a ``PrivateAction`` that sets the speed in m/s at once."""
+    dynamics = E.SpeedActionDynamics(dynamicsShape="step", dynamicsDimension="time", value="0")
+    target = E.SpeedActionTarget(E.AbsoluteTargetSpeed(value=format_number(speed)))
+    return E.PrivateAction(E.LongitudinalAction(E.SpeedAction(dynamics, target)))
 
 
 def format_number(number: float) -> str:
@@ -127,13 +128,14 @@ def format_number(number: float) -> str:
     return "0" if text in ("-0", "") else text
 
 
+def make_condition(name: str, by_value: etree._Element) -> etree._Element:
+    """Create a ``ConditionGroup`` of one condition on a value."""
+    return E.ConditionGroup(E.Condition(E.ByValueCondition(by_value), name=name, delay="0", conditionEdge="none"))
+
+
 def make_time_condition(name: str, seconds: float) -> etree._Element:
     """Create a ``ConditionGroup`` that is true after a time in s."""
-    group = etree.Element("ConditionGroup")
-    condition = etree.SubElement(group, "Condition", name=name, delay="0", conditionEdge="none")
-    holder = etree.SubElement(condition, "ByValueCondition")
-    etree.SubElement(holder, "SimulationTimeCondition", value=format_number(seconds), rule="greaterThan")
-    return group
+    return make_condition(name, E.SimulationTimeCondition(value=format_number(seconds), rule="greaterThan"))
 
 
 def add_missing_start_triggers(root: etree._Element) -> None:

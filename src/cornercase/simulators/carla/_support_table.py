@@ -51,10 +51,7 @@ class SupportRow:
 
 @dataclass(frozen=True)
 class SupportFinding:
-    """An element or attribute that ScenarioRunner does not simply execute.
-
-    `description` is its description in messages.
-    """
+    """An element or attribute that ScenarioRunner does not simply execute, and its description in messages."""
 
     description: str
     row: SupportRow

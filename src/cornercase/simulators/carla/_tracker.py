@@ -117,11 +117,7 @@ class EntityTracker:
         return (len(run) - 1) * self._time_step, self._ids[self._ego] not in self._frames[-1].poses
 
     def make_recording(self, source: Path, duration: float, until_collision: bool) -> Recording:
-        """Create the recording, up to `duration` s or the first collision; `source` names the run in messages.
-
-        Raises `SimulationError` if the entities never existed at the same time, and `SimulatorError` if frames are
-        missing.
-        """
+        """Create the recording, up to `duration` s or the first collision; `source` names the run in messages."""
         frames = self._run_frames()
         if len(frames) < 2:
             raise SimulationError(f"CARLA showed no two frames with all of {', '.join(self._names)}")

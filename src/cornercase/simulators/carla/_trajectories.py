@@ -16,7 +16,9 @@ from cornercase.scenario import ConcreteScenario, Value
 from cornercase.scenario._file import ScenarioFile
 from cornercase.simulators.builtin._simulator import Builtin
 from cornercase.simulators.carla._storyboard_rewrite import (
+    E,
     format_number,
+    make_condition,
     make_speed_action,
     make_time_condition,
     make_world_position,
@@ -35,10 +37,7 @@ _NEVER_TIME: Final = 1e6
 def simulate_builtin(
     scenario: ScenarioFile, values: Mapping[str, Value], time_step: float, duration: float
 ) -> Recording:
-    """Run a concrete scenario in the builtin simulator; time step and duration in s.
-
-    Raises `InputError` if the scenario cannot be run, or if an entity does not exist at the start.
-    """
+    """Run a scenario in the builtin simulator; `InputError` if it fails, or if an entity is missing at the start."""
     simulator = Builtin(time_step=time_step, duration=duration)
     (recording,) = simulator.run([ConcreteScenario(scenario.path, dict(values), scenario)])
     if isinstance(recording, SimulationError):
@@ -53,10 +52,7 @@ def simulate_builtin(
 
 
 def add_trajectories(root: etree._Element, recording: Recording | None, names: list[str], ego: str) -> list[str]:
-    """Add a story in which entities move as in a recording; return notes on differences.
-
-    `recording` is None if no entity moves along a trajectory.
-    """
+    """Add a story in which the named entities, if any, move as in a recording; return notes on differences."""
     storyboard = root.find("Storyboard")
     assert storyboard is not None
     stop = storyboard.find("StopTrigger")
@@ -71,30 +67,20 @@ def add_trajectories(root: etree._Element, recording: Recording | None, names: l
     )
     # An event that never happens keeps the act, and so ScenarioRunner, running until the stop trigger.
     idle_maneuver = _add_maneuver_group(act, ego, "never")
-    _add_event(idle_maneuver, "never", _make_speed_action(0.0), make_time_condition("never", _NEVER_TIME))
+    _add_event(idle_maneuver, "never", make_speed_action(0.0), make_time_condition("never", _NEVER_TIME))
     etree.SubElement(act, "StartTrigger").append(make_time_condition("from the beginning", -1.0))
     return notes
 
 
 def _add_maneuver_group(act: etree._Element, entity: str, name: str) -> etree._Element:
     """Add a maneuver group with one entity, and return the maneuver in it."""
-    holder = etree.SubElement(act, "ManeuverGroup", name=name, maximumExecutionCount="1")
-    actors = etree.SubElement(holder, "Actors", selectTriggeringEntities="false")
-    etree.SubElement(actors, "EntityRef", entityRef=entity)
-    return etree.SubElement(holder, "Maneuver", name=name)
+    actors, maneuver = E.Actors(E.EntityRef(entityRef=entity), selectTriggeringEntities="false"), E.Maneuver(name=name)
+    act.append(E.ManeuverGroup(actors, maneuver, name=name, maximumExecutionCount="1"))
+    return maneuver
 
 
 def _add_event(maneuver: etree._Element, name: str, action: etree._Element, trigger: etree._Element) -> None:
-    event = etree.SubElement(maneuver, "Event", name=name, priority="overwrite")
-    outer = etree.SubElement(event, "Action", name=name)
-    etree.SubElement(outer, "PrivateAction").append(action)
-    etree.SubElement(event, "StartTrigger").append(trigger)
-
-
-def _make_speed_action(speed: float) -> etree._Element:
-    holder = etree.Element("LongitudinalAction")
-    holder.append(make_speed_action(speed))
-    return holder
+    maneuver.append(E.Event(E.Action(action, name=name), E.StartTrigger(trigger), name=name, priority="overwrite"))
 
 
 def _add_entity_trajectory(act: etree._Element, recording: Recording, name: str) -> list[str]:
@@ -114,8 +100,11 @@ def _add_entity_trajectory(act: etree._Element, recording: Recording, name: str)
     if jumps and jumps[0] == 0:
         # The first speed does not match the motion that follows.
         event = f"{name} has its first speed"
-        _add_event(maneuver, event, _make_speed_action(max(float(speed[0]), 0.0)), start_trigger)
-        start_trigger = _make_completed_condition(event)
+        _add_event(maneuver, event, make_speed_action(max(float(speed[0]), 0.0)), start_trigger)
+        completed = E.StoryboardElementStateCondition(
+            storyboardElementType="event", storyboardElementRef=event, state="completeState"
+        )
+        start_trigger = make_condition(f"{event} before", completed)
     starts = [0, *(i for i in jumps if i)]
     for part, start in enumerate(starts):
         end = starts[part + 1] if part + 1 < len(starts) else count
@@ -133,26 +122,10 @@ def _add_entity_trajectory(act: etree._Element, recording: Recording, name: str)
         event_name = f"{name} moves" if part == 0 else f"{name} moves on from {time[start]:g} s"
         _add_event(maneuver, event_name, _make_follow_action(vertices, event_name), start_trigger)
     if count < len(is_present):
-        _add_delete_event(maneuver, name, 0.5 * float(time[-1] + time[max(count - 2, 0)]))
+        event, seconds = f"{name} vanishes", 0.5 * float(time[-1] + time[max(count - 2, 0)])
+        delete = E.GlobalAction(E.EntityAction(E.DeleteEntityAction(), entityRef=name))
+        _add_event(maneuver, event, delete, make_time_condition(event, seconds))
     return notes
-
-
-def _add_delete_event(maneuver: etree._Element, entity: str, seconds: float) -> None:
-    name = f"{entity} vanishes"
-    event = etree.SubElement(maneuver, "Event", name=name, priority="overwrite")
-    holder = etree.SubElement(etree.SubElement(event, "Action", name=name), "GlobalAction")
-    etree.SubElement(etree.SubElement(holder, "EntityAction", entityRef=entity), "DeleteEntityAction")
-    etree.SubElement(event, "StartTrigger").append(make_time_condition(name, seconds))
-
-
-def _make_completed_condition(event: str) -> etree._Element:
-    group = etree.Element("ConditionGroup")
-    condition = etree.SubElement(group, "Condition", name=f"{event} before", delay="0", conditionEdge="none")
-    etree.SubElement(
-        etree.SubElement(condition, "ByValueCondition"), "StoryboardElementStateCondition",
-        storyboardElementType="event", storyboardElementRef=event, state="completeState",
-    )  # fmt: skip
-    return group
 
 
 def _extrapolate(vertex: FloatArray, speed: float, time: float) -> FloatArray:
@@ -164,10 +137,7 @@ def _extrapolate(vertex: FloatArray, speed: float, time: float) -> FloatArray:
 
 
 def _find_jumps(time: FloatArray, x: FloatArray, y: FloatArray, speed: FloatArray) -> list[int]:
-    """Return the samples at which an entity jumps: the distance from the previous sample does not match its speed.
-
-    Index 0 stands for a wrong initial speed.
-    """
+    """Return the samples at which an entity jumps instead of moving at its speed; 0 is a wrong initial speed."""
     if len(time) < 2:
         return []
     speeds = np.hypot(np.diff(x), np.diff(y)) / np.diff(time)
@@ -177,19 +147,19 @@ def _find_jumps(time: FloatArray, x: FloatArray, y: FloatArray, speed: FloatArra
 
 def _make_follow_action(trajectory: FloatArray, name: str) -> etree._Element:
     """Create the action that follows a trajectory, given as an array with the columns time, x, y and heading."""
-    routing = etree.Element("RoutingAction")
-    action = etree.SubElement(routing, "FollowTrajectoryAction")
-    element = etree.SubElement(action, "Trajectory", name=name, closed="false")
-    etree.SubElement(element, "ParameterDeclarations")
-    line = etree.SubElement(etree.SubElement(element, "Shape"), "Polyline")
-    for time, x, y, heading in trajectory if len(trajectory) > 1 else np.repeat(trajectory, 2, axis=0):
-        vertex = etree.SubElement(line, "Vertex", time=format_number(time))
-        vertex.append(make_world_position(x, y, heading))
-    reference = etree.SubElement(action, "TimeReference")
+    vertices = [
+        E.Vertex(make_world_position(x, y, heading), time=format_number(time))
+        for time, x, y, heading in (trajectory if len(trajectory) > 1 else np.repeat(trajectory, 2, axis=0))
+    ]
+    shape = E.Shape(E.Polyline(*vertices))
     # Times since the start of the run, independent of when ScenarioRunner reaches the action.
-    etree.SubElement(reference, "Timing", domainAbsoluteRelative="absolute", scale="1", offset="0")
-    etree.SubElement(action, "TrajectoryFollowingMode", followingMode="position")
-    return routing
+    timing = E.Timing(domainAbsoluteRelative="absolute", scale="1", offset="0")
+    action = E.FollowTrajectoryAction(
+        E.Trajectory(E.ParameterDeclarations(), shape, name=name, closed="false"),
+        E.TimeReference(timing),
+        E.TrajectoryFollowingMode(followingMode="position"),
+    )
+    return E.PrivateAction(E.RoutingAction(action))
 
 
 def _select_vertices(trajectory: FloatArray) -> list[int]:

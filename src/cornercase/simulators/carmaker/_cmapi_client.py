@@ -98,11 +98,7 @@ class CmapiClient:
         return variation
 
     def run_testrun(self, values: Mapping[str, Value]) -> Path:
-        """Run the TestRun with named values, and return the result file.
-
-        Raises `SimulationError` if the run does not end in time or writes no file, and `SimulatorError` if IPG's module
-        fails.
-        """
+        """Run the TestRun with named values, and return the result file; `SimulationError` if there is none in time."""
         before = ResultFileTracker(self._project)
         future = asyncio.run_coroutine_threadsafe(self._run_testrun_async(values), self._loop)
         try:

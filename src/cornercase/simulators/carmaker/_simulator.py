@@ -18,18 +18,16 @@ from cornercase.scenario._file import ScenarioFile
 from cornercase.simulators._base import Availability, Simulator
 from cornercase.simulators._ports import worker_address
 from cornercase.simulators.carmaker._cmapi_client import CmapiClient, is_cmapi_installed
-from cornercase.simulators.carmaker._tcl_client import TclClient
-from cornercase.simulators.carmaker._tcl_run import START_TIMEOUT, TclTestRun
+from cornercase.simulators.carmaker._tcl_run import START_TIMEOUT, TclClient, TclTestRun
 from cornercase.simulators.carmaker._vehicle_boxes import read_entity_boxes, warn_about_missing_boxes
 
 _DEFAULT_PORT: Final = 16660
 # Time limit in s to connect to a CarMaker on this machine.
 _CONNECT_TIMEOUT: Final = 0.2
 _MISSING_MESSAGE: Final = (
-    f"IPG's Python module cmapi is not installed here, and no CarMaker listens on port"
-    f" {_DEFAULT_PORT}; install the module from"
-    f" CarMaker's folder, or start CarMaker with -cmdport {_DEFAULT_PORT}. One on another machine"
-    f" or port is named by options."
+    f"IPG's Python module cmapi is not installed here, and no CarMaker listens on port {_DEFAULT_PORT}; install the"
+    f" module from CarMaker's folder, or start CarMaker with -cmdport {_DEFAULT_PORT}. One on another machine or port"
+    " is named by options."
 )
 
 
@@ -148,12 +146,10 @@ class CarMaker(Simulator):
             "",
             "" if is_cmapi_installed() or _is_port_open() else _MISSING_MESSAGE,
             (
-                "vehicle dynamics",
-                "traffic objects",
-                "collisions go on",
+                "vehicle dynamics", "traffic objects", "collisions go on",
                 "needs IPG's cmapi, or a running CarMaker (-cmdport)",
             ),
-        )
+        )  # fmt: skip
 
     def run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Recording | SimulationError]:
         """Run scenarios; also raises `InputError` if CarMaker does not listen, has no licence or lacks an entity."""

@@ -1,7 +1,8 @@
-"""A run of a TestRun by the command port of CarMaker, from the idle state to the new result file."""
+"""Run a TestRun by the Tcl command port of a running CarMaker, from the idle state to the new result file."""
 
 from __future__ import annotations
 
+import socket
 import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
@@ -11,7 +12,6 @@ from typing import Final
 from cornercase._common.errors import InputError, SimulationError, SimulatorError
 from cornercase.scenario import Value
 from cornercase.simulators.carmaker._result_file_tracker import ResultFileTracker
-from cornercase.simulators.carmaker._tcl_client import TclClient
 
 _IDLE, _POSTPROCESSING, _FATAL, _LICENCE, _PAUSED = -2, -3, -6, -7, -8
 # States of `SimStatus`; from 0 on the simulation is running.
@@ -32,6 +32,67 @@ START_TIMEOUT: Final = 60.0
 _RESULT_TIMEOUT: Final = 5.0
 _POLL_INTERVAL: Final = 0.05
 
+# Maximum size of an answer, and time limit in s to connect.
+_MAX_REPLY_SIZE, _CONNECT_TIMEOUT = 1_000_000, 60.0
+
+
+class TclClient:
+    """Connection to a running CarMaker, which executes Tcl commands; `InputError` if none listens.
+
+    CarMaker answers each command: ``O`` and a value, or ``E`` and an error, followed by an empty line; or only an empty
+    line. An answer may arrive in several pieces.
+    """
+
+    def __init__(self, host: str, port: int) -> None:
+        try:
+            self._socket = socket.create_connection((host, port), timeout=_CONNECT_TIMEOUT)
+        except OSError as error:
+            raise InputError(
+                f"No CarMaker listens on {host}:{port} ({error.strerror or error}); start it with -cmdport {port}."
+            ) from error
+        self._received = b""
+
+    def send(self, command: str, timeout: float) -> str:
+        """Send a Tcl command and return the value in the answer; waits up to `timeout` s."""
+        deadline = time.monotonic() + timeout
+        # Discard the rest of an earlier answer.
+        self._received = b""
+        try:
+            self._socket.sendall(command.encode() + b"\r")
+            while True:
+                answer = self._next_answer()
+                if answer is not None:
+                    break
+                self._socket.settimeout(max(deadline - time.monotonic(), 1e-3))
+                piece = self._socket.recv(65536)
+                if not piece:
+                    raise SimulatorError(f"CarMaker closed the connection while answering '{command}'")
+                self._received += piece
+                if len(self._received) > _MAX_REPLY_SIZE:
+                    raise SimulatorError(f"CarMaker's answer to '{command}' has no end")
+        except TimeoutError:
+            raise SimulatorError(f"CarMaker did not answer '{command}' within {timeout:g} s") from None
+        except OSError as error:
+            raise SimulatorError(f"connection to CarMaker lost at '{command}' ({error.strerror or error})") from error
+        if answer.startswith("E"):
+            raise SimulationError(f"CarMaker refuses '{command}': {answer[1:].strip()}")
+        return answer[1:].strip()
+
+    def _next_answer(self) -> str | None:
+        """Return the next answer if it has arrived completely, else None."""
+        if self._received.startswith(b"\r\n"):
+            self._received = self._received[2:]
+            return ""
+        whole, end, rest = self._received.partition(b"\r\n\r\n")
+        if not end:
+            return None
+        self._received = rest
+        return whole.decode("utf-8", "replace")
+
+    def close(self) -> None:
+        """Close the connection."""
+        self._socket.close()
+
 
 class TclTestRun:
     """Runs a TestRun.
@@ -43,20 +104,11 @@ class TclTestRun:
     def __init__(
         self, client: TclClient, project: Path, run_timeout: float, start_timeout: float = START_TIMEOUT
     ) -> None:
-        self._client, self._project, self._run_timeout, self._start_timeout = (
-            client,
-            project,
-            run_timeout,
-            start_timeout,
-        )
+        self._client, self._project = client, project
+        self._run_timeout, self._start_timeout = run_timeout, start_timeout
 
     def run_testrun(self, testrun: str, values: Mapping[str, Value]) -> Path:
-        """Run the TestRun with named values, and return the new result file.
-
-        Raises `SimulationError` if CarMaker refuses the run, does not start or end it in time, pauses it or writes no
-        result file. Raises `SimulatorError` if CarMaker fails or does not stop, and `InputError` if it waits for a
-        licence.
-        """
+        """Run the TestRun with named values, and return the new result file."""
         self._require_idle()
         before = ResultFileTracker(self._project)
         self._send(f'LoadTestRun "{testrun}"')
@@ -142,11 +194,10 @@ class TclTestRun:
         """Let CarMaker wait for a state, to make polling rare; poll the status afterwards in any case."""
         try:
             self._client.send(f"WaitForStatus {state} {round(1000 * seconds)}", seconds + self._start_timeout)
-        except SimulatorError:
-            raise
-        except SimulationError:
+        except SimulationError as error:
             # The time limit is over, or CarMaker cannot wait.
-            pass
+            if isinstance(error, SimulatorError):
+                raise
 
     def _poll_status(self, is_accepted: Callable[[int], bool], seconds: float) -> int:
         """Poll the status until `is_accepted` accepts it, or for a number of seconds; return the last status."""
@@ -179,7 +230,6 @@ def _describe_status(status: int) -> str:
 
 
 def _format_tcl_word(value: Value) -> str:
-    """Format a value as one Tcl word."""
     text = f"{value:.9g}" if isinstance(value, float) else str(value)
     if any(sign in text for sign in "{}\\\r\n"):
         raise SimulationError(f"'{text}' contains a special character of Tcl")

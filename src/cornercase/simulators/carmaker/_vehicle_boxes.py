@@ -21,21 +21,12 @@ def read_entity_boxes(scenario: ScenarioFile, values: Mapping[str, Value]) -> di
     """Return the box of each entity; an entity without a box in the file becomes a car of 4.5 m x 1.8 m."""
     # Named values that the scenario does not declare are for the TestRun only.
     declared = {name: value for name, value in values.items() if name in scenario.parameters}
-    scope = Scope.from_file(str(scenario.path), scenario.root, [declared], scenario.find_catalog_entry)
-    return {
-        element.get("name", ""): _read_box(element, scope) or _DEFAULT_BOX
-        for element in scenario.root.iterfind("Entities/ScenarioObject")
-    }
+    return {name: box or _DEFAULT_BOX for name, box in _read_boxes(scenario, declared).items()}
 
 
 def warn_about_missing_boxes(scenario: ScenarioFile) -> None:
     """Warn about entities without a box in the scenario file."""
-    scope = Scope.from_file(str(scenario.path), scenario.root, [{}], scenario.find_catalog_entry)
-    missing = [
-        element.get("name", "")
-        for element in scenario.root.iterfind("Entities/ScenarioObject")
-        if _read_box(element, scope) is None
-    ]
+    missing = [name for name, box in _read_boxes(scenario, {}).items() if box is None]
     if missing:
         verb = "has" if len(missing) == 1 else "have"
         warnings.warn(
@@ -46,10 +37,13 @@ def warn_about_missing_boxes(scenario: ScenarioFile) -> None:
         )
 
 
+def _read_boxes(scenario: ScenarioFile, values: Mapping[str, Value]) -> dict[str, EntityBox | None]:
+    scope, elements = scenario.scope([values]), scenario.root.iterfind("Entities/ScenarioObject")
+    return {element.get("name", ""): _read_box(element, scope) for element in elements}
+
+
 def _read_box(element: etree._Element, scope: Scope) -> EntityBox | None:
-    body = next(
-        (child for child in element.iterchildren("Vehicle", "Pedestrian", "MiscObject", "CatalogReference")), None
-    )
+    body = next(element.iterchildren("Vehicle", "Pedestrian", "MiscObject", "CatalogReference"), None)
     if body is None:
         return None
     if body.tag == "CatalogReference":

@@ -59,16 +59,12 @@ class _ClusterTask:
 
 
 class ClusterSimulator(RemoteSimulator):
-    """Runs concrete scenarios on the workers of a Dask cluster.
+    """Runs concrete scenarios on the workers of a Dask cluster, each with its own simulator and copies of the files.
 
-    Each worker creates the simulator once, like `create_simulator` on a single machine. The content of the scenario
-    files is sent, not their paths. If workers offer a resource with the simulator's name (``--resources "carla=1"``),
-    only they get scenarios, and no more at a time than they offer. Results do not depend on the number of workers.
-
-    `cluster` is ``"local"`` for `workers` processes on this machine, a scheduler's address (``"tcp://10.0.0.1:8786"``)
-    or file, or a client that stays open. `timeout` is in s per scenario. A scenario is run `retries` times more if its
-    worker was lost; `max_failures` consecutive losses end the run (0: no limit). Raises `InputError` if the simulator
-    cannot be created, Dask is not installed, or there is no such cluster.
+    If workers offer a resource with the simulator's name (``--resources "carla=1"``), only they get scenarios, and no
+    more at a time than they offer. `cluster` is ``"local"`` for `workers` processes on this machine, a scheduler's
+    address or file, or a client that stays open. A scenario is run `retries` times more if its worker was lost;
+    `max_failures` consecutive losses end the run (0: no limit).
     """
 
     def __init__(
@@ -217,9 +213,8 @@ class ClusterSimulator(RemoteSimulator):
         elif not isinstance(error, KilledWorker):
             text = " ".join(f"{type(error).__name__}: {error}".split())[:300]
             raise InputError(
-                f"`cluster` {describe_cluster(self._client)}: its workers cannot run '{self.name}'"
-                f" ({text}); install the"
-                " same versions on each as here."
+                f"`cluster` {describe_cluster(self._client)}: its workers cannot run '{self.name}' ({text}); install"
+                " the same versions on each as here."
             ) from error
         elif task.n_lost + 1 < _MAX_TASK_LOSSES:
             # Dask also counts workers that were lost before they started the task; the identifier stays the same.

@@ -71,9 +71,8 @@ class _JobState:
             self._simulator, self._options = unpickle_simulator(job.options)
         except Exception as error:
             raise InputError(
-                f"`cluster`: a worker cannot load a driver of your own ({format_exception(error)});"
-                f" install its module on"
-                " each worker, or start the workers in its folder."
+                f"`cluster`: a worker cannot load a driver of your own ({format_exception(error)}); install its module"
+                " on each worker, or start the workers in its folder."
             ) from error
         self._free_numbers: list[int] = []
         self._simulators: list[Simulator] = []
@@ -147,11 +146,7 @@ def run_scenarios_of_job(
     bundles: Mapping[str, ScenarioBundle],
     scenarios: Sequence[tuple[str, Mapping[str, Value]]],
 ) -> BatchResult | None:
-    """Run scenarios of a job in this process, or in a child process that stays alive.
-
-    Each scenario is a bundle key and parameter values. Returns None if too many workers were lost with these scenarios.
-    Raises `InputError` if the sender has another version of cornercase, or if no scenario can be run.
-    """
+    """Run scenarios (bundle key and values) of a job here; None if too many workers were lost with them."""
     if job.version != __version__:
         raise InputError(
             f"`cluster`: a worker has cornercase {__version__}, this machine has {job.version}; install"

@@ -102,9 +102,9 @@ def check_layout(lib: ctypes.CDLL, object_id: int) -> None:
         raise InputError("esmini does not report the state of one of its objects; use another version.")
     written = bytes(buffer)
     # The last field is an int, followed by padding up to the next multiple of 8 bytes.
-    if written[size - 8 : size - 4] == bytes([_FILL_BYTE]) * 4 or written[size:] != bytes([_FILL_BYTE]) * size:
-        raise InputError("esmini's library has another layout than that of esmini 3.6; use esmini 3.6.")
-    if ObjectState.from_buffer_copy(written[:size]).id != object_id:
+    is_shorter = written[size - 8 : size - 4] == bytes([_FILL_BYTE]) * 4
+    is_longer = written[size:] != bytes([_FILL_BYTE]) * size
+    if is_shorter or is_longer or ObjectState.from_buffer_copy(written[:size]).id != object_id:
         raise InputError("esmini's library has another layout than that of esmini 3.6; use esmini 3.6.")
 
 

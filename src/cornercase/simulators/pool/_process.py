@@ -115,10 +115,7 @@ class WorkerProcess:
             self.deadline = time.monotonic() + self._timeout * len(self.remaining)
 
     def receive(self) -> WorkerMessage:
-        """Receive the next message: a result, an error for all remaining scenarios, or a notice; None after the start.
-
-        Raises TimeoutError after the deadline, and EOFError or OSError if the process has ended.
-        """
+        """Return the next message, None after the start; TimeoutError, EOFError or OSError if it has ended."""
         if not self.connection.poll():
             action = f"end within {self._timeout:g} s" if self._is_started else f"start within {_START_TIMEOUT:g} s"
             raise TimeoutError(f"the simulator did not {action}")
@@ -206,10 +203,7 @@ def _worker_main(connection: Connection, simulator_description: bytes, folder: P
 
 
 def unpickle_simulator(description: bytes) -> tuple[str | type[Simulator], dict[str, Any]]:
-    """Return the name or class of a simulator and its options.
-
-    The user's modules are also searched in the current folder.
-    """
+    """Return name or class of a simulator and its options; the user's modules may be in the current folder."""
     name, options = unpickle_with_current_folder(description)
     return name, create_drivers_from_specs(options)
 

@@ -33,21 +33,12 @@ class _FailureCount:
 
 
 class WorkerSimulator(RemoteSimulator):
-    """Runs concrete scenarios in worker processes, each with its own simulator.
+    """Runs concrete scenarios in worker processes, each with its own simulator; their number does not change results.
 
     A simulator with `batched` gets an equal share of the scenarios per process, any other gets one at a time. If a
-    batch crashes or hangs, its scenarios without a result are run again one by one, so that only the one at fault
-    fails. Results do not depend on the number of workers.
-
-    `options` must be picklable. `timeout` is in s per scenario; the simulator has another minute to start. `retries`
-    counts further runs after the simulator failed (its process ended, hung, or lost its program); if the process was
+    batch crashes or hangs, its scenarios without a result are run again one by one. `timeout` is in s per scenario; the
+    simulator has another minute to start. `retries` counts further runs after the simulator failed; if the process was
     killed from outside, there is at least one. `max_failures` consecutive failures end the run (0: no limit).
-
-    >>> from cornercase.simulators.pool._simulator import WorkerSimulator
-    >>> with WorkerSimulator("builtin", {"duration": 20.0}, workers=4, timeout=30.0) as simulator:
-    ...     recordings = list(simulator.run([]))
-    >>> recordings
-    []
     """
 
     def __init__(

@@ -8,7 +8,6 @@ import tempfile
 from collections.abc import Mapping
 from contextlib import redirect_stdout
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Final, Self
 from xml.sax.saxutils import quoteattr
 
@@ -17,7 +16,6 @@ import numpy as np
 from cornercase._common.errors import SimulationError
 from cornercase._common.geometry.boxes import wrap_angle
 from cornercase.simulators.builtin.tracks._lane import LaneTrack
-from cornercase.simulators.builtin.world._collisions import all_box_corners
 from cornercase.simulators.builtin.world._track_motion import set_external_motion
 from cornercase.simulators.builtin.world._world import Entity, World
 
@@ -73,17 +71,9 @@ class SumoCoupling:
         types_file = Path(self._folder.name) / "types.add.xml"
         types_file.write_text(_format_vehicle_types(), encoding="utf-8")
         arguments = [
-            "--additional-files",
-            str(types_file),
-            "--net-file",
-            str(network),
-            "--step-length",
-            f"{time_step:g}",
-            "--seed",
-            str(seed),
-            *_SUMO_OPTIONS,
-        ]
-        arguments += ["--default.action-step-length", f"{time_step:g}"]
+            "--additional-files", str(types_file), "--net-file", str(network), "--seed", str(seed), *_SUMO_OPTIONS,
+            "--step-length", f"{time_step:g}", "--default.action-step-length", f"{time_step:g}",
+        ]  # fmt: skip
         # Loading is far faster than starting again.
         if libsumo.simulation.isLoaded():
             libsumo.simulation.load(arguments)
@@ -93,9 +83,7 @@ class SumoCoupling:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, error_class: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *exception: object) -> None:
         self._folder.cleanup()
 
     def step(self, world: World, dt: float) -> None:
@@ -123,11 +111,8 @@ class SumoCoupling:
                 if name in self._types:
                     self._move_from_sumo(world, e, name)
         except self._sumo.TraCIException as error:
-            self._stop_with_error(world, f"SUMO fails at {world.time:g} s ({error})")
-
-    def _stop_with_error(self, world: World, reason: str) -> None:
-        self.error = SimulationError(reason)
-        world.running[:] = False
+            self.error = SimulationError(f"SUMO fails at {world.time:g} s ({error})")
+            world.running[:] = False
 
     def _add_entity(self, world: World, e: int) -> None:
         sumo, entity = self._sumo, world.entities[e]
@@ -184,7 +169,6 @@ class SumoCoupling:
         return track if isinstance(track, LaneTrack) else None
 
     def _set_max_speed(self, world: World, e: int, name: str) -> None:
-        """Set the maximum speed of an entity that SUMO drives."""
         self._sumo.vehicle.setSpeed(name, -1.0)
         max_speed = min(float(world.target_speed[e, 0]), world.entities[e].max_speed)
         if math.isfinite(max_speed):
@@ -199,7 +183,9 @@ class SumoCoupling:
         if not (follows_lane or self._is_on_lane(world, e)):
             x, y = x + _REMOTE_OFFSET, y + _REMOTE_OFFSET
         self._sumo.vehicle.setSpeed(name, max(speed, 0.0))
-        self._sumo.vehicle.moveToXY(name, "", -1, x, y, _to_compass(heading), keepRoute=1 if follows_lane else 2)
+        # In degrees clockwise from north.
+        angle = (90.0 - math.degrees(heading)) % 360.0
+        self._sumo.vehicle.moveToXY(name, "", -1, x, y, angle, keepRoute=1 if follows_lane else 2)
 
     def _is_on_lane(self, world: World, e: int) -> bool:
         """Return whether an entity's box reaches into a drivable lane; cached while the entity stands."""
@@ -213,7 +199,7 @@ class SumoCoupling:
     def _reaches_lane(self, world: World, e: int) -> bool:
         assert world.network is not None
         entity = world.entities[e]
-        corners = all_box_corners(world)[e, 0]
+        corners = world.box_corners()[e, 0]
         points = np.concatenate([corners, corners.mean(axis=0, keepdims=True)])
         positions = world.network.locate(points[:, 0], points[:, 1])
         for road, lane, s, offset in zip(positions.road, positions.lane, positions.s, positions.offset, strict=True):
@@ -237,7 +223,6 @@ class SumoCoupling:
         )
 
     def _move_from_sumo(self, world: World, e: int, name: str) -> None:
-        """Move an entity to its position in SUMO."""
         sumo = self._sumo
         if name not in sumo.vehicle.getIDList():
             # It has arrived at the end of its route, and stays there.
@@ -255,11 +240,6 @@ class SumoCoupling:
             np.array([wrap_angle(heading)]),
             np.array([sumo.vehicle.getSpeed(name)]),
         )
-
-
-def _to_compass(heading: float) -> float:
-    """Convert a heading in rad to degrees clockwise from north."""
-    return (90.0 - math.degrees(heading)) % 360.0
 
 
 def _format_vehicle_types() -> str:

@@ -23,12 +23,7 @@ _CONVERSION_TIMEOUT: Final = 120.0
 def find_or_convert_network(
     scenario: ScenarioFile, network_file: str | None = None, values: Mapping[str, Value] | None = None
 ) -> Path:
-    """Return the SUMO network (``.net.xml``) of a scenario: `network_file`, else converted from its OpenDRIVE file.
-
-    netconvert converts the file. Converted networks are cached in the user's cache folder by the checksum of the
-    OpenDRIVE file. `values` may determine the road file. Raises `InputError` if `network_file` does not exist, if the
-    scenario has no roads, or if netconvert is missing or fails.
-    """
+    """Return a scenario's SUMO network: `network_file`, else converted from OpenDRIVE and cached by its checksum."""
     if network_file is not None:
         if not Path(network_file).is_file():
             raise InputError(f"{network_file}: there is no such network file; give a .net.xml.")

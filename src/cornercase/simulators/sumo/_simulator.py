@@ -74,7 +74,7 @@ class Sumo(Simulator):
         self._common_settings = check_settings(time_step, duration, on_collision, drivers)
         self._time_step, self._duration, self._on_collision = time_step, duration, on_collision
         self._drivers, self._seed, self._network = dict(drivers or {}), check_seed(seed, "SUMO"), network
-        self._prepared: PreparedScenario | None = None
+        self._last_scenario: ScenarioFile | None = None
 
     @cached_property
     def settings(self) -> dict[str, object]:  # type: ignore[override]
@@ -98,13 +98,9 @@ class Sumo(Simulator):
             version=installed_version,
             problem="" if installed_version else _MISSING_MESSAGE,
             features=(
-                "pedestrians",
-                "car-following",
-                "right of way",
-                "collisions go on or end the run",
-                "deterministic",
+                "pedestrians", "car-following", "right of way", "collisions go on or end the run", "deterministic",
             ),
-        )
+        )  # fmt: skip
 
     @classmethod
     def notices(cls, scenario: ScenarioFile, values: Mapping[str, Value] | None = None) -> tuple[Notice, ...]:
@@ -114,11 +110,9 @@ class Sumo(Simulator):
     def run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Recording | SimulationError]:
         """Run scenarios; also raises `InputError` if SUMO is not installed."""
         _require_installed()
-        prepared = self._prepared
         for concrete in concretes:
-            scenario = concrete.load_file(None if prepared is None else prepared.scenario)
-            if prepared is None or prepared.scenario is not scenario:
-                prepared = self._prepared = PreparedScenario(scenario)
+            scenario = self._last_scenario = concrete.load_file(self._last_scenario)
+            prepared = PreparedScenario.from_scenario(scenario)
             for entity in self._drivers:
                 scenario.require_entity(entity, "driven entity")
             types = self._types_of_sumo_driven(scenario)

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Final, Literal, TypeAlias
+from typing import Final
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from cornercase.suite.compare._comparison import (
     ChangeTest,
     ComparisonVerdict,
     Finding,
+    FindingKind,
     ScenarioPair,
     describe_findings,
 )
@@ -30,10 +31,9 @@ DEFAULT_TOLERANCES: Final = MappingProxyType(
 )
 """Largest change of a score that does not count, by unit of the score; 0 for other units."""
 
-_FindingKind: TypeAlias = Literal["collision", "requirement", "run", "critical", "score"]
 # From the most to the least important.
-_KINDS_BY_IMPORTANCE: Final[tuple[_FindingKind, ...]] = ("collision", "requirement", "run", "critical", "score")
-_KIND_OF_TEST: Final[Mapping[str, _FindingKind]] = MappingProxyType(
+_KINDS_BY_IMPORTANCE: Final[tuple[FindingKind, ...]] = ("collision", "requirement", "run", "critical", "score")
+_KIND_OF_TEST: Final[Mapping[str, FindingKind]] = MappingProxyType(
     {"collision": "collision", "failed verdict": "requirement", "not run": "run", "critical": "critical"}
 )
 
@@ -42,7 +42,7 @@ _KIND_OF_TEST: Final[Mapping[str, _FindingKind]] = MappingProxyType(
 class PairChange:
     """One change of a pair of scenarios, better or worse; `size` is the change of a score, in its unit."""
 
-    kind: _FindingKind
+    kind: FindingKind
     about: str
     direction: ChangeDirection
     ids: tuple[int, int]
@@ -53,13 +53,9 @@ class PairChange:
 def resolve_tolerances(
     metrics: Iterable[str], requirements: Iterable[str], overrides: Mapping[str, float] | None
 ) -> dict[str, float]:
-    """Return the tolerance of each compared metric, and of each metric in the requirements of both studies.
-
-    `overrides` replace the defaults by metric. `InputError` for a negative tolerance, or for a metric that is not
-    compared.
-    """
+    """Return the tolerance of each metric that is compared or in a requirement; `overrides` replace the defaults."""
     required = [name for item in requirements for name in Requirement.parse(item).expression.metrics]
-    limits = {name: _default_tolerance(METRICS.create(name).unit) for name in (*metrics, *required)}
+    limits = {name: DEFAULT_TOLERANCES.get(METRICS.create(name).unit, 0.0) for name in (*metrics, *required)}
     for name, value in validation.check_mapping("tolerances", overrides or {}).items():
         if name not in limits:
             raise InputError(f"`tolerances` {name}: is not a compared metric; {suggest_name(name, limits)}")
@@ -70,10 +66,6 @@ def resolve_tolerances(
                 f"`tolerances` {name}={validation.repr_short(value)}: give a number of 0 or more."
             ) from error
     return limits
-
-
-def _default_tolerance(unit: str) -> float:
-    return DEFAULT_TOLERANCES.get(unit, 0.0)
 
 
 def find_findings(
@@ -91,10 +83,8 @@ def find_findings(
         if deterministic or pair.is_score_independent
         for step in _iter_pair_changes(pair, tolerances)
     ]
-    counted, within = (
-        [change for change in steps if change.exceeds_tolerance],
-        [change for change in steps if not change.exceeds_tolerance],
-    )
+    counted = [change for change in steps if change.exceeds_tolerance]
+    within = [change for change in steps if not change.exceeds_tolerance]
     findings = list(_group_into_findings(counted, tolerances)) if deterministic else []
     for test in tests:
         if test.corrected <= ALPHA and test.direction is not None and (not deterministic or test.differ is None):
@@ -106,7 +96,6 @@ def find_findings(
 
 
 def _iter_pair_changes(pair: ScenarioPair, tolerances: Mapping[str, float]) -> Iterator[PairChange]:
-    """Yield each change of a pair of scenarios, whether it is better or worse."""
     if pair.run == "not in one":
         yield PairChange("run", "", "worse" if pair.errors[0] is None else "better", pair.ids)
     # Rounding may still cross a bound; that is listed but does not count.
@@ -144,20 +133,17 @@ def _exceeds_tolerance(before: float, after: float, tolerance: float) -> bool:
 def _margin_tolerance(requirement: str, tolerances: Mapping[str, float]) -> float:
     """Return the tolerance for the margin of a requirement: the smallest tolerance of the metrics in it."""
     units = Requirement.parse(requirement).expression.compared_units
-    return min(tolerances[name] if name in tolerances else _default_tolerance(unit) for name, unit in units)
+    return min(tolerances[name] if name in tolerances else DEFAULT_TOLERANCES.get(unit, 0.0) for name, unit in units)
 
 
 def _group_into_findings(changes: Iterable[PairChange], metrics: Iterable[str]) -> Iterator[Finding]:
-    """Combine the changes of the same kind and direction into one finding.
-
-    Findings about scores are in the order of `metrics`.
-    """
+    """Combine changes of the same kind and direction; findings about scores are in the order of `metrics`."""
     order = {name: k for k, name in enumerate(metrics)}
-    groups: dict[tuple[_FindingKind, str, ChangeDirection], list[PairChange]] = {}
+    groups: dict[tuple[FindingKind, str, ChangeDirection], list[PairChange]] = {}
     for step in changes:
         groups.setdefault((step.kind, step.about, step.direction), []).append(step)
 
-    def sort_key(group: tuple[_FindingKind, str, ChangeDirection]) -> tuple[int, int, str, bool]:
+    def sort_key(group: tuple[FindingKind, str, ChangeDirection]) -> tuple[int, int, str, bool]:
         kind, about, direction = group
         return _KINDS_BY_IMPORTANCE.index(kind), order.get(about, 0), about, direction == "better"
 
@@ -166,7 +152,7 @@ def _group_into_findings(changes: Iterable[PairChange], metrics: Iterable[str]) 
 
 
 def _build_finding(
-    kind: _FindingKind,
+    kind: FindingKind,
     about: str,
     direction: ChangeDirection,
     changes: Sequence[PairChange],
@@ -205,11 +191,7 @@ def decide_verdict(
     changed: tuple[bool, str],
     deterministic: bool,
 ) -> tuple[ComparisonVerdict, str]:
-    """Return the verdict on the new version, and the reason without a final full stop.
-
-    `findings` are two sequences: what is worse, and what is better. `changed` says whether the versions differ at all,
-    and why.
-    """
+    """Return the verdict on the new version, and the reason; `findings` are what is worse, and what is better."""
     worse, better = (describe_findings(item) for item in findings)
     if worse and better:
         return "mixed", f"Worse: {worse}; better: {better}"

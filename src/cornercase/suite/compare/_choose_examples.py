@@ -44,31 +44,19 @@ def choose_examples(
     for tier in sorted(tiers):
         candidates = sorted(tiers[tier], key=lambda item: (-item[0], item[1].ids))
         candidates = [candidate for candidate in candidates if candidate[0] >= _MIN_RELATIVE_SIZE * candidates[0][0]]
+        n_before = len(chosen)
         while candidates and len(chosen) < MAX_EXAMPLES:
             distances = [_distance_to_chosen(candidate[1], chosen) for candidate in candidates]
             # The first of a tier is its largest change, unless that is redundant.
-            index = (
-                0
-                if not chosen or (candidates[0][0] > 0.0 and _is_first_of_tier(tier, tiers, chosen))
-                else int(np.argmax(distances))
-            )
-            if chosen and distances[index] < _MIN_DISTANCE:
-                index = int(np.argmax(distances))
-                if distances[index] < _MIN_DISTANCE:
-                    break
+            is_first = not chosen or (candidates[0][0] > 0.0 and len(chosen) == n_before)
+            index = 0 if is_first and distances[0] >= _MIN_DISTANCE else int(np.argmax(distances))
+            if distances[index] < _MIN_DISTANCE:
+                break
             _, pair, reason = candidates.pop(index)
             chosen.append(Example(pair, reason))
         if len(chosen) >= MAX_EXAMPLES:
             break
     return tuple(chosen)
-
-
-def _is_first_of_tier(
-    tier: _ChangeTier, tiers: Mapping[_ChangeTier, list[tuple[float, ScenarioPair, str]]], chosen: Sequence[Example]
-) -> bool:
-    """Tell whether no example of this tier (kind and direction of a change) was chosen yet."""
-    of_tier = {id(pair) for _, pair, _ in tiers[tier]}
-    return not any(id(example.pair) in of_tier for example in chosen)
 
 
 def _distance_to_chosen(pair: ScenarioPair, chosen: Sequence[Example]) -> float:

@@ -171,18 +171,12 @@ def _require_complete_suite(study: StudyFile) -> None:
 
 
 def _objective_metric(meta: StudyMeta, metrics: Sequence[str]) -> str:
-    """Return the metric that defines criticality.
-
-    It is empty for a weighted sum or a Pareto front, and if the metric is not compared.
-    """
+    """Return the metric that alone defines criticality, if it is compared; else an empty text."""
     return "" if meta.weights or meta.pareto or meta.metrics[0] not in metrics else meta.metrics[0]
 
 
 def _is_deterministic(meta: StudyMeta) -> bool:
-    """Tell whether runs of a study are deterministic.
-
-    This is known if a scenario was run twice, or if all parts of the simulation are cornercase's own and declare it.
-    """
+    """Tell whether runs are deterministic: one was repeated, or all parts are cornercase's own and declare it."""
     declared: bool | None = None
     is_own_code = False
     with suppress(InputError):
@@ -198,19 +192,14 @@ def _is_deterministic(meta: StudyMeta) -> bool:
 def _run_tests(
     old: StudySide, new: StudySide, pairs: Sequence[ScenarioPair], metrics: Sequence[str], deterministic: bool
 ) -> tuple[ChangeTest, ...]:
-    """Test the pairs of scenarios that were chosen independently of scores.
-
-    If there are too few such pairs, the initial designs of both studies are tested as unpaired samples.
-    """
+    """Test pairs chosen independently of scores; with too few of them, the initial designs as unpaired samples."""
     tested = [pair for pair in pairs if deterministic or pair.is_score_independent]
     tests_ = test_pairs(tested, metrics) if any(pair.run != "in neither" for pair in tested) else []
     n_filling = len(old.space_filling_ids()), len(new.space_filling_ids())
     # If both designs are mostly the same scenarios, pairs are more powerful.
     if sum(pair.is_score_independent for pair in pairs) < MIN_SAMPLE_SIZE <= min(n_filling):
-        (old_scores, old_facts), (new_scores, new_facts) = (
-            space_filling_scores(old, metrics),
-            space_filling_scores(new, metrics),
-        )
+        old_scores, old_facts = space_filling_scores(old, metrics)
+        new_scores, new_facts = space_filling_scores(new, metrics)
         shared = {name: fact for name, fact in old_facts.items() if name in new_facts}
         tests_ += test_unpaired_samples((old_scores, new_scores), (shared, new_facts))
     if not tests_ and all(pair.run == "in neither" for pair in pairs):
@@ -225,7 +214,6 @@ def _run_tests(
 def _decide_whether_changed(
     pairs: Sequence[ScenarioPair], tests: Sequence[ChangeTest], deterministic: bool
 ) -> tuple[bool, str]:
-    """Tell whether the versions differ, and why."""
     runs = Counter(test.run for test in pairs)
     n_ran = sum(test.both_ran for test in pairs)
     significant = [test for test in tests if test.corrected <= ALPHA]
@@ -273,7 +261,6 @@ def _compute_score_change(pairs: Sequence[ScenarioPair], metric_name: str) -> Sc
 
 
 def _describe_setting_differences(old: StudyMeta, new: StudyMeta) -> Iterator[str]:
-    """Yield a text for each setting that differs between the studies."""
     if bool(old.suite) != bool(new.suite):
         yield f"scenarios: {' → '.join('of a suite' if meta.suite else 'explored' for meta in (old, new))}"
     for name, label in _SETTING_LABELS.items():
@@ -283,14 +270,12 @@ def _describe_setting_differences(old: StudyMeta, new: StudyMeta) -> Iterator[st
 
 
 def _describe_nondeterminism(*studies: StudyFile) -> Iterator[str]:
-    """Yield a text for each study whose runs are not deterministic."""
     for study in studies:
         if study.meta.nondeterminism_text:
             yield f"runs of {study.path.name} differ: {study.meta.nondeterminism_text}"
 
 
 def _describe_value_difference(name: str, old: Any, new: Any) -> Iterator[str]:
-    """Yield texts that describe how two values of a setting differ."""
     if old == new:
         return
     if name.startswith(_DRIVER_PREFIX) and (_is_custom_driver(old) or _is_custom_driver(new)):
@@ -328,10 +313,7 @@ def _format_setting(value: Any) -> str:
 def _count_cluster_changes(
     old: StudyFile, new: StudyFile, pairs: Sequence[ScenarioPair]
 ) -> dict[str, tuple[ClusterChange, ...]]:
-    """Count how many pairs belong to each cluster of the old study, with the old and with the new version.
-
-    Recordings of the new version are assigned to the clusters of the old study.
-    """
+    """Count the pairs in each cluster of the old study; recordings of the new version are assigned to these."""
     clusters = {}
     for by, analysis in read_analyses(old).items():
         if by in old.meta.metrics and by not in new.meta.metrics:

@@ -25,6 +25,9 @@ ComparisonVerdict = Literal["better", "worse", "mixed", "the same", "cannot say"
 ChangeDirection = Literal["worse", "better"]
 """Direction of a change."""
 
+FindingKind = Literal["collision", "requirement", "run", "critical", "score"]
+"""What a finding is about."""
+
 # Limits of scenarios named in a finding, and of findings in a sentence.
 _MAX_NAMED_SCENARIOS: Final = 5
 _MAX_LISTED_FINDINGS: Final = 4
@@ -180,7 +183,7 @@ class Finding:
         The test that found the change; None if single scenarios show it.
     """
 
-    kind: Literal["collision", "requirement", "run", "critical", "score"]
+    kind: FindingKind
     about: str
     direction: ChangeDirection
     ids: tuple[tuple[int, int], ...]

@@ -76,10 +76,7 @@ class StudySide:
 
 
 def scenario_key(study: StudyFile, row: ScenarioRecord) -> tuple[object, ...]:
-    """Return the parameter values of a scenario, to find the same scenario in the other study.
-
-    A choice is given as text, any other value as float.
-    """
+    """Return the parameter values of a scenario, texts for choices, to find it in the other study."""
     return tuple(
         str(value) if parameter.choices else float(value)
         for parameter in study.space.parameters
@@ -95,10 +92,7 @@ def criticality_metrics(study: StudyFile) -> tuple[str, ...]:
 
 
 def match_pairs(old: StudySide, new: StudySide, metrics: Sequence[str]) -> tuple[ScenarioPair, ...]:
-    """Pair the scenarios that ended in both studies with the same parameters, and compare their results.
-
-    Pairs are in the order of the old study.
-    """
+    """Pair the scenarios that ended in both studies, in the order of the old one, and compare their results."""
     other = old.study.primary_other()
     partners = {scenario_key(new.study, row): row for row in new.rows}
     pairs = []
@@ -249,11 +243,7 @@ def _criticality_key(study: StudyFile) -> tuple[object, ...]:
 
 
 def space_filling_scores(side: StudySide, metrics: Sequence[str]) -> tuple[dict[str, FloatArray], dict[str, BoolArray]]:
-    """Return scores and facts of the scenarios of one study that fill the space, as arrays of shape (n,).
-
-    Scores are by metric; facts are ``"collision"`` and, if known, ``"critical"``. They serve for tests of studies that
-    have too few scenarios in common.
-    """
+    """Return scores by metric, and facts, of the scenarios of one study that fill the space, arrays of shape (n,)."""
     ids, meta = side.space_filling_ids(), side.study.meta
     scores = {name: np.array([side.scores[scenario][name] for scenario in ids]) for name in metrics}
     hits = [

@@ -71,10 +71,7 @@ def holm_correct(tests: Sequence[ChangeTest]) -> tuple[ChangeTest, ...]:
 
 
 def test_pairs(pairs: Sequence[ScenarioPair], metrics: Sequence[str]) -> list[ChangeTest]:
-    """Test whether scores and facts of paired scenarios differ between the versions; p-values are not corrected.
-
-    At least one pair is needed.
-    """
+    """Test whether scores and facts of at least one pair differ between the versions; p-values are not corrected."""
     both_ran = [pair for pair in pairs if pair.both_ran]
     results = []
     for name in metrics if both_ran else ():

@@ -27,10 +27,7 @@ class Action:
     table_row: int = -1
 
     def kernel_options(self) -> tuple[int, ...]:
-        """Return type, entity and options of the action for kernels.
-
-        By default the type of an action without a kernel.
-        """
+        """Return type, entity and options of the action for kernels; by default the type of one without a kernel."""
         return (PYTHON_ACTION,)
 
     def start(self, world: World, where: BoolArray) -> None:

@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 from lxml import etree
 
-from cornercase._common.errors import InputError, suggest_name
+from cornercase._common.errors import suggest_name
 from cornercase._common.io.tracked_xml import note_adaptation
 from cornercase._common.typing import BoolArray
 from cornercase.scenario._scope import Scope
@@ -16,23 +16,14 @@ from cornercase.simulators.builtin.actions._action import Action
 from cornercase.simulators.builtin.actions._controller import ControllerAction, VisibilityAction
 from cornercase.simulators.builtin.actions._follow_trajectory import FollowTrajectoryAction
 from cornercase.simulators.builtin.actions._lateral import LaneChangeAction, LaneOffsetAction, LateralDistanceAction
-from cornercase.simulators.builtin.actions._longitudinal import (
-    LongitudinalDistanceAction,
-    SpeedAction,
-    require_child,
-)
+from cornercase.simulators.builtin.actions._longitudinal import LongitudinalDistanceAction, SpeedAction, require_child
 from cornercase.simulators.builtin.actions._speed_profile import SpeedProfileAction
 from cornercase.simulators.builtin.actions._synchronize import SynchronizeAction
 from cornercase.simulators.builtin.actions._trailer import read_trailer_action
 from cornercase.simulators.builtin.paths._positions import read_entity_index, read_position, read_route
 from cornercase.simulators.builtin.world._lane_following import assign_route, place_entity
 from cornercase.simulators.builtin.world._text_values import is_unused_by_conditions, read_text_value
-from cornercase.simulators.builtin.world._traffic_signals import (
-    SIGNAL_CONDITIONS,
-    SignalController,
-    require_phase_index,
-    require_signal_controller,
-)
+from cornercase.simulators.builtin.world._traffic_signals import SIGNAL_CONDITIONS, SignalController, read_signal_phase
 from cornercase.simulators.builtin.world._world import LATERAL, LONGITUDINAL, World
 
 # Actions without influence on criticality metrics.
@@ -40,7 +31,6 @@ WITHOUT_EFFECT: Final = (
     "EnvironmentAction", "AppearanceAction", "UserDefinedAction",
     "OverrideControllerValueAction", "SetMonitorAction",
 )  # fmt: skip
-
 
 _GROUPING_TAGS: Final = (
     "LongitudinalAction", "LateralAction", "RoutingAction", "InfrastructureAction", "TrafficSignalAction",
@@ -60,20 +50,21 @@ def read_action(element: etree._Element, scope: Scope, world: World, entity: int
     if inner.tag in _GLOBAL_READERS:
         return _GLOBAL_READERS[inner.tag](inner, scope, world, entity)
     if inner.tag not in _PRIVATE_READERS:
-        raise InputError(
-            f"{scope.file_name}, line {inner.sourceline}: <{inner.tag}> is not supported by the builtin simulator;"
-            f" it runs {', '.join((*_PRIVATE_READERS, *_GLOBAL_READERS))}."
+        raise scope.error_at(
+            inner,
+            f"<{inner.tag}> is not supported by the builtin simulator;"
+            f" it runs {', '.join((*_PRIVATE_READERS, *_GLOBAL_READERS))}.",
         )
     if entity is None:
-        raise InputError(f"{scope.file_name}, line {inner.sourceline}: <{inner.tag}> needs an entity that acts.")
+        raise scope.error_at(inner, f"<{inner.tag}> needs an entity that acts.")
     return _PRIVATE_READERS[inner.tag](inner, scope, world, entity)
 
 
 def find_action_element(element: etree._Element) -> etree._Element:
     """Return the action inside its grouping elements; the element itself if it contains none."""
-    inner = next(iter(element.iterchildren("*")), None)
+    inner = element.find("*")
     while inner is not None and inner.tag in _GROUPING_TAGS:
-        inner = next(iter(inner.iterchildren("*")), None)
+        inner = inner.find("*")
     return element if inner is None else inner
 
 
@@ -135,7 +126,7 @@ class EntityAction(Action):
         if add is not None:
             self._position = read_position(require_child(add, "Position", scope), scope, world)
         elif element.find("DeleteEntityAction") is None:
-            raise InputError(f"{scope.file_name}, line {element.sourceline}: <EntityAction> neither adds nor deletes.")
+            raise scope.error_at(element, "<EntityAction> neither adds nor deletes.")
 
     def start(self, world: World, where: BoolArray) -> None:
         if self._position is None:
@@ -152,25 +143,19 @@ class SetOrModifyAction(Action):
 
     def __init__(self, element: etree._Element, scope: Scope, values: dict[str, Any], name: str) -> None:
         self._name, self._values = name, values
-        where = f"{scope.file_name}, line {element.sourceline}: <{element.tag}>"
-        self._operation: Callable[[Any, Any], Any] = np.add
-        change, source = element.find("SetAction"), None
-        if change is not None:
-            source = change
-            self._set = True
-        else:
-            self._set = False
+        source = element.find("SetAction")
+        self._set = source is not None
+        if source is None:
             rule = element.find("ModifyAction/Rule")
-            inner = None if rule is None else next(iter(rule.iterchildren("*")), None)
-            if inner is None or inner.tag not in ("AddValue", "MultiplyByValue"):
-                raise InputError(f"{where} neither sets, adds nor multiplies.")
-            source = inner
-            self._operation = np.multiply if inner.tag == "MultiplyByValue" else np.add
+            source = None if rule is None else rule.find("*")
+            if source is None or source.tag not in ("AddValue", "MultiplyByValue"):
+                raise scope.error_at(element, f"<{element.tag}> neither sets, adds nor multiplies.")
+        self._operation = np.multiply if source.tag == "MultiplyByValue" else np.add
         numeric = values[self._name].dtype.kind == "f"
         text = "" if numeric else read_text_value(source, scope, values[self._name])
         self._value = scope.read_numbers(source, "value") if numeric else np.full(scope.n_scenarios, text)
         if not numeric and not self._set:
-            raise InputError(f"{where}: '{self._name}' is not a number and can only be set.")
+            raise scope.error_at(element, f"<{element.tag}>: '{name}' is not a number and can only be set.")
 
     def start(self, world: World, where: BoolArray) -> None:
         values = self._values[self._name]
@@ -189,8 +174,7 @@ def _read_variable_action(element: etree._Element, scope: Scope, world: World, e
         why = f"is skipped, as there is no {noun} '{name}', and no condition uses it"
         note_adaptation(element, f"<{element.tag}>", why, f"{attribute} names a {noun} that is declared")
         return None
-    where = f"{scope.file_name}, line {element.sourceline}: <{element.tag}>"
-    raise InputError(f"{where}: there is no {noun} '{name}'; {suggest_name(name, values)}")
+    raise scope.error_at(element, f"<{element.tag}>: there is no {noun} '{name}'; {suggest_name(name, values)}")
 
 
 class TrafficSignalControllerAction(Action):
@@ -207,7 +191,6 @@ class TrafficSignalControllerAction(Action):
 def _read_signal_controller_action(
     element: etree._Element, scope: Scope, world: World, entity: int | None
 ) -> Action | None:
-    where = f"{scope.file_name}, line {element.sourceline}: <{element.tag}>"
     name = scope.read_text(element, "trafficSignalControllerRef")
     phase = scope.read_text(element, "phase")
     controller = world.signal_controllers.get(name)
@@ -216,8 +199,7 @@ def _read_signal_controller_action(
         why = f"is skipped, as there is no {lacking}, and no condition uses signals"
         note_adaptation(element, f"<{element.tag}>", why, "it names a signal controller of the file, and a phase of it")
         return None
-    controller = require_signal_controller(world.signal_controllers, name, where)
-    return TrafficSignalControllerAction(controller, require_phase_index(controller, phase, where))
+    return TrafficSignalControllerAction(*read_signal_phase(element, scope, world.signal_controllers))
 
 
 class TrafficSignalStateAction(Action):

@@ -108,7 +108,6 @@ class DriverControl:
 
     @property
     def _display_name(self) -> str:
-        """Return the name of the driver in errors and notices."""
         driver_class, entity = type(self.driver), quote_name(self._world.names[self.entity])
         return f"the driver of {entity}" + (
             "" if is_built_in(driver_class) else f" ({driver_class.__module__}:{driver_class.__qualname__})"
@@ -125,10 +124,7 @@ class DriverControl:
                 self._set_speed(self._make_situation(k, track, dt, rows), rows)
 
     def _set_speed(self, situation: Situation, rows: BoolArray) -> None:
-        """Call the driver, and set the speed in the scenarios of a mask.
-
-        Scenarios without a valid acceleration fail.
-        """
+        """Set the speed that the driver decides in the scenarios of a mask; those without a valid acceleration fail."""
         world, speed = self._world, self._world.speed[self.entity]
         acceleration = self._call_driver(situation)
         is_missing = rows & ~np.isfinite(acceleration)
@@ -166,7 +162,6 @@ class DriverControl:
             raise DriverError(PluginError(why), splits=False) from error
 
     def _clip_acceleration(self, acceleration: FloatArray, rows: BoolArray, time: float) -> FloatArray:
-        """Clip accelerations to the limits of the vehicle."""
         entity = self._world.entities[self.entity]
         highest, lowest = entity.max_acceleration, -entity.max_deceleration
         if highest == np.inf == -lowest:

@@ -35,7 +35,7 @@ class FollowTrajectoryAction(CompiledAction):
         self._shape = read_trajectory(element if holder is None else holder, scope, world, read_position)
         mode = element.find("TrajectoryFollowingMode")
         reference = element.find("TimeReference")
-        timing_element = None if reference is None else next(reference.iterchildren("*"), None)
+        timing_element = None if reference is None else reference.find("*")
         timing = timing_element if timing_element is not None and timing_element.tag == "Timing" else None
         self._smooth = mode is None or scope.read_text(mode, "followingMode", "follow") == "follow"
         self._absolute = False
@@ -111,5 +111,4 @@ class FollowTrajectoryAction(CompiledAction):
 
 
 def _is_opposite_heading(heading: FloatArray, line_heading: FloatArray) -> BoolArray:
-    """Check whether a heading points backwards along a line."""
     return np.asarray(np.cos(heading - line_heading) < -_TINY)

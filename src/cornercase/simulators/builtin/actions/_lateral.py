@@ -9,17 +9,11 @@ from typing import Final
 import numpy as np
 from lxml import etree
 
-from cornercase._common.errors import InputError
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.scenario._scope import Scope
 from cornercase.simulators.builtin.actions._action import Action, CompiledAction
-from cornercase.simulators.builtin.actions._longitudinal import require_child
-from cornercase.simulators.builtin.kernels._action_table import (
-    DYNAMICS_DIMENSIONS,
-    DYNAMICS_SHAPES,
-    LANE_CHANGE_ACTION,
-    LANE_OFFSET_ACTION,
-)
+from cornercase.simulators.builtin.actions._longitudinal import read_target, require_child
+from cornercase.simulators.builtin.kernels._action_table import DYNAMICS_SHAPES, LANE_CHANGE_ACTION, LANE_OFFSET_ACTION
 from cornercase.simulators.builtin.paths._dynamics import (
     TransitionDynamics,
     check_dynamics_shape,
@@ -49,26 +43,14 @@ class LaneChangeAction(CompiledAction):
         self._entity = entity
         self._location = f"{Path(scope.file_name).name}, line {element.sourceline}"
         self._transition = TransitionDynamics(require_child(element, "LaneChangeActionDynamics", scope), scope)
-        target = require_child(element, "LaneChangeTarget", scope)
-        absolute, relative = target.find("AbsoluteTargetLane"), target.find("RelativeTargetLane")
-        self._reference: int | None = None
-        if absolute is not None:
-            self._value = scope.read_integer(absolute, "value")
-        elif relative is not None:
-            self._value = scope.read_integer(relative, "value")
-            self._reference = read_entity_index(relative, scope, world)
-        else:
-            raise InputError(f"{scope.file_name}, line {element.sourceline}: <LaneChangeTarget> holds no target.")
+        target, self._reference = read_target(element, "LaneChangeTarget", "TargetLane", scope, world)
+        self._value = scope.read_integer(target, "value")
         self._target_offset = scope.read_numbers(element, "targetLaneOffset", 0.0)
         n = scope.n_scenarios
         self._from, self._to, self._done, self._extent = (np.zeros(n) for _ in range(4))
 
     def kernel_options(self) -> tuple[int, ...]:
-        shape, dimension = (
-            DYNAMICS_SHAPES.index(self._transition.shape),
-            DYNAMICS_DIMENSIONS.index(self._transition.dimension),
-        )
-        return LANE_CHANGE_ACTION, self._entity, shape, dimension
+        return LANE_CHANGE_ACTION, self._entity, *self._transition.kernel_options
 
     def start(self, world: World, where: BoolArray) -> None:
         e = self._entity
@@ -99,8 +81,7 @@ class LaneChangeAction(CompiledAction):
 
     def _keep_own_lane(self, world: World, where: BoolArray) -> None:
         """Make the entity's present lane the target lane, in the scenarios of a mask."""
-        e, own_lane = self._entity, road_pose(world, self._entity).lane
-        assert own_lane is not None
+        e, own_lane = self._entity, road_pose(world, self._entity).road_coordinates()[1]
         why = f"{world.names[e]} is to change to a lane that does not exist, and stays in its own lane"
         world.add_notice(self._location, "<LaneChangeAction>", why, where)
         stays = change_lane(world, e, own_lane, where)
@@ -110,9 +91,8 @@ class LaneChangeAction(CompiledAction):
         if self._reference is None:
             return np.full(world.scenarios, self._value)
         pose = road_pose(world, self._reference)
-        assert pose.lane is not None
         forward = np.where(is_heading_along_road(world, pose), 1, -1)
-        return shift_lane(pose.lane, self._value * forward)
+        return shift_lane(pose.road_coordinates()[1], self._value * forward)
 
 
 class LaneOffsetAction(CompiledAction):
@@ -128,16 +108,8 @@ class LaneOffsetAction(CompiledAction):
         check_dynamics_shape(self._shape, dynamics, scope)
         self._max_acceleration = scope.read_numbers(dynamics, "maxLateralAcc", _DEFAULT_ACCELERATION)
         scope.mark_invalid(dynamics, "maxLateralAcc", "is below 0", self._max_acceleration < 0.0)
-        target = require_child(element, "LaneOffsetTarget", scope)
-        absolute, relative = target.find("AbsoluteTargetLaneOffset"), target.find("RelativeTargetLaneOffset")
-        self._reference: int | None = None
-        if absolute is not None:
-            self._value = scope.read_numbers(absolute, "value")
-        elif relative is not None:
-            self._value = scope.read_numbers(relative, "value")
-            self._reference = read_entity_index(relative, scope, world)
-        else:
-            raise InputError(f"{scope.file_name}, line {element.sourceline}: <LaneOffsetTarget> holds no target.")
+        target, self._reference = read_target(element, "LaneOffsetTarget", "TargetLaneOffset", scope, world)
+        self._value = scope.read_numbers(target, "value")
         n = scope.n_scenarios
         self._from, self._to, self._elapsed, self._duration = (np.zeros(n) for _ in range(4))
 

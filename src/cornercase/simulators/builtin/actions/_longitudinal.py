@@ -7,16 +7,10 @@ from typing import Final
 import numpy as np
 from lxml import etree
 
-from cornercase._common.errors import InputError
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.scenario._scope import Scope
 from cornercase.simulators.builtin.actions._action import CompiledAction
-from cornercase.simulators.builtin.kernels._action_table import (
-    DISTANCE_ACTION,
-    DYNAMICS_DIMENSIONS,
-    DYNAMICS_SHAPES,
-    SPEED_ACTION,
-)
+from cornercase.simulators.builtin.kernels._action_table import DISTANCE_ACTION, SPEED_ACTION
 from cornercase.simulators.builtin.kernels._distances import FREE_SPACE, LONGITUDINAL_DISTANCE
 from cornercase.simulators.builtin.kernels._synchronize import DISTANCE_TOLERANCE
 from cornercase.simulators.builtin.paths._dynamics import TransitionDynamics
@@ -42,19 +36,10 @@ class SpeedAction(CompiledAction):
     def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int) -> None:
         self._entity = entity
         self._transition = TransitionDynamics(require_child(element, "SpeedActionDynamics", scope), scope)
-        target = require_child(element, "SpeedActionTarget", scope)
-        absolute, relative = target.find("AbsoluteTargetSpeed"), target.find("RelativeTargetSpeed")
-        self._reference: int | None = None
-        self._continuous = self._factor = False
-        if absolute is not None:
-            self._value = scope.read_numbers(absolute, "value")
-        elif relative is not None:
-            self._reference = read_entity_index(relative, scope, world)
-            self._value = scope.read_numbers(relative, "value")
-            self._factor = scope.read_text(relative, "speedTargetValueType", "delta") == "factor"
-            self._continuous = scope.read_boolean(relative, "continuous", False)
-        else:
-            raise InputError(f"{scope.file_name}, line {element.sourceline}: <SpeedActionTarget> holds no target.")
+        target, self._reference = read_target(element, "SpeedActionTarget", "TargetSpeed", scope, world)
+        self._value, is_relative = scope.read_numbers(target, "value"), self._reference is not None
+        self._factor = is_relative and scope.read_text(target, "speedTargetValueType", "delta") == "factor"
+        self._continuous = is_relative and scope.read_boolean(target, "continuous", False)
         n = scope.n_scenarios
         # The speed changes while the parameter grows from 0 to the span, in s.
         self._from, self._to, self._parameter, self._span = (np.zeros(n) for _ in range(4))
@@ -62,12 +47,9 @@ class SpeedAction(CompiledAction):
         self._reached, self._rate = np.zeros(n), self._transition.value
 
     def kernel_options(self) -> tuple[int, ...]:
-        shape, dimension = (
-            DYNAMICS_SHAPES.index(self._transition.shape),
-            DYNAMICS_DIMENSIONS.index(self._transition.dimension),
-        )
         reference = -1 if self._reference is None else self._reference
-        return SPEED_ACTION, self._entity, shape, dimension, reference, self._factor, self._continuous
+        options = reference, self._factor, self._continuous
+        return SPEED_ACTION, self._entity, *self._transition.kernel_options, *options
 
     def start(self, world: World, where: BoolArray) -> None:
         e, entity = self._entity, world.entities[self._entity]
@@ -138,9 +120,7 @@ class LongitudinalDistanceAction(CompiledAction):
     def start(self, world: World, where: BoolArray) -> None:
         new = where & self._undecided
         if new.any():
-            kind = LONGITUDINAL_DISTANCE + FREE_SPACE if self._free else LONGITUDINAL_DISTANCE
-            distance = world.compiled.measure_to_entity(self._entity, self._other, kind)
-            self._behind[new] = np.where(distance >= 0.0, 1.0, 0.0)[new]
+            self._behind[new] = np.where(self._distance_along_heading(world) >= 0.0, 1.0, 0.0)[new]
             self._undecided[new] = False
 
     def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
@@ -167,17 +147,17 @@ class LongitudinalDistanceAction(CompiledAction):
             other_pose = road_pose(world, self._other)
             along_roads = distance_along_roads(world, self._entity, other_pose)
             return distance_ahead_on_road(world, self._entity, other_pose, along_roads)
-        kind = LONGITUDINAL_DISTANCE + FREE_SPACE if self._free else LONGITUDINAL_DISTANCE
+        return self._distance_along_heading(world)
+
+    def _distance_along_heading(self, world: World) -> FloatArray:
+        kind = LONGITUDINAL_DISTANCE + FREE_SPACE * self._free
         return world.compiled.measure_to_entity(self._entity, self._other, kind)
 
 
 def _read_limit(
     limits: etree._Element | None, name: str, vehicle_limit: float, default: float, scope: Scope
 ) -> FloatArray:
-    """Read a limit of dynamic constraints, shape (N,).
-
-    A missing limit, or one that is too large, becomes that of the vehicle. A limit of 0 becomes a usual value.
-    """
+    """Read a limit, shape (N,); the vehicle's if it is missing or too large, and a usual value if it is 0."""
     vehicle_limit = min(vehicle_limit, _UNLIMITED)
     limit = (
         np.full(scope.n_scenarios, vehicle_limit) if limits is None else scope.read_numbers(limits, name, vehicle_limit)
@@ -189,5 +169,17 @@ def require_child(element: etree._Element, tag: str, scope: Scope) -> etree._Ele
     """Return the child element with a tag; raise `InputError` if there is none."""
     result = element.find(tag)
     if result is None:
-        raise InputError(f"{scope.file_name}, line {element.sourceline}: <{element.tag}> has no <{tag}>.")
+        raise scope.error_at(element, f"<{element.tag}> has no <{tag}>.")
     return result
+
+
+def read_target(
+    element: etree._Element, tag: str, quantity: str, scope: Scope, world: World
+) -> tuple[etree._Element, int | None]:
+    """Return the target of an action, and the row of the entity that it is relative to; None if it is absolute."""
+    holder = require_child(element, tag, scope)
+    if (absolute := holder.find(f"Absolute{quantity}")) is not None:
+        return absolute, None
+    if (relative := holder.find(f"Relative{quantity}")) is not None:
+        return relative, read_entity_index(relative, scope, world)
+    raise scope.error_at(element, f"<{tag}> holds no target.")

@@ -7,7 +7,6 @@ from typing import Final, NamedTuple
 import numpy as np
 from lxml import etree
 
-from cornercase._common.errors import InputError
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.scenario._batch_split import BatchSplitError
 from cornercase.scenario._scope import Scope
@@ -24,10 +23,7 @@ _MAX_DELAY: Final = 10.0
 
 
 class ProfileLimits(NamedTuple):
-    """Largest speed, and largest rates of acceleration and jerk upwards and downwards.
-
-    Not negative, shape (N,) each.
-    """
+    """Largest speed, and largest rates of acceleration and jerk upwards and downwards, none negative, (N,) each."""
 
     max_speed: FloatArray
     max_acceleration: FloatArray
@@ -72,7 +68,7 @@ class SpeedProfileAction(Action):
         self._smooth = np.isfinite(bounds[3]) & np.isfinite(bounds[4]) & follow
         entries = list(element.iterfind("SpeedProfileEntry"))
         if not entries:
-            raise InputError(f"{scope.file_name}, line {element.sourceline}: <SpeedProfileAction> has no entries.")
+            raise scope.error_at(element, "<SpeedProfileAction> has no entries.")
         self._speeds = [scope.read_numbers(limit, "speed") for limit in entries]
         self._durations = [scope.read_numbers(limit, "time", -1.0) for limit in entries]
         if len(np.unique(np.abs(self._durations[0]) < _TINY)) > 1:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from lxml import etree
 
-from cornercase._common.errors import InputError
 from cornercase._common.typing import BoolArray
 from cornercase.scenario._scope import Scope
 from cornercase.simulators.builtin.actions._action import CompiledAction
@@ -53,7 +52,7 @@ class SynchronizeAction(CompiledAction):
         self._final, self._final_speed_kind = np.zeros(n), NO_FINAL_SPEED
         self._steady_distance, self._steady_time = np.zeros(n), np.zeros(n)
         final = element.find("FinalSpeed")
-        inner = None if final is None else next(iter(final.iterchildren("*")), None)
+        inner = None if final is None else final.find("*")
         if inner is not None:
             self._read_final(inner, scope)
         self._is_located = np.zeros(n)
@@ -74,9 +73,8 @@ class SynchronizeAction(CompiledAction):
             factor = scope.read_text(element, "speedTargetValueType", "delta") == "factor"
             self._final_speed_kind = FINAL_SPEED_FACTOR if factor else FINAL_SPEED_DIFFERENCE
         else:
-            raise InputError(
-                f"{scope.file_name}, line {element.sourceline}: <FinalSpeed> holds neither an <AbsoluteSpeed> nor a"
-                " <RelativeSpeedToMaster>."
+            raise scope.error_at(
+                element, "<FinalSpeed> holds neither an <AbsoluteSpeed> nor a <RelativeSpeedToMaster>."
             )
         distance, time = element.find("TargetDistanceSteadyState"), element.find("TargetTimeSteadyState")
         if distance is not None:

@@ -50,7 +50,7 @@ def read_trailer_action(element: etree._Element, scope: Scope, world: World, ent
         return None
     trailer = read_entity_index(connects, scope, world, "trailerRef")
     if trailer == entity:
-        raise InputError(f"{scope.file_name}, line {connects.sourceline}: '{world.names[entity]}' cannot pull itself.")
+        raise scope.error_at(connects, f"'{world.names[entity]}' cannot pull itself.")
     if not any((tow.vehicle, tow.trailer) == (entity, trailer) for tow in world.tows):
         try:
             world.tows = sort_front_to_back([*world.tows, read_tow(entity, trailer, world.entities)])
@@ -64,7 +64,6 @@ def read_trailer_action(element: etree._Element, scope: Scope, world: World, ent
 
 
 def _disconnect_trailer(world: World, vehicle: int, where: BoolArray) -> None:
-    """Disconnect the trailer of a vehicle."""
     for tow in world.tows:
         released = where & (world.pulled_by[tow.trailer] == vehicle)
         if tow.vehicle == vehicle and released.any():

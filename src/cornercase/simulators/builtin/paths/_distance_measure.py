@@ -8,7 +8,6 @@ from typing import Final
 import numpy as np
 from lxml import etree
 
-from cornercase._common.errors import InputError
 from cornercase._common.typing import FloatArray
 from cornercase.scenario._scope import Scope
 from cornercase.simulators.builtin.kernels._distances import (
@@ -18,12 +17,12 @@ from cornercase.simulators.builtin.kernels._distances import (
     LONGITUDINAL_DISTANCE,
 )
 from cornercase.simulators.builtin.tracks._track import Pose
-from cornercase.simulators.builtin.world._collisions import all_box_corners
 from cornercase.simulators.builtin.world._entity_distances import (
-    box_lengths_between_references,
     distance_along_roads,
+    free_space_to_entity,
     offset_of_entity,
     offset_of_point,
+    shorten_distance,
 )
 from cornercase.simulators.builtin.world._free_space import (
     free_space_to_entity_on_road,
@@ -51,15 +50,12 @@ class DistanceMeasure:
     is_free_space: bool
 
     def measure_to_entity(self, world: World, e: int, other: int) -> FloatArray:
-        """Return the signed distance in m to another entity, shape (N,).
-
-        Negative behind, or to the right if lateral.
-        """
-        if self.kind == "euclidean" and self.is_free_space:
+        """Return the signed distance in m to an entity, shape (N,); negative behind, or to the right if lateral."""
+        if (kernel_kind := self.kernel_kind(to_entity=True)) is not None:
+            return world.compiled.measure_to_entity(e, other, kernel_kind)
+        if self.kind == "euclidean":
             is_behind = world.compiled.measure_to_entity(e, other, LONGITUDINAL_DISTANCE + FREE_SPACE) < 0.0
             return np.where(is_behind, -1.0, 1.0) * _box_distance(world, e, other)
-        if self.kind == "euclidean" or not self.along_road:
-            return world.compiled.measure_to_entity(e, other, self._kernel_kind)
         position = road_pose(world, other)
         if self.kind == "lateral":
             is_linked = np.isfinite(distance_along_roads(world, e, position))
@@ -72,37 +68,32 @@ class DistanceMeasure:
         distance = distance_ahead_on_road(world, e, position, distance_along_roads(world, e, position))
         if not self.is_free_space:
             return distance
-        ahead, behind = box_lengths_between_references(world, e, other)
-        shortened = np.where(distance > 0, np.maximum(distance - ahead, 0.0), np.minimum(distance + behind, 0.0))
-        return free_space_to_entity_on_road(world, e, other, False, shortened)
+        return free_space_to_entity_on_road(world, e, other, False, free_space_to_entity(world, e, other, distance))
 
     def measure_to_point(self, world: World, e: int, pose: Pose) -> FloatArray:
         """Return the signed distance in m to a point, shape (N,); negative behind, or to the right if lateral."""
-        if self.kind == "euclidean" or not self.along_road:
-            return world.compiled.measure_to_point(e, pose.x, pose.y, self._kernel_kind)
+        if (kernel_kind := self.kernel_kind(to_entity=False)) is not None:
+            return world.compiled.measure_to_point(e, pose.x, pose.y, kernel_kind)
         entity, along_roads = world.entities[e], distance_along_roads(world, e, pose)
         if self.kind == "lateral":
             offset = offset_of_point(world, e, pose.x, pose.y) - world.offset[e]
             across = np.where(np.isfinite(along_roads), offset, np.inf)
-            result = np.asarray(
-                np.sign(across) * np.maximum(np.abs(across) - 0.5 * entity.width * self.is_free_space, 0.0)
-            )
-            return (
-                free_space_to_point_on_road(world, e, pose, True, result)
-                if self.is_free_space
-                else lateral_distance_on_road(world, e, pose, result)
-            )
+            if not self.is_free_space:
+                return lateral_distance_on_road(world, e, pose, across)
+            narrowed = np.sign(across) * np.maximum(np.abs(across) - 0.5 * entity.width, 0.0)
+            return free_space_to_point_on_road(world, e, pose, True, narrowed)
         distance = distance_ahead_on_road(world, e, pose, along_roads)
         if not self.is_free_space:
             return distance
         front, rear = 0.5 * entity.length + entity.center_x, 0.5 * entity.length - entity.center_x
-        distance = np.where(distance > 0, np.maximum(distance - front, 0.0), np.minimum(distance + rear, 0.0))
-        return free_space_to_point_on_road(world, e, pose, False, distance)
+        return free_space_to_point_on_road(world, e, pose, False, shorten_distance(distance, front, rear))
 
-    @property
-    def _kernel_kind(self) -> int:
-        """Return the kind of distance in kernels, which measure along the axes of the entity."""
-        return _KERNEL_KINDS[self.kind] + (FREE_SPACE if self.is_free_space else 0)
+    def kernel_kind(self, *, to_entity: bool) -> int | None:
+        """Return the kind of distance in kernels, which measure along the axes of the entity; None if they cannot."""
+        is_euclidean = self.kind == "euclidean"
+        if (self.along_road and not is_euclidean) or (to_entity and self.is_free_space and is_euclidean):
+            return None
+        return _KERNEL_KINDS[self.kind] + FREE_SPACE * self.is_free_space
 
 
 def read_distance_measure(element: etree._Element, scope: Scope) -> DistanceMeasure:
@@ -114,21 +105,22 @@ def read_distance_measure(element: etree._Element, scope: Scope) -> DistanceMeas
         "longitudinal": "longitudinal", "lateral": "lateral",
     }  # fmt: skip
     if kind not in kinds or system not in ("entity", "lane", "road", "trajectory", "world"):
-        raise InputError(
-            f"{scope.file_name}, line {element.sourceline}: <{element.tag}>: a distance of type '{kind}' in the system"
-            f" '{system}' does not exist; use euclidianDistance, longitudinal or lateral in entity, lane, road or"
-            " trajectory."
+        raise scope.error_at(
+            element,
+            f"<{element.tag}>: a distance of type '{kind}' in the system '{system}' does not exist; use"
+            " euclidianDistance, longitudinal or lateral in entity, lane, road or trajectory.",
         )
     if system in ("trajectory", "world") and kinds[kind] != "euclidean":
-        raise InputError(
-            f"{scope.file_name}, line {element.sourceline}: <{element.tag}>: a {kind} distance in the system '{system}'"
-            " cannot be measured; use entity, lane or road."
+        raise scope.error_at(
+            element,
+            f"<{element.tag}>: a {kind} distance in the system '{system}'"
+            " cannot be measured; use entity, lane or road.",
         )
     return DistanceMeasure(kinds[kind], system in ("lane", "road"), scope.read_boolean(element, "freespace", False))
 
 
 def _box_distance(world: World, e: int, other: int) -> FloatArray:
-    corners_a, corners_b = all_box_corners(world)[[e, other]]
+    corners_a, corners_b = world.box_corners()[[e, other]]
     smallest = np.full(world.scenarios, np.inf)
     for points, box in ((corners_a, corners_b), (corners_b, corners_a)):
         for k in range(4):

@@ -7,9 +7,9 @@ from typing import Final
 import numpy as np
 from lxml import etree
 
-from cornercase._common.errors import InputError
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.scenario._scope import Scope
+from cornercase.simulators.builtin.kernels._action_table import DYNAMICS_DIMENSIONS, DYNAMICS_SHAPES
 
 # Largest slope of a transition from 0 to 1 over unit time.
 _PEAK_SLOPE: Final = {"linear": 1.0, "cubic": 1.5, "sinusoidal": 0.5 * np.pi, "step": 1.0}
@@ -27,13 +27,16 @@ class TransitionDynamics:
         self.value = scope.read_numbers(element, "value", 0.0)
         check_dynamics_shape(self.shape, element, scope)
         if self.dimension not in ("time", "rate", "distance"):
-            raise InputError(
-                f"{scope.file_name}, line {element.sourceline}: dynamicsDimension '{self.dimension}' of"
-                f" <{element.tag}> is not time, rate or distance."
+            raise scope.error_at(
+                element, f"dynamicsDimension '{self.dimension}' of <{element.tag}> is not time, rate or distance."
             )
         # The sign of a rate is ignored, as files give braking with a minus.
         if self.dimension != "rate":
             scope.mark_invalid(element, "value", "is below 0", self.value < 0.0)
+
+    @property
+    def kernel_options(self) -> tuple[int, int]:
+        return DYNAMICS_SHAPES.index(self.shape), DYNAMICS_DIMENSIONS.index(self.dimension)
 
     def speed_change_duration(
         self, start: FloatArray, end: FloatArray, unlimited_end: FloatArray, max_slope: FloatArray
@@ -86,17 +89,13 @@ class TransitionDynamics:
 def check_dynamics_shape(shape: str, element: etree._Element, scope: Scope) -> None:
     """Raise `InputError` if there is no such ``dynamicsShape``."""
     if shape not in _PEAK_SLOPE:
-        raise InputError(
-            f"{scope.file_name}, line {element.sourceline}: dynamicsShape '{shape}' of <{element.tag}> is not one of"
-            f" {', '.join(_PEAK_SLOPE)}."
+        raise scope.error_at(
+            element, f"dynamicsShape '{shape}' of <{element.tag}> is not one of {', '.join(_PEAK_SLOPE)}."
         )
 
 
 def duration_at_peak_acceleration(shape: str, change: FloatArray, max_acceleration: FloatArray) -> FloatArray:
-    """Return the duration in s of a lateral change by `change` m that peaks at `max_acceleration` m/s².
-
-    A linear change is treated like a cubic one.
-    """
+    """Return the duration in s of a lateral change by its peak acceleration; a linear one counts as cubic."""
     with np.errstate(divide="ignore"):
         if shape == "step":
             return np.zeros_like(change)

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from lxml import etree
 
-from cornercase._common.errors import InputError, suggest_name
+from cornercase._common.errors import suggest_name
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.roads._network import RoadNetwork
 from cornercase.scenario._scope import Scope
@@ -25,24 +25,20 @@ _END_TOLERANCE: Final = 0.1
 
 
 def read_position(holder: etree._Element, scope: Scope, world: World) -> PositionResolver:
-    """Read the position inside an element; return a function that resolves it in a world.
-
-    Raises `InputError` if there is none, its type is not supported, or it refers to something that does not exist.
-    """
-    element = next(iter(holder.iterchildren("*")), None)
+    """Read the position inside an element; return a function that resolves it in a world."""
+    element = holder.find("*")
     if element is None:
-        raise InputError(f"{scope.file_name}, line {holder.sourceline}: <{holder.tag}> holds no position.")
+        raise scope.error_at(holder, f"<{holder.tag}> holds no position.")
     if element.tag not in _READERS:
-        raise InputError(
-            f"{scope.file_name}, line {element.sourceline}: <{element.tag}> is not supported by the builtin simulator;"
-            f" it reads {', '.join(_READERS)}."
+        raise scope.error_at(
+            element, f"<{element.tag}> is not supported by the builtin simulator; it reads {', '.join(_READERS)}."
         )
     return _READERS[element.tag](element, scope, world)
 
 
 def is_static_position(holder: etree._Element) -> bool:
     """Return whether the position inside an element is the same at all times."""
-    element = next(iter(holder.iterchildren("*")), None)
+    element = holder.find("*")
     return element is not None and element.tag in ("WorldPosition", "LanePosition", "RoadPosition")
 
 
@@ -50,24 +46,23 @@ def read_entity_index(element: etree._Element, scope: Scope, world: World, attri
     """Return the row of the entity that an attribute names."""
     name = scope.read_text(element, attribute)
     if name not in world.names:
-        raise InputError(
-            f"{scope.file_name}, line {element.sourceline}: <{element.tag}> names the entity '{name}', which does not"
-            f" exist; {suggest_name(name, world.names)}"
+        raise scope.error_at(
+            element,
+            f"<{element.tag}> names the entity '{name}', which does not exist; {suggest_name(name, world.names)}",
         )
     return world.names.index(name)
 
 
 def read_entity_refs(holder: etree._Element, scope: Scope, world: World) -> list[int]:
-    """Return the rows of the entities that ``EntityRef`` elements name, also as members of a selection.
-
-    No duplicates.
-    """
-    rows = []
-    for element in holder.iterfind("EntityRef"):
-        name = scope.read_text(element, "entityRef")
-        members = world.selections.get(name)
-        rows += [read_entity_index(element, scope, world)] if members is None else members
+    """Return the rows of the entities and members of selections that ``EntityRef`` elements name, each once."""
+    rows = (row for element in holder.iterfind("EntityRef") for row in read_members(element, scope, world))
     return list(dict.fromkeys(rows))
+
+
+def read_members(element: etree._Element, scope: Scope, world: World) -> list[int]:
+    """Return the row of the entity that ``entityRef`` names, or the rows of the members of a selection."""
+    members = world.selections.get(scope.read_text(element, "entityRef"))
+    return [read_entity_index(element, scope, world)] if members is None else members
 
 
 def _read_world_position(element: etree._Element, scope: Scope, world: World) -> PositionResolver:
@@ -137,10 +132,7 @@ def _read_relative_lane_position(element: etree._Element, scope: Scope, world: W
 
 
 def shift_lane(lane: IntArray, n_lanes: IntArray) -> IntArray:
-    """Return the lane number that is `n_lanes` lanes to the left (negative: right), seen along s, shape (N,).
-
-    Lane numbers skip 0.
-    """
+    """Return the lane `n_lanes` lanes to the left (negative: right), seen along s, shape (N,); there is no lane 0."""
     moved = lane + n_lanes
     return np.where((moved == 0) | (np.sign(moved) != np.sign(lane)), moved + np.sign(n_lanes), moved)
 
@@ -233,11 +225,10 @@ def _read_route_position(element: etree._Element, scope: Scope, world: World) ->
     holder = element.find("RouteRef")
     route = None if holder is None else read_route(holder, scope, world)
     in_route = element.find("InRoutePosition")
-    inner = None if in_route is None else next(iter(in_route.iterchildren("*")), None)
+    inner = None if in_route is None else in_route.find("*")
     if route is None or inner is None or inner.tag not in ("FromLaneCoordinates", "FromRoadCoordinates"):
-        raise InputError(
-            f"{scope.file_name}, line {element.sourceline}: <RoutePosition> needs a <RouteRef> and an <InRoutePosition>"
-            " from lane or road coordinates."
+        raise scope.error_at(
+            element, "<RoutePosition> needs a <RouteRef> and an <InRoutePosition> from lane or road coordinates."
         )
     on_lane = inner.tag == "FromLaneCoordinates"
     distance = scope.read_numbers(inner, "pathS")
@@ -291,11 +282,7 @@ RouteResolver = Callable[[World], list[Pose]]
 
 
 def read_route(holder: etree._Element, scope: Scope, world: World) -> RouteResolver:
-    """Read the ``Route`` or ``CatalogReference`` in an element.
-
-    Return a function that resolves its waypoints in a world. Raises `InputError` if there is none, or if it has fewer
-    than two waypoints.
-    """
+    """Read the ``Route`` or ``CatalogReference`` in an element; return a function that resolves its waypoints."""
     element, scope = scope.resolve_element_or_reference(holder, "Route")
     waypoints = [
         read_position(position, scope, world)
@@ -303,7 +290,7 @@ def read_route(holder: etree._Element, scope: Scope, world: World) -> RouteResol
         if position is not None
     ]
     if len(waypoints) < 2:
-        raise InputError(f"{scope.file_name}, line {element.sourceline}: a <Route> needs at least two waypoints.")
+        raise scope.error_at(element, "a <Route> needs at least two waypoints.")
 
     _require_network(element, scope, world)
     return lambda world: [waypoint(world) for waypoint in waypoints]
@@ -312,14 +299,14 @@ def read_route(holder: etree._Element, scope: Scope, world: World) -> RouteResol
 def _read_trajectory_position(element: etree._Element, scope: Scope, world: World) -> PositionResolver:
     holder = element.find("TrajectoryRef")
     if holder is None:
-        raise InputError(f"{scope.file_name}, line {element.sourceline}: <TrajectoryPosition> has no <TrajectoryRef>.")
+        raise scope.error_at(element, "<TrajectoryPosition> has no <TrajectoryRef>.")
     shape = read_trajectory(holder, scope, world, read_position)
     s, t = scope.read_numbers(element, "s"), scope.read_numbers(element, "t", 0.0)
     turn, relative = _read_orientation(element, scope)
     rows = np.arange(scope.n_scenarios)
 
     def resolve(world: World) -> Pose:
-        x, y, heading = shape(world).pose_at(s, t, rows)
+        x, y, heading = shape(world, False, None, None).pose_at(s, t, rows)
         return _locate_pose(world, x, y, heading + turn if relative else turn)
 
     return resolve
@@ -382,10 +369,7 @@ def _read_orientation(element: etree._Element, scope: Scope) -> tuple[FloatArray
 
 def _require_network(element: etree._Element, scope: Scope, world: World) -> RoadNetwork:
     if world.network is None:
-        raise InputError(
-            f"{scope.file_name}, line {element.sourceline}: <{element.tag}> needs a road file, but"
-            " <RoadNetwork> names none."
-        )
+        raise scope.error_at(element, f"<{element.tag}> needs a road file, but <RoadNetwork> names none.")
     return world.network
 
 

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 from lxml import etree
 
-from cornercase._common.errors import InputError
 from cornercase._common.io.tracked_xml import cached_on_element, note_adaptation
 from cornercase._common.typing import FloatArray
 from cornercase.scenario._batch_split import BatchSplitError
@@ -35,7 +34,6 @@ class WorldPosition:
         self.pose = pose
 
     def __call__(self, world: World) -> Pose:
-        """Return the pose with its road coordinates."""
         if world.network is None:
             return self.pose
         return replace(self.pose, **world.network.locate(self.pose.x, self.pose.y)._asdict())
@@ -53,61 +51,39 @@ class TimeConversion:
     shift: FloatArray
 
     def convert(self, file_times: FloatArray) -> FloatArray:
-        """Convert times of the file, shape (N, V).
-
-        If a time is earlier than a previous one, the previous one is repeated, so that times never decrease.
-        """
+        """Convert times of the file, shape (N, V); a time earlier than a previous one becomes the previous one."""
         times = file_times * self.scale[:, None] + self.shift[:, None]
         latest = np.maximum.accumulate(times, axis=1)
         return np.where(times[:, -1:] == latest[:, -1:], latest, times)
 
 
-class TrajectoryBuilder(Protocol):
-    """Function that builds a trajectory for the current state of a world.
+TrajectoryBuilder = Callable[[World, bool, TimeConversion | None, int | None], Trajectory]
+"""Builds a trajectory for the current state of a world.
 
-    `smooth` selects the following mode ``follow``. Without `clock`, the trajectory has no times. `entity` follows it.
-    """
-
-    def __call__(
-        self, world: World, smooth: bool = False, clock: TimeConversion | None = None, entity: int | None = None
-    ) -> Trajectory:
-        """Return the trajectory."""
-        ...
+The further arguments are whether the following mode is ``follow``, the conversion of times (None: without times), and
+the row of the entity that follows it (None: nobody does).
+"""
 
 
 def read_trajectory(
     holder: etree._Element, scope: Scope, world: World, read_position: PositionReader
 ) -> TrajectoryBuilder:
-    """Read the ``Trajectory`` or ``CatalogReference`` in an element; `read_position` reads the positions in it.
-
-    Raises `InputError` if there is none, or if it is malformed.
-    """
+    """Read the ``Trajectory`` or ``CatalogReference`` in an element; `read_position` reads the positions in it."""
     element, inner = scope.resolve_element_or_reference(holder, "Trajectory")
     shape = element.find("Shape")
-    kind = None if shape is None else next(iter(shape.iterchildren("*")), None)
+    kind = None if shape is None else shape.find("*")
     if kind is None or kind.tag not in ("Polyline", "Clothoid", "ClothoidSpline", "Nurbs"):
-        raise InputError(
-            f"{scope.file_name}, line {element.sourceline}: a <Trajectory> is not a <Polyline>, <Clothoid>,"
-            " <ClothoidSpline> or <Nurbs>."
-        )
+        raise scope.error_at(element, "a <Trajectory> is not a <Polyline>, <Clothoid>, <ClothoidSpline> or <Nurbs>.")
     closed = inner.read_boolean(element, "closed", False)
     if kind.tag == "Polyline":
         return _read_polyline(kind, inner, world, read_position, closed)
     if closed:
-        raise InputError(
-            f"{scope.file_name}, line {element.sourceline}: a closed <Trajectory> has to be a"
-            f" <Polyline> here; give closed"
-            " as false."
-        )
+        raise scope.error_at(element, "a closed <Trajectory> has to be a <Polyline> here; give closed as false.")
     return (_read_nurbs if kind.tag == "Nurbs" else _read_clothoids)(kind, inner, world, read_position)
 
 
 def has_times(holder: etree._Element, scope: Scope) -> bool:
-    """Return whether the trajectory in an element has times that differ.
-
-    Raises `InputError` for a closed trajectory with times, since its return to the first vertex has none. Raises
-    `BatchSplitError` if only some scenarios have times.
-    """
+    """Return whether the trajectory in an element has times that differ; `BatchSplitError` if in some scenarios."""
     element, inner = scope.resolve_element_or_reference(holder, "Trajectory")
     timed = [
         (part, name)
@@ -135,9 +111,10 @@ def has_times(holder: etree._Element, scope: Scope) -> bool:
                 timed[back][0], f"time of <{timed[back][0].tag}>", reason, "times of a trajectory never go back"
             )
     if differ.all() and inner.read_boolean(element, "closed", False):
-        raise InputError(
-            f"{scope.file_name}, line {element.sourceline}: a closed <Trajectory> has no time for its return to the"
-            " first vertex; set closed to false, and repeat the first vertex at the end, with its time."
+        raise scope.error_at(
+            element,
+            "a closed <Trajectory> has no time for its return to the"
+            " first vertex; set closed to false, and repeat the first vertex at the end, with its time.",
         )
     return bool(differ.all())
 
@@ -147,12 +124,10 @@ def _read_polyline(
 ) -> TrajectoryBuilder:
     vertices = list(element.iterfind("Vertex"))
     if len(vertices) < 2:
-        raise InputError(f"{scope.file_name}, line {element.sourceline}: a <Polyline> needs at least two vertices.")
+        raise scope.error_at(element, "a <Polyline> needs at least two vertices.")
     resolve_vertices = _read_vertices(element, vertices, scope, world, read_position)
 
-    def build_trajectory(
-        world: World, smooth: bool = False, clock: TimeConversion | None = None, entity: int | None = None
-    ) -> Trajectory:
+    def build_trajectory(world: World, smooth: bool, clock: TimeConversion | None, entity: int | None) -> Trajectory:
         turning, begin_speed = ALONG_SEGMENTS if smooth else AT_CORNERS, None
         chosen = None if entity is None else world.entities[entity].polyline_turning
         turning = turning if chosen is None else chosen
@@ -223,11 +198,11 @@ def _read_clothoids(
 ) -> TrajectoryBuilder:
     segments = [element] if element.tag == "Clothoid" else list(element.iterfind("ClothoidSplineSegment"))
     if not segments:
-        raise InputError(f"{scope.file_name}, line {element.sourceline}: a <ClothoidSpline> has no segments.")
+        raise scope.error_at(element, "a <ClothoidSpline> has no segments.")
     length = np.stack([scope.read_numbers(segment, "length") for segment in segments], axis=1)
     for segment, values in zip(segments, length.T, strict=True):
         if not scope.origin_parameters(segment.get("length", "")) and not values[0] > 0:
-            raise InputError(f"{scope.file_name}, line {segment.sourceline}: length of <{segment.tag}> is not above 0.")
+            raise scope.error_at(segment, f"length of <{segment.tag}> is not above 0.")
         scope.mark_invalid(segment, "length", "is not above 0", ~(values > 0))
     length = np.where(length > 0, length, 1.0)
     if element.tag == "Clothoid":
@@ -247,16 +222,14 @@ def _read_clothoids(
     later_starts = {k: read_position(holder, scope, world) for k, holder in holders.items() if holder is not None}
     turns = np.stack([scope.read_numbers(segment, "hOffset", 0.0) for segment in segments], axis=1)
 
-    def build_trajectory(
-        world: World, smooth: bool = False, clock: TimeConversion | None = None, entity: int | None = None
-    ) -> Trajectory:
+    def build_trajectory(world: World, smooth: bool, clock: TimeConversion | None, entity: int | None) -> Trajectory:
         if position is not None:
             pose = position(world)
             x, y, heading = pose.x, pose.y, pose.heading
         elif entity is not None:
             x, y, heading = world.x[entity].copy(), world.y[entity].copy(), world.heading[entity].copy()
         else:
-            raise InputError(f"{scope.file_name}, line {element.sourceline}: the trajectory has no start position.")
+            raise scope.error_at(element, "the trajectory has no start position.")
         begins = {k: resolve(world) for k, resolve in later_starts.items()}
         reached = None if clock is None else clock.convert(times)
         return ClothoidSpline(x, y, heading, start, end, length, reached, begins, turns)
@@ -288,21 +261,19 @@ def _read_nurbs(
 ) -> TrajectoryBuilder:
     controls, order = list(element.iterfind("ControlPoint")), scope.read_integer(element, "order")
     knots = np.array([scope.read_number(control, "value") for control in element.iterfind("Knot")])
-    location = f"{scope.file_name}, line {element.sourceline}"
     if not 2 <= order <= len(controls) or len(knots) != len(controls) + order or (np.diff(knots) < 0).any():
-        raise InputError(
-            f"{location}: a <Nurbs> of order {order} with {len(controls)} control points needs"
-            f" {len(controls) + order} rising knots, and at least as many control points as its order."
+        raise scope.error_at(
+            element,
+            f"a <Nurbs> of order {order} with {len(controls)} control points needs"
+            f" {len(controls) + order} rising knots, and at least as many control points as its order.",
         )
     weights = np.array([scope.read_number(control, "weight", 1.0) for control in controls])
     if not (weights > 0).all():
-        raise InputError(f"{location}: a weight of a <Nurbs> is not above 0.")
+        raise scope.error_at(element, "a weight of a <Nurbs> is not above 0.")
     positions = [read_position(_require_position(control, scope), scope, world) for control in controls]
     times = np.stack([scope.read_numbers(control, "time", 0.0) for control in controls], axis=1)
 
-    def build_trajectory(
-        world: World, smooth: bool = False, clock: TimeConversion | None = None, entity: int | None = None
-    ) -> Trajectory:
+    def build_trajectory(world: World, smooth: bool, clock: TimeConversion | None, entity: int | None) -> Trajectory:
         poses = [_resolve_coordinates(position, world) for position in positions]
         x, y = np.stack([pose.x for pose in poses], axis=1), np.stack([pose.y for pose in poses], axis=1)
         px, py, heading, reached = evaluate_nurbs(x, y, times, weights, knots, order)
@@ -320,5 +291,5 @@ def _resolve_coordinates(position: PositionResolver, world: World) -> Pose:
 def _require_position(element: etree._Element, scope: Scope) -> etree._Element:
     position = element.find("Position")
     if position is None or not len(position):
-        raise InputError(f"{scope.file_name}, line {element.sourceline}: <{element.tag}> has no <Position>.")
+        raise scope.error_at(element, f"<{element.tag}> has no <Position>.")
     return position

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Any, Final, Protocol
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -12,16 +12,14 @@ from cornercase._common.masks import any_true
 from cornercase._common.typing import BoolArray
 from cornercase.simulators.builtin.world._world import World
 
+if TYPE_CHECKING:
+    from cornercase.simulators.builtin.storyboard._triggers import Trigger
+
 INIT, STANDBY, RUNNING, COMPLETE = 0, 1, 2, 3
 NOTHING, START, END, STOP, SKIP = 0, 1, 2, 3, 4
 
 _STATES: Final = {"standbyState": STANDBY, "runningState": RUNNING, "completeState": COMPLETE}
-_TRANSITIONS: Final = {
-    "startTransition": START,
-    "endTransition": END,
-    "stopTransition": STOP,
-    "skipTransition": SKIP,
-}
+_TRANSITIONS: Final = {"startTransition": START, "endTransition": END, "stopTransition": STOP, "skipTransition": SKIP}
 
 
 class StateWatcher:
@@ -56,37 +54,14 @@ class StateWatcher:
         return result
 
     def record_change(self, where: BoolArray, state: int, transition: int) -> None:
-        """Record a change in the scenarios of a mask."""
         self._current_state[where] = state
         self._has_changed |= where
         if state == self._state or transition == self._transition:
             self._was_matched |= where
 
     def clear_changes(self, where: BoolArray) -> None:
-        """Clear recorded changes in the scenarios of a mask."""
         self._has_changed &= ~where
         self._was_matched &= ~where
-
-
-class ElementTrigger(Protocol):
-    """Interface of the triggers of elements."""
-
-    def fires(self, world: World, where: BoolArray) -> BoolArray:
-        """Return the scenarios of a mask in which the trigger fires, shape (N,)."""
-        ...
-
-    def reset(self, where: BoolArray) -> None:
-        """Reset the trigger in the scenarios of a mask."""
-        ...
-
-    def may_fire(self, world: World) -> BoolArray:
-        """Return the scenarios in which the trigger can still fire at some time, shape (N,)."""
-        ...
-
-    @property
-    def groups(self) -> list[list[Any]]:
-        """Return all conditions of the trigger, by group."""
-        ...
 
 
 class Element:
@@ -104,13 +79,13 @@ class Element:
         name: str,
         scenarios: int,
         children: Sequence[Element] = (),
-        start: ElementTrigger | None = None,
-        stop: ElementTrigger | None = None,
+        start: Trigger | None = None,
+        stop: Trigger | None = None,
         max_executions: int | None = None,
     ) -> None:
         self.kind, self.name, self.children = kind, name, children
         self.state = np.full(scenarios, INIT, dtype=np.int8)
-        self._start, self._stop, self._times = start, stop, max_executions
+        self.start_trigger, self._stop, self._times = start, stop, max_executions
         self._executions = np.zeros(scenarios, dtype=np.int64)
         self._parent: Element | None = None
         self._watches: list[StateWatcher] = []
@@ -121,20 +96,14 @@ class Element:
         """Report all changes of state to a condition from now on."""
         self._watches.append(watcher)
 
-    def iter_triggers(self) -> Iterator[tuple[ElementTrigger, int]]:
+    def iter_triggers(self) -> Iterator[tuple[Trigger, int]]:
         """Yield the triggers of the element, each with the state in which it can fire."""
-        if self._start is not None:
-            yield self._start, STANDBY
+        if self.start_trigger is not None:
+            yield self.start_trigger, STANDBY
         if self._stop is not None:
             yield self._stop, RUNNING
 
-    @property
-    def has_no_start_trigger(self) -> bool:
-        """Return whether the element has no start trigger."""
-        return self._start is None
-
     def set_state(self, where: BoolArray, state: int, transition: int) -> None:
-        """Change the state in the scenarios of a mask."""
         if any_true(where):
             for watch in self._watches:
                 watch.record_change(where, state, transition)
@@ -159,7 +128,6 @@ class Element:
         self._end_complete_parent(ending)
 
     def stop(self, where: BoolArray) -> None:
-        """Stop the element and its descendants in the scenarios of a mask."""
         if not any_true(where):
             return
         for child in self.children:
@@ -169,14 +137,13 @@ class Element:
         self._end_complete_parent(stopped)
 
     def reset(self, where: BoolArray) -> None:
-        """Reset the element and its descendants to their initial state."""
         for child in self.children:
             child.reset(where)
         self.state[where] = INIT
         self._reset_triggers(where)
 
     def _reset_triggers(self, where: BoolArray) -> None:
-        for trigger in (self._start, self._stop):
+        for trigger in (self.start_trigger, self._stop):
             if trigger is not None:
                 trigger.reset(where)
 

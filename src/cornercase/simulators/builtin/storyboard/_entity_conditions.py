@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 from lxml import etree
 
-from cornercase._common.errors import InputError, suggest_name
+from cornercase._common.errors import suggest_name
 from cornercase._common.geometry.boxes import wrap_angle
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.scenario._scope import Scope
@@ -18,14 +18,14 @@ from cornercase.simulators.builtin.kernels import _conditions as conditions
 from cornercase.simulators.builtin.kernels import _distances as distances
 from cornercase.simulators.builtin.kernels._conditions import MAX_HEADING_DIFFERENCE, LeafCondition
 from cornercase.simulators.builtin.kernels._distances import TOLERANCE
-from cornercase.simulators.builtin.paths._distance_measure import DistanceMeasure, read_distance_measure
+from cornercase.simulators.builtin.paths._distance_measure import read_distance_measure
 from cornercase.simulators.builtin.paths._positions import (
     is_static_position,
     read_entity_index,
     read_entity_refs,
     read_position,
 )
-from cornercase.simulators.builtin.world._entity_distances import box_lengths_between_references, distance_along_roads
+from cornercase.simulators.builtin.world._entity_distances import distance_along_roads, free_space_to_entity
 from cornercase.simulators.builtin.world._road_position import (
     has_drivable_lane_in_range,
     is_opposite_direction,
@@ -37,6 +37,8 @@ from cornercase.simulators.builtin.world._world import World
 
 EntityTest = Callable[[World, int], BoolArray] | tuple[LeafCondition, ...]
 """A function of the state and an entity's row that returns an array (N,), or leaves any of which has to hold."""
+
+ConditionReader = Callable[[etree._Element, Scope, World], EntityTest]
 
 
 def _is_equal(a: Any, b: Any) -> Any:
@@ -59,10 +61,7 @@ def read_comparison_rule(
     """Return the comparison function for the ``rule`` of an element."""
     rule = scope.read_text(element, "rule")
     if rule not in rules:
-        raise InputError(
-            f"{scope.file_name}, line {element.sourceline}: rule '{rule}' of <{element.tag}>:"
-            f" {suggest_name(rule, rules)}"
-        )
+        raise scope.error_at(element, f"rule '{rule}' of <{element.tag}>: {suggest_name(rule, rules)}")
     return rules[rule]
 
 
@@ -78,9 +77,9 @@ _COMPONENTS: Final = {
 }
 
 
-def _traveled_distance_condition(element: etree._Element, scope: Scope, world: World) -> EntityTest:
-    value = scope.read_numbers(element, "value")
-    return (LeafCondition(conditions.TRAVELED_DISTANCE_CONDITION, values=(value,)),)
+def _number_reader(kind: int, attribute: str) -> ConditionReader:
+    """Return the reader of a condition on a property of the entity that has to exceed a number."""
+    return lambda element, scope, world: (LeafCondition(kind, values=(scope.read_numbers(element, attribute),)),)
 
 
 def _reach_position_condition(element: etree._Element, scope: Scope, world: World) -> EntityTest:
@@ -102,32 +101,16 @@ def _reach_position_condition(element: etree._Element, scope: Scope, world: Worl
     return reached
 
 
-def _speed_condition(element: etree._Element, scope: Scope, world: World) -> EntityTest:
-    return (_read_velocity_leaf(conditions.SPEED_CONDITION, element, scope),)
+def _velocity_reader(kind: int) -> ConditionReader:
+    """Return the reader of a condition on a component of a velocity or an acceleration."""
 
+    def read(element: etree._Element, scope: Scope, world: World) -> EntityTest:
+        other = read_entity_index(element, scope, world) if kind == conditions.RELATIVE_SPEED_CONDITION else -1
+        rule, value = read_comparison_rule(element, scope), scope.read_numbers(element, "value")
+        option = _COMPONENTS.get(scope.read_text(element, "direction", ""), distances.VERTICAL_COMPONENT)
+        return (LeafCondition(kind, other, comparison_rule_index(rule), option, (value,)),)
 
-def _read_velocity_leaf(kind: int, element: etree._Element, scope: Scope, other: int = -1) -> LeafCondition:
-    """Read the rule, value and component of a condition on a velocity or an acceleration."""
-    rule, value = read_comparison_rule(element, scope), scope.read_numbers(element, "value")
-    option = _COMPONENTS.get(scope.read_text(element, "direction", ""), distances.VERTICAL_COMPONENT)
-    return LeafCondition(kind, other, comparison_rule_index(rule), option, (value,))
-
-
-def _relative_speed_condition(element: etree._Element, scope: Scope, world: World) -> EntityTest:
-    other = read_entity_index(element, scope, world)
-    return (_read_velocity_leaf(conditions.RELATIVE_SPEED_CONDITION, element, scope, other),)
-
-
-def _acceleration_condition(element: etree._Element, scope: Scope, world: World) -> EntityTest:
-    return (_read_velocity_leaf(conditions.ACCELERATION_CONDITION, element, scope),)
-
-
-def _stand_still_condition(element: etree._Element, scope: Scope, world: World) -> EntityTest:
-    return (LeafCondition(conditions.STAND_STILL_CONDITION, values=(scope.read_numbers(element, "duration"),)),)
-
-
-def _end_of_road_condition(element: etree._Element, scope: Scope, world: World) -> EntityTest:
-    return (LeafCondition(conditions.END_OF_ROAD_CONDITION, values=(scope.read_numbers(element, "duration"),)),)
+    return read
 
 
 def _off_road_condition(element: etree._Element, scope: Scope, world: World) -> EntityTest:
@@ -139,43 +122,58 @@ def _off_road_condition(element: etree._Element, scope: Scope, world: World) -> 
 def _collision_condition(element: etree._Element, scope: Scope, world: World) -> EntityTest:
     by_type = element.find("ByType")
     if by_type is not None:
-        object_type = scope.read_text(by_type, "type")
-        others = [k for k, entity in enumerate(world.entities) if _object_type_of_category(entity.kind) == object_type]
-    else:
-        others = read_entity_refs(element, scope, world)
-    if by_type is None and not others:
-        raise InputError(f"{scope.file_name}, line {element.sourceline}: <CollisionCondition> names no entity.")
-
+        others = world.entities_of_type(scope.read_text(by_type, "type"))
+    elif not (others := read_entity_refs(element, scope, world)):
+        raise scope.error_at(element, "<CollisionCondition> names no entity.")
     return tuple(LeafCondition(conditions.COLLISION_CONDITION, other) for other in others)
 
 
-def _object_type_of_category(category: str) -> str:
-    return {"pedestrian": "pedestrian", "misc": "miscellaneous"}.get(category, "vehicle")
+Comparison = Callable[[FloatArray], Any]
+"""Compares numbers with the value in the file, by the rule in the file."""
+
+GapTest = Callable[[World, int, int, FloatArray, Comparison], Any]
+"""Decides by the state, the rows of both entities, and the distance between them in m, shape (N,)."""
 
 
-def _relative_distance_condition(element: etree._Element, scope: Scope, world: World) -> EntityTest:
-    other, gap = read_entity_index(element, scope, world), read_distance_measure(element, scope)
-    rule, value = read_comparison_rule(element, scope), scope.read_numbers(element, "value")
-    option = _kernel_gap_option(gap, to_entity=True)
-    if option is not None:
-        index = comparison_rule_index(rule)
-        return (LeafCondition(conditions.RELATIVE_DISTANCE_CONDITION, other, index, option, (value,)),)
+def _read_gap_condition(kind: int, holds: GapTest, element: etree._Element, other: int, scope: Scope) -> EntityTest:
+    """Read a condition on the distance to an entity; `holds` decides if kernels cannot measure it."""
+    gap, rule = read_distance_measure(element, scope), read_comparison_rule(element, scope)
+    value, kernel_kind = scope.read_numbers(element, "value"), gap.kernel_kind(to_entity=True)
+    if kernel_kind is not None:
+        return (LeafCondition(kind, other, comparison_rule_index(rule), kernel_kind, (value,)),)
 
-    def holds(world: World, e: int) -> BoolArray:
-        return np.asarray(rule(np.abs(gap.measure_to_entity(world, e, other)), value) & world.present[other])
+    def test(world: World, e: int) -> BoolArray:
+        distance = gap.measure_to_entity(world, e, other)
+        return np.asarray(holds(world, e, other, distance, lambda number: rule(number, value)) & world.present[other])
 
-    return holds
+    return test
+
+
+def _gap_reader(kind: int, holds: GapTest) -> ConditionReader:
+    """Return the reader of a condition on the distance to the entity that its element names."""
+    return lambda element, scope, world: _read_gap_condition(
+        kind, holds, element, read_entity_index(element, scope, world), scope
+    )
+
+
+def _relative_distance_holds(world: World, e: int, other: int, distance: FloatArray, compare: Comparison) -> Any:
+    return compare(np.abs(distance))
+
+
+def _time_headway_holds(world: World, e: int, other: int, distance: FloatArray, compare: Comparison) -> Any:
+    defined = (distance >= 0.0) & (world.speed[e] >= TOLERANCE)
+    return defined & compare(distance / np.where(defined, world.speed[e], 1.0))
 
 
 def _distance_condition(element: etree._Element, scope: Scope, world: World) -> EntityTest:
     holder = require_child(element, "Position", scope)
     position, gap = read_position(holder, scope, world), read_distance_measure(element, scope)
     rule, value = read_comparison_rule(element, scope), scope.read_numbers(element, "value")
-    option = _kernel_gap_option(gap, to_entity=False)
+    kernel_kind = gap.kernel_kind(to_entity=False)
     fixed_pose = position(world) if is_static_position(holder) else None
-    if option is not None and fixed_pose is not None:
+    if kernel_kind is not None and fixed_pose is not None:
         values = (fixed_pose.x, fixed_pose.y, value)
-        return (LeafCondition(conditions.DISTANCE_CONDITION, -1, comparison_rule_index(rule), option, values),)
+        return (LeafCondition(conditions.DISTANCE_CONDITION, -1, comparison_rule_index(rule), kernel_kind, values),)
 
     def holds(world: World, e: int) -> BoolArray:
         pose = position(world) if fixed_pose is None else fixed_pose
@@ -184,67 +182,29 @@ def _distance_condition(element: etree._Element, scope: Scope, world: World) -> 
     return holds
 
 
-def _kernel_gap_option(gap: DistanceMeasure, to_entity: bool) -> int | None:
-    """Return the option for which kernels measure a gap; None if kernels cannot measure it."""
-    options = {
-        "euclidean": distances.EUCLIDEAN_DISTANCE,
-        "longitudinal": distances.LONGITUDINAL_DISTANCE,
-        "lateral": distances.LATERAL_DISTANCE,
-    }
-    if (gap.along_road and gap.kind != "euclidean") or (to_entity and gap.is_free_space and gap.kind == "euclidean"):
-        return None
-    return options[gap.kind] + distances.FREE_SPACE * gap.is_free_space
-
-
-def _time_headway_condition(element: etree._Element, scope: Scope, world: World) -> EntityTest:
-    other, gap = read_entity_index(element, scope, world), read_distance_measure(element, scope)
-    rule, value = read_comparison_rule(element, scope), scope.read_numbers(element, "value")
-    option = _kernel_gap_option(gap, to_entity=True)
-    if option is not None:
-        index = comparison_rule_index(rule)
-        return (LeafCondition(conditions.TIME_HEADWAY_CONDITION, other, index, option, (value,)),)
-
-    def holds(world: World, e: int) -> BoolArray:
-        distance, speed = gap.measure_to_entity(world, e, other), world.speed[e]
-        defined = (distance >= 0.0) & (speed >= TOLERANCE) & world.present[other]
-        return np.asarray(defined & rule(distance / np.where(defined, speed, 1.0), value))
-
-    return holds
-
-
 def _time_to_collision_condition(element: etree._Element, scope: Scope, world: World) -> EntityTest:
-    gap, rule, value = (
-        read_distance_measure(element, scope),
-        read_comparison_rule(element, scope),
-        scope.read_numbers(element, "value"),
-    )
     target = element.find("TimeToCollisionConditionTarget")
     reference = None if target is None else target.find("EntityRef")
     holder = None if target is None else target.find("Position")
     if reference is not None:
         other = read_entity_index(reference, scope, world)
-        option = _kernel_gap_option(gap, to_entity=True)
-        if option is None:
-            return lambda world, e: _time_to_entity_holds(world, e, other, gap, rule, value)
-        index = comparison_rule_index(rule)
-        return (LeafCondition(conditions.TIME_TO_COLLISION_CONDITION, other, index, option, (value,)),)
+        kind = conditions.TIME_TO_COLLISION_CONDITION
+        return _read_gap_condition(kind, _time_to_entity_holds, element, other, scope)
     if holder is None:
-        raise InputError(
-            f"{scope.file_name}, line {element.sourceline}: <TimeToCollisionCondition> names neither an entity nor a"
-            " position as its target."
+        raise scope.error_at(
+            element, "<TimeToCollisionCondition> names neither an entity nor a position as its target."
         )
-    position = read_position(holder, scope, world)
+    position, gap = read_position(holder, scope, world), read_distance_measure(element, scope)
+    rule, value = read_comparison_rule(element, scope), scope.read_numbers(element, "value")
 
     def holds(world: World, e: int) -> BoolArray:
-        return _time_to_close_holds(gap.measure_to_point(world, e, position(world)), world.speed[e], rule, value)
+        distance = gap.measure_to_point(world, e, position(world))
+        return np.asarray(_time_to_close_holds(distance, world.speed[e], lambda number: rule(number, value)))
 
     return holds
 
 
-def _time_to_entity_holds(
-    world: World, e: int, other: int, gap: DistanceMeasure, rule: Callable[[Any, Any], Any], value: Any
-) -> BoolArray:
-    distance = gap.measure_to_entity(world, e, other)
+def _time_to_entity_holds(world: World, e: int, other: int, distance: FloatArray, compare: Comparison) -> Any:
     # The closing speed is measured along the other's direction of motion.
     x, y = world.step_velocity[0][other], world.step_velocity[1][other]
     pace = np.hypot(x, y)
@@ -252,26 +212,20 @@ def _time_to_entity_holds(
     own_speed = (world.step_velocity[0][e] * x + world.step_velocity[1][e] * y) / np.where(stands, 1.0, pace)
     signs = np.where(world.speed[e] < 0.0, -1.0, 1.0) * np.where(own_speed < 0.0, -1.0, 1.0)
     closing = np.where(stands, world.speed[e], signs * (own_speed - np.abs(world.speed[other])))
-    return np.asarray(_time_to_close_holds(distance, closing, rule, value) & world.present[other])
+    return _time_to_close_holds(distance, closing, compare)
 
 
-def _time_to_close_holds(
-    distance: FloatArray, closing: FloatArray, rule: Callable[[Any, Any], Any], value: Any
-) -> BoolArray:
+def _time_to_close_holds(distance: FloatArray, closing: FloatArray, compare: Comparison) -> Any:
     defined = (np.abs(distance) >= TOLERANCE) & (np.abs(closing) >= TOLERANCE)
     time = np.where(defined, distance / np.where(defined, closing, 1.0), -1.0)
-    return np.asarray((time >= 0.0) & rule(time, value))
+    return (time >= 0.0) & compare(time)
 
 
 def _relative_clearance_condition(element: etree._Element, scope: Scope, world: World) -> EntityTest:
-    forward, backward = (
-        scope.read_numbers(element, "distanceForward", 0.0),
-        scope.read_numbers(element, "distanceBackward", 0.0),
-    )
-    free, opposite = (
-        scope.read_boolean(element, "freeSpace", False),
-        scope.read_boolean(element, "oppositeLanes", False),
-    )
+    forward = scope.read_numbers(element, "distanceForward", 0.0)
+    backward = scope.read_numbers(element, "distanceBackward", 0.0)
+    free = scope.read_boolean(element, "freeSpace", False)
+    opposite = scope.read_boolean(element, "oppositeLanes", False)
     lanes = element.find("RelativeLaneRange")
     first = -100 if lanes is None else scope.read_integer(lanes, "from", -100)
     last = 100 if lanes is None else scope.read_integer(lanes, "to", 100)
@@ -279,22 +233,18 @@ def _relative_clearance_condition(element: etree._Element, scope: Scope, world: 
 
     def holds(world: World, e: int) -> BoolArray:
         own_pose = road_pose(world, e)
-        assert own_pose.lane is not None
+        own_lane = own_pose.road_coordinates()[1]
         occupied = np.zeros(world.scenarios, dtype=np.bool_)
         for other in others or [k for k in range(len(world.entities)) if k != e]:
             pose = road_pose(world, other)
-            assert pose.lane is not None
             distance = distance_along_roads(world, e, pose)
             if free:
-                overlap_ahead, overlap_behind = box_lengths_between_references(world, e, other)
-                distance = np.where(
-                    distance > 0, np.maximum(distance - overlap_ahead, 0.0), np.minimum(distance + overlap_behind, 0.0)
-                )
+                distance = free_space_to_entity(world, e, other, distance)
             # On a road with opposite direction, lanes have the opposite sign.
             is_opposite = is_opposite_direction(world, e, pose)
-            lane = np.where(is_opposite, -own_pose.lane, own_pose.lane)
+            lane = np.where(is_opposite, -own_lane, own_lane)
             lane_difference = relative_lane(world, replace(own_pose, lane=lane), pose) * np.where(is_opposite, -1, 1)
-            same_side = np.sign(lane) == np.sign(pose.lane)
+            same_side = np.sign(lane) == np.sign(pose.road_coordinates()[1])
             inside = (
                 (distance >= -backward) & (distance <= forward) & (lane_difference >= first) & (lane_difference <= last)
             )
@@ -306,12 +256,9 @@ def _relative_clearance_condition(element: etree._Element, scope: Scope, world: 
 
 def _angle_condition(element: etree._Element, scope: Scope, world: World) -> EntityTest:
     angle, tolerance = scope.read_numbers(element, "angle"), scope.read_numbers(element, "angleTolerance")
-    angle_type, system = (
-        scope.read_text(element, "angleType", "heading"),
-        scope.read_text(element, "coordinateSystem", "world"),
-    )
+    is_heading = scope.read_text(element, "angleType", "heading") == "heading"
+    system, network = scope.read_text(element, "coordinateSystem", "world"), world.network
     other = read_entity_index(element, scope, world) if element.get("entityRef") is not None else None
-    network, is_heading = world.network, angle_type == "heading"
     if network is None or other is not None or not is_heading or system not in ("road", "lane"):
         is_relevant = is_heading and (other is not None or system != "entity")
         entity, values = -1 if other is None or not is_heading else other, (angle, tolerance)
@@ -320,10 +267,10 @@ def _angle_condition(element: etree._Element, scope: Scope, world: World) -> Ent
     def holds(world: World, e: int) -> BoolArray:
         pose = road_pose(world, e)
         current = world.heading[e] - road_heading(world, pose)
-        if system == "lane" and pose.lane is not None and pose.road is not None and pose.s is not None:
+        if system == "lane":
             against = [
-                not network.is_traffic_forward(int(r), int(k), float(s))
-                for r, k, s in zip(pose.road, pose.lane, pose.s, strict=True)
+                not network.is_traffic_forward(int(road), int(lane), float(s))
+                for road, lane, s in zip(*pose.road_coordinates(), strict=True)
             ]
             current = current - np.where(against, np.pi, 0.0)
         return np.asarray(np.abs(wrap_angle(current - angle)) < tolerance + TOLERANCE)
@@ -331,19 +278,19 @@ def _angle_condition(element: etree._Element, scope: Scope, world: World) -> Ent
     return holds
 
 
-ENTITY_CONDITION_READERS: Final[dict[str, Callable[[etree._Element, Scope, World], EntityTest]]] = {
-    "TraveledDistanceCondition": _traveled_distance_condition,
+ENTITY_CONDITION_READERS: Final[dict[str, ConditionReader]] = {
+    "TraveledDistanceCondition": _number_reader(conditions.TRAVELED_DISTANCE_CONDITION, "value"),
     "ReachPositionCondition": _reach_position_condition,
-    "SpeedCondition": _speed_condition,
-    "RelativeSpeedCondition": _relative_speed_condition,
-    "AccelerationCondition": _acceleration_condition,
-    "StandStillCondition": _stand_still_condition,
-    "EndOfRoadCondition": _end_of_road_condition,
+    "SpeedCondition": _velocity_reader(conditions.SPEED_CONDITION),
+    "RelativeSpeedCondition": _velocity_reader(conditions.RELATIVE_SPEED_CONDITION),
+    "AccelerationCondition": _velocity_reader(conditions.ACCELERATION_CONDITION),
+    "StandStillCondition": _number_reader(conditions.STAND_STILL_CONDITION, "duration"),
+    "EndOfRoadCondition": _number_reader(conditions.END_OF_ROAD_CONDITION, "duration"),
     "OffroadCondition": _off_road_condition,
     "CollisionCondition": _collision_condition,
-    "RelativeDistanceCondition": _relative_distance_condition,
+    "RelativeDistanceCondition": _gap_reader(conditions.RELATIVE_DISTANCE_CONDITION, _relative_distance_holds),
     "DistanceCondition": _distance_condition,
-    "TimeHeadwayCondition": _time_headway_condition,
+    "TimeHeadwayCondition": _gap_reader(conditions.TIME_HEADWAY_CONDITION, _time_headway_holds),
     "TimeToCollisionCondition": _time_to_collision_condition,
     "RelativeClearanceCondition": _relative_clearance_condition,
     "AngleCondition": _angle_condition,

@@ -62,7 +62,6 @@ class ActionElement(Element):
                 rival.end(where & (rival.state == RUNNING))
 
     def step(self, dt: float, where: BoolArray) -> None:
-        """Act for one time step in the scenarios of a mask."""
         where = where & (self.state == RUNNING)
         if any_true(where):
             self._world.current_action = self._location
@@ -120,7 +119,7 @@ class Event(Element):
         """Start the event where its maneuver runs and its trigger fires."""
         waiting = where & (self.state == STANDBY)
         if any_true(waiting):
-            fired = waiting if self._start is None else self._start.fires(world, waiting)
+            fired = waiting if self.start_trigger is None else self.start_trigger.fires(world, waiting)
             world.changed |= fired
             self._start_actions(fired)
 
@@ -129,7 +128,6 @@ class Event(Element):
         self.set_state(where & (self.state == INIT), STANDBY, NOTHING)
 
     def step(self, dt: float, where: BoolArray) -> None:
-        """Let the actions act for one time step."""
         if any_true(where & (self.state == RUNNING)):
             for action in self._actions:
                 action.step(dt, where)
@@ -179,7 +177,7 @@ class ElementGroup(Element):
             self.stop(self._stop.fires(world, where & (self.state == RUNNING)))
         waiting = where & (self.state == STANDBY)
         if any_true(waiting):
-            begins = waiting if self._start is None else self._start.fires(world, waiting)
+            begins = waiting if self.start_trigger is None else self.start_trigger.fires(world, waiting)
             world.changed |= begins
             self._start_running(begins)
         running = where & (self.state == RUNNING)
@@ -190,13 +188,12 @@ class ElementGroup(Element):
     def start(self, where: BoolArray) -> None:
         """Start together with the parent, or wait for the start trigger."""
         new = where & (self.state == INIT)
-        if self._start is not None:
+        if self.start_trigger is not None:
             self.set_state(new, STANDBY, NOTHING)
         else:
             self._start_running(new)
 
     def step(self, dt: float, where: BoolArray) -> None:
-        """Let all actions below the element act for one time step."""
         where = where & (self.state == RUNNING)
         if any_true(where):
             for child in self._parts:

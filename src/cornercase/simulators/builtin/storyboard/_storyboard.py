@@ -18,11 +18,10 @@ from cornercase._common.typing import BoolArray
 from cornercase.scenario._file import ScenarioFile
 from cornercase.scenario._scope import Scope
 from cornercase.simulators.builtin.actions._basic import find_action_element, read_action
-from cornercase.simulators.builtin.paths._positions import read_entity_index, read_entity_refs
-from cornercase.simulators.builtin.storyboard._element import RUNNING, STANDBY, Element, ElementTrigger, StateWatcher
+from cornercase.simulators.builtin.paths._positions import read_entity_refs, read_members
+from cornercase.simulators.builtin.storyboard._element import RUNNING, STANDBY, Element, StateWatcher
 from cornercase.simulators.builtin.storyboard._events import ActionElement, ElementGroup, Event
 from cornercase.simulators.builtin.storyboard._triggers import Trigger, read_trigger
-from cornercase.simulators.builtin.world._collisions import update_overlaps
 from cornercase.simulators.builtin.world._track_motion import heading_velocity
 from cornercase.simulators.builtin.world._world import World
 
@@ -77,10 +76,10 @@ class Storyboard:
             element.state = state
         rows = {element: k for k, element in enumerate(elements)}
         triggers = [(trigger, rows[e], state) for e in self._registered for trigger, state in e.iter_triggers()]
-        self.triggers: list[ElementTrigger] = [self._stop, *(trigger for trigger, _, _ in triggers)]
+        self.triggers: list[Trigger] = [self._stop, *(trigger for trigger, _, _ in triggers)]
         self._trigger_rows = np.array([row for _, row, _ in triggers], dtype=np.int64)
         self._awaited_states = np.array([[state] for _, _, state in triggers], dtype=np.int8).reshape(-1, 1)
-        self._untriggered_rows = [rows[element] for element in self._registered if element.has_no_start_trigger]
+        self._untriggered_rows = [rows[element] for element in self._registered if element.start_trigger is None]
         self._action_rows = [rows[action] for action in self.actions]
 
     def find_waiting_triggers(self) -> BoolArray:
@@ -115,17 +114,14 @@ class Storyboard:
         return None
 
     def evaluate_triggers(self, dt: float) -> None:
-        """Evaluate all triggers at the start of a frame, and start elements.
-
-        `dt` is the duration of the frame in s; it is 0 in the first frame, which places entities.
-        """
+        """Evaluate all triggers at the start of a frame of `dt` s (0 for the first one), and start elements."""
         world = self._world
         if dt == 0.0:
             for action in self._init_actions:
                 action.start(world.running.copy())
             # Nothing has moved yet, but conditions on velocities and collisions already apply.
             world.step_velocity[0][:], world.step_velocity[1][:] = heading_velocity(world)
-            update_overlaps(world)
+            world.update_overlaps()
             for story in self.stories:
                 story.start(world.running.copy())
         world.has_leaf_values = False
@@ -141,11 +137,7 @@ class Storyboard:
             story.evaluate_triggers(world, world.running & self._is_active)
 
     def would_continue(self) -> BoolArray:
-        """Return the scenarios that do not end yet although all elements have run, shape (N,).
-
-        They wait for a stop trigger of the storyboard or of a running act that can still fire, or for an entity that
-        follows a trajectory with times.
-        """
+        """Return where, after all elements, a stop trigger may fire or a trajectory with times go on, shape (N,)."""
         all_scenarios = np.ones(self._world.scenarios, dtype=np.bool_)
         result = self._stop.may_fire(self._world)
         for act in (act for story in self.stories for act in story.children if isinstance(act, ElementGroup)):
@@ -167,7 +159,6 @@ class Storyboard:
             action.step(0.0, self._world.running)
 
     def step_actions(self, dt: float) -> None:
-        """Let all actions act for a step of `dt` s."""
         running = self._world.running
         for action in self._init_actions:
             action.step(dt, running)
@@ -183,13 +174,9 @@ class Storyboard:
             if element.tag != "Private":
                 yield self._read_action("init", element, scope, None)
                 continue
-            for entity in self._read_entities(element, scope):
+            for entity in read_members(element, scope, self._world):
                 for private_action in element.iterfind("PrivateAction"):
                     yield self._read_action("init", private_action, scope, entity)
-
-    def _read_entities(self, element: etree._Element, scope: Scope) -> list[int]:
-        members = self._world.selections.get(scope.read_text(element, "entityRef"))
-        return [read_entity_index(element, scope, self._world)] if members is None else members
 
     def _read_story(self, story: etree._Element, scope: Scope) -> ElementGroup:
         scope = scope.nested_scope(story)
@@ -202,18 +189,13 @@ class Storyboard:
         name = act.get("name", "")
         with self._inside_parent(name), locate_input_errors(act, scope.file_name):
             groups = [self._read_group(group, scope) for group in act.iterfind("ManeuverGroup")]
-        start = self._read_start_trigger(act, scope)
-        ending = read_trigger(act.find("StopTrigger"), scope, self._world, self)
-        stop = None if ending.is_empty else ending
+        start, stop = (self._read_trigger(act, tag, scope) for tag in ("StartTrigger", "StopTrigger"))
         return self._register_element(ElementGroup("act", name, scope.n_scenarios, groups, start, stop))
 
-    def _read_start_trigger(self, element: etree._Element, scope: Scope) -> Trigger | None:
-        """Return the start trigger of an act or event.
-
-        None if it is missing or empty, so that the element starts at once.
-        """
-        trigger = read_trigger(element.find("StartTrigger"), scope, self._world, self)
-        return None if trigger.is_empty else trigger
+    def _read_trigger(self, element: etree._Element, tag: str, scope: Scope) -> Trigger | None:
+        """Return a trigger of an act or event; None if it is missing or empty."""
+        trigger = read_trigger(element.find(tag), scope, self._world, self)
+        return trigger if trigger.groups else None
 
     def _read_group(self, group: etree._Element, scope: Scope) -> ElementGroup:
         name, holder = group.get("name", ""), group.find("Actors")
@@ -243,7 +225,7 @@ class Storyboard:
     def _read_event(
         self, event: etree._Element, scope: Scope, actors: list[int], select_triggering_entities: bool
     ) -> Event:
-        trigger = self._read_start_trigger(event, scope)
+        trigger = self._read_trigger(event, "StartTrigger", scope)
         # Triggering entities may act too, besides the named actors.
         choices: dict[int, Callable[[], BoolArray] | None] = {}
         if select_triggering_entities and trigger is not None:

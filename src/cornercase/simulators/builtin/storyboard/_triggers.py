@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from typing import Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from lxml import etree
 
-from cornercase._common.errors import InputError, suggest_name
+from cornercase._common.errors import suggest_name
 from cornercase._common.io.tracked_xml import note_adaptation
 from cornercase._common.masks import any_true
 from cornercase._common.text.source_lines import locate_input_errors
@@ -28,8 +28,11 @@ from cornercase.simulators.builtin.storyboard._entity_conditions import (
     read_comparison_rule,
 )
 from cornercase.simulators.builtin.world._text_values import read_text_value
-from cornercase.simulators.builtin.world._traffic_signals import require_phase_index, require_signal_controller
+from cornercase.simulators.builtin.world._traffic_signals import read_signal_phase
 from cornercase.simulators.builtin.world._world import World
+
+if TYPE_CHECKING:
+    from cornercase.simulators.builtin.storyboard._storyboard import Storyboard
 
 Test = Callable[[World, BoolArray], BoolArray]
 
@@ -37,7 +40,6 @@ _CONSTANT: Final = LeafCondition(conditions_module.CONSTANT_CONDITION)
 
 # Conditions that only a user's program or the time of day can make true.
 NEVER_TRUE: Final = ("UserDefinedValueCondition", "TimeOfDayCondition")
-
 
 _TEXT_RULES: Final[dict[str, Callable[[Any, Any], Any]]] = {
     "equalTo": np.equal,
@@ -47,14 +49,6 @@ _TEXT_RULES: Final[dict[str, Callable[[Any, Any], Any]]] = {
     "greaterThan": np.greater,
     "greaterOrEqual": np.greater_equal,
 }
-
-
-class ElementLookup(Protocol):
-    """Access to storyboard elements by name, available once the whole storyboard is read."""
-
-    def watch_element(self, kind: str, name: str, watch: StateWatcher, location: str) -> None:
-        """Connect a condition to the element with a type and name, as soon as all elements are read."""
-        ...
 
 
 class Condition:
@@ -69,10 +63,10 @@ class Condition:
         self.test, self._edge = test, edge
         self.delayed = np.asarray(delay > 0)
         self._last_value = np.full(len(delay), -1, dtype=np.int8)
-        self._past = DelayBuffer(delay, edge != "none") if any_true(self.delayed) else None
+        # The delayed values; None without a delay.
+        self.delay_buffer = DelayBuffer(delay, edge != "none") if any_true(self.delayed) else None
 
     def evaluate(self, world: World, where: BoolArray) -> BoolArray:
-        """Evaluate the condition in the scenarios of the mask, shape (N,)."""
         if not any_true(where):
             return where
         value = self.test(world, where)
@@ -88,12 +82,12 @@ class Condition:
         self._last_value = np.where(where, value.astype(np.int8), last)
         if self._edge != "none":
             world.changed |= self._last_value != last
-        return where & (result if self._past is None else self._past.delayed_value(world, result, where))
+        return where & (result if self.delay_buffer is None else self.delay_buffer.delayed_value(world, result, where))
 
     @property
     def kernel_spec(self) -> ConditionSpec | None:
         """Return the form of the condition that kernels can evaluate; None if they cannot."""
-        test, plain = self.test, self._edge == "none" and self._past is None
+        test, plain = self.test, self._edge == "none" and self.delay_buffer is None
         if isinstance(test, EntityCondition):
             return None if test.leaves is None else ConditionSpec(test.leaves, test.requires_all, plain)
         if isinstance(test, ValueCondition):
@@ -106,10 +100,7 @@ class Condition:
             self.test.leaf_values = leaf_values
 
     def constant_value(self, world: World) -> BoolArray | None:
-        """Return the value (N,) of a condition that only the storyboard or a signal controller can change.
-
-        Otherwise None.
-        """
+        """Return the value (N,) if only the storyboard or a signal controller can change it; else None."""
         test = self.test
         return test.value(world) if isinstance(test, ValueCondition) and test.value is not None else None
 
@@ -118,40 +109,31 @@ class Condition:
         """Whether a signal controller can change the value."""
         return isinstance(self.test, ValueCondition) and self.test.changes_by_itself
 
-    @property
-    def delay_buffer(self) -> DelayBuffer | None:
-        """Return the buffer of the delayed values; None without a delay."""
-        return self._past
-
     def reset_edge(self, where: BoolArray) -> None:
         """Make the next evaluation detect no edge, in the scenarios of a mask."""
         self._last_value[where] = -1
 
     def reset_delay(self, where: BoolArray) -> None:
-        """Restart the delay in the scenarios of a mask."""
-        if self._past is not None:
-            self._past.clear(where)
+        if self.delay_buffer is not None:
+            self.delay_buffer.clear(where)
         if isinstance(self.test, StateWatcher):
             self.test.clear_changes(where)
 
 
 class DelayBuffer:
-    """Earlier values of a condition, for a delay in s, shape (N,).
+    """Earlier values of a condition, for a `delay` in s, shape (N,).
 
     `is_sudden`: whether the value may be different in the next frame although its inputs have not changed.
     """
 
     def __init__(self, delay: FloatArray, is_sudden: bool) -> None:
-        self._delay, self._sudden = delay, is_sudden
+        self.delay, self._sudden = delay, is_sudden
         # Frames whose delay has not passed in all scenarios: times, values, and where the value changed.
         self._frames: list[tuple[FloatArray, BoolArray, BoolArray]] = []
         self._newest_value, self._current_value = (np.full(len(delay), -1, dtype=np.int8) for _ in range(2))
 
     def delayed_value(self, world: World, value: BoolArray, where: BoolArray) -> BoolArray:
-        """Store the present value, and return the delayed value, shape (N,).
-
-        If several stored values have become due since the last call, the result is true if any of them is.
-        """
+        """Store the present value; return the delayed one, shape (N,), true if any that has become due is true."""
         new, time = where & (self._newest_value != value), world.time
         self._newest_value[new] = value[new]
         if self._sudden:
@@ -165,7 +147,7 @@ class DelayBuffer:
             self._frames.append((time.copy(), value.copy(), new))
         result, is_due = np.zeros_like(where), np.zeros_like(where)
         for past_time, past_value, changed in self._frames:
-            due = where & changed & (past_time <= time - self._delay + TOLERANCE)
+            due = where & changed & (past_time <= time - self.delay + TOLERANCE)
             self._current_value[due] = past_value[due]
             result |= due & past_value
             is_due |= due
@@ -175,20 +157,14 @@ class DelayBuffer:
         self._frames = [frame for frame in self._frames if frame[2].any()]
         return np.where(is_due, result, self._current_value == 1)
 
-    @property
-    def delay(self) -> FloatArray:
-        """The delay in s, shape (N,)."""
-        return self._delay
-
     def oldest_pending_time(self) -> FloatArray:
         """Return the time in s of the oldest change that is not yet due, shape (N,); infinite if there is none."""
-        result = np.full(len(self._delay), np.inf)
+        result = np.full(len(self.delay), np.inf)
         for then, _, changed in self._frames:
             result = np.where(changed, np.minimum(result, then), result)
         return result
 
     def clear(self, where: BoolArray) -> None:
-        """Clear all values in the scenarios of the mask."""
         self._newest_value[where] = self._current_value[where] = -1
         for _, _, changed in self._frames:
             changed &= ~where
@@ -198,17 +174,7 @@ class Trigger:
     """Groups of conditions; it fires when all conditions of a group hold. Without groups it never fires."""
 
     def __init__(self, groups: list[list[Condition]]) -> None:
-        self._groups = groups
-
-    @property
-    def groups(self) -> list[list[Condition]]:
-        """Return all conditions, by group."""
-        return self._groups
-
-    @property
-    def is_empty(self) -> bool:
-        """Whether the trigger has no conditions, so that it never fires."""
-        return not self._groups
+        self.groups = groups
 
     @property
     def entities(self) -> list[int]:
@@ -224,7 +190,7 @@ class Trigger:
         )
 
     def _entity_conditions(self) -> list[EntityCondition]:
-        tests = (condition.test for group in self._groups for condition in group)
+        tests = (condition.test for group in self.groups for condition in group)
         return [test for test in tests if isinstance(test, EntityCondition)]
 
     def fires(self, world: World, where: BoolArray) -> BoolArray:
@@ -232,7 +198,7 @@ class Trigger:
         fired = np.zeros(len(where), dtype=np.bool_)
         if not any_true(where):
             return fired
-        for group in self._groups:
+        for group in self.groups:
             holds = where.copy()
             for condition in group:
                 # Without a delay, a condition is only evaluated (and its edge updated) where all previous ones hold.
@@ -240,7 +206,7 @@ class Trigger:
             fired |= holds
         world.changed |= fired
         if any_true(fired):
-            for group in self._groups:
+            for group in self.groups:
                 for condition in group:
                     condition.reset_edge(fired)
         return fired
@@ -248,19 +214,19 @@ class Trigger:
     def may_fire(self, world: World) -> BoolArray:
         """Return the scenarios in which at least one group is not prevented by a constant condition, shape (N,)."""
         result = np.zeros(world.scenarios, dtype=np.bool_)
-        for group in self._groups:
+        for group in self.groups:
             constants = [condition.constant_value(world) for condition in group if not condition.changes_by_itself]
             result |= np.all([value for value in constants if value is not None], axis=0)
         return result
 
     def reset(self, where: BoolArray) -> None:
         """Restart delays in the scenarios of the mask."""
-        for group in self._groups:
+        for group in self.groups:
             for condition in group:
                 condition.reset_delay(where)
 
 
-def read_trigger(element: etree._Element | None, scope: Scope, world: World, elements: ElementLookup) -> Trigger:
+def read_trigger(element: etree._Element | None, scope: Scope, world: World, storyboard: Storyboard) -> Trigger:
     """Read a ``StartTrigger`` or ``StopTrigger``; a missing one never fires."""
     groups: list[list[Condition]] = []
     for group in () if element is None else element.iterfind("ConditionGroup"):
@@ -268,15 +234,13 @@ def read_trigger(element: etree._Element | None, scope: Scope, world: World, ele
         for condition in group.iterfind("Condition"):
             edge = scope.read_text(condition, "conditionEdge", "none")
             if edge not in ("none", "rising", "falling", "risingOrFalling"):
-                raise InputError(
-                    f"{scope.file_name}, line {condition.sourceline}: conditionEdge '{edge}' of"
-                    f" <Condition> is not none,"
-                    " rising, falling or risingOrFalling."
+                raise scope.error_at(
+                    condition, f"conditionEdge '{edge}' of <Condition> is not none, rising, falling or risingOrFalling."
                 )
             delay = scope.read_numbers(condition, "delay", 0.0)
             scope.mark_invalid(condition, "delay", "is below 0", delay < 0.0)
             with locate_input_errors(condition, scope.file_name):
-                conditions.append(Condition(_read_condition_test(condition, scope, world, elements), edge, delay))
+                conditions.append(Condition(_read_condition_test(condition, scope, world, storyboard), edge, delay))
         if not conditions:
             rule = "a <ConditionGroup> holds at least one <Condition>"
             note_adaptation(group, "<ConditionGroup> without a condition", "is true from the beginning", rule)
@@ -284,22 +248,23 @@ def read_trigger(element: etree._Element | None, scope: Scope, world: World, ele
     return Trigger(groups)
 
 
-def _read_condition_test(condition: etree._Element, scope: Scope, world: World, elements: ElementLookup) -> Test:
-    kind = next(iter(condition.iterchildren("*")), None)
+def _read_condition_test(condition: etree._Element, scope: Scope, world: World, storyboard: Storyboard) -> Test:
+    kind = condition.find("*")
     if kind is not None and kind.tag == "ByEntityCondition":
         holder = kind.find("EntityCondition")
-        inner = None if holder is None else next(iter(holder.iterchildren("*")), None)
+        inner = None if holder is None else holder.find("*")
         if inner is not None and inner.tag in ENTITY_CONDITION_READERS:
             test = ENTITY_CONDITION_READERS[inner.tag](inner, scope, world)
             return _read_triggering_entities(kind, scope, world, test)
     else:
-        inner = None if kind is None else next(iter(kind.iterchildren("*")), None)
+        inner = None if kind is None else kind.find("*")
         if inner is not None and inner.tag in _VALUE_CONDITION_READERS:
-            return _VALUE_CONDITION_READERS[inner.tag](inner, scope, world, elements)
+            return _VALUE_CONDITION_READERS[inner.tag](inner, scope, world, storyboard)
     tag = condition.tag if inner is None else inner.tag
-    raise InputError(
-        f"{scope.file_name}, line {condition.sourceline}: <{tag}> is not supported by the builtin simulator; it reads"
-        f" {', '.join((*_VALUE_CONDITION_READERS, *ENTITY_CONDITION_READERS))}."
+    raise scope.error_at(
+        condition,
+        f"<{tag}> is not supported by the builtin simulator; it reads"
+        f" {', '.join((*_VALUE_CONDITION_READERS, *ENTITY_CONDITION_READERS))}.",
     )
 
 
@@ -366,27 +331,27 @@ def _read_triggering_entities(element: etree._Element, scope: Scope, world: Worl
     require_all = scope.read_text(holder, "triggeringEntitiesRule", "any") == "all"
     entities = read_entity_refs(holder, scope, world)
     if not entities:
-        raise InputError(f"{scope.file_name}, line {holder.sourceline}: <TriggeringEntities> names no entity.")
+        raise scope.error_at(holder, "<TriggeringEntities> names no entity.")
     return EntityCondition(entities, require_all, test)
 
 
-def _simulation_time_condition(element: etree._Element, scope: Scope, world: World, elements: ElementLookup) -> Test:
+def _simulation_time_condition(element: etree._Element, scope: Scope, world: World, storyboard: Storyboard) -> Test:
     rule, value = read_comparison_rule(element, scope), scope.read_numbers(element, "value")
     leaf = LeafCondition(conditions_module.TIME_CONDITION, rule=comparison_rule_index(rule), values=(value,))
     return ValueCondition(None, leaf)
 
 
-def _element_state_condition(element: etree._Element, scope: Scope, world: World, elements: ElementLookup) -> Test:
+def _element_state_condition(element: etree._Element, scope: Scope, world: World, storyboard: Storyboard) -> Test:
     kind = scope.read_text(element, "storyboardElementType")
     name, state = scope.read_text(element, "storyboardElementRef"), scope.read_text(element, "state")
     where = f"{scope.file_name}, line {element.sourceline}: <{element.tag}>"
 
     watch = StateWatcher(state, scope.n_scenarios, where)
-    elements.watch_element(kind, name, watch, where)
+    storyboard.watch_element(kind, name, watch, where)
     return watch
 
 
-def _variable_condition(element: etree._Element, scope: Scope, world: World, elements: ElementLookup) -> Test:
+def _variable_condition(element: etree._Element, scope: Scope, world: World, storyboard: Storyboard) -> Test:
     attribute = "variableRef" if element.tag == "VariableCondition" else "parameterRef"
     values = world.variables if attribute == "variableRef" else world.parameters
     name = (
@@ -396,12 +361,9 @@ def _variable_condition(element: etree._Element, scope: Scope, world: World, ele
     )
     if name not in values:
         if element.tag == "ParameterCondition" and is_condition_never_true(element, name):
-            return _never_true_condition(element, scope, world, elements)
+            return _never_true_condition(element, scope, world, storyboard)
         noun = "variable" if attribute == "variableRef" else "parameter"
-        raise InputError(
-            f"{scope.file_name}, line {element.sourceline}: <{element.tag}>: there is no {noun} '{name}';"
-            f" {suggest_name(name, values)}"
-        )
+        raise scope.error_at(element, f"<{element.tag}>: there is no {noun} '{name}'; {suggest_name(name, values)}")
     if values[name].dtype.kind == "f":
         rule, value = read_comparison_rule(element, scope), scope.read_numbers(element, "value")
         return ValueCondition(lambda world: np.asarray(rule(values[name], value)))
@@ -429,13 +391,13 @@ def _parse_numbers(texts: Iterable[str]) -> FloatArray:
     return np.array([number(text) for text in texts])
 
 
-def _never_true_condition(element: etree._Element, scope: Scope, world: World, elements: ElementLookup) -> Test:
+def _never_true_condition(element: etree._Element, scope: Scope, world: World, storyboard: Storyboard) -> Test:
     # Nothing in this simulator can make these conditions true.
     result = np.zeros(scope.n_scenarios, dtype=np.bool_)
     return ValueCondition(lambda world: result)
 
 
-def _signal_condition(element: etree._Element, scope: Scope, world: World, elements: ElementLookup) -> Test:
+def _signal_condition(element: etree._Element, scope: Scope, world: World, storyboard: Storyboard) -> Test:
     name, state, n = scope.read_text(element, "name"), scope.read_text(element, "state"), scope.n_scenarios
 
     def shows(world: World) -> BoolArray:
@@ -444,16 +406,12 @@ def _signal_condition(element: etree._Element, scope: Scope, world: World, eleme
     return ValueCondition(shows, changes_by_itself=bool(world.signal_controllers))
 
 
-def _signal_controller_condition(element: etree._Element, scope: Scope, world: World, elements: ElementLookup) -> Test:
-    location = f"{scope.file_name}, line {element.sourceline}: <{element.tag}>"
-    controller = require_signal_controller(
-        world.signal_controllers, scope.read_text(element, "trafficSignalControllerRef"), location
-    )
-    phase = require_phase_index(controller, scope.read_text(element, "phase"), location)
+def _signal_controller_condition(element: etree._Element, scope: Scope, world: World, storyboard: Storyboard) -> Test:
+    controller, phase = read_signal_phase(element, scope, world.signal_controllers)
     return ValueCondition(lambda world: np.asarray(controller.phase_at(world.time) == phase), changes_by_itself=True)
 
 
-_VALUE_CONDITION_READERS: Final[dict[str, Callable[[etree._Element, Scope, World, ElementLookup], Test]]] = {
+_VALUE_CONDITION_READERS: Final[dict[str, Callable[[etree._Element, Scope, World, Storyboard], Test]]] = {
     "SimulationTimeCondition": _simulation_time_condition,
     "StoryboardElementStateCondition": _element_state_condition,
     "ParameterCondition": _variable_condition,

@@ -17,10 +17,8 @@ _kernel = kernel(error_model="numpy", forceinline=True, _nrt=False)
 @_kernel
 def pose_on_spline(tracks, row, n, distance, offset):
     """Return x, y (m) and heading (rad) at a distance along a spline and an offset to its left."""
-    length, chord = (
-        spline_length(tracks, row, n),
-        floats_at_address(tracks.addresses[row, track_layout.CHORD], n + 1)[n],
-    )
+    length = spline_length(tracks, row, n)
+    chord = floats_at_address(tracks.addresses[row, track_layout.CHORD], n + 1)[n]
     last = ints_at_address(tracks.addresses[row, track_layout.LAST_CHORD], n + 1)[n]
     clipped = min(max(distance, 0.0), length)
     # NaN maps to chord 0, and stays NaN in the result.
@@ -30,10 +28,8 @@ def pose_on_spline(tracks, row, n, distance, offset):
     span = min(before + chord, length) - before
     fraction = (clipped - before) / (span if span > 0.0 else 1.0)
     after = k + min(1, tracks.size[row] - 1)
-    point_x, point_y = (
-        _interpolate(tracks, row, n, track_layout.X, k, after, fraction),
-        _interpolate(tracks, row, n, track_layout.Y, k, after, fraction),
-    )
+    point_x = _interpolate(tracks, row, n, track_layout.X, k, after, fraction)
+    point_y = _interpolate(tracks, row, n, track_layout.Y, k, after, fraction)
     heading = _interpolate(tracks, row, n, track_layout.HEADING, k, after, fraction)
     beyond = distance - clipped
     if beyond != 0.0 or offset != 0.0:

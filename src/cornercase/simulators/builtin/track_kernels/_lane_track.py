@@ -17,7 +17,6 @@ from cornercase.simulators.builtin.track_kernels import _track_layout as track_l
 # If a lane is shorter than this fraction of the reference line, steps are made along the lane.
 _MIN_SCALE = 0.1
 
-
 # Relative difference between the length over ground and the requested step that is tolerated.
 _STEP_TOLERANCE = 1e-3
 # A cell that advances less along the reference line than this fraction of the cells at both ends is a jump.
@@ -76,10 +75,8 @@ def _advance_on_samples(addresses, n_samples, n_curvatures, distance, offset, st
     table = floats_at_address(addresses[track_layout.DISTANCE], n_samples)
     reference = floats_at_address(addresses[track_layout.REFERENCE_DISTANCE], n_samples)
     center = floats_at_address(addresses[track_layout.CENTER_OFFSET], n_samples)
-    bend_at, bend = (
-        floats_at_address(addresses[track_layout.CURVATURE_DISTANCE], n_curvatures),
-        floats_at_address(addresses[track_layout.REFERENCE_CURVATURE], n_curvatures),
-    )
+    bend_at = floats_at_address(addresses[track_layout.CURVATURE_DISTANCE], n_curvatures)
+    bend = floats_at_address(addresses[track_layout.REFERENCE_CURVATURE], n_curvatures)
     j = _find_sample(table, n_samples, distance)
     reference_distance = _interpolate_at(table, reference, n_samples, distance, j)
     offset_from_reference = _interpolate_at(table, center, n_samples, distance, j) + offset
@@ -164,10 +161,8 @@ def road_position_on_lane(tracks, row, distance):
     after_sample = _interpolate_at(table, reference, count, distance, j) - reference[sample]
     runs_along_s = bools_at_address(address[track_layout.RUNS_ALONG_S], count)[sample]
     s = floats_at_address(address[track_layout.S], count)[sample] + (after_sample if runs_along_s else -after_sample)
-    road, lane = (
-        ints_at_address(address[track_layout.ROAD], count)[sample],
-        ints_at_address(address[track_layout.LANE_NUMBER], count)[sample],
-    )
+    road = ints_at_address(address[track_layout.ROAD], count)[sample]
+    lane = ints_at_address(address[track_layout.LANE_NUMBER], count)[sample]
     return road, lane, s, runs_along_s
 
 

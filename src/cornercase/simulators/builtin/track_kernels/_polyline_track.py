@@ -57,10 +57,8 @@ def polyline_direction(tracks, row, n, distance):
 @_kernel
 def polyline_has_heading(tracks, row, n, distance):
     """Return whether the file defines the heading at a distance."""
-    table, last = (
-        floats_at_address(_vertex_array_address(tracks, row, n, track_layout.DISTANCE), tracks.size[row]),
-        tracks.size[row] - 1,
-    )
+    last = tracks.size[row] - 1
+    table = floats_at_address(_vertex_array_address(tracks, row, n, track_layout.DISTANCE), last + 1)
     distance = _wrap_closed(tracks, row, table, distance)
     # On a segment, the vertex at its beginning counts.
     vertex = (
@@ -74,9 +72,8 @@ def polyline_has_heading(tracks, row, n, distance):
 @_kernel
 def polyline_end_time(tracks, row, n):
     """Return the time in s, on the polyline's own clock, at which a polyline with times ends."""
-    return floats_at_address(_vertex_array_address(tracks, row, n, track_layout.TIME), tracks.size[row])[
-        tracks.size[row] - 1
-    ]
+    count = tracks.size[row]
+    return floats_at_address(_vertex_array_address(tracks, row, n, track_layout.TIME), count)[count - 1]
 
 
 @_kernel
@@ -159,10 +156,8 @@ def _locate_on_segment(table, distance, tolerance):
 @_kernel
 def _heading_on_polyline(tracks, row, n, table, distance):
     clipped, segment, fraction = _locate_on_segment(table, distance, VERTEX_TOLERANCE)
-    vertex_headings, last = (
-        floats_at_address(_vertex_array_address(tracks, row, n, track_layout.VERTEX_HEADING), tracks.size[row]),
-        tracks.size[row] - 2,
-    )
+    last = tracks.size[row] - 2
+    vertex_headings = floats_at_address(_vertex_array_address(tracks, row, n, track_layout.VERTEX_HEADING), last + 2)
     current, after = vertex_headings[segment], vertex_headings[segment + 1]
     at_end = clipped > table[last + 1] - VERTEX_TOLERANCE
     if tracks.heading_interpolation[row] == ALONG_SEGMENTS:

@@ -40,10 +40,8 @@ def project_on_lane_path(addresses, n_samples, max_sample_gap, x, y, after):
 @kernel(error_model="numpy")
 def _project_on_samples(addresses, n_samples, max_sample_gap, x, y, after):
     distance = floats_at_address(addresses[track_layout.DISTANCE], n_samples)
-    px, py = (
-        floats_at_address(addresses[track_layout.X], n_samples),
-        floats_at_address(addresses[track_layout.Y], n_samples),
-    )
+    px = floats_at_address(addresses[track_layout.X], n_samples)
+    py = floats_at_address(addresses[track_layout.Y], n_samples)
     if not (abs(x) < _MAX_COORDINATE and abs(y) < _MAX_COORDINATE):
         x, y = px[0], py[0]
     gaps, samples = np.empty(_N_NEAREST_SAMPLES), np.empty(_N_NEAREST_SAMPLES, dtype=np.int64)

@@ -15,53 +15,30 @@ import numpy as np
 from cornercase._common.numba.pointers import memory_address
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 
-DISTANCE: Final = 0
-X: Final = 1
-Y: Final = 2
-HEADING: Final = 3
+DISTANCE, X, Y, HEADING = range(4)
 """Columns of all tracks."""
 
-CURVATURE: Final = 4
-S: Final = 5
-ROAD: Final = 6
-LANE_NUMBER: Final = 7
-RUNS_ALONG_S: Final = 8
-REFERENCE_DISTANCE: Final = 10
-CENTER_OFFSET: Final = 11
-CURVATURE_DISTANCE: Final = 12
-REFERENCE_CURVATURE: Final = 13
+CURVATURE, S, ROAD, LANE_NUMBER, RUNS_ALONG_S = range(4, 9)
+REFERENCE_DISTANCE, CENTER_OFFSET, CURVATURE_DISTANCE, REFERENCE_CURVATURE = range(10, 14)
 """Columns of lanes."""
 
-DIRECTION: Final = 4
-VERTEX_HEADING: Final = 5
-TIME: Final = 6
-SPEED: Final = 7
-SEGMENT_ACCELERATION: Final = 8
+DIRECTION, VERTEX_HEADING, TIME, SPEED, SEGMENT_ACCELERATION = range(4, 9)
 """Columns of polylines; splines have their times in the same column."""
 
-LENGTH: Final = 4
-CHORD: Final = 5
-LAST_CHORD: Final = 7
+LENGTH, CHORD, LAST_CHORD = 4, 5, 7
 """Columns of splines, with a row of chord or segment ends per scenario."""
 
 N_COLUMNS: Final = 14
-"""Number of columns."""
 
-LANE_TRACK: Final = 0
-"""Kind of a track along lanes."""
-POLYLINE_TRACK: Final = 1
-"""Kind of a track through vertices."""
-CLOTHOID_TRACK: Final = 2
-"""Kind of a track along the chords of a clothoid spline."""
+LANE_TRACK, POLYLINE_TRACK, CLOTHOID_TRACK = range(3)
+"""Kinds of tracks: along lanes, through vertices, and along the chords of a clothoid spline."""
 
 CORNER_HALF_LENGTH: Final = 2.0
 """m; half the length over which the heading turns at a corner of a polyline (esmini's value)."""
 VERTEX_TOLERANCE: Final = 1e-6
 """m or s; closer vertices coincide."""
 
-ALONG_SEGMENTS: Final = 0
-AT_CORNERS: Final = 1
-AT_VERTICES: Final = 2
+ALONG_SEGMENTS, AT_CORNERS, AT_VERTICES = range(3)
 """Where the heading changes along a polyline: over whole segments, near corners, or at each vertex at once."""
 
 

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import chain
 from typing import Final
 
 import numpy as np
 
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
-from cornercase.simulators.builtin.track_kernels._track_layout import (
-    CLOTHOID_TRACK,
-    TrackTable,
-    make_trajectory_table,
-)
+from cornercase.simulators.builtin.track_kernels._track_layout import CLOTHOID_TRACK, TrackTable, make_trajectory_table
 from cornercase.simulators.builtin.tracks._track import Pose, Trajectory, is_uniform
 
 # Chord length of a spline in m, and maximum number of chords; longer splines get longer chords.
@@ -60,20 +57,9 @@ class ClothoidSpline(Trajectory):
         ends = np.cumsum(length, axis=1)
         self.segment_distances = np.concatenate([np.zeros((len(x), 1)), ends], axis=1)
         self.lengths = ends[:, -1].copy()
-        poses = (
-            {} if segment_starts is None else {k: (pose.x, pose.y, pose.heading) for k, pose in segment_starts.items()}
-        )
+        poses = {k: (pose.x, pose.y, pose.heading) for k, pose in (segment_starts or {}).items()}
         angles = np.zeros_like(length) if heading_offsets is None else heading_offsets
-        inputs = (
-            x,
-            y,
-            heading,
-            start,
-            end,
-            length,
-            angles,
-            *(part for pose_values in poses.values() for part in pose_values),
-        )
+        inputs = (x, y, heading, start, end, length, angles, *chain.from_iterable(poses.values()))
         # A curve that is the same in all scenarios is computed once.
         rows = slice(1) if is_uniform(*inputs) else slice(None)
         nodes = [(x[rows], y[rows], heading[rows])]
@@ -176,10 +162,7 @@ class ClothoidSpline(Trajectory):
 def evaluate_clothoid(
     distance: FloatArray, start: FloatArray, rate: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return local coordinates (m) and turn (rad) after a distance along clothoids, shape (N,) each.
-
-    `start` is the curvature at the beginning in 1/m, and `rate` its rate of change in 1/m².
-    """
+    """Return x, y (m) and turn (rad) along clothoids, by curvature (1/m) at the start and its rate (1/m²), (N,)."""
     turn = start * distance + 0.5 * rate * distance**2
     is_curved = np.abs(rate) * distance**2 >= _MIN_BEND
     # sinc is accurate for small curvature.

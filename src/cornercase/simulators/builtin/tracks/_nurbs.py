@@ -47,10 +47,8 @@ def evaluate_nurbs(
         value, slope = basis(u) * weights, basis(u, 1) * weights
         total, change = value.sum(axis=1), slope.sum(axis=1)
         px, py = _weighted_sums(x[rows], value) / total, _weighted_sums(y[rows], value) / total
-        dx, dy = (
-            (_weighted_sums(x[rows], slope) - px * change) / total,
-            (_weighted_sums(y[rows], slope) - py * change) / total,
-        )
+        dx = (_weighted_sums(x[rows], slope) - px * change) / total
+        dy = (_weighted_sums(y[rows], slope) - py * change) / total
         step = min(_PARAMETER_STEP, float(coarse[1] - coarse[0]))
         ahead = np.append(coarse[:-1] + step, coarse[-1] - step)
         times = _weighted_sums(time[rows], _time_weights(u, coarse[basis(ahead).argmax(axis=0)]).T)
@@ -73,10 +71,8 @@ def _tangent_directions(x: FloatArray, y: FloatArray, dx: FloatArray, dy: FloatA
 
 
 def _weighted_sums(controls: FloatArray, weights: FloatArray) -> FloatArray:
-    """Return weighted sums of control points; (N, C) and (S, C) give (N, S).
-
-    A matrix product would round differently for one scenario than for many.
-    """
+    """Return weighted sums of control points; (N, C) and (S, C) give (N, S)."""
+    # A matrix product would round differently for one scenario than for many.
     result = np.zeros((len(controls), len(weights)))
     for k in range(controls.shape[1]):
         result += controls[:, k, None] * weights[:, k]

@@ -29,18 +29,9 @@ class Polyline(Trajectory):
     """
 
     _scenario_arrays = (
-        "x",
-        "y",
-        "heading",
-        "_time",
-        "distance",
-        "_total_length",
-        "lengths",
-        "directions",
-        "vertex_headings",
-        "speeds",
-        "accelerations",
-    )
+        "x", "y", "heading", "_time", "distance", "_total_length", "lengths", "directions", "vertex_headings",
+        "speeds", "accelerations",
+    )  # fmt: skip
 
     def __init__(
         self,
@@ -120,19 +111,13 @@ class Polyline(Trajectory):
 
 
 def _unwrap_shortest(heading: FloatArray, nudged: FloatArray) -> FloatArray:
-    """Return headings with full turns added, so that each change is the shorter one; the first heading stays.
-
-    A change of half a turn goes in the direction of `nudged`.
-    """
+    """Return headings with full turns added so that each change is the shorter one; half a turn is as in `nudged`."""
     turns = np.round((np.unwrap(np.mod(nudged, 2 * np.pi), axis=1) - heading) / (2 * np.pi))
     return np.asarray(heading + 2 * np.pi * (turns - turns[:, :1]))
 
 
 def _segment_directions(x: FloatArray, y: FloatArray, segment_lengths: FloatArray) -> FloatArray:
-    """Return the directions of segments.
-
-    A segment without a length has the direction of the segment before it, else of the first one with a length.
-    """
+    """Return the directions of segments; without a length, that of the one before, or of the first with a length."""
     dx, dy = np.diff(x), np.diff(y)
     direction = np.arctan2(dy, dx)
     rows, first = np.arange(len(x)), (segment_lengths > VERTEX_TOLERANCE).argmax(axis=1)

@@ -18,21 +18,22 @@ NO_TRACK: Final = -1
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """Position and heading in each scenario, arrays (N,), with road coordinates if they are known."""
+    """Position and heading in each scenario, arrays (N,), with road coordinates if they are known.
+
+    `road` is the index of the road in the network, `offset` in m to the left of the lane's centre seen along s.
+    `is_beyond_road`: whether the file's position is beyond the end of its road, and moved there. `relative_location`:
+    file and line of a position relative to an entity, for which that end is what is meant.
+    """
 
     x: FloatArray
     y: FloatArray
     heading: FloatArray
-    road: IntArray | None = None  # index of the road in the network
+    road: IntArray | None = None
     lane: IntArray | None = None
     s: FloatArray | None = None
-    offset: FloatArray | None = None  # m, to the left of the lane's centre seen along s
-    is_beyond_road: BoolArray | None = (
-        None  # whether the file's position is beyond the end of its road, and moved there
-    )
-    relative_location: str = (
-        ""  # file and line of a position relative to an entity, for which that end is what is meant
-    )
+    offset: FloatArray | None = None
+    is_beyond_road: BoolArray | None = None
+    relative_location: str = ""
 
     def road_coordinates(self) -> tuple[IntArray, IntArray, FloatArray]:
         """Return road, lane and s, which the pose must have."""
@@ -96,10 +97,7 @@ class Track(ABC):
     def nearest_distance(
         self, x: FloatArray, y: FloatArray, rows: IntArray, after: FloatArray | None = None
     ) -> FloatArray:
-        """Return the distance in m along the track of its point nearest to (x, y).
-
-        If the track passes this point several times, the first time after the distance `after` counts.
-        """
+        """Return the distance in m along the track of its point nearest to (x, y), at the first pass beyond `after`."""
 
 
 class Trajectory(Track):

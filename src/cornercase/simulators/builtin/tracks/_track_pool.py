@@ -22,10 +22,7 @@ class TrackPool:
         self._tracks = alloc_track_table(0)
 
     def update(self, tracks_by_entity: Sequence[Sequence[Track]]) -> TrackTable:
-        """Return the tables of all tracks; a new object only if tracks were added.
-
-        `tracks_by_entity` lists the tracks of each entity. Between calls, tracks may only be added.
-        """
+        """Return the tables of the tracks by entity, which may only be added; a new object only if some were added."""
         counts = [len(tracks) for tracks in tracks_by_entity]
         for g, track in self._rows.values():
             if track.table is not self._copied[g]:

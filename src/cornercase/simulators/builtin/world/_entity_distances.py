@@ -19,11 +19,7 @@ _MAX_TRACK_DISTANCE: Final = 20.0
 def locate_target(
     world: World, entity: int, target: Pose, number: FloatArray, distance: FloatArray, where: BoolArray
 ) -> None:
-    """Locate a fixed target on the track that an entity follows, in the scenarios of a mask.
-
-    Stores the number of the track, and the distance of the target along it in m, shape (N,). On a trajectory this is
-    the distance of the point nearest to the target. The distance is infinite if the track does not lead to the target.
-    """
+    """Store track and distance along it (m) of a fixed target; infinite if the track does not lead there."""
     for k, track, rows in world.iter_followed_tracks(entity, where & np.isfinite(target.x + target.y)):
         new = rows[(number[rows] != k) | np.isnan(distance[rows])]
         if new.size:
@@ -32,10 +28,7 @@ def locate_target(
 
 
 def distance_along_roads(world: World, entity: int, target: Pose) -> FloatArray:
-    """Return the distance to a target along the entity's track, else along roads, in m, shape (N,).
-
-    It is negative behind the entity, and infinite if no road leads to the target.
-    """
+    """Return the distance to a target along track or roads in m, (N,); negative behind, infinite without a road."""
     result = np.full(world.scenarios, np.inf)
     for _, track, rows in world.iter_followed_tracks(entity, np.isfinite(target.x + target.y)):
         result[rows] = _distance_on_track(world, entity, track, target, rows) - world.distance[entity][rows]
@@ -54,10 +47,7 @@ def distance_along_roads(world: World, entity: int, target: Pose) -> FloatArray:
 def _distance_on_track(
     world: World, entity: int, track: Track, target: Pose, rows: IntArray, *, allow_any_lateral: bool = False
 ) -> FloatArray:
-    """Return the distance to a target along a track in m, shape (R,); infinite if the track does not lead there.
-
-    With `allow_any_lateral`, a target at any lateral distance from a trajectory counts.
-    """
+    """Return the distance to a target along a track in m, shape (R,); infinite if the track does not lead there."""
     along = track.nearest_distance(target.x[rows], target.y[rows], rows, world.distance[entity][rows])
     x, y, _ = track.pose_at(along, np.zeros(len(rows)), rows)
     near = np.hypot(x - target.x[rows], y - target.y[rows]) < _MAX_TRACK_DISTANCE
@@ -71,10 +61,7 @@ def offset_of_entity(world: World, entity: int, other: int) -> FloatArray:
 
 
 def offset_of_point(world: World, entity: int, x: FloatArray, y: FloatArray) -> FloatArray:
-    """Return the offset of a point (in m, NaN if none) from an entity's track in m, shape (N,), positive to the left.
-
-    If the entity follows no track, the offset is measured across its heading.
-    """
+    """Return the offset of a point in m from an entity's track, else across its heading, (N,), positive to the left."""
     cos, sin = np.cos(world.heading[entity]), np.sin(world.heading[entity])
     result = (y - world.y[entity]) * cos - (x - world.x[entity]) * sin + world.offset[entity]
     for _, track, rows in world.iter_followed_tracks(entity, np.isfinite(x)):
@@ -92,9 +79,14 @@ def _position_after_lateral_step(world: World, entity: int) -> tuple[FloatArray,
     return x, y
 
 
-def box_lengths_between_references(world: World, entity: int, other: int) -> tuple[float, float]:
-    """Return the box length in m between two reference points: if the other is ahead, and if it is behind."""
+def free_space_to_entity(world: World, entity: int, other: int, distance: FloatArray) -> FloatArray:
+    """Return the free space in m between boxes whose reference points have a distance in m, shape (N,)."""
     own_box, other_box = world.entities[entity], world.entities[other]
     fronts = [0.5 * box.length + box.center_x for box in (own_box, other_box)]
     rears = [0.5 * box.length - box.center_x for box in (own_box, other_box)]
-    return fronts[0] + rears[1], rears[0] + fronts[1]
+    return shorten_distance(distance, fronts[0] + rears[1], rears[0] + fronts[1])
+
+
+def shorten_distance(distance: FloatArray, ahead: float, behind: float) -> FloatArray:
+    """Return distances without the part in boxes: `ahead` m if they are positive, else `behind` m; 0 if they touch."""
+    return np.where(distance > 0, np.maximum(distance - ahead, 0.0), np.minimum(distance + behind, 0.0))

@@ -8,7 +8,6 @@ import numpy as np
 
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.simulators.builtin.tracks._track import Pose
-from cornercase.simulators.builtin.world._collisions import all_box_corners
 from cornercase.simulators.builtin.world._road_position import is_heading_along_road, road_pose
 from cornercase.simulators.builtin.world._world import World
 
@@ -27,7 +26,7 @@ def free_space_to_entity_on_road(
     own_pose, other_pose = road_pose(world, entity), road_pose(world, other)
     if own_pose.road is None or other_pose.road is None:
         return default
-    corners = all_box_corners(world)
+    corners = world.box_corners()
     same_road = (own_pose.road == other_pose.road) & world.present[entity] & world.present[other]
     first, second = (
         _project_onto_road(world, pose, corners[k], same_road, lateral)
@@ -56,7 +55,7 @@ def free_space_to_point_on_road(
     if own_pose.road is None or target.road is None or target.s is None:
         return default
     same_road = (own_pose.road == target.road) & world.present[entity] & np.isfinite(target.x)
-    first = _project_onto_road(world, own_pose, all_box_corners(world)[entity], same_road, lateral)
+    first = _project_onto_road(world, own_pose, world.box_corners()[entity], same_road, lateral)
     point = np.stack([target.x, target.y], axis=-1)[:, None, :]
     differences = _project_onto_road(world, target, point, same_road, lateral) - first
     if not lateral:
@@ -67,10 +66,7 @@ def free_space_to_point_on_road(
 
 
 def lateral_distance_on_road(world: World, entity: int, target: Pose, default: FloatArray) -> FloatArray:
-    """Return the difference in t from an entity to a point on its road in m, shape (N,), positive to the left.
-
-    It is `default` if the point is on another road.
-    """
+    """Return the difference in t to a point on the same road in m, (N,), positive to the left; else `default`."""
     own_pose = road_pose(world, entity)
     if own_pose.road is None or target.road is None or target.s is None:
         return default
@@ -88,18 +84,14 @@ def _sign_along_road(world: World, pose: Pose) -> FloatArray:
 
 
 def _project_onto_road(world: World, pose: Pose, points: FloatArray, where: BoolArray, lateral: bool) -> FloatArray:
-    """Return s (or t if `lateral`) of P points near a pose, on the road of the pose, shape (N, P).
-
-    0 outside the mask.
-    """
+    """Return s (or t if `lateral`) of P points on the road of a pose near them, shape (N, P); 0 outside the mask."""
     assert world.network is not None
-    assert pose.road is not None
-    assert pose.s is not None
+    roads, _, s_of_pose = pose.road_coordinates()
     result = np.zeros(points.shape[:2])
-    for number in np.unique(pose.road[where]):
-        rows = np.flatnonzero(where & (pose.road == number))
+    for number in np.unique(roads[where]):
+        rows = np.flatnonzero(where & (roads == number))
         road, flat = world.network.roads[int(number)], points[rows].reshape(-1, 2)
-        s = np.repeat(pose.s[rows], points.shape[1])
+        s = np.repeat(s_of_pose[rows], points.shape[1])
         t = np.zeros_like(s)
         for _ in range(_MAX_ITERATIONS):
             x, y, heading = road.reference_pose(s)

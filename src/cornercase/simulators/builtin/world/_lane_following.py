@@ -54,20 +54,16 @@ def attach_to_lane(world: World, entity: int, where: BoolArray, pose: Pose | Non
     if pose is None or pose.lane is None or pose.road is None:
         location = world.network.locate(world.x[entity], world.y[entity])
         pose = Pose(world.x[entity], world.y[entity], world.heading[entity], *location)
-    assert pose.road is not None
-    assert pose.s is not None
-    assert pose.lane is not None
     assert pose.offset is not None
+    _, lane, s = pose.road_coordinates()
     road, section, along = _road_section_direction(world, pose, where)
-    route = world.route[entity]
-    keys = np.stack([road, section, pose.lane, along, route])
+    keys = np.stack([road, section, lane, along, world.route[entity]])
     for key, rows in _iter_groups(keys, where):
-        first = int(rows.argmax())
-        track = get_lane_track(world, key[0], key[2], float(pose.s[first]), bool(key[3]), key[4])
+        track = get_lane_track(world, key[0], key[2], float(s[rows.argmax()]), bool(key[3]), key[4])
         if track is None:
             continue
         distance = np.zeros(world.scenarios)
-        distance[rows] = track.distance_at_s(pose.s[rows])
+        distance[rows] = track.distance_at_s(s[rows])
         follow_track(world, entity, track, distance, rows)
         world.offset[entity][rows] = pose.offset[rows] if key[3] else -pose.offset[rows]
         x, y, heading = track.pose_at(distance[rows], world.offset[entity][rows], np.flatnonzero(rows))
@@ -88,19 +84,15 @@ def _iter_groups(keys: IntArray, where: BoolArray) -> Iterator[tuple[tuple[int, 
 
 
 def change_lane(world: World, entity: int, lane: IntArray, where: BoolArray) -> BoolArray:
-    """Make an entity follow another lane of its road, and return where this lane exists, shape (N,).
-
-    The entity stays where it is, and is then beside the new lane.
-    """
+    """Make an entity, which stays where it is, follow another lane of its road; return where that exists, (N,)."""
     assert world.network is not None
     pose = road_pose(world, entity)
-    assert pose.s is not None
+    _, _, s = pose.road_coordinates()
     road, section, along = _road_section_direction(world, pose, where)
-    route = _remaining_route(world, entity, where)
     exists = np.zeros_like(where)
-    keys = np.stack([road, section, lane, along, route])
+    keys = np.stack([road, section, lane, along, _remaining_route(world, entity, where)])
     for key, rows in _iter_groups(keys, where):
-        track = get_lane_track(world, key[0], key[2], float(pose.s[int(rows.argmax())]), bool(key[3]), key[4])
+        track = get_lane_track(world, key[0], key[2], float(s[rows.argmax()]), bool(key[3]), key[4])
         if track is None:
             continue
         at = np.flatnonzero(rows)
@@ -198,10 +190,7 @@ def follow_track(world: World, entity: int, track: Track, distance: FloatArray, 
 
 
 def get_lane_track(world: World, road: int, lane: int, s: float, along: bool, route: int) -> LaneTrack | None:
-    """Return the track along a lane and its successors, cached per lane section; None if there is no such lane.
-
-    `s` is in m on the road. `along` means in the direction of s. `road` and `route` are road indices.
-    """
+    """Return the track along a lane and its successors from s in m, cached; None if there is no such lane."""
     assert world.network is not None
     section = int(world.network.roads[road].section_at(np.array([s]))[0])
     key = (road, section, lane, along, route)
@@ -213,13 +202,12 @@ def get_lane_track(world: World, road: int, lane: int, s: float, along: bool, ro
 def _road_section_direction(world: World, pose: Pose, where: BoolArray) -> tuple[IntArray, IntArray, BoolArray]:
     """Return road, lane section, and whether the heading is along s, shape (N,) each."""
     assert world.network is not None
-    assert pose.road is not None
-    assert pose.s is not None
+    roads, _, s = pose.road_coordinates()
     section = np.zeros(world.scenarios, dtype=np.int64)
     along = np.zeros(world.scenarios, dtype=np.bool_)
-    for road in sorted(set(pose.road[where].tolist())):
-        rows = where & (pose.road == road)
+    for road in sorted(set(roads[where].tolist())):
+        rows = where & (roads == road)
         road_geometry = world.network.roads[road]
-        section[rows] = road_geometry.section_at(pose.s[rows])
-        along[rows] = is_facing_forward(pose.heading[rows] - road_geometry.reference_pose(pose.s[rows])[2])
-    return pose.road, section, along
+        section[rows] = road_geometry.section_at(s[rows])
+        along[rows] = is_facing_forward(pose.heading[rows] - road_geometry.reference_pose(s[rows])[2])
+    return roads, section, along

@@ -73,9 +73,8 @@ def is_on_road(world: World, entity: int) -> BoolArray:
 def road_heading(world: World, pose: Pose) -> FloatArray:
     """Return the direction of s at a pose, in rad, shape (N,)."""
     assert world.network is not None
-    assert pose.road is not None
-    assert pose.s is not None
-    return _road_headings(world.network, pose.road, pose.s)
+    road, _, s = pose.road_coordinates()
+    return _road_headings(world.network, road, s)
 
 
 def is_heading_along_road(world: World, pose: Pose) -> BoolArray:
@@ -110,35 +109,27 @@ def _road_headings(network: RoadNetwork, road: IntArray, s: FloatArray) -> Float
 
 
 def distance_ahead_on_road(world: World, entity: int, target: Pose, default: FloatArray) -> FloatArray:
-    """Return the distance to a target along the reference line of the entity's road in m, shape (N,), negative behind.
-
-    It is `default` if the target is on another road.
-    """
+    """Return the distance ahead to a target along the reference line in m, (N,); `default` on another road."""
     if world.network is None or target.road is None or target.s is None:
         return default
     own_pose = road_pose(world, entity)
-    assert own_pose.road is not None
-    assert own_pose.s is not None
+    road, _, s = own_pose.road_coordinates()
     forward = np.where(is_heading_along_road(world, own_pose), 1.0, -1.0)
-    return np.where(own_pose.road == target.road, forward * (target.s - own_pose.s), default)
+    return np.where(road == target.road, forward * (target.s - s), default)
 
 
 def relative_lane(world: World, pose: Pose, other: Pose) -> IntArray:
     """Return the number of lanes from `pose` to `other`, shape (N,), positive to the left in driving direction."""
-    assert pose.lane is not None
-    assert other.lane is not None
+    lane, other_lane = pose.road_coordinates()[1], other.road_coordinates()[1]
     # Lane 0 is the centre line, not a lane.
-    difference = other.lane - pose.lane
-    crossing = np.sign(pose.lane) != np.sign(other.lane)
+    difference = other_lane - lane
+    crossing = np.sign(lane) != np.sign(other_lane)
     difference = difference - np.where(crossing, np.sign(difference), 0)
     return np.asarray(difference * np.where(is_heading_along_road(world, pose), 1, -1))
 
 
 def is_opposite_direction(world: World, entity: int, pose: Pose) -> BoolArray:
-    """Return whether the s of the pose's road is opposite to that of the entity's road, shape (N,).
-
-    The directions are compared along the entity's lane. False if the roads are not connected.
-    """
+    """Return where s of the pose's road runs against that of the entity's road, along its lane, shape (N,)."""
     assert pose.road is not None
     result = np.zeros(world.scenarios, dtype=np.bool_)
     for _, track, rows in world.iter_followed_tracks(entity, world.present[entity]):
@@ -156,21 +147,16 @@ def is_opposite_direction(world: World, entity: int, pose: Pose) -> BoolArray:
 
 
 def has_drivable_lane_in_range(world: World, pose: Pose, first: int, last: int, opposite: bool) -> BoolArray:
-    """Return whether there is a drivable lane between `first` and `last` lanes to the left of a pose, shape (N,).
-
-    `opposite`: whether lanes of the opposite direction count.
-    """
+    """Return where a drivable lane (or an `opposite` one) is `first` to `last` lanes to the left of a pose, (N,)."""
     assert world.network is not None
-    assert pose.road is not None
-    assert pose.lane is not None
-    assert pose.s is not None
+    roads, lanes, s = pose.road_coordinates()
     result = np.zeros(world.scenarios, dtype=np.bool_)
-    for road in np.unique(pose.road):
-        rows = np.flatnonzero(pose.road == road)
+    for road in np.unique(roads):
+        rows = np.flatnonzero(roads == road)
         road_geometry = world.network.roads[int(road)]
-        for k in np.unique(section := road_geometry.section_at(pose.s[rows])):
+        for k in np.unique(section := road_geometry.section_at(s[rows])):
             at = rows[section == k]
-            lane = pose.lane[at]
+            lane = lanes[at]
             for number, other in road_geometry.sections[int(k)][1].items():
                 in_range = (number >= lane + first) & (number <= lane + last) & other.is_drivable
                 result[at] |= in_range & (opposite | (np.sign(number) == np.sign(lane)))

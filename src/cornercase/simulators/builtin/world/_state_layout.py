@@ -24,51 +24,29 @@ N_FLOAT_ROWS: Final = 26
 TRACK, ROUTE, LAST_ROAD, DRIVER, PULLED_BY = range(5)
 """Rows of `World.numbers`."""
 
+_NAN, _INF = float("nan"), float("inf")
+
 FLOAT_ROWS: Final = {
-    "x": (X, float("nan")),
-    "y": (Y, float("nan")),
-    "heading": (HEADING, float("nan")),
-    "speed": (SPEED, 0.0),
-    "acceleration": (ACCELERATION, 0.0),
-    "odometer": (ODOMETER, 0.0),
-    "standing_since": (STANDING_SINCE, float("inf")),
-    "distance": (DISTANCE, 0.0),
-    "offset": (OFFSET, 0.0),
-    "turn": (TURN, 0.0),
-    "sideways": (SIDEWAYS, 0.0),
-    "pace": (PACE, float("nan")),
-    "velocity": (VELOCITY, 0.0),
-    "last_s": (LAST_S, 0.0),
-    "at_end_since": (AT_END_SINCE, float("inf")),
-    "off_road_since": (OFF_ROAD_SINCE, float("inf")),
-    "target_speed": (TARGET_SPEED, float("inf")),
-    "from_x": (FROM_X, float("nan")),
-    "from_y": (FROM_Y, float("nan")),
-    "from_heading": (FROM_HEADING, float("nan")),
-    "before": (BEFORE, 0.0),
-    "road_heading": (ROAD_HEADING, float("nan")),
-}
+    "x": (X, _NAN), "y": (Y, _NAN), "heading": (HEADING, _NAN), "speed": (SPEED, 0.0),
+    "acceleration": (ACCELERATION, 0.0), "odometer": (ODOMETER, 0.0), "standing_since": (STANDING_SINCE, _INF),
+    "distance": (DISTANCE, 0.0), "offset": (OFFSET, 0.0), "turn": (TURN, 0.0), "sideways": (SIDEWAYS, 0.0),
+    "pace": (PACE, _NAN), "velocity": (VELOCITY, 0.0), "last_s": (LAST_S, 0.0), "at_end_since": (AT_END_SINCE, _INF),
+    "off_road_since": (OFF_ROAD_SINCE, _INF), "target_speed": (TARGET_SPEED, _INF), "from_x": (FROM_X, _NAN),
+    "from_y": (FROM_Y, _NAN), "from_heading": (FROM_HEADING, _NAN), "before": (BEFORE, 0.0),
+    "road_heading": (ROAD_HEADING, _NAN),
+}  # fmt: skip
 """Row and initial value by name of the array in `World`; velocities have two rows each."""
 
 FLAG_ROWS: Final = {
-    "present": (PRESENT, False),
-    "changes_lanes": (CHANGES_LANES, False),
-    "stranded": (STRANDED, False),
-    "moved": (MOVED, False),
-    "decided": (DECIDED, False),
-    "activated": (ACTIVATED, False),
-    "driven": (DRIVEN, False),
-    "visible": (VISIBLE, True),
-    "jumped": (JUMPED, False),
-}
+    "present": (PRESENT, False), "changes_lanes": (CHANGES_LANES, False), "stranded": (STRANDED, False),
+    "moved": (MOVED, False), "decided": (DECIDED, False), "activated": (ACTIVATED, False), "driven": (DRIVEN, False),
+    "visible": (VISIBLE, True), "jumped": (JUMPED, False),
+}  # fmt: skip
 
 INTEGER_ROWS: Final = {
-    "track": (TRACK, -1),
-    "route": (ROUTE, 0),
-    "last_road": (LAST_ROAD, -1),
-    "driver": (DRIVER, -1),
+    "track": (TRACK, -1), "route": (ROUTE, 0), "last_road": (LAST_ROAD, -1), "driver": (DRIVER, -1),
     "pulled_by": (PULLED_BY, -1),
-}
+}  # fmt: skip
 
 MAX_LANE_OFFSET: Final = 1.0
 """Offset in m from the new lane beyond which the lane of an entity that changes lanes is looked up."""

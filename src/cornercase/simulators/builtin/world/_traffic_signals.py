@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from lxml import etree
 
-from cornercase._common.errors import InputError, suggest_name
+from cornercase._common.errors import suggest_name
 from cornercase._common.io.tracked_xml import note_adaptation
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.scenario._scope import Scope
@@ -44,10 +44,7 @@ class SignalController:
         return np.asarray(np.minimum((self._phase_ends <= since).sum(axis=0), len(self.names) - 1), dtype=np.int64)
 
     def next_phase_start(self, time: FloatArray) -> FloatArray:
-        """Return the time in s at which the next phase begins, shape (N,).
-
-        Where the signals have not been set yet, this is the present time.
-        """
+        """Return the time in s at which the next phase begins, shape (N,); now if the signals have never been set."""
         since = np.mod(time - self._cycle_start + _TINY, self._phase_ends[-1])
         ends = np.take_along_axis(self._phase_ends, self.phase_at(time)[None], axis=0)[0]
         return np.where(self._phase < 0, time, time + (ends - since))
@@ -72,7 +69,7 @@ def read_signal_controllers(root: etree._Element, scope: Scope) -> dict[str, Sig
     """Read the traffic signal controllers below ``OpenSCENARIO``, by name."""
     controllers: dict[str, SignalController] = {}
     for element in root.iterfind("RoadNetwork/TrafficSignals/TrafficSignalController"):
-        name, where = scope.read_text(element, "name"), f"{scope.file_name}, line {element.sourceline}: <{element.tag}>"
+        name = scope.read_text(element, "name")
         phases = list(element.iterfind("Phase"))
         durations = np.array([scope.read_numbers(phase, "duration") for phase in phases])
         is_instant = np.ones(scope.n_scenarios, dtype=np.bool_) if not phases else durations.sum(axis=0) <= 0
@@ -84,14 +81,16 @@ def read_signal_controllers(root: etree._Element, scope: Scope) -> dict[str, Sig
                     element, "<TrafficSignalController>", why, "a signal controller has phases that take time"
                 )
                 continue
-            raise InputError(f"{where}: the signal controller '{name}' needs phases with a duration above 0.")
+            raise scope.error_at(
+                element, f"<{element.tag}>: the signal controller '{name}' needs phases with a duration above 0."
+            )
         for phase, duration in zip(phases, durations, strict=True):
             scope.mark_invalid(phase, "duration", "is below 0", duration < 0)
         if is_instant.any():
             scope.mark_invalid(phases[0], "duration", "is 0, as are those of the other phases", is_instant)
         delay, other = scope.read_numbers(element, "delay", 0.0), scope.read_text(element, "reference", "")
         if other:
-            delay = delay + require_signal_controller(controllers, other, where).delay
+            delay = delay + _require_signal_controller(element, other, scope, controllers).delay
         states = [
             {
                 scope.read_text(signal_state, "trafficSignalId"): scope.read_text(signal_state, "state")
@@ -105,20 +104,22 @@ def read_signal_controllers(root: etree._Element, scope: Scope) -> dict[str, Sig
     return controllers
 
 
-def require_signal_controller(controllers: dict[str, SignalController], name: str, location: str) -> SignalController:
-    """Return the controller with a name; raises `InputError` if there is none. `location` starts the message."""
+def _require_signal_controller(
+    element: etree._Element, name: str, scope: Scope, controllers: dict[str, SignalController]
+) -> SignalController:
     if name not in controllers:
-        raise InputError(f"{location}: there is no signal controller '{name}'; {suggest_name(name, controllers)}")
+        message = f"<{element.tag}>: there is no signal controller '{name}'; {suggest_name(name, controllers)}"
+        raise scope.error_at(element, message)
     return controllers[name]
 
 
-def require_phase_index(controller: SignalController, name: str, location: str) -> int:
-    """Return the index of the phase with a name; raises `InputError` if there is none.
-
-    `location` starts the message.
-    """
-    if name not in controller.names:
-        raise InputError(
-            f"{location}: the signal controller has no phase '{name}'; {suggest_name(name, controller.names)}"
-        )
-    return controller.names.index(name)
+def read_signal_phase(
+    element: etree._Element, scope: Scope, controllers: dict[str, SignalController]
+) -> tuple[SignalController, int]:
+    """Return the signal controller that an element names, and the index of its phase."""
+    name, phase = scope.read_text(element, "trafficSignalControllerRef"), scope.read_text(element, "phase")
+    controller = _require_signal_controller(element, name, scope, controllers)
+    if phase not in controller.names:
+        hint = suggest_name(phase, controller.names)
+        raise scope.error_at(element, f"<{element.tag}>: the signal controller has no phase '{phase}'; {hint}")
+    return controller, controller.names.index(phase)

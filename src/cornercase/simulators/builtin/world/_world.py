@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from itertools import combinations
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -14,6 +15,7 @@ import numpy.typing as npt
 from lxml import etree
 
 from cornercase._common.errors import SimulationError
+from cornercase._common.geometry.boxes import box_corners
 from cornercase._common.io.support_table import NoticeLabel
 from cornercase._common.plugin_errors import format_time_of_failure
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
@@ -149,11 +151,7 @@ class World:
     compiled: CompiledWorld
 
     def __init__(
-        self,
-        entities: tuple[Entity, ...],
-        scenarios: int,
-        network: RoadNetwork | None,
-        tows: tuple[Tow, ...] = (),
+        self, entities: tuple[Entity, ...], scenarios: int, network: RoadNetwork | None, tows: tuple[Tow, ...] = ()
     ) -> None:
         self.entities, self.tows = entities, tows
         self.names = [entity.name for entity in entities]
@@ -200,6 +198,23 @@ class World:
             rows = np.flatnonzero(where & (self.track[entity] == number))
             if rows.size:
                 yield number, track, rows
+
+    def entities_of_type(self, object_type: str) -> list[int]:
+        """Return the rows of all entities of an ``ObjectType``."""
+        types = {"pedestrian": "pedestrian", "misc": "miscellaneous"}
+        return [e for e, entity in enumerate(self.entities) if types.get(entity.kind, "vehicle") == object_type]
+
+    def update_overlaps(self) -> None:
+        """Update which bounding boxes overlap."""
+        for a, b in combinations(range(len(self.entities)), 2):
+            self.overlapping[a, b] = self.overlapping[b, a] = self.compiled.find_overlaps(a, b)
+
+    def box_corners(self) -> FloatArray:
+        """Return the corners of all bounding boxes in m, shape (E, N, 4, 2)."""
+        boxes = np.array([(entity.center_x, entity.length, entity.width) for entity in self.entities])
+        center_x, length, width = boxes.T[:, :, None]
+        x, y = self.x + center_x * np.cos(self.heading), self.y + center_x * np.sin(self.heading)
+        return box_corners(x, y, self.heading, length, width)
 
     def fail(self, where: BoolArray, reason: str | SimulationError) -> None:
         """End the scenarios of a mask with an error."""
