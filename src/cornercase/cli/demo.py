@@ -63,7 +63,8 @@ def demo(
             # First, as the study stores only the last reduced set.
             if (mutants := paper_experiment_mutant_count(name)) is not None:
                 _write_suite(opened, folder / "suite", mutants, scenario)
-            reduction.reduce(opened, folder / "reduced", scenario=scenario, progress=True)
+            # By interaction the scenarios of both examples fall into kinds; by the metric they do not.
+            reduction.reduce(opened, folder / "reduced", by="interaction", scenario=scenario, progress=True)
             write_report(opened, folder / "report.html", scenario=scenario, progress=True)
     out.print(f"The report is {(folder / 'report.html').resolve()}")
 

@@ -329,6 +329,14 @@ def _answer_reduced_set(data: ReportData) -> Answer:
     sentences = [f"Keep {len(reduced.scenarios)} of the {reduced.n_run} scenarios: {counts or 'none'}."]
     if later := data.summary.n_run - reduced.n_run:
         sentences.append(f"{_scenarios_were(later)} run since.")
+    analyses, headline = data.summary.analyses, find_default_aspect(data)
+    if headline is not None and reduced.by in analyses:
+        n_kinds, n_headline_kinds = (analyses[by].clustering.n_clusters for by in (reduced.by, headline))
+        if n_kinds <= 1 < n_headline_kinds:
+            sentences.append(
+                f"They were chosen by {reduced.by}, which has no separate kinds; 'cornercase reduce --by {headline}'"
+                " chooses from each of the kinds above."
+            )
     if chosen := describe_selection_threshold(data.summary):
         sentences.append(chosen)
     return Answer(name, question, " ".join([*sentences, *_describe_coverage(data, reduced)]))
