@@ -19,8 +19,9 @@ from cornercase._common.text.sanitize import check_no_surrogates, parse_json
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase._common.validation import check_float, check_int
 from cornercase.drivers.references.r157._preventability import ReferenceOutcome
-from cornercase.metrics import Metric
+from cornercase.metrics import METRICS, Metric
 from cornercase.recordings import Collision, Recording
+from cornercase.recordings._rounded import encode_rounded
 from cornercase.study._arrays import read_arrays
 from cornercase.study._codec import unpack_arrays, unpack_recording
 from cornercase.study._connection import remove_sqlite_files
@@ -34,6 +35,7 @@ from cornercase.study._digest import (
     decode_collisions,
     decode_digest,
     decode_facts,
+    decode_rounded,
 )
 from cornercase.study._meta import StudyMeta, hash_points_and_scores
 from cornercase.study._notes import MAX_NOTE_LENGTH
@@ -625,12 +627,45 @@ class StudyFile:
         InputError
             The scenario has not run, or its id is not an integer.
         """
+        facts, packed = self._read_digest(scenario)
+        with reraise_as_damage(self.path):
+            return decode_digest(decode_facts(facts), packed, self.meta)
+
+    def _read_digest(self, scenario: int) -> tuple[str, bytes]:
         scenario_id = check_int("scenario", scenario, maximum=_MAX_ID)
         rows = self._database.read_rows("digests", "scenario = ?", scenario_id, with_blob=True)
         if not rows:
             raise InputError(f"{self.path}: the scenario {scenario_id} was not run.")
+        _, facts, packed = rows[0]
+        return facts, packed
+
+    def rounded_recording(self, scenario: int) -> bytes:
+        """Read the recording and the capped courses of one scenario in few bytes, rounded to what a page can show.
+
+        Parameters
+        ----------
+        scenario : int
+            Id of the scenario.
+
+        Returns
+        -------
+        bytes
+            In the format of the report page.
+
+        Raises
+        ------
+        InputError
+            The scenario has not run, or its id is not an integer.
+        """
+        _, packed = self._read_digest(scenario)
         with reraise_as_damage(self.path):
-            return decode_digest(decode_facts(rows[0][1]), rows[0][2], self.meta)
+            rounded = decode_rounded(unpack_arrays(packed, names=("rounded",)))
+        if rounded:
+            return rounded
+        recording, courses = self.recording_and_courses(scenario)
+        return encode_rounded(
+            recording, {name: METRICS.create(name).clip_course(course) for name, course in courses.items()}
+        )
 
     def metrics(self) -> tuple[Metric, ...]:
         """Metrics of the study.
