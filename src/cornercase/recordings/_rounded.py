@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from cornercase._common.typing import FloatArray, IntArray
+from cornercase._common.typing import FloatArray
 from cornercase.recordings._recording import Recording
 
 # Resolution of each array in its unit: finer than a pixel of any drawing.
@@ -47,15 +47,20 @@ def encode_rounded(recording: Recording, courses: Mapping[str, FloatArray]) -> b
     has_gaps = not bool(present.all())
     if has_gaps:
         values[~present] = 0.0
-    numbers = np.rint(values).clip(-_MAX_NUMBER, _MAX_NUMBER).astype("<i4")
+    numbers = np.rint(values)
+    if np.abs(numbers).max() > _MAX_NUMBER:
+        numbers = numbers.clip(-_MAX_NUMBER, _MAX_NUMBER)
+    numbers = numbers.astype("<i4")
     differences = np.diff(numbers, axis=1)
     changes = np.diff(differences, axis=1)
-    fields, packed, first = [], [], 0
-    for name, count, step in zip(arrays, counts, steps, strict=True):
-        narrow = _narrowed(changes[first : first + count])
-        fields.append((name, count, step, narrow.itemsize))
-        packed.append(narrow.tobytes())
-        first += count
+    ends = np.cumsum(counts).tolist()
+    # The bits of a number, or of its complement if it is negative.
+    largest = np.maximum.reduceat((changes ^ (changes >> 31)).max(axis=1, initial=0), [0, *ends[:-1]])
+    fields, packed = [], []
+    for name, count, step, end, value in zip(arrays, counts, steps, ends, largest.tolist(), strict=True):
+        width = next(width for width in (1, 2, 4) if value < 1 << (8 * width - 1))
+        fields.append((name, count, step, width))
+        packed.append(changes[end - count : end].astype(f"<i{width}").tobytes())
     head = {
         "instants": len(recording.time),
         "origin": origin,
@@ -77,12 +82,3 @@ def encode_rounded(recording: Recording, courses: Mapping[str, FloatArray]) -> b
 def _first_finite_rounded(values: FloatArray) -> float:
     finite = values[np.isfinite(values)]
     return float(np.rint(finite[0])) if len(finite) else 0.0
-
-
-def _narrowed(changes: IntArray) -> IntArray:
-    """Return the numbers in the narrowest type that holds them: 1, 2 or 4 bytes."""
-    low, high = changes.min(initial=0), changes.max(initial=0)
-    for narrow in (np.dtype("i1"), np.dtype("<i2")):
-        if np.iinfo(narrow).min <= low and high <= np.iinfo(narrow).max:
-            return changes.astype(narrow)
-    return changes
