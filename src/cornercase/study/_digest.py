@@ -11,6 +11,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any, Final, TypeVar
+from zlib import crc32
 
 import numpy as np
 import numpy.typing as npt
@@ -18,7 +19,7 @@ import numpy.typing as npt
 from cornercase._common.errors import InputError
 from cornercase._common.text.sanitize import parse_json
 from cornercase._common.typing import Float32Array, FloatArray, IntArray
-from cornercase.metrics import METRICS, Metric
+from cornercase.metrics import METRICS, Metric, registered_features
 from cornercase.metrics._outcome import Encounter, Impact, Outcome
 from cornercase.recordings import Collision, Recording
 from cornercase.recordings._entity_series import bearing_series, position_series
@@ -208,8 +209,11 @@ def find_bounds(recording: Recording) -> Bounds | None:
     return x_min, y_min, x_max, y_max
 
 
-def encode_digest(digest: ScenarioDigest) -> tuple[str, bytes]:
-    """Encode a digest as facts in JSON and packed arrays."""
+def encode_digest(digest: ScenarioDigest, features: FloatArray | None = None) -> tuple[str, bytes]:
+    """Encode a digest as facts in JSON and packed arrays.
+
+    `features`, shape (f,), are the registered ones, if the search learns from them.
+    """
     facts = {
         "instants": digest.n_instants,
         "time": [digest.begin, digest.end],
@@ -228,6 +232,8 @@ def encode_digest(digest: ScenarioDigest) -> tuple[str, bytes]:
         "lines": digest.lines,
         "rounded": np.frombuffer(digest.rounded, np.uint8),
     }
+    if features is not None:
+        arrays |= {"features": features, "features_checksum": registered_features_checksum()}
     packed = pack_arrays(arrays, compress=False)
     return json.dumps(facts, separators=(",", ":")), packed
 
@@ -304,6 +310,21 @@ def decode_digest(facts: Mapping[str, Any], packed: bytes, meta: StudyMeta) -> S
 def decode_rounded(arrays: Mapping[str, npt.NDArray[Any]]) -> bytes:
     """Return the rounded recording among the arrays of a digest; empty if an earlier version did not store it."""
     return arrays["rounded"].tobytes() if "rounded" in arrays else b""
+
+
+def decode_features(packed: bytes, checksum: int) -> FloatArray | None:
+    """Return the features among the arrays of a digest, shape (f,); None if it has none with this checksum."""
+    arrays = unpack_arrays(packed, names=("features", "features_checksum"))
+    if not arrays or int(arrays["features_checksum"]) != checksum:
+        return None
+    features: FloatArray = arrays["features"]
+    require_value(features.ndim == 1 and features.dtype == np.float64, "a digest's features")
+    return features
+
+
+def registered_features_checksum() -> int:
+    """CRC-32 of the names of all registered features."""
+    return crc32("\n".join(feature.name for feature in registered_features()).encode())
 
 
 def decode_bounds(facts: Mapping[str, Any]) -> Bounds | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, closing, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Self
@@ -19,7 +19,7 @@ from cornercase._common.text.sanitize import check_no_surrogates, parse_json
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase._common.validation import check_float, check_int
 from cornercase.drivers.references.r157._preventability import ReferenceOutcome
-from cornercase.metrics import METRICS, Metric
+from cornercase.metrics import METRICS, Metric, compute_features
 from cornercase.recordings import Collision, Recording
 from cornercase.recordings._rounded import encode_rounded
 from cornercase.study._arrays import read_arrays
@@ -35,7 +35,9 @@ from cornercase.study._digest import (
     decode_collisions,
     decode_digest,
     decode_facts,
+    decode_features,
     decode_rounded,
+    registered_features_checksum,
 )
 from cornercase.study._meta import StudyMeta, hash_points_and_scores
 from cornercase.study._notes import MAX_NOTE_LENGTH
@@ -666,6 +668,53 @@ class StudyFile:
         return encode_rounded(
             recording, {name: METRICS.create(name).clip_course(course) for name, course in courses.items()}
         )
+
+    def features(self, scenarios: Sequence[int | None]) -> FloatArray:
+        """Registered features of scenarios, read from the study if it has them, or else computed from recordings.
+
+        Parameters
+        ----------
+        scenarios : sequence of int or None
+            Ids; None for a scenario that failed.
+
+        Returns
+        -------
+        ndarray of float64, shape (n, f)
+            As `cornercase.metrics.compute_features` returns them.
+
+        Raises
+        ------
+        InputError
+            A scenario has not run, or a group of features of another package fails.
+        """
+        checksum = registered_features_checksum()
+        rows = [self._scenario_features(scenario, checksum) for scenario in scenarios]
+        return np.concatenate(rows or [compute_features([], self.meta.ego, self.meta.others)])
+
+    def _scenario_features(self, scenario: int | None, checksum: int) -> FloatArray:
+        """Features of one scenario, shape (1, f)."""
+        if scenario is not None:
+            with reraise_as_damage(self.path):
+                stored = decode_features(self._read_digest(scenario)[1], checksum)
+            if stored is not None:
+                return stored[None]
+        recording = None if scenario is None else self.recording(scenario)
+        return compute_features([recording], self.meta.ego, self.meta.others)
+
+    def has_features(self, scenario: int) -> bool:
+        """Whether the registered features of a scenario are stored.
+
+        Parameters
+        ----------
+        scenario : int
+            Id of a scenario that has run.
+
+        Returns
+        -------
+        bool
+        """
+        with reraise_as_damage(self.path):
+            return decode_features(self._read_digest(scenario)[1], registered_features_checksum()) is not None
 
     def metrics(self) -> tuple[Metric, ...]:
         """Metrics of the study.
