@@ -89,6 +89,7 @@ class StudyFile:
         self.meta = self.read_meta()
         self.space = self.meta.space
         self._row_cache: tuple[tuple[int, int], list[ScenarioRecord]] | None = None
+        self._score_cache: dict[str, tuple[tuple[int, int], FloatArray]] = {}
         # Creating metrics takes longer than a scenario may, so it is done once.
         self._metrics: tuple[tuple[str, ...], tuple[Metric, ...]] | None = None
         # Lengths of the first recordings, and the id of the last of them, once there are enough.
@@ -207,7 +208,7 @@ class StudyFile:
         list of ScenarioRecord
             In the order in which they were proposed.
         """
-        # Checking 50,000 rows takes seconds, so it is repeated only after a write.
+        # Checking 50,000 rows takes seconds, so it is repeated only after a write, as are those of scores.
         version = self._database.write_version()
         if self._row_cache is None or self._row_cache[0] != version:
             stored = self._database.read_rows("scenarios")
@@ -337,13 +338,17 @@ class StudyFile:
         """
         self._require_metric(metric)
         with self.snapshot():
-            self._database.require_all_rows("courses")
-            done = self.finished_rows()
-            score_of = {
-                scenario: score for scenario, _, score in self._database.read_rows("courses", "metric = ?", metric)
-            }
-        with reraise_as_damage(self.path):
-            return np.array([float(score_of[row.id]) for row in done], dtype=np.float64)
+            version = self._database.write_version()
+            if metric not in self._score_cache or self._score_cache[metric][0] != version:
+                self._database.require_all_rows("courses")
+                done = self.finished_rows()
+                score_of = {
+                    scenario: score for scenario, _, score in self._database.read_rows("courses", "metric = ?", metric)
+                }
+                with reraise_as_damage(self.path):
+                    scores = np.array([float(score_of[row.id]) for row in done], dtype=np.float64)
+                self._score_cache[metric] = version, scores
+            return self._score_cache[metric][1].copy()
 
     def scenario_scores(self, scenario: int) -> dict[str, float]:
         """Scores of one scenario.
