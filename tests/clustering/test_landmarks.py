@@ -11,6 +11,7 @@ from cornercase._common.errors import InputError
 from cornercase.clustering import ScenarioClustering, analyze, read_analysis, read_distances
 from cornercase.clustering import _analyze as analyze_module
 from cornercase.clustering import _landmarks as landmarks
+from cornercase.clustering._anchors import N_ANCHORS, DistanceCompletion
 from cornercase.clustering._assign import assign_to_clusters
 from cornercase.clustering._embedding import EmbeddedDistances, LandmarkMDS
 from cornercase.clustering._k_means import find_k_means
@@ -56,6 +57,25 @@ def test_places_of_squares_give_squares_back():
     np.testing.assert_allclose(placed[[3, 70]], true[[3, 70]], atol=1e-9)
     np.testing.assert_allclose(placed[np.ix_([1, 2], [40, 9])], true[np.ix_([1, 2], [40, 9])], atol=1e-9)
     assert (placed.shape, len(placed)) == ((80, 80), 80)
+
+
+def test_distances_to_all_landmarks_follow_from_those_to_anchors():
+    points = np.random.default_rng(1).normal(size=(400, 7))
+    true = squareform(pdist(points, "sqeuclidean"))[:, :300]
+    completion = DistanceCompletion(true[:300])
+    assert len(completion.anchors) == N_ANCHORS
+    # Far from one another: the nearest two are farther apart than in a random choice.
+    among = true[np.ix_(completion.anchors, completion.anchors)] + np.where(np.eye(N_ANCHORS), np.inf, 0.0)
+    assert among.min() > 2.0 * np.sort(true[:N_ANCHORS, :N_ANCHORS], axis=1)[:, 1].min()
+    completed = completion.complete(true[300:, completion.anchors])
+    np.testing.assert_allclose(completed, true[300:], atol=1e-9)
+    assert np.array_equal(completed[:, completion.anchors], true[300:, completion.anchors])
+
+
+def test_few_landmarks_are_all_anchors_even_if_they_are_equal():
+    completion = DistanceCompletion(np.zeros((4, 4)))
+    assert completion.anchors.tolist() == [0, 1, 2, 3]
+    assert completion.complete(np.array([[1.0, 2.0, 3.0, 4.0]])).tolist() == [[1.0, 2.0, 3.0, 4.0]]
 
 
 def test_what_is_asked_of_places_is_what_the_matrix_says():

@@ -13,7 +13,6 @@ import threading
 import time
 import urllib.error
 import urllib.request
-import zlib
 from collections.abc import Callable
 from contextlib import closing, contextmanager
 from typing import Any
@@ -24,9 +23,9 @@ import pytest
 import cornercase as cc
 from cornercase._common.errors import InputError
 from cornercase.recordings import read_recording
+from cornercase.recordings._rounded import encode_rounded
 from cornercase.report._payload import page_payload
 from cornercase.report._report_data import read_report_data
-from cornercase.report.encode._record_format import encode_recording
 from cornercase.report.live._analysis_worker import AnalysisWorker
 from cornercase.report.live._events import Cursor, EventStream
 from cornercase.report.live._follower import StudyFollower, StudyProgress
@@ -90,7 +89,7 @@ def test_a_scenario_is_given_exactly(whole, client, tmp_path):
         recording = study.recording(7)
         metrics = [cc.metrics.METRICS.create(name) for name in study.meta.metrics]
         courses = {one.name: one.clip_course(study.course(7, one.name)) for one in metrics}
-    assert zlib.decompress(client.get("/recordings/7").content) == encode_recording(7, recording, courses)
+    assert client.get("/recordings/7").content == encode_rounded(recording, courses)
     (tmp_path / "r.csv").write_bytes(client.get("/recordings/7.csv").content)
     read = read_recording(tmp_path / "r.csv")
     np.testing.assert_array_equal(read.x, recording.x)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import base64
+import io
 import json
 import math
 import re
 import shlex
-import struct
 import zlib
 from dataclasses import replace
 
@@ -22,12 +22,12 @@ from cornercase._common.version import __version__
 from cornercase.clustering import analyze
 from cornercase.metrics.ending._find_outcome import find_outcome
 from cornercase.recordings import Collision, Recording
+from cornercase.recordings._rounded import encode_rounded
 from cornercase.reduction import reduce
 from cornercase.report import summarize, write_report
 from cornercase.report._commands import format_command
 from cornercase.report._report_data import read_report_data
 from cornercase.report.encode import _page_recordings as page_recordings
-from cornercase.report.encode._record_format import compress_records, encode_recording
 from cornercase.report.text._answers import page_answers
 from cornercase.report.text._phrases import format_percent, format_value
 from cornercase.report.text._show import summary_to_dict
@@ -70,24 +70,33 @@ def page_of(study, folder, **options):
 
 
 def unpacked(page, scenario):
-    """A recording of a page, read as the docstring of `encode_recording` says."""
-    block, offset = contents_of(page)["recordings"][str(scenario)]
-    (text,) = re.findall(f'class="recordings" data-block="{block}">([^<]*)<', page)
-    return read_record(zlib.decompress(base64.b64decode(text))[offset:])
+    """A recording of a page, read as the docstring of `encode_rounded` says."""
+    assert scenario in contents_of(page)["recordings"]
+    (text,) = re.findall(f'class="recordings" data-id="{scenario}">([^<]*)<', page)
+    return read_record(zlib.decompress(base64.b64decode(text)))
 
 
 def read_record(data):
-    (length,) = struct.unpack_from("<I", data)
-    head = json.loads(data[4 : 4 + length])
-    rows, instants = sum(count for _, count, _ in head["fields"]), head["instants"]
-    there = np.frombuffer(data, np.uint8, rows * instants, 4 + length).reshape(rows, instants)
-    twice = np.frombuffer(data, "<i4", rows * instants, 4 + length + there.size).reshape(rows, instants)
-    whole = np.cumsum(np.cumsum(twice, axis=1, dtype=np.int32), axis=1, dtype=np.int32)
+    stream = io.BytesIO(data)
+    head = json.loads(stream.read(int.from_bytes(stream.read(4), "little")))
+    rows, instants = sum(count for _, count, _, _ in head["fields"]), head["instants"]
+
+    def table(dtype, rows, columns):
+        content = stream.read(np.dtype(dtype).itemsize * rows * columns)
+        return np.frombuffer(content, dtype).reshape(rows, columns).astype(np.int32)
+
+    there = table("u1", rows, instants) if head["gaps"] else np.ones((rows, instants))
+    starts, rates = table("<i4", rows, 1), table("<i4", rows, min(instants - 1, 1))
     found, row = {}, 0
-    for name, count, step in head["fields"]:
-        values = whole[row : row + count] * step + head["origin"].get(name, 0.0)
-        found[name] = np.where(there[row : row + count] == 1, values, np.nan)
+    for name, count, step, width in head["fields"]:
+        mine = slice(row, row + count)
+        changes = table(f"<i{width}", count, max(instants - 2, 0))
+        rate = np.cumsum(np.hstack((rates[mine], changes)), axis=1, dtype=np.int32)
+        whole = np.cumsum(np.hstack((starts[mine], rate)), axis=1, dtype=np.int32)
+        values = whole * step + head["origin"].get(name, 0.0)
+        found[name] = np.where(there[mine] == 1, values, np.nan)
         row += count
+    assert not stream.read()
     return head, found
 
 
@@ -141,11 +150,11 @@ def test_what_was_missed_at_a_round_is_as_it_would_have_been_told_then(path, tmp
 def test_recordings_are_read_back(path, tmp_path):
     page = page_of(path, tmp_path)
     with StudyFile.open(path, readonly=True) as study:
-        assert set(contents_of(page)["recordings"]) == {str(row.id) for row in study.finished_rows()}
+        assert set(contents_of(page)["recordings"]) == {row.id for row in study.finished_rows()}
         for scenario in [row.id for row in study.finished_rows()][::7]:
             head, found = unpacked(page, scenario)
             recording = study.recording(scenario)
-            assert (head["id"], tuple(head["names"])) == (scenario, recording.names)
+            assert tuple(head["names"]) == recording.names
             for name in ("x", "y", "heading", "speed", "acceleration"):
                 np.testing.assert_allclose(found[name], getattr(recording, name), atol=STEPS[name])
             np.testing.assert_allclose(found["time"][0], recording.time, atol=STEPS["time"])
@@ -166,8 +175,7 @@ def test_a_recording_far_away_with_gaps_is_read_back_to_the_millimetre():
         collisions=(Collision(float(time[7]), ("Ego", "</script>")),),
     )  # fmt: skip
     course = np.where(time > 3.0, np.inf, time)
-    block, offsets = compress_records([b"", encode_recording(4, recording, {"ttc": course})])
-    head, found = read_record(zlib.decompress(block)[offsets[1] :])
+    head, found = read_record(zlib.decompress(encode_rounded(recording, {"ttc": course})))
     for name in ("x", "y", "heading", "speed", "acceleration"):
         np.testing.assert_allclose(found[name], getattr(recording, name), atol=STEPS[name])
     np.testing.assert_allclose(found["course ttc"][0], np.where(np.isinf(course), np.nan, course), atol=1e-4)
@@ -175,16 +183,26 @@ def test_a_recording_far_away_with_gaps_is_read_back_to_the_millimetre():
     assert head["names"][1] == "歩行者"
 
 
+@pytest.mark.parametrize("n_instants", [1, 2, 3])
+def test_a_recording_of_few_instants_is_read_back(n_instants):
+    x = np.arange(5.0, 5.0 + n_instants) ** 3
+    recording = met((x, 0.0, 0.0, 3.0), (-x, 1.0, np.nan, 3.0))
+    head, found = read_record(zlib.decompress(encode_rounded(recording, {})))
+    assert head["gaps"]
+    for name in ("x", "y", "heading", "speed", "acceleration"):
+        np.testing.assert_allclose(found[name], getattr(recording, name), atol=STEPS[name])
+
+
 def test_a_page_that_would_be_too_large_keeps_the_recordings_that_tell_most(path, tmp_path):
     with StudyFile.open(path, readonly=True) as study:
         data = read_report_data(study)
         packed = page_recordings.encode_important_recordings(
-            study, data, max_characters=1000, sample_characters=1000, n_most_critical=2
+            study, data, max_characters=1000, sample_characters=6000, n_most_critical=2
         )
         examples = {one.example for one in summarize(study).analyses["distance"].profiles if one.example is not None}
         worst = study.finished_rows()[int(study.scores("distance").argmin())].id
         run = len(study.finished_rows())
-    there = {int(one) for one in packed.index}
+    there = set(packed)
     assert examples | {worst} <= there
     assert len(there) < run
     assert f"{len(there)} of the {run} recordings" in page_recordings.describe_left_out_recordings(data, packed)

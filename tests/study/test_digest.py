@@ -16,15 +16,15 @@ from cornercase.clustering import ASPECTS
 from cornercase.exploration._explore import explore_config
 from cornercase.exploration._paper_examples import paper_experiment_config
 from cornercase.exploration._repair import repair
-from cornercase.metrics import METRICS
+from cornercase.metrics import METRICS, compute_features
 from cornercase.metrics.ending._ego_features import measure_features
 from cornercase.metrics.ending._find_outcome import find_outcome
 from cornercase.recordings import Collision, Recording
 from cornercase.study import StudyFile, verify
-from cornercase.study._checksums import delete_rows
+from cornercase.study._checksums import delete_rows, insert_rows
 from cornercase.study._codec import pack_arrays, unpack_arrays
 from cornercase.study._digest import decode_digest, decode_facts, downsample, encode_digest, make_digest
-from helpers.synthetic_study import SPACE, about
+from helpers.synthetic_study import SPACE, about, explorer
 
 
 class CountingStudy(StudyFile):
@@ -110,9 +110,49 @@ def test_nobody_unpacks_a_recording_that_nobody_looks_at(explored, tmp_path):
         cc.reduce(study, tmp_path / "reduced", size=3, scenario=scenario)
         cc.summarize(study)
         assert study.unpacked == []
-        # A page of few scenarios has all recordings.
+        # The page has all recordings, as they were stored, and figures of examples.
         cc.write_report(study, tmp_path / "report.html", scenario=scenario)
-        assert set(study.unpacked) == {row.id for row in study.finished_rows()}
+        examples = {
+            profile.example for analysis in cc.summarize(study).analyses.values() for profile in analysis.profiles
+        }
+        assert set(study.unpacked) <= examples
+
+
+def test_a_digest_without_rounded_recording_gives_the_same_page(explored, tmp_path):
+    path = tmp_path / "study.db"
+    path.write_bytes(explored[0].read_bytes())
+    cc.write_report(path, tmp_path / "new.html", scenario=explored[1])
+    with closing(sqlite3.connect(path)) as connection, connection:
+        for number, facts, packed in connection.execute("SELECT scenario, facts, arrays FROM digests").fetchall():
+            arrays = {name: array for name, array in unpack_arrays(packed).items() if name != "rounded"}
+            insert_rows(connection, "digests", [(number, facts, pack_arrays(arrays, compress=False))])
+    assert verify(path).is_sound
+    cc.write_report(path, tmp_path / "old.html", scenario=explored[1])
+    assert (tmp_path / "old.html").read_bytes() == (tmp_path / "new.html").read_bytes()
+
+
+def test_a_search_that_learns_from_features_reads_no_recording_again(tmp_path):
+    meta = about(SPACE, "distance", critical=1.0, optimizer="level-set", budget=30)
+    with CountingStudy(StudyFile.create(tmp_path / "study.db", meta)._database) as study:
+        explorer(study, critical=1.0, optimizer="level-set", budget=30).run()
+        assert set(study.unpacked) <= {1}  # It is run again to see whether runs repeat.
+        study.unpacked.clear()
+        critical = cc.summarize(study).estimates.critical
+        assert critical is not None
+        assert critical.critical_set is not None
+        assert study.unpacked == []
+        ids = [row.id for row in study.finished_rows()]
+        computed = compute_features(map(study.recording, ids), meta.ego, meta.others)
+        np.testing.assert_array_equal(study.features(ids), computed)
+        assert np.isnan(study.features([None])).all()
+        assert study.features([]).shape == (0, computed.shape[1])
+        totals = study.checksum_totals()
+    with closing(sqlite3.connect(tmp_path / "study.db")) as connection:
+        delete_rows(connection, "digests", "scenario = 7")
+        connection.commit()
+    repair(tmp_path / "study.db")
+    with StudyFile.open(tmp_path / "study.db") as study:
+        assert study.checksum_totals() == totals
 
 
 def test_recordings_are_read_where_the_stored_series_are_too_coarse(tmp_path):

@@ -274,10 +274,9 @@ def test_an_analysis_of_no_scenario_is_refused(sent):
 
 def test_a_course_that_is_longer_than_its_recording_is_refused(sent):
     change(sent, (COURSE, (pack_arrays({"course": np.zeros(10_000)}),)))
-    for one in (("report", sent, "-o", sent.parent / "r.html"), ("export", sent, "-o", sent.parent / "tables")):
-        result = cornercase(*one)
-        assert (result.returncode, len(result.stderr.strip().splitlines())) == (2, 1)
-        assert "10000 instants of distance in the scenario 1, of which the recording has 21" in result.stderr
+    result = cornercase("export", sent, "-o", sent.parent / "tables")
+    assert (result.returncode, len(result.stderr.strip().splitlines())) == (2, 1)
+    assert "10000 instants of distance in the scenario 1, of which the recording has 21" in result.stderr
 
 
 def varies(sent, **values):

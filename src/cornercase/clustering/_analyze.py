@@ -80,9 +80,9 @@ def analyze(
     Scenarios are compared by several aspects, such as the trajectory of the ego. For each aspect, the distance of two
     scenarios is that of Dynamic Time Warping, and `ScenarioClustering` finds the clusters.
 
-    With more than 2,000 scenarios, each is compared only with 500 random ones, the landmarks. Series are downsampled to
-    at most 100 instants (for a series of median length). The landmarks are clustered, and the other scenarios join
-    their clusters. Distances between the other scenarios follow from landmark multidimensional scaling;
+    With more than 2,000 scenarios, only 500 random ones, the landmarks, are compared with each other and clustered.
+    Each other scenario is compared with 100 of them, and joins their clusters. Series are downsampled to at most 100
+    instants (for a series of median length). All other distances follow from landmark multidimensional scaling;
     `Analysis.embedding_error` says how exact they are.
 
     Parameters

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from cornercase._common.typing import FloatArray, IntArray
+from cornercase.clustering._anchors import DistanceCompletion
 from cornercase.clustering._density import assign_to_nearest_cluster
 from cornercase.clustering._landmarks import PairwiseComparer
 from cornercase.clustering._scenario_clustering import ScenarioClustering
@@ -41,21 +42,24 @@ def assign_to_clusters(study: StudyFile, analysis: Analysis, other_study: StudyF
         return np.zeros(0, dtype=np.int64)
     uses_landmarks = analysis.embedding_error is not None
     reference_ids = analysis.ids[analysis.clustering.landmarks] if uses_landmarks else analysis.fitted_ids
-    references = reference_ids.tolist()
+    rows = analysis.rows_of(reference_ids.tolist())
+    if uses_landmarks:
+        landmark_distances = read_landmark_distances(study, analysis.by)
+        completion = DistanceCompletion(landmark_distances)
+        reference_ids = reference_ids[completion.anchors]
     series: list[FloatArray] = []
     times: list[FloatArray] = []
-    for source, scenarios in ((study, references), (other_study, list(ids))):
+    for source, scenarios in ((study, reference_ids.tolist()), (other_study, list(ids))):
         series += read_series(source, analysis.by, scenarios, study.primary_other())
         times += [source.recording(scenario).time for scenario in scenarios]
     series, times = ([downsample(values, analysis.stride) for values in columns] for columns in (series, times))
-    window = window_in_instants(times, analysis.window)
-    rows, count = analysis.rows_of(references), len(references)
+    window, count = window_in_instants(times, analysis.window), len(reference_ids)
     if uses_landmarks:
         comparing = PairwiseComparer(series, analysis.stride, window)
-        to_landmarks = comparing.distances_to_landmarks(np.arange(count), np.arange(count, len(series)))
-        model = refit(analysis, read_landmark_distances(study, analysis.by))
+        to_anchors = comparing.distances_to(np.arange(count), np.arange(count, len(series)))
+        model = refit(analysis, landmark_distances)
         reference_clustering = replace(model.result_, labels=analysis.labels[rows])
-        return assign_to_nearest_cluster(model.transform(to_landmarks), reference_clustering)
+        return assign_to_nearest_cluster(model.transform(completion.complete(to_anchors)), reference_clustering)
     # In single precision, as in `analyze`.
     distances = distance_matrix(series, window=window, dtype="float32").astype(np.float64)
     model = refit(analysis, read_distances(study, analysis.by)[np.ix_(rows, rows)])

@@ -1,7 +1,7 @@
 """Clustering of very many scenarios by landmarks; time and memory do not grow with the square of their number.
 
-Every scenario is compared only with a few scenarios, the landmarks. The landmarks are clustered, and the others join
-their clusters.
+Landmarks, some random scenarios, are compared with each other and clustered. The other scenarios are compared only
+with a few landmarks, the anchors, from which their distances to all landmarks follow. They join the clusters.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numpy as np
 
 from cornercase._common.progress import ProgressBar
 from cornercase._common.typing import FloatArray, IntArray
+from cornercase.clustering._anchors import DistanceCompletion
 from cornercase.clustering._clustering import Clustering
 from cornercase.clustering._density import assign_to_nearest_cluster, renumber_by_size
 from cornercase.clustering._embedding import EmbeddedDistances, LandmarkMDS
@@ -22,18 +23,18 @@ from cornercase.clustering._scenario_clustering import ScenarioClustering
 from cornercase.dtw import distance_matrix, distances_to
 
 MAX_ALL_PAIRS: Final = 2000
-"""Largest number of scenarios for which all pairs are compared; with more, each is compared with the landmarks."""
+"""Largest number of scenarios for which all pairs are compared; with more, each is compared with some landmarks."""
 N_LANDMARKS: Final = 500
 """Number of landmarks."""
 # Scenarios, other than landmarks, on which the error of the embedding is measured.
 _N_ERROR_SCENARIOS: Final = 200
-# Scenarios that are compared with the landmarks at a time; takes some seconds.
+# Scenarios that are compared with the anchors at a time; takes some seconds.
 _BATCH_SIZE: Final = 1000
 
 
 @dataclass(frozen=True, eq=False)
 class LandmarkClustering:
-    """Clusters and embedding of scenarios that were compared with landmarks.
+    """Clusters and embedding of scenarios by their distances to landmarks.
 
     `embedding`, shape (n, p), has the coordinates for `EmbeddedDistances`. `landmark_distances`, shape (m, m), are
     those between the landmarks. `embedding_error` is the mean absolute error of embedded distances between other
@@ -76,9 +77,9 @@ class PairwiseComparer:
         self.seconds += time.monotonic() - start
         return distances * self.stride if self.stride > 1 else distances
 
-    def distances_to_landmarks(self, landmarks: IntArray, scenario_indices: IntArray) -> FloatArray:
-        """Return the distances from some scenarios to the landmarks, shape (n, m)."""
-        rows, columns = ([self.series[i] for i in indices.tolist()] for indices in (scenario_indices, landmarks))
+    def distances_to(self, anchors: IntArray, scenario_indices: IntArray) -> FloatArray:
+        """Return the distances from some scenarios to the anchors, shape (n, a)."""
+        rows, columns = ([self.series[i] for i in indices.tolist()] for indices in (scenario_indices, anchors))
         start = time.monotonic()
         distances = distances_to(rows, columns, window=self.window, dtype="float32", **self._client_options).astype(
             np.float64
@@ -133,31 +134,33 @@ def _assign_all(
     """Assign all scenarios; return clusters, coordinates, and the error of embedded distances."""
     n = len(comparer.series)
     clustering, embedder = fitted.result_, LandmarkMDS(landmark_distances)
+    completion = DistanceCompletion(landmark_distances)
+    landmark_coordinates = embedder.embed(landmark_distances)
     labels, embedding = np.empty(n, dtype=np.int64), np.empty((n, clustering.embedding.shape[1]))
-    blocks = []
+    coordinates = np.empty((n, landmark_coordinates.shape[1]))
+    labels[landmarks], embedding[landmarks] = clustering.labels, clustering.embedding
+    coordinates[landmarks] = landmark_coordinates
+    others = np.setdiff1d(np.arange(n), landmarks)
+    sample = np.linspace(0, len(others) - 1, min(_N_ERROR_SCENARIOS, len(others))).astype(np.int64)
+    sampled_rows = []
     bar = ProgressBar(n, f"by {comparer.progress}", "scenarios") if comparer.progress else None
     try:
-        for first in range(0, n, _BATCH_SIZE):
-            batch = np.arange(first, min(first + _BATCH_SIZE, n))
-            to_landmarks = comparer.distances_to_landmarks(landmarks, batch)
+        for first in range(0, len(others), _BATCH_SIZE):
+            batch = others[first : first + _BATCH_SIZE]
+            to_landmarks = completion.complete(comparer.distances_to(landmarks[completion.anchors], batch))
             embedding[batch] = fitted.transform(to_landmarks)
             labels[batch] = assign_to_nearest_cluster(embedding[batch], clustering)
-            blocks.append(embedder.embed(to_landmarks))
+            coordinates[batch] = embedder.embed(to_landmarks)
+            sampled_rows.append(to_landmarks[np.isin(batch, others[sample])])
             if bar:
-                bar.update(first + len(batch), "")
+                bar.update(len(landmarks) + first + len(batch), "")
     finally:
         if bar:
             bar.stop()
-    embedding[landmarks], labels[landmarks] = clustering.embedding, clustering.labels
-    coordinates = np.concatenate(blocks)
-    non_landmarks = np.setdiff1d(np.arange(n), landmarks)
-    sample = non_landmarks[
-        np.linspace(0, len(non_landmarks) - 1, min(_N_ERROR_SCENARIOS, len(non_landmarks))).astype(np.int64)
-    ]
     kernel_error = error = 0.0
     if len(sample) > 1:
-        true, estimated = comparer.distances_between(sample), EmbeddedDistances(coordinates[sample])[:]
+        true, estimated = comparer.distances_between(others[sample]), EmbeddedDistances(coordinates[others[sample]])[:]
         error = float(np.abs(true - estimated).sum() / max(float(true.sum()), 1e-300))
-        kernel_error = fitted.kernel_approximation_error(comparer.distances_to_landmarks(landmarks, sample), true)
+        kernel_error = fitted.kernel_approximation_error(np.concatenate(sampled_rows), true)
     extended = replace(clustering, labels=labels, embedding=embedding, landmarks=landmarks, error=kernel_error)
     return extended, coordinates, error

@@ -25,7 +25,6 @@ from cornercase.exploration._proposals import AskTell, ProposalSource
 from cornercase.exploration._runner import ScenarioRunner, StageTimer
 from cornercase.exploration._stop_criteria import StopCriteria
 from cornercase.exploration._study_critical_set import source_study_model
-from cornercase.metrics import compute_features
 from cornercase.optimizers import Optimizer
 from cornercase.simulators import Simulator
 from cornercase.study import ScenarioRecord, StudyFile
@@ -293,5 +292,4 @@ class ScenarioExplorer:
     def _read_features(self, rows: list[ScenarioRecord], scores_by_id: Mapping[int, Any]) -> FloatArray:
         """Features of the stored recordings of one round, shape (m, f)."""
         with self._clock("measure"):
-            recordings = [self._study.recording(row.id) if row.id in scores_by_id else None for row in rows]
-            return compute_features(recordings, self._config.ego, self._config.others)
+            return self._study.features([row.id if row.id in scores_by_id else None for row in rows])

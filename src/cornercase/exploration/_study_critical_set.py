@@ -10,7 +10,7 @@ from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.evidence._critical_set_estimate import CriticalSet
 from cornercase.evidence._multi_fidelity import SourceStudyModel
 from cornercase.evidence.gp._process import encode_points
-from cornercase.metrics import compute_features, registered_features
+from cornercase.metrics import registered_features
 from cornercase.optimizers import OPTIMIZERS, Grid, Random, Sobol
 from cornercase.scenario import ParameterSpace
 from cornercase.study import StudyFile
@@ -85,8 +85,7 @@ def estimate_critical_set(study: StudyFile, *, last_id: int | None = None, seed:
     )
     features = None
     if uses_features(meta.optimizer):
-        recordings = (study.recording(row.id) for row in rows if row.state == "done")
-        features = registered_features(), compute_features(recordings, meta.ego, meta.others)
+        features = registered_features(), study.features([row.id for row in rows if row.state == "done"])
     return CriticalSet(
         study.space,
         points[~audits],

@@ -11,7 +11,6 @@ import numpy as np
 from cornercase._common.errors import InputError
 from cornercase.exploration._explorer import ExplorationResult
 from cornercase.exploration._proposals import AskTell, ProposalSource, iter_rounds
-from cornercase.metrics import compute_features
 from cornercase.optimizers import Optimizer
 from cornercase.study import ScenarioRecord, StudyFile, StudyMeta
 from cornercase.study._objective import Objective
@@ -82,5 +81,4 @@ class _StoredResults:
         scores = np.array([self._scores.get(row.id, self._failed_score) for row in rows])
         if not self._with_features:
             return [points, scores]
-        recordings = [self._study.recording(row.id) if row.id in self._scores else None for row in rows]
-        return [points, scores, compute_features(recordings, self._study.meta.ego, self._study.meta.others)]
+        return [points, scores, self._study.features([row.id if row.id in self._scores else None for row in rows])]

@@ -27,11 +27,7 @@ from cornercase.report._payload import page_payload
 from cornercase.report._report_data import ReportData, read_report_data
 from cornercase.report._rerun import rerun_payload
 from cornercase.report._road_drawing import encode_road_outline, find_road_outline, is_missing_map
-from cornercase.report.encode._page_recordings import (
-    PackedRecordings,
-    describe_left_out_recordings,
-    encode_important_recordings,
-)
+from cornercase.report.encode._page_recordings import describe_left_out_recordings, encode_important_recordings
 from cornercase.report.html._cluster_sections import render_agreement, render_clusterings
 from cornercase.report.html._estimate_sections import render_estimates
 from cornercase.report.html._overview_sections import render_failures, render_provenance, render_scores
@@ -130,7 +126,7 @@ def write_report(
         start = time.monotonic()
         with show_bars(progress), progress_step(len(opened.finished_rows()), "reading", "recordings") as tell:
             data = read_report_data(opened, figures=folder is not False, memory=limit, on_read=tell)
-        packed = encode_important_recordings(opened, data)
+        recordings = encode_important_recordings(opened, data)
         sketch, missing = find_road_outline(opened, data.region, scenario, data.rows[0].values)
         if is_missing_map(missing):
             issue_notice_warning(missing.removesuffix("."))
@@ -146,18 +142,18 @@ def write_report(
             from cornercase.report.figures._export import write_figures
 
             write_figures(data, validation.check_path("figures", folder))
-        _write_page(path, render_report(data, packed, roads))
+        _write_page(path, render_report(data, recordings, roads))
     return path
 
 
-def render_report(data: ReportData, recordings: PackedRecordings, road_payload: Mapping[str, Any]) -> str:
+def render_report(data: ReportData, recordings: Mapping[int, str], road_payload: Mapping[str, Any]) -> str:
     """Render the report as HTML.
 
-    `road_payload` has the keys ``roads`` (the drawing), ``roads_missing`` (why there is none) and ``rerun`` (how to run
-    a scenario again).
+    `recordings` are those that the page contains, encoded, by id. `road_payload` has the keys ``roads`` (the drawing),
+    ``roads_missing`` (why there is none) and ``rerun`` (how to run a scenario again).
     """
     recording_payload = {
-        "recordings": recordings.index,
+        "recordings": list(recordings),
         "recordings_left_out": describe_left_out_recordings(data, recordings),
     }
     contents = page_payload(data) | recording_payload | dict(road_payload)
@@ -170,7 +166,7 @@ def render_report(data: ReportData, recordings: PackedRecordings, road_payload: 
         answers=contents["answers"],
         details=list(render_details(data)),
         provenance=render_provenance(data.file_name, data.summary),
-        blocks=recordings.blocks,
+        recordings=recordings,
     )
 
 
@@ -191,8 +187,8 @@ def render_details(data: ReportData) -> Iterator[Section]:
 
 def render_live_page(title: str) -> str:
     """Render the page without content: it loads the study from the live server, and grows with the study."""
-    empty: dict[str, Any] = {"left_out": "", "about": "", "contents": None, "answers": [], "details": [], "blocks": ()}
-    return _render(live=True, title=title, provenance=Markup(), **empty)
+    empty: dict[str, Any] = {"left_out": "", "about": "", "contents": None, "answers": [], "details": []}
+    return _render(live=True, title=title, provenance=Markup(), recordings={}, **empty)
 
 
 def _render(**parts: Any) -> str:

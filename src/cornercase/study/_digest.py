@@ -1,7 +1,7 @@
 """What analysis, report and live page need of a recording: stored with it, so that they need not unpack it.
 
-A digest has no rounded values: whoever reads it gets what the recording would give. Only the series are downsampled, by
-a stride that the first recordings of the study decide.
+Except for `rounded`, a digest has no rounded values: whoever reads it gets what the recording would give. Only the
+series are downsampled, by a stride that the first recordings of the study decide.
 """
 
 from __future__ import annotations
@@ -11,16 +11,19 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any, Final, TypeVar
+from zlib import crc32
 
 import numpy as np
+import numpy.typing as npt
 
 from cornercase._common.errors import InputError
 from cornercase._common.text.sanitize import parse_json
 from cornercase._common.typing import Float32Array, FloatArray, IntArray
-from cornercase.metrics import METRICS, Metric
+from cornercase.metrics import METRICS, Metric, registered_features
 from cornercase.metrics._outcome import Encounter, Impact, Outcome
 from cornercase.recordings import Collision, Recording
 from cornercase.recordings._entity_series import bearing_series, position_series
+from cornercase.recordings._rounded import encode_rounded
 from cornercase.study._codec import pack_arrays, unpack_arrays
 from cornercase.study._damage import require_value
 from cornercase.study._meta import StudyMeta
@@ -51,7 +54,8 @@ class ScenarioDigest:
     `begin` and `end` in s are those of its T instants; `bounds` are x_min, y_min, x_max, y_max of all reference points
     in m, None if nothing exists. `outcomes` and `features` are those with each other entity of the study as the main
     one. `series` are downsampled by `stride`, shape (M, 3 + 4 others); `courses` are downsampled, too, shape (M,
-    metrics); `lines` are capped courses at 48 evenly spaced times, shape (metrics, 48).
+    metrics); `lines` are capped courses at 48 evenly spaced times, shape (metrics, 48). `rounded` is the recording with
+    its capped courses as `encode_rounded` encodes it; empty if the package of a metric is missing.
     """
 
     n_instants: int
@@ -65,6 +69,7 @@ class ScenarioDigest:
     series: FloatArray
     courses: FloatArray
     lines: FloatArray
+    rounded: bytes
 
     @property
     def time(self) -> FloatArray:
@@ -111,9 +116,11 @@ def make_digest(
     whole = {name: course for name, course in courses.items() if len(course) == n_instants}
     missing = np.full(n_instants, math.nan)
     lines = np.full((len(meta.metrics), COURSE_POINTS), math.nan)
-    for line, metric in zip(lines, create_metrics(meta) if metrics is None else metrics, strict=False):
+    metrics = create_metrics(meta) if metrics is None else metrics
+    clipped = {metric.name: metric.clip_course(whole.get(metric.name, missing)) for metric in metrics}
+    for line, metric in zip(lines, metrics, strict=False):
         if metric.name in whole:
-            course = metric.clip_course(whole[metric.name]).astype(np.float32)
+            course = clipped[metric.name].astype(np.float32)
             line[:] = resample_course(recording.time, course, metric.lower_is_critical)
     return ScenarioDigest(
         n_instants=n_instants,
@@ -129,6 +136,7 @@ def make_digest(
             np.array([whole.get(name, missing) for name in meta.metrics]).reshape(-1, n_instants).T, stride
         ),
         lines=lines,
+        rounded=encode_rounded(recording, clipped) if metrics else b"",
     )
 
 
@@ -201,8 +209,11 @@ def find_bounds(recording: Recording) -> Bounds | None:
     return x_min, y_min, x_max, y_max
 
 
-def encode_digest(digest: ScenarioDigest) -> tuple[str, bytes]:
-    """Encode a digest as facts in JSON and packed arrays."""
+def encode_digest(digest: ScenarioDigest, features: FloatArray | None = None) -> tuple[str, bytes]:
+    """Encode a digest as facts in JSON and packed arrays.
+
+    `features`, shape (f,), are the registered ones, if the search learns from them.
+    """
     facts = {
         "instants": digest.n_instants,
         "time": [digest.begin, digest.end],
@@ -215,7 +226,15 @@ def encode_digest(digest: ScenarioDigest) -> tuple[str, bytes]:
         ],
     }
     # Compression would save a third of these bytes, but take four times as long.
-    packed = pack_arrays({"series": digest.series, "courses": digest.courses, "lines": digest.lines}, compress=False)
+    arrays: dict[str, npt.ArrayLike] = {
+        "series": digest.series,
+        "courses": digest.courses,
+        "lines": digest.lines,
+        "rounded": np.frombuffer(digest.rounded, np.uint8),
+    }
+    if features is not None:
+        arrays |= {"features": features, "features_checksum": registered_features_checksum()}
+    packed = pack_arrays(arrays, compress=False)
     return json.dumps(facts, separators=(",", ":")), packed
 
 
@@ -284,7 +303,28 @@ def decode_digest(facts: Mapping[str, Any], packed: bytes, meta: StudyMeta) -> S
         series=arrays["series"],
         courses=arrays["courses"],
         lines=arrays["lines"],
+        rounded=decode_rounded(arrays),
     )
+
+
+def decode_rounded(arrays: Mapping[str, npt.NDArray[Any]]) -> bytes:
+    """Return the rounded recording among the arrays of a digest; empty if an earlier version did not store it."""
+    return arrays["rounded"].tobytes() if "rounded" in arrays else b""
+
+
+def decode_features(packed: bytes, checksum: int) -> FloatArray | None:
+    """Return the features among the arrays of a digest, shape (f,); None if it has none with this checksum."""
+    arrays = unpack_arrays(packed, names=("features", "features_checksum"))
+    if not arrays or int(arrays["features_checksum"]) != checksum:
+        return None
+    features: FloatArray = arrays["features"]
+    require_value(features.ndim == 1 and features.dtype == np.float64, "a digest's features")
+    return features
+
+
+def registered_features_checksum() -> int:
+    """CRC-32 of the names of all registered features."""
+    return crc32("\n".join(feature.name for feature in registered_features()).encode())
 
 
 def decode_bounds(facts: Mapping[str, Any]) -> Bounds | None:

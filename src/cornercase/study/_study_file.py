@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, closing, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Self
@@ -19,8 +19,9 @@ from cornercase._common.text.sanitize import check_no_surrogates, parse_json
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase._common.validation import check_float, check_int
 from cornercase.drivers.references.r157._preventability import ReferenceOutcome
-from cornercase.metrics import Metric
+from cornercase.metrics import METRICS, Metric, compute_features
 from cornercase.recordings import Collision, Recording
+from cornercase.recordings._rounded import encode_rounded
 from cornercase.study._arrays import read_arrays
 from cornercase.study._codec import unpack_arrays, unpack_recording
 from cornercase.study._connection import remove_sqlite_files
@@ -34,6 +35,9 @@ from cornercase.study._digest import (
     decode_collisions,
     decode_digest,
     decode_facts,
+    decode_features,
+    decode_rounded,
+    registered_features_checksum,
 )
 from cornercase.study._meta import StudyMeta, hash_points_and_scores
 from cornercase.study._notes import MAX_NOTE_LENGTH
@@ -86,6 +90,7 @@ class StudyFile:
         self.meta = self.read_meta()
         self.space = self.meta.space
         self._row_cache: tuple[tuple[int, int], list[ScenarioRecord]] | None = None
+        self._score_cache: dict[str, tuple[tuple[int, int], FloatArray]] = {}
         # Creating metrics takes longer than a scenario may, so it is done once.
         self._metrics: tuple[tuple[str, ...], tuple[Metric, ...]] | None = None
         # Lengths of the first recordings, and the id of the last of them, once there are enough.
@@ -204,7 +209,7 @@ class StudyFile:
         list of ScenarioRecord
             In the order in which they were proposed.
         """
-        # Checking 50,000 rows takes seconds, so it is repeated only after a write.
+        # Checking 50,000 rows takes seconds, so it is repeated only after a write, as are those of scores.
         version = self._database.write_version()
         if self._row_cache is None or self._row_cache[0] != version:
             stored = self._database.read_rows("scenarios")
@@ -334,13 +339,17 @@ class StudyFile:
         """
         self._require_metric(metric)
         with self.snapshot():
-            self._database.require_all_rows("courses")
-            done = self.finished_rows()
-            score_of = {
-                scenario: score for scenario, _, score in self._database.read_rows("courses", "metric = ?", metric)
-            }
-        with reraise_as_damage(self.path):
-            return np.array([float(score_of[row.id]) for row in done], dtype=np.float64)
+            version = self._database.write_version()
+            if metric not in self._score_cache or self._score_cache[metric][0] != version:
+                self._database.require_all_rows("courses")
+                done = self.finished_rows()
+                score_of = {
+                    scenario: score for scenario, _, score in self._database.read_rows("courses", "metric = ?", metric)
+                }
+                with reraise_as_damage(self.path):
+                    scores = np.array([float(score_of[row.id]) for row in done], dtype=np.float64)
+                self._score_cache[metric] = version, scores
+            return self._score_cache[metric][1].copy()
 
     def scenario_scores(self, scenario: int) -> dict[str, float]:
         """Scores of one scenario.
@@ -626,12 +635,92 @@ class StudyFile:
         InputError
             The scenario has not run, or its id is not an integer.
         """
+        facts, packed = self._read_digest(scenario)
+        with reraise_as_damage(self.path):
+            return decode_digest(decode_facts(facts), packed, self.meta)
+
+    def _read_digest(self, scenario: int) -> tuple[str, bytes]:
         scenario_id = check_int("scenario", scenario, maximum=_MAX_ID)
         rows = self._database.read_rows("digests", "scenario = ?", scenario_id, with_blob=True)
         if not rows:
             raise InputError(f"{self.path}: the scenario {scenario_id} was not run.")
+        _, facts, packed = rows[0]
+        return facts, packed
+
+    def rounded_recording(self, scenario: int) -> bytes:
+        """Read the recording and the capped courses of one scenario in few bytes, rounded to what a page can show.
+
+        Parameters
+        ----------
+        scenario : int
+            Id of the scenario.
+
+        Returns
+        -------
+        bytes
+            In the format of the report page.
+
+        Raises
+        ------
+        InputError
+            The scenario has not run, or its id is not an integer.
+        """
+        _, packed = self._read_digest(scenario)
         with reraise_as_damage(self.path):
-            return decode_digest(decode_facts(rows[0][1]), rows[0][2], self.meta)
+            rounded = decode_rounded(unpack_arrays(packed, names=("rounded",)))
+        if rounded:
+            return rounded
+        recording, courses = self.recording_and_courses(scenario)
+        return encode_rounded(
+            recording, {name: METRICS.create(name).clip_course(course) for name, course in courses.items()}
+        )
+
+    def features(self, scenarios: Sequence[int | None]) -> FloatArray:
+        """Registered features of scenarios, read from the study if it has them, or else computed from recordings.
+
+        Parameters
+        ----------
+        scenarios : sequence of int or None
+            Ids; None for a scenario that failed.
+
+        Returns
+        -------
+        ndarray of float64, shape (n, f)
+            As `cornercase.metrics.compute_features` returns them.
+
+        Raises
+        ------
+        InputError
+            A scenario has not run, or a group of features of another package fails.
+        """
+        checksum = registered_features_checksum()
+        rows = [self._scenario_features(scenario, checksum) for scenario in scenarios]
+        return np.concatenate(rows or [compute_features([], self.meta.ego, self.meta.others)])
+
+    def _scenario_features(self, scenario: int | None, checksum: int) -> FloatArray:
+        """Features of one scenario, shape (1, f)."""
+        if scenario is not None:
+            with reraise_as_damage(self.path):
+                stored = decode_features(self._read_digest(scenario)[1], checksum)
+            if stored is not None:
+                return stored[None]
+        recording = None if scenario is None else self.recording(scenario)
+        return compute_features([recording], self.meta.ego, self.meta.others)
+
+    def has_features(self, scenario: int) -> bool:
+        """Whether the registered features of a scenario are stored.
+
+        Parameters
+        ----------
+        scenario : int
+            Id of a scenario that has run.
+
+        Returns
+        -------
+        bool
+        """
+        with reraise_as_damage(self.path):
+            return decode_features(self._read_digest(scenario)[1], registered_features_checksum()) is not None
 
     def metrics(self) -> tuple[Metric, ...]:
         """Metrics of the study.

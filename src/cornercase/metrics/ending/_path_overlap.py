@@ -175,7 +175,8 @@ def _contact_times(time, poses, size, other_poses, other_size, runs, is_path_a):
                 is_touched[runs[run, 1] : runs[run, 2] + 1] = True
             elif not is_path_a and runs[run, 1] <= step <= runs[run, 2]:
                 is_touched[runs[run, 0]] = True
-        share = _contact_fraction(poses, size, neighbour, step, other_poses, other_size, is_touched)
+        touched = np.flatnonzero(is_touched)
+        share = _contact_fraction(poses, size, neighbour, step, other_poses, other_size, touched)
         contact = time[neighbour] + share * (time[step] - time[neighbour])
         if neighbour < step:
             enters = contact
@@ -219,8 +220,8 @@ def _find_overlap_runs(poses_a, size_a, poses_b, size_b, tree):
 
 
 @kernel(error_model="numpy", _nrt=False)
-def _contact_fraction(poses_a, size_a, before, after, poses_b, size_b, is_touched):
-    """Return the fraction of a step of path a at which it first touches a box of path b in `is_touched`."""
+def _contact_fraction(poses_a, size_a, before, after, poses_b, size_b, touched):
+    """Return the fraction of a step of path a at which it first touches a box of path b with an index in `touched`."""
     low, high = 0.0, 1.0
     for _ in range(_N_BISECTIONS):
         share = 0.5 * (low + high)
@@ -230,8 +231,8 @@ def _contact_fraction(poses_a, size_a, before, after, poses_b, size_b, is_touche
         sin = poses_a[3, before] + share * (poses_a[3, after] - poses_a[3, before])
         norm = math.hypot(cos, sin)
         touches = False
-        for j in range(poses_b.shape[1]):
-            if is_touched[j] and _boxes_overlap(
+        for j in touched:
+            if _boxes_overlap(
                 poses_b[0, j] - x,
                 poses_b[1, j] - y,
                 cos / norm,

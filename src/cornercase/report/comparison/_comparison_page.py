@@ -13,11 +13,11 @@ from cornercase._common.io.files import atomic_write, check_output_differs_from_
 from cornercase._common.typing import FloatArray
 from cornercase.metrics import METRICS
 from cornercase.recordings import Recording
+from cornercase.recordings._rounded import encode_rounded
 from cornercase.report._page import REPLAY_SCRIPTS
 from cornercase.report._payload import parameter_columns, round_score, score_source_column, study_info_payload
 from cornercase.report._road_drawing import encode_road_outline, find_road_outline, recorded_bounds
 from cornercase.report.comparison._charts import draw_charts
-from cornercase.report.encode._record_format import compress_records, encode_recording
 from cornercase.report.html._templates import render_template
 from cornercase.scenario._file import ScenarioFile
 from cornercase.study import StudyFile
@@ -86,23 +86,20 @@ def write_comparison(
 def _render_page(
     comparison: Comparison, old: StudyFile, new: StudyFile, scenario: Path | str | ScenarioFile | None
 ) -> str:
-    recordings, records = [], []
+    recordings, texts = [], {}
     for k, telling in enumerate(comparison.examples):
         for number, study, scenario_id in _scenarios_of_example(k, telling, old, new):
             if study.scenario_scores(scenario_id):
                 recordings.append(study.recording(scenario_id))
-                records.append(
-                    (number, encode_recording(number, recordings[-1], _read_courses(study, scenario_id, comparison)))
-                )
-    block, offsets = compress_records([record for _, record in records])
-    index = {str(number): [0, offset] for (number, _), offset in zip(records, offsets, strict=True)}
+                packed = encode_rounded(recordings[-1], _read_courses(study, scenario_id, comparison))
+                texts[number] = base64.b64encode(packed).decode()
     sections = [
         section for section in describe_comparison(comparison) if section.key not in ("answer", "findings", "telling")
     ]
     answer = describe_comparison(comparison)[0]
     contents = (
         _replay_payload(comparison, old, new)
-        | {"recordings": index}
+        | {"recordings": list(texts)}
         | _road_payload(comparison, old, recordings, scenario)
     )
     return render_template(
@@ -127,7 +124,7 @@ def _render_page(
             for k, example in enumerate(comparison.examples)
         ],
         contents=contents,
-        blocks=[base64.b64encode(block).decode()],
+        recordings=texts,
     )
 
 

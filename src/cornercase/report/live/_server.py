@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import base64
 import tempfile
 import time
 from collections.abc import AsyncIterator, Callable
@@ -20,7 +19,6 @@ from cornercase._common.errors import InputError
 from cornercase._common.io.files import portable_name
 from cornercase.report._page import CONTENT_SECURITY_POLICY, render_live_page
 from cornercase.report._rerun import read_selection_reasons, render_concrete_scenario
-from cornercase.report.encode._page_recordings import encode_recordings
 from cornercase.report.live._auth import TokenAuth
 from cornercase.report.live._events import Cursor, EventStream
 from cornercase.study import StudyFile, write_note
@@ -77,8 +75,8 @@ class _Endpoints:
     def recording(self, request: Request) -> Response:
         self._require_same_epoch(request)
         with StudyFile.open(self._path, readonly=True) as study:
-            (block,) = encode_recordings(study, [_scenario_id(request)]).blocks
-        return Response(base64.b64decode(block), media_type="application/octet-stream")
+            content = study.rounded_recording(_scenario_id(request))
+        return Response(content, media_type="application/octet-stream")
 
     def recording_csv(self, request: Request) -> Response:
         self._require_same_epoch(request)

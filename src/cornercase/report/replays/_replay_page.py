@@ -6,10 +6,10 @@ import base64
 from dataclasses import asdict
 from typing import Any, Final
 
+from cornercase.recordings._rounded import encode_rounded
 from cornercase.report._page import REPLAY_SCRIPTS
 from cornercase.report._payload import parameter_columns, round_score, score_source_column, study_info_payload
 from cornercase.report._road_drawing import encode_road_outline
-from cornercase.report.encode._record_format import compress_records, encode_recording
 from cornercase.report.html._templates import render_template
 from cornercase.report.replays._replay_data import ReplayData
 from cornercase.report.text._phrases import describe_roles
@@ -21,11 +21,10 @@ _POLICY: Final = "default-src 'none'; script-src 'unsafe-inline'; style-src 'uns
 
 def render_replay_page(data: ReplayData) -> str:
     """Render the page of a replay; the same study gives the same bytes."""
-    item_by_id = {take.row.id: take for take in data.items}
-    block, offsets = compress_records(
-        [encode_recording(scenario, take.recording, take.courses) for scenario, take in sorted(item_by_id.items())]
-    )
-    index = {str(scenario): [0, offset] for scenario, offset in zip(sorted(item_by_id), offsets, strict=True)}
+    items = sorted({take.row.id: take for take in data.items}.items())
+    recordings = {
+        scenario: base64.b64encode(encode_rounded(take.recording, take.courses)).decode() for scenario, take in items
+    }
     meta = data.meta
     ids = " beside ".join(str(take.row.id) for take in data.items)
     return render_template(
@@ -35,8 +34,8 @@ def render_replay_page(data: ReplayData) -> str:
         policy=_POLICY,
         title=f"{meta.title}, scenario {ids}",
         about=f"From {data.file_name}. {describe_roles(meta)}",
-        contents=_replay_payload(data) | {"recordings": index},
-        blocks=[base64.b64encode(block).decode()],
+        contents=_replay_payload(data) | {"recordings": list(recordings)},
+        recordings=recordings,
     )
 
 

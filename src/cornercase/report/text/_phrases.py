@@ -181,7 +181,7 @@ def describe_clustering_method(analysis: Analysis) -> str:
     if analysis.embedding_error is not None:
         stride = f", at one of {analysis.stride} instants" if analysis.stride > 1 else ""
         text += (
-            f" All scenarios were compared with the landmarks{stride}. Other distances follow from that, with an error"
+            f" All scenarios were compared with landmarks{stride}. Other distances follow from that, with an error"
             f" of {analysis.embedding_error:.1%} on average."
         )
     fitted, assigned = len(analysis.fitted_ids), len(analysis.ids) - len(analysis.fitted_ids)

@@ -19,28 +19,34 @@ async function inflate(packed) {
   return new Uint8Array(await new Response(stream).arrayBuffer());
 }
 
-// Decodes a recording of the page's record format: arrays by name, one row per entity.
-function readRecord(bytes, offset = 0) {
+// Decodes a recording that `recordings/_rounded.py` encoded: arrays by name, one row per entity.
+function readRecord(bytes) {
   const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
-  const headLength = view.getUint32(offset, true);
-  const body = offset + 4 + headLength;
-  const head = JSON.parse(new TextDecoder().decode(bytes.subarray(offset + 4, body)));
+  const body = 4 + view.getUint32(0, true);
+  const head = JSON.parse(new TextDecoder().decode(bytes.subarray(4, body)));
   const rows = head.fields.reduce((sum, [, count]) => sum + count, 0);
   const instants = head.instants;
-  const numbers = body + rows * instants;
+  const starts = body + (head.gaps ? rows * instants : 0);
+  const rates = starts + 4 * rows;
+  let at = rates + (instants > 1 ? 4 * rows : 0);
   const recording = { ...head, courses: {} };
   let row = 0;
-  for (const [name, count, step] of head.fields) {
+  for (const [name, count, step, width] of head.fields) {
     const origin = head.origin[name] ?? 0;
+    const change = { 1: "getInt8", 2: "getInt16", 4: "getInt32" }[width];
     const found = [];
     for (let k = 0; k < count; k++, row++) {
       const values = new Float64Array(instants);
-      let rate = 0;
-      let value = 0;
+      let value = view.getInt32(starts + 4 * row, true);
+      let rate = instants > 1 ? view.getInt32(rates + 4 * row, true) : 0;
       for (let t = 0; t < instants; t++) {
-        rate = (rate + view.getInt32(numbers + 4 * (row * instants + t), true)) | 0;
-        value = (value + rate) | 0;
-        values[t] = bytes[body + row * instants + t] ? value * step + origin : NaN;
+        if (t > 1) {
+          rate = (rate + view[change](at, true)) | 0;
+          at += width;
+        }
+        if (t > 0) value = (value + rate) | 0;
+        const isPresent = !head.gaps || bytes[body + row * instants + t];
+        values[t] = isPresent ? value * step + origin : NaN;
       }
       found.push(values);
     }
@@ -53,23 +59,17 @@ function readRecord(bytes, offset = 0) {
 
 // Recordings of the file, unpacked on demand.
 class EmbeddedRecordings {
-  constructor(index) {
-    this.index = index;
-    this.blocks = new Map();
+  constructor(ids) {
+    this.ids = new Set(ids);
   }
 
   has(id) {
-    return String(id) in this.index;
+    return this.ids.has(Number(id));
   }
 
   // A promise of the recording, or of null if the file does not contain it.
   async get(id) {
     if (!this.has(id)) return null;
-    const [block, offset] = this.index[String(id)];
-    if (!this.blocks.has(block)) {
-      const text = document.querySelector(`script.recordings[data-block="${block}"]`).textContent;
-      this.blocks.set(block, unpack(text));
-    }
-    return readRecord(await this.blocks.get(block), offset);
+    return readRecord(await unpack(document.querySelector(`script.recordings[data-id="${id}"]`).textContent));
   }
 }
