@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import inspect
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
@@ -66,13 +67,17 @@ def serialize_driver(driver: str | Driver) -> str | dict[str, Any]:
 
 
 def _source_file_checksum(cls: type) -> str:
-    """SHA-256 of the file that defines a class, from when the class was first seen; empty if there is no file."""
+    """SHA-256 of the file that defines a class, from when the class was first seen; empty if there is no file.
+
+    Of a class in the main script only its own lines count, since the script may change before it continues a study.
+    """
     # A module edited in the meantime is not reloaded.
     if cls not in _checksums:
         file = getattr(sys.modules.get(cls.__module__), "__file__", None)
         content = None
         with suppress(OSError, TypeError):
-            content = Path(file or "").read_bytes()
+            is_script = cls.__module__ == "__main__"
+            content = inspect.getsource(cls).encode() if is_script else Path(file or "").read_bytes()
         _checksums[cls] = "" if content is None else hashlib.sha256(content).hexdigest()
     return _checksums[cls]
 
