@@ -296,7 +296,7 @@ def test_42_s5_a_search_that_fails_is_named_and_the_study_kept(tmp_path, monkeyp
     monkeypatch.setitem(OPTIMIZERS._factories, "tired", (Tired, {}))
     explored = {**PYTHON, "metrics": ["wttc"], "optimizer": "tired", "batch": 3}
     with pytest.raises(
-        InputError, match=rf"^The search 'tired' failed in {asked}: (SystemExit: 0|KeyError: 'scores') \("
+        InputError, match=rf"^The optimizer 'tired' failed in {asked}: (SystemExit: 0|KeyError: 'scores') \("
     ):
         cc.explore(X, tmp_path / "s.db", **explored)
     assert [state for _, state, _ in rows(tmp_path / "s.db")] == ["done"] * 3

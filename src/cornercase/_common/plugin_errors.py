@@ -10,7 +10,14 @@ from functools import partial
 from pathlib import Path
 from typing import Final
 
-from cornercase._common.errors import InputError, PluginError, RunLostError, SimulationError, is_machine_error
+from cornercase._common.errors import (
+    InputError,
+    PluginError,
+    RunLostError,
+    SimulationError,
+    UserCodeError,
+    is_machine_error,
+)
 from cornercase._common.process.signals import collect_interrupts, count_requests, is_termination_request
 from cornercase._common.text.sanitize import remove_folders, shorten
 
@@ -42,7 +49,7 @@ def convert_plugin_errors(name: str, plugin: object, activity: str = "") -> Iter
             if is_built_in(plugin):
                 raise
             when = f" {activity}" if activity else ""
-            raise InputError(f"{name} failed{when}: {describe_error(error)}; fix it.") from error
+            raise UserCodeError(f"{name} failed{when}: {describe_error(error)}; fix it.") from error
 
 
 def unwrap_factory(factory: Callable[..., object]) -> Callable[..., object]:

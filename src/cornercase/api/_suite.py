@@ -12,6 +12,7 @@ from cornercase.api._simulator_fields import simulator_fields
 from cornercase.drivers import Driver
 from cornercase.exploration import Runs
 from cornercase.exploration._runs import single_run_settings
+from cornercase.metrics import Metric
 from cornercase.simulators import Simulator
 from cornercase.suite import SuiteResult, run_suite
 from cornercase.suite._read_suite import read_suite
@@ -89,7 +90,7 @@ class Suite:
         require: Sequence[str] = (),
         requirements: Path | str | None = None,
         require_from_file: bool = False,
-        metrics: Sequence[str] = (),
+        metrics: Metric | str | Sequence[Metric | str] = (),
         simulator: Simulator | str | None = None,
         drivers: Mapping[str, str | Driver] | None = None,
         runs: Runs | None = None,
@@ -115,9 +116,9 @@ class Suite:
         require_from_file : bool, default False
             Use the criteria for CARLA's ScenarioRunner in the files as requirements. A notice names criteria that a
             recording cannot decide.
-        metrics : sequence of str
-            Criticality metrics to store. By default those of the manifest; without a manifest those in the
-            requirements, or else ``clearance``.
+        metrics : Metric or str, or sequence of these
+            Criticality metrics to store; your own as objects. By default those of the manifest; without a manifest
+            those in the requirements, or else ``clearance``.
         simulator : Simulator or str, optional
             By default that of the manifest; without a manifest the builtin simulator.
         drivers : mapping of str to str or Driver, optional

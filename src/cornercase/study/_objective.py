@@ -9,7 +9,7 @@ import numpy as np
 
 from cornercase._common.errors import InputError, suggest_name
 from cornercase._common.typing import FloatArray
-from cornercase.metrics import METRICS, Metric
+from cornercase.metrics import Metric
 from cornercase.study._meta import StudyMeta
 
 if TYPE_CHECKING:
@@ -43,8 +43,7 @@ class Objective:
     @classmethod
     def from_study_meta(cls, meta: StudyMeta) -> Objective:
         """Return the objective of a stored study."""
-        metrics = [METRICS.create(name) for name in meta.metrics]
-        return cls(metrics, meta.weights, meta.pareto)
+        return cls(meta.create_metrics(), meta.weights, meta.pareto)
 
     def _make_score_factors(self) -> FloatArray:
         signs = np.array([metric.to_minimize(1.0) for metric in self.metrics])

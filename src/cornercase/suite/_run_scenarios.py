@@ -14,7 +14,7 @@ from cornercase._common.io.support_table import deduplicate_notices, warn_notice
 from cornercase._common.process.signals import collect_interrupts
 from cornercase._common.progress import ProgressBar
 from cornercase.exploration._repeatability import check_repeatability
-from cornercase.metrics import METRICS, Metric
+from cornercase.metrics import Metric
 from cornercase.metrics._measure import evaluate_metrics
 from cornercase.recordings import Recording
 from cornercase.simulators import Simulator
@@ -44,7 +44,13 @@ def mark_unsupported(suite: SuiteContents, simulator: Simulator) -> SuiteContent
 
 
 def run_pending_scenarios(
-    suite: SuiteContents, meta: StudyMeta, simulator: Simulator, study_path: Path, workers: int | None, progress: bool
+    suite: SuiteContents,
+    meta: StudyMeta,
+    metrics: Sequence[Metric],
+    simulator: Simulator,
+    study_path: Path,
+    workers: int | None,
+    progress: bool,
 ) -> int:
     """Run the scenarios that the study does not hold yet, and store each result as soon as a scenario has ended.
 
@@ -53,7 +59,6 @@ def run_pending_scenarios(
     study then stays as it was.
     """
     _warn_about_files(suite, simulator, meta.ego)
-    metrics = [METRICS.create(name) for name in meta.metrics]
     with open_or_create_study(study_path, meta) as study:
         study.writer.resume(meta)
         values = [dict(scenario.values) for scenario in suite.scenarios]

@@ -9,7 +9,6 @@ from typing import Final
 
 import numpy as np
 
-from cornercase.metrics import METRICS
 from cornercase.report._report_data import ReportData
 from cornercase.report.encode._record_format import compress_records, encode_recording
 from cornercase.study import StudyFile
@@ -104,7 +103,7 @@ def _van_der_corput_order(count: int) -> list[int]:
 
 
 def _encode_records(study: StudyFile, ids: Sequence[int]) -> Iterator[bytes]:
-    metrics = [METRICS.create(name) for name in study.meta.metrics]
+    metrics = study.meta.create_metrics()
     for scenario in ids:
         recording, courses = study.recording_and_courses(scenario)
         clipped = {metric.name: metric.clip_course(courses[metric.name]) for metric in metrics}
