@@ -146,6 +146,9 @@ def test_a_study_is_read_without_its_metric(explored, tmp_path, monkeypatch):
     assert repr(study.problem) == "<Problem 'x_intersection': Ego and Pedestrian, critical if speed-nearby >= 5 m/s>"
     assert study.summary().metrics["speed-nearby"].unit == "m/s"
     assert study.critical_set().lower_is_critical is False
+    compared = cornercase("compare", "study.db", "study.db", "-o", "compare.html")
+    assert (compared.returncode, compared.stderr) == (0, "")
+    assert "speed-nearby 0.1 m/s" in compared.stdout
 
 
 def test_a_study_is_continued_with_the_same_objects_alone(own, problem, explored):
@@ -158,6 +161,10 @@ def test_a_study_is_continued_with_the_same_objects_alone(own, problem, explored
         unit = "km/h"
 
     other = cc.Problem(problem.scenario, "Ego", "Pedestrian", [SpeedNearby(), "wttc"], 5.0)
+    with pytest.raises(cc.InputError, match=r"driver of Ego: own_code:Lazy, speed=9.0 there, own_code:Lazy, speed=7.0"):
+        cc.Study.open_or_create(explored.path, problem, Builtin(drivers={"Ego": own["Lazy"](7.0)}), seed=1).explore(
+            own["Walk"](step=0.2), budget=6
+        )
     with pytest.raises(cc.InputError, match=r"belongs to another definition of a metric \(class, unit"):
         cc.Study.open_or_create(explored.path, other, driven, seed=1)
     again = cc.Study.open_or_create(explored.path, problem, driven, seed=1)
@@ -209,6 +216,7 @@ def metric_class(**attributes: object) -> type[cc.Metric]:
             metric_class(lower_is_critical=None)(),
             "The metric class Mine lacks `lower_is_critical`; set it to True or F",
         ),
+        (metric_class(unit="<b>")(), "The metric class Mine has '<b>' as `unit`; set it to at most 20 letters, digits"),
         (metric_class(cap=np.inf)(), "The metric class Mine has inf as `cap`; set it to a finite number."),
         (metric_class(), r"`metrics`: Mine is a class; give an object of it, as in Mine\(\)."),
         (max, r"`metrics` <built-in function max>: derive a class from `cornercase.Metric` and give an object of it"),

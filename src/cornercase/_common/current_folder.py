@@ -184,8 +184,8 @@ def _patch_spawn() -> Iterator[None]:
 
 def _preparation_data(data: dict[str, Any]) -> dict[str, Any]:
     """Return what a child gets told: not to run the user's script again, and a search path without current folder."""
-    kept = {name: value for name, value in data.items() if not name.startswith("init_main")}
-    return {**kept, "sys_path": _child_sys_path()}
+    without_script = {name: value for name, value in data.items() if not name.startswith("init_main")}
+    return {**without_script, "sys_path": _child_sys_path()}
 
 
 _safe_child_start: Final = _SharedContext(_patch_spawn)

@@ -76,6 +76,11 @@ def make_scenario_failure(
     return RunLostError(message) if is_machine_error(error) else PluginError(message)
 
 
+def user_code_error(failure: PluginError) -> UserCodeError:
+    """Return the failure of a scenario as an error of the whole call."""
+    return UserCodeError(f"{str(failure)[0].upper()}{str(failure)[1:]}.")
+
+
 def reraise_termination_request(error: BaseException, n_requests_before: int) -> None:
     """Raise `KeyboardInterrupt` if an exception was caused by a request to end the program.
 

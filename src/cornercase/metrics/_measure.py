@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from cornercase._common.errors import InputError, PluginError, UserCodeError
-from cornercase._common.plugin_errors import make_scenario_failure
+from cornercase._common.errors import InputError, PluginError
+from cornercase._common.plugin_errors import make_scenario_failure, user_code_error
 from cornercase._common.process.signals import count_requests
 from cornercase._common.typing import FloatArray
 from cornercase._common.validation import check_path, repr_short
@@ -152,7 +152,7 @@ def measure(
     try:
         results = evaluate_metrics(created, loaded, ego, others)
     except PluginError as error:
-        raise UserCodeError(f"{str(error)[0].upper()}{str(error)[1:]}.") from error.__cause__
+        raise user_code_error(error) from error.__cause__
     return Measurement(
         time=loaded.time,
         courses={name: result.course for name, result in results.items()},

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping
 from math import isfinite
 from numbers import Real
@@ -9,6 +10,7 @@ from typing import Any, Final
 
 from cornercase._common.errors import InputError
 from cornercase._common.plugin_errors import is_built_in
+from cornercase._common.text.sanitize import escape_control_characters
 from cornercase._common.typing import FloatArray
 from cornercase._common.validation import not_an_object, repr_short
 from cornercase.metrics._base import Metric
@@ -16,12 +18,13 @@ from cornercase.metrics._registry import METRICS
 from cornercase.recordings import Recording
 
 _HINT: Final = "derive a class from `cornercase.Metric` and give an object of it, or give the name of a metric"
+_UNIT_PATTERN: Final = re.compile(r"[\w%°µ/*^·²³⁻¹() .-]{1,20}")
 _NUMBERS: Final = ("cap", "bound", "default_threshold", "contact_score")
 _ATTRIBUTES: Final = ("unit", "lower_is_critical", *_NUMBERS, "severity")
 
 
 class StoredMetric(Metric):
-    """A metric of which only the description in a study is at hand: enough to read its courses and scores.
+    """A metric without its code, made from its description in a study: enough to read its courses and scores.
 
     Raises `InputError` if the description is incomplete.
     """
@@ -38,7 +41,7 @@ class StoredMetric(Metric):
 
     def missing_code(self) -> InputError:
         """Return the error for a metric that is needed to run scenarios."""
-        class_name = str(self.description.get("class", "unknown"))[:100]
+        class_name = escape_control_characters(str(self.description.get("class", "unknown")))[:100]
         return InputError(
             f"The metric '{self.name}' is of the class {class_name}; code that a study names is not run, so give the"
             f" metric again as an object, as in Problem(…, metrics=[{class_name}()])."
@@ -108,3 +111,9 @@ def _check_attributes(metric: Metric) -> None:
         if not isinstance(value, kind) or value == "" or (isinstance(value, Real) and not isfinite(value)):
             problem = "lacks" if value in (None, "") else f"has {repr_short(value)} as"
             raise InputError(f"The metric class {type(metric).__qualname__} {problem} `{attribute}`; set it to {hint}.")
+    # A unit from a stranger's study gets into pages and terminals.
+    if not _UNIT_PATTERN.fullmatch(metric.unit):
+        raise InputError(
+            f"The metric class {type(metric).__qualname__} has {repr_short(metric.unit)} as `unit`; set it to at most"
+            " 20 letters, digits and signs, such as 'm/s²'."
+        )

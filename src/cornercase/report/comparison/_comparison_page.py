@@ -10,7 +10,6 @@ from typing import Any, Final
 from cornercase._common import validation
 from cornercase._common.io.files import atomic_write, check_output_differs_from_source
 from cornercase._common.typing import FloatArray
-from cornercase.metrics import METRICS
 from cornercase.recordings import Recording
 from cornercase.report._page import REPLAY_SCRIPTS
 from cornercase.report._payload import parameter_columns, round_score, score_source_column, study_info_payload
@@ -165,7 +164,7 @@ def _format_ids(example: Example) -> str:
 
 def _read_courses(study: StudyFile, scenario: int, comparison: Comparison) -> dict[str, FloatArray]:
     names = [score.metric for score in comparison.scores]
-    return {name: METRICS.create(name).clip_course(study.course(scenario, name)) for name in names}
+    return {name: comparison.metrics[name].clip_course(study.course(scenario, name)) for name in names}
 
 
 def _replay_payload(comparison: Comparison, old: StudyFile, new: StudyFile) -> dict[str, Any]:
@@ -180,7 +179,7 @@ def _replay_payload(comparison: Comparison, old: StudyFile, new: StudyFile) -> d
     subject = study_info_payload(meta, old.path.name)
     critical = None
     if old.critical is not None and not meta.weights and not meta.pareto:
-        first = METRICS.create(meta.metrics[0])
+        first = meta.create_metric(meta.metrics[0])
         critical = {"threshold": old.critical, "lower_is_critical": first.lower_is_critical, "unit": first.unit}
     metrics_of_page = [metric for metric in subject["metrics"] if metric["name"] in metrics] or subject["metrics"]
     sources = [(old, new)[side].scenario_score_sources(row.id) for _, side, row in members]

@@ -12,7 +12,7 @@ import numpy as np
 
 from cornercase._common import validation
 from cornercase._common.errors import InputError, suggest_name
-from cornercase.metrics import METRICS
+from cornercase.metrics import Metric
 from cornercase.suite._requirement import Requirement
 from cornercase.suite.compare._comparison import (
     ALPHA,
@@ -50,16 +50,13 @@ class PairChange:
     size: float | None = None
 
 
-def resolve_tolerances(
-    metrics: Iterable[str], requirements: Iterable[str], overrides: Mapping[str, float] | None
-) -> dict[str, float]:
-    """Return the tolerance of each compared metric, and of each metric in the requirements of both studies.
+def resolve_tolerances(metrics: Mapping[str, Metric], overrides: Mapping[str, float] | None) -> dict[str, float]:
+    """Return the tolerance of each metric.
 
     `overrides` replace the defaults by metric. `InputError` for a negative tolerance, or for a metric that is not
     compared.
     """
-    required = [name for item in requirements for name in Requirement.parse(item).expression.metrics]
-    limits = {name: _default_tolerance(METRICS.create(name).unit) for name in (*metrics, *required)}
+    limits = {name: _default_tolerance(metric.unit) for name, metric in metrics.items()}
     for name, value in validation.check_mapping("tolerances", overrides or {}).items():
         if name not in limits:
             raise InputError(f"`tolerances` {name}: is not a compared metric; {suggest_name(name, limits)}")
@@ -77,7 +74,11 @@ def _default_tolerance(unit: str) -> float:
 
 
 def find_findings(
-    pairs: Sequence[ScenarioPair], tests: Sequence[ChangeTest], tolerances: Mapping[str, float], deterministic: bool
+    pairs: Sequence[ScenarioPair],
+    tests: Sequence[ChangeTest],
+    metrics: Mapping[str, Metric],
+    tolerances: Mapping[str, float],
+    deterministic: bool,
 ) -> tuple[tuple[Finding, ...], tuple[Finding, ...], tuple[Finding, ...]]:
     """Return what is worse with the new version, what is better, and what changed within the tolerances only.
 
@@ -89,23 +90,25 @@ def find_findings(
         step
         for pair in pairs
         if deterministic or pair.is_score_independent
-        for step in _iter_pair_changes(pair, tolerances)
+        for step in _iter_pair_changes(pair, metrics, tolerances)
     ]
     counted, within = (
         [change for change in steps if change.exceeds_tolerance],
         [change for change in steps if not change.exceeds_tolerance],
     )
-    findings = list(_group_into_findings(counted, tolerances)) if deterministic else []
+    findings = list(_group_into_findings(counted, metrics)) if deterministic else []
     for test in tests:
         if test.corrected <= ALPHA and test.direction is not None and (not deterministic or test.differ is None):
-            findings += _finding_of_test(test, test.direction, counted, tolerances)
+            findings += _finding_of_test(test, test.direction, counted, metrics, tolerances)
     worse, better = (
         tuple(change for change in findings if change.direction == direction) for direction in ("worse", "better")
     )
-    return worse, better, tuple(_group_into_findings(within, tolerances))
+    return worse, better, tuple(_group_into_findings(within, metrics))
 
 
-def _iter_pair_changes(pair: ScenarioPair, tolerances: Mapping[str, float]) -> Iterator[PairChange]:
+def _iter_pair_changes(
+    pair: ScenarioPair, metrics: Mapping[str, Metric], tolerances: Mapping[str, float]
+) -> Iterator[PairChange]:
     """Yield each change of a pair of scenarios, whether it is better or worse."""
     if pair.run == "not in one":
         yield PairChange("run", "", "worse" if pair.errors[0] is None else "better", pair.ids)
@@ -128,8 +131,7 @@ def _iter_pair_changes(pair: ScenarioPair, tolerances: Mapping[str, float]) -> I
         yield PairChange("critical", "", "worse" if pair.is_critical[1] else "better", pair.ids, counts)
     for name, (before, after) in pair.scores.items():
         if otherwise and _exceeds_tolerance(before, after, tolerances[name]):
-            metric = METRICS.create(name)
-            worse = metric.to_minimize(after) < metric.to_minimize(before)
+            worse = metrics[name].to_minimize(after) < metrics[name].to_minimize(before)
             yield PairChange("score", name, "worse" if worse else "better", pair.ids, size=after - before)
 
 
@@ -148,7 +150,7 @@ def _margin_tolerance(requirement: str, tolerances: Mapping[str, float]) -> floa
     return min(tolerances[name] if name in tolerances else _default_tolerance(unit) for name, unit in units)
 
 
-def _group_into_findings(changes: Iterable[PairChange], metrics: Iterable[str]) -> Iterator[Finding]:
+def _group_into_findings(changes: Iterable[PairChange], metrics: Mapping[str, Metric]) -> Iterator[Finding]:
     """Combine the changes of the same kind and direction into one finding.
 
     Findings about scores are in the order of `metrics`.
@@ -163,7 +165,7 @@ def _group_into_findings(changes: Iterable[PairChange], metrics: Iterable[str]) 
         return _KINDS_BY_IMPORTANCE.index(kind), order.get(about, 0), about, direction == "better"
 
     for kind, about, direction in sorted(groups, key=sort_key):
-        yield _build_finding(kind, about, direction, groups[kind, about, direction])
+        yield _build_finding(kind, about, direction, groups[kind, about, direction], metrics)
 
 
 def _build_finding(
@@ -171,33 +173,38 @@ def _build_finding(
     about: str,
     direction: ChangeDirection,
     changes: Sequence[PairChange],
+    metrics: Mapping[str, Metric],
     n_opposite: int = 0,
     test: ChangeTest | None = None,
 ) -> Finding:
-    unit = METRICS.create(about).unit if kind == "score" else ""
+    unit = metrics[about].unit if kind == "score" else ""
     largest = max((step.size for step in changes if step.size is not None), key=abs, default=None)
     ids = tuple(dict.fromkeys(step.ids for step in changes))
     return Finding(kind, about, direction, ids, n_opposite, largest, unit, test)
 
 
 def _finding_of_test(
-    test: ChangeTest, direction: ChangeDirection, changes: Sequence[PairChange], tolerances: Mapping[str, float]
+    test: ChangeTest,
+    direction: ChangeDirection,
+    changes: Sequence[PairChange],
+    metrics: Mapping[str, Metric],
+    tolerances: Mapping[str, float],
 ) -> Iterator[Finding]:
     """Yield the finding of a significant test; nothing if the change is within the tolerances."""
     kind = _KIND_OF_TEST.get(test.about, "score")
     about = test.about if kind == "score" else ""
     if test.differ is None:
         # The test uses ranks; a shift of the mean in the opposite direction would contradict it.
-        oriented = METRICS.create(about).to_minimize(test.shift) if about else -test.shift
+        oriented = metrics[about].to_minimize(test.shift) if about else -test.shift
         agrees = oriented < 0.0 if direction == "worse" else oriented > 0.0
         if agrees and (not about or _exceeds_tolerance(0.0, test.shift, tolerances[about])):
-            yield _build_finding(kind, about, direction, (), test=test)
+            yield _build_finding(kind, about, direction, (), metrics, test=test)
         return
     relevant = [step for step in changes if step.kind == kind and (not about or step.about == about)]
     confirming = [step for step in relevant if step.direction == direction]
     against = len({step.ids for step in relevant if step.direction != direction})
     if len({step.ids for step in confirming}) > against:
-        yield _build_finding(kind, about, direction, confirming, against, test)
+        yield _build_finding(kind, about, direction, confirming, metrics, against, test)
 
 
 def decide_verdict(
