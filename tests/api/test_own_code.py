@@ -286,6 +286,9 @@ def test_the_traceback_of_an_error_is_that_of_the_call(problem, explored):
     calls = {
         "text": partial(cc.Problem, problem.scenario, "Ego", "Pedestrian", "wttc", threshold="low"),
         "unknown": partial(explored.explore, "sobolo", budget=9),
+        "no study": partial(cc.Study.open, X),
+        "no suite": partial(cc.Suite.open(X.parent).run, metrics=["wtc"]),
+        "no metric": partial(cc.measure, explored.recording(1), "Ego", "Pedestrian", "wtc"),
     }
     for call in calls.values():
         with pytest.raises(cc.InputError) as refused:

@@ -115,7 +115,10 @@ OWN = {"class": "harmful:Driver", "unit": "s", "lower_is_critical": True, "cap":
 
 
 def describe_wttc(study, description):
-    change(study, ("INSERT INTO meta (key, value, checksum) VALUES ('own_metrics', ?, 0)", (json.dumps({"wttc": description}),)))
+    change(
+        study,
+        ("INSERT INTO meta (key, value, checksum) VALUES ('own_metrics', ?, 0)", (json.dumps({"wttc": description}),)),
+    )
 
 
 def test_a_described_metric_is_read_and_its_class_is_not_imported(sent, opened_files):

@@ -9,7 +9,7 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, Self
 
-from cornercase._common.errors import InputError
+from cornercase._common.errors import InputError, short_errors
 from cornercase._common.io.files import check_writable_file
 from cornercase._common.memory import DEFAULT_MEMORY
 from cornercase._common.text.html import render_html, render_html_table
@@ -852,6 +852,7 @@ class Study(PathLike[str]):
         with self._read() as file:
             file.export(folder, parquet)
 
+    @short_errors()
     def _read(self) -> StudyFile:
         """Open the file for reading."""
         if self._problem is not None and not self.path.exists():

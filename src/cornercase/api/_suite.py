@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
+from cornercase._common.errors import short_errors
 from cornercase._common.text.html import render_html_table
 from cornercase._common.validation import check_path
 from cornercase.api._simulator_fields import simulator_fields
@@ -59,6 +60,7 @@ class Suite:
         self._ego, self._other = ego, other
 
     @classmethod
+    @short_errors()
     def open(cls, path: Path | str, *, ego: str | None = None, other: str | Sequence[str] | None = None) -> Self:
         """Open a suite.
 
@@ -83,6 +85,7 @@ class Suite:
         """
         return cls(path, ego=ego, other=other)
 
+    @short_errors()
     def run(
         self,
         study: Path | str | None = None,

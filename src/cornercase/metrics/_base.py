@@ -22,7 +22,7 @@ class Metric(Configurable, ABC):
     """A criticality metric: how critical a recording is for the ego and one other entity.
 
     A subclass sets the attributes and defines `course`, the value at each instant. An object of it is used itself
-    wherever metrics are given in Python. A study stores its class name, unit, direction and cap: it can be read without
+    wherever metrics are given in Python: ``Problem(…, metrics=[SpeedDifference()])``. A study stores its class name, unit, direction and cap: it can be read without
     the class, and continued with the same object. It computes each course once, so `course` must not depend on chance.
 
     Attributes
@@ -71,10 +71,11 @@ class Metric(Configurable, ABC):
     ...         return np.abs(recording.speed[i] - recording.speed[j])
     >>> SpeedDifference().score(np.array([2.0, np.nan, 7.0]))
     7.0
-    >>> folder = "examples/x_intersection/x_intersection"
-    >>> scenario = cc.LogicalScenario.read(f"{folder}.xosc", f"{folder}.space.xosc")
-    >>> cc.Problem(scenario, ego="Ego", other="Pedestrian", metrics=[SpeedDifference(), "wttc"], threshold=8.0)
-    <Problem 'x_intersection': Ego and Pedestrian, critical if speed-difference >= 8 m/s>
+    >>> recording = cc.simulate("examples/x_intersection/x_intersection.xosc", duration=2.0)
+    >>> cc.measure(recording, "Ego", "Pedestrian", [SpeedDifference(), "distance"])
+    metric            score  unit  critical is
+    speed-difference  10     m/s   high
+    distance          48.03  m     low
     """
 
     unit: str
