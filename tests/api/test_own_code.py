@@ -6,6 +6,7 @@ import subprocess
 import sys
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -72,8 +73,8 @@ print(study.table()[["speed-nearby", "wttc"]].to_numpy().tolist())
 
 
 @pytest.fixture(scope="module")
-def own() -> dict[str, type]:
-    names: dict[str, type] = {"__name__": "own_code"}  # type: ignore[dict-item]
+def own() -> dict[str, Any]:
+    names: dict[str, Any] = {"__name__": "own_code"}
     exec(OWN_CLASSES, names)
     return names
 
@@ -120,6 +121,7 @@ def test_names_that_a_script_registers_are_known_in_workers(own, monkeypatch):
     concrete = cc.ConcreteScenario(X, {"ego_start": 40.0}, ScenarioFile.read(X))
     with WorkerSimulator("own-builtin", options) as simulator:
         (in_worker,) = simulator.run([concrete])
+    assert isinstance(in_worker, cc.Recording)
     assert np.array_equal(alone.x, in_worker.x)
 
 
@@ -157,10 +159,8 @@ def test_a_study_is_continued_with_the_same_objects_alone(own, problem, explored
     with pytest.raises(cc.InputError, match="belongs to other metrics"):
         cc.Study.open_or_create(explored.path, other, driven, seed=1)
 
-    class SpeedNearby(own["SpeedNearby"]):
-        unit = "km/h"
-
-    other = cc.Problem(problem.scenario, "Ego", "Pedestrian", [SpeedNearby(), "wttc"], 5.0)
+    in_km_h = type("SpeedNearby", (own["SpeedNearby"],), {"unit": "km/h"})
+    other = cc.Problem(problem.scenario, "Ego", "Pedestrian", [in_km_h(), "wttc"], 5.0)
     with pytest.raises(cc.InputError, match=r"driver of Ego: own_code:Lazy, speed=9.0 there, own_code:Lazy, speed=7.0"):
         cc.Study.open_or_create(explored.path, problem, Builtin(drivers={"Ego": own["Lazy"](7.0)}), seed=1).explore(
             own["Walk"](step=0.2), budget=6
@@ -235,13 +235,14 @@ def test_a_function_is_not_registered_as_a_metric():
     with pytest.raises(
         cc.InputError, match=r"'fun' is .*<lambda>, which is not a subclass of cornercase.metrics.Metri"
     ):
-        METRICS.register("fun", lambda: None)
+        METRICS.register("fun", lambda: None)  # type: ignore[arg-type, return-value]
     assert "fun" not in METRICS
 
 
 def proposing(points: object, name: str = "mine") -> cc.Optimizer:
     methods = {"prepare": lambda *_: None, "ask": lambda self, n: points, "tell": lambda *_: None, "name": name}
-    return type("Mine", (cc.Optimizer,), methods)()
+    optimizer: cc.Optimizer = type("Mine", (cc.Optimizer,), methods)()
+    return optimizer
 
 
 @pytest.mark.parametrize(
@@ -284,7 +285,7 @@ def test_an_object_is_no_sampler_of_optuna():
 def test_the_traceback_of_an_error_is_that_of_the_call(problem, explored):
     """Causes and frames inside of cornercase are left out; those of the user's own code stay."""
     calls = {
-        "text": partial(cc.Problem, problem.scenario, "Ego", "Pedestrian", "wttc", threshold="low"),
+        "text": partial(cc.Problem, problem.scenario, "Ego", "Pedestrian", "wttc", threshold="low"),  # type: ignore[arg-type]
         "unknown": partial(explored.explore, "sobolo", budget=9),
         "no study": partial(cc.Study.open, X),
         "no suite": partial(cc.Suite.open(X.parent).run, metrics=["wtc"]),

@@ -22,8 +22,8 @@ class Metric(Configurable, ABC):
     """A criticality metric: how critical a recording is for the ego and one other entity.
 
     A subclass sets the attributes and defines `course`, the value at each instant. An object of it is used itself
-    wherever metrics are given in Python: ``Problem(…, metrics=[SpeedDifference()])``. A study stores its class name, unit, direction and cap: it can be read without
-    the class, and continued with the same object. It computes each course once, so `course` must not depend on chance.
+    wherever metrics are given in Python: ``Problem(…, metrics=[SpeedDifference()])``. A study stores its class name,
+    unit, direction and cap: it can be read without the class, and continued with the same object.
 
     Attributes
     ----------
