@@ -10,10 +10,9 @@ import numpy as np
 
 import cornercase as cc
 from cornercase.exploration import examples_folder
-from cornercase.metrics import METRICS, Metric
 
 
-class SpeedNearby(Metric):
+class SpeedNearby(cc.Metric):
     """Speed of the ego while the other is within 20 m, in m/s."""
 
     name = "speed-nearby"
@@ -26,8 +25,6 @@ class SpeedNearby(Metric):
         return np.where(gap <= 20.0, recording.speed[recording.entity_index(ego)], np.nan)
 
 
-METRICS.register("speed-nearby", SpeedNearby)
-
 # %%
 # Two drivers go through the same concrete scenario.
 
@@ -35,7 +32,7 @@ scenario = examples_folder() / "x_intersection" / "x_intersection.xosc"
 figure, axes = plt.subplots(layout="constrained")
 for driver, look in (("cautious", "-"), ("aggressive", "--")):
     recording = cc.simulate(scenario, {"ego_start": 40.0, "pedestrian_wait": 5.0}, drivers={"Ego": driver})
-    measured = cc.measure(recording, "Ego", "Pedestrian", ["speed-nearby"])
+    measured = cc.measure(recording, "Ego", "Pedestrian", SpeedNearby())
     print(driver, measured.scores)
     axes.plot(recording.time, measured.courses["speed-nearby"], look, label=driver)
 axes.set(xlabel="time in s", ylabel="speed of the ego in m/s", title="While the pedestrian is within 20 m")
@@ -43,5 +40,5 @@ axes.legend()
 plt.show()
 
 # %%
-# From here on ``cc.explore(..., metrics=["speed-nearby"])`` searches it. :doc:`/howto/own-metric` says how the
-# command line gets to know it.
+# ``cc.Problem(..., metrics=[SpeedNearby()])`` searches it. :doc:`/howto/own-metric` says how the command line gets to
+# know it.

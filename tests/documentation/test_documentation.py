@@ -9,6 +9,8 @@ import pkgutil
 import re
 import shlex
 import shutil
+import subprocess
+import sys
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -111,8 +113,12 @@ def checkout(tmp_path, monkeypatch):
 @pytest.mark.parametrize("block", PYTHON, ids=lambda block: block.place)
 def test_the_code_runs(block, checkout):
     if block.page.name == "README.md":
-        # What is pasted from there has to run in whatever folder a user is.
+        # What is pasted from there into a file has to run in whatever folder a user is.
         shutil.rmtree("examples")
+        Path("script.py").write_text(block.text)
+        ended = subprocess.run([sys.executable, "script.py"], capture_output=True, text=True, timeout=600)
+        assert ended.returncode == 0, ended.stderr
+        return
     code = compile("\n" * (block.line - 1) + block.text, str(block.page), "exec")
     exec(code, {"__name__": "__main__"})
 

@@ -263,6 +263,7 @@ def scripted(rounds):
     return Scripted()
 
 
+@pytest.mark.filterwarnings("ignore:.*that were run already:cornercase.NoticeWarning")
 @pytest.mark.parametrize(
     ("rounds", "told"),
     [

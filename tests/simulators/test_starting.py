@@ -61,12 +61,8 @@ def test_a_simulator_that_cannot_run_is_none():
 @pytest.mark.parametrize("what", [Duck, lambda **options: Least()])
 def test_what_subclasses_nothing_is_refused_in_one_sentence(what):
     registry: Registry[Simulator] = Registry("simulator", "cornercase.none", Simulator)
-    registry.register("duck", what)
-    for ask in (registry.create, registry.get_class):
-        with pytest.raises(
-            InputError, match=r"'duck' is .*not a subclass of cornercase\.simulators\.Simulator; derive it"
-        ):
-            ask("duck")
+    with pytest.raises(InputError, match=r"'duck' is .*not a subclass of cornercase\.simulators\.Simulator; derive it"):
+        registry.register("duck", what)
 
 
 def test_one_that_cannot_be_loaded_is_not_available(monkeypatch):

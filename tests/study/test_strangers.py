@@ -111,6 +111,34 @@ def test_a_metric_that_is_not_registered_is_refused_and_not_imported(sent, opene
     assert not [one for one in opened_files if "harmful" in one]
 
 
+OWN = {"class": "harmful:Driver", "unit": "s", "lower_is_critical": True, "cap": 1.0}
+
+
+def describe_wttc(study, description):
+    change(
+        study,
+        ("INSERT INTO meta (key, value, checksum) VALUES ('own_metrics', ?, 0)", (json.dumps({"wttc": description}),)),
+    )
+
+
+def test_a_described_metric_is_read_and_its_class_is_not_imported(sent, opened_files):
+    (sent.parent / "harmful.py").write_text(HARM)
+    describe_wttc(sent, OWN)
+    opened_files.clear()
+    assert cornercase("show", sent).returncode == 0
+    assert cornercase("report", sent, "-o", sent.parent / "report.html").returncode == 0
+    assert not [one for one in opened_files if "harmful" in one]
+
+
+@pytest.mark.parametrize(
+    "description", [1, {}, OWN | {"unit": "<script>"}, OWN | {"cap": None}, OWN | {"lower_is_critical": "yes"}]
+)
+def test_a_description_of_a_metric_that_was_made_up_is_refused(sent, description):
+    describe_wttc(sent, description)
+    result = cornercase("show", sent)
+    assert (result.returncode, len(result.stderr.splitlines())) == (2, 1)
+
+
 def test_the_scenario_file_is_asked_for_or_found_beside_the_study(whole, sent, tmp_path):
     result = cornercase("reduce", sent, "--scenario", whole.parent / "scenario.xosc", "-o", tmp_path / "a")
     assert result.returncode == 0, result.stderr

@@ -13,6 +13,7 @@ import cornercase as cc
 from cornercase import InputError, SimulationError
 from cornercase.cli import app
 from cornercase.drivers import NORMAL, BehaviourDriver
+from cornercase.metrics import METRICS
 from cornercase.optimizers import Sobol
 from cornercase.recordings import Collision, Recording
 from cornercase.scenario import ParameterSpace
@@ -28,6 +29,7 @@ from helpers.command_line import cornercase
 from helpers.synthetic_study import about
 
 SPACE = ParameterSpace.from_ranges(["a=0:1", "b=0:1"])
+DISTANCE = {"distance": METRICS.create("distance")}
 GRID = np.stack(np.meshgrid(np.linspace(0.05, 0.95, 6), np.linspace(0.05, 0.95, 6)), axis=-1).reshape(-1, 2)
 
 
@@ -381,7 +383,7 @@ def test_what_is_so_or_not_is_tested_by_the_pairs_that_changed():
 
 def test_holms_correction():
     pairs = [plain_pair(k, 0.5) for k in range(3)]
-    tests = [replace(one, p=p) for one, p in zip(changes_of(pairs, ["distance"]) * 2, (0.01, 0.04, 0.03), strict=False)]
+    tests = [replace(one, p=p) for one, p in zip(changes_of(pairs, DISTANCE) * 2, (0.01, 0.04, 0.03), strict=False)]
     assert [one.corrected for one in holm_correct(tests)] == pytest.approx([0.03, 0.06, 0.06])
 
 
@@ -398,7 +400,7 @@ def test_a_version_is_rarely_told_from_itself_with_caps_and_ties():
             plain_pair(k, new, old, is_critical=(old < 0.5, new < 0.5), collides=(old < 0.2, new < 0.2))
             for k, (old, new) in enumerate(scores.tolist())
         ]
-        told_apart += min(one.corrected for one in holm_correct(changes_of(pairs, ["distance"]))) <= 0.05
+        told_apart += min(one.corrected for one in holm_correct(changes_of(pairs, DISTANCE))) <= 0.05
     # With 5 % the number is above 25 in fewer than 1 % of all seeds.
     assert told_apart <= 25
 
@@ -414,7 +416,7 @@ def test_scores_that_differ_in_their_last_digits_did_not_move():
 def test_the_scenarios_that_tell_versions_apart_are_few_and_far_from_each_other():
     random = np.random.default_rng(5)
     pairs = [plain_pair(k, 0.0, point=tuple(random.random(2))) for k in range(200)]
-    chosen = choose_examples(pairs, ["distance"])
+    chosen = choose_examples(pairs, DISTANCE)
     assert len(chosen) == 5
     points = np.array([one.pair.point for one in chosen])
     apart = np.linalg.norm(points[:, None] - points, axis=2)[np.triu_indices(5, 1)]
@@ -422,7 +424,7 @@ def test_the_scenarios_that_tell_versions_apart_are_few_and_far_from_each_other(
     # Each point in the space is shown once; a collision comes before any score.
     there = [replace(one, point=(0.5, 0.5)) for one in pairs]
     there[17] = plain_pair(17, 0.9, collides=(False, True), outcomes=("Ego first", "Ego and B collide"))
-    (one,) = choose_examples(there, ["distance"])
+    (one,) = choose_examples(there, DISTANCE)
     assert one.pair.ids == (17, 17)
     assert one.reason == "Ego first; now Ego and B collide"
 

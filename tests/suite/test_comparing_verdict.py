@@ -32,6 +32,7 @@ from helpers.synthetic_study import about
 SPACE = ParameterSpace.from_ranges(["a=0:1", "b=0:1"])
 POINTS = Sobol().start(SPACE, 1).ask(36)
 GAPS = 1.5 + 3.0 * POINTS[:, 0]
+KNOWN = {name: METRICS.create(name) for name in ("ttc", "drac", "distance")}
 EXIT_CODES = {"better": 0, "the same": 0, "worse": 1, "mixed": 1, "cannot say": 2}
 
 
@@ -369,7 +370,7 @@ def test_verdicts_of_random_pairs_are_those_of_a_naive_count_and_swapping_mirror
     for _ in range(200):
         pairs = random_pairs(random, int(random.integers(1, 5)))
         tolerances = {"ttc": float(random.choice([0.0, 0.1, 0.15])), "drac": float(random.choice([0.0, 0.1, 0.5]))}
-        worse, better, _ = find_findings(pairs, (), tolerances, True)
+        worse, better, _ = find_findings(pairs, (), KNOWN, tolerances, True)
         expected = naive(pairs, tolerances)
         assert (flat(worse), flat(better)) == expected
         verdict, _ = decide_verdict((worse, better), pairs, (), (any(expected), ""), True)
@@ -377,7 +378,7 @@ def test_verdicts_of_random_pairs_are_those_of_a_naive_count_and_swapping_mirror
         if any(one.run == "otherwise" for one in pairs) or any(expected):
             assert verdict == names.get((bool(expected[0]), bool(expected[1])), "the same")
         verdicts[verdict] += 1
-        back = find_findings([mirror(one) for one in pairs], (), tolerances, True)
+        back = find_findings([mirror(one) for one in pairs], (), KNOWN, tolerances, True)
         assert [flat(one) for one in back[:2]] == [{(name, ids[::-1]) for name, ids in one} for one in expected[::-1]]
     assert {"worse", "better", "mixed", "the same"} <= set(verdicts)
 
@@ -394,7 +395,9 @@ def test_a_version_is_rarely_called_better_or_worse_than_itself():
             )
             for k, (old, new) in enumerate(scores.tolist())
         ]  # fmt: skip
-        worse, better, _ = find_findings(pairs, holm_correct(changes_of(pairs, ["distance"])), {"distance": 0.0}, False)
+        worse, better, _ = find_findings(
+            pairs, holm_correct(changes_of(pairs, {"distance": KNOWN["distance"]})), KNOWN, {"distance": 0.0}, False
+        )
         wrong += bool(worse or better)
     # With 5 % the number is above 25 in fewer than 1 % of all seeds.
     assert wrong <= 25

@@ -81,7 +81,7 @@ BAD = {
     ),
     "values of nothing": (lambda f: spoilt_value(f, {}), "do not fit its parameter space"),
     "values that are too large": (lambda f: spoilt_value(f, {"ego_speed_mps": 10**400}), "manifest.json: "),
-    "an unknown metric": (lambda f: spoilt(f, metrics=["tcc"]), "manifest.json: There is no metric 'tcc'"),
+    "an unknown metric": (lambda f: spoilt(f, metrics=["tcc"]), "manifest.json names the metric 'tcc', which is none of cornercase"),
     "no time step": (lambda f: spoilt(f, settings={"time_step": 0}), "manifest.json: time_step 0: choose"),
     "no duration at all": (lambda f: spoilt(f, settings={"duration": 10**400}), "manifest.json: duration"),
     "a name without end": (lambda f: spoilt(f, files={"x" * 300: "0"}), "names a file that cannot be read"),

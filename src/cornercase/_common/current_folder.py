@@ -173,7 +173,7 @@ def _patch_spawn() -> Iterator[None]:
 
     parts: tuple[Any, Any] = spawn, util
     data, arguments = parts[0].get_preparation_data, parts[1]._args_from_interpreter_flags
-    parts[0].get_preparation_data = lambda name: {**data(name), "sys_path": _child_sys_path()}
+    parts[0].get_preparation_data = lambda name: _preparation_data(data(name))
     # Without -P, Python puts the current folder first, as its code is given on the command line.
     parts[1]._args_from_interpreter_flags = lambda: [*arguments(), "-P"]
     try:
@@ -182,13 +182,20 @@ def _patch_spawn() -> Iterator[None]:
         parts[0].get_preparation_data, parts[1]._args_from_interpreter_flags = data, arguments
 
 
+def _preparation_data(data: dict[str, Any]) -> dict[str, Any]:
+    """Return what a child gets told: not to run the user's script again, and a search path without current folder."""
+    without_script = {name: value for name, value in data.items() if not name.startswith("init_main")}
+    return {**without_script, "sys_path": _child_sys_path()}
+
+
 _safe_child_start: Final = _SharedContext(_patch_spawn)
 
 
-def hide_current_folder_from_children() -> AbstractContextManager[None]:
-    """Within the block, start `multiprocessing` children without the current folder on `sys.path`.
+def isolate_children() -> AbstractContextManager[None]:
+    """Within the block, start `multiprocessing` children that neither run the main script nor search here for modules.
 
-    Blocks may overlap.
+    So a script needs no ``if __name__ == "__main__"``; what it defines is sent by value. The current folder is not on
+    the `sys.path` of the children. Blocks may overlap.
     """
     return _safe_child_start()
 
@@ -208,8 +215,8 @@ def _main_folder() -> str | None:
 
 def _child_sys_path() -> list[str]:
     current = os.path.realpath(os.getcwd())
-    # Children load the main script again with its neighbours if it was started from its own folder. Other programs,
-    # such as a notebook, do not need the folder; an empty path stands for it, too.
+    # Objects of the main script may need its neighbours if it was started from its own folder. Other programs, such as
+    # a notebook, do not need the folder; an empty path stands for it, too.
     own_folder = (
         [entry for entry in sys.path if entry and os.path.realpath(entry) == current]
         if _main_folder() == current

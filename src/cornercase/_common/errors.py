@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import errno
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import ContextDecorator, contextmanager
 from typing import Final
 
 # errno values that mean that the machine is at fault.
@@ -32,6 +32,10 @@ class ExpressionError(InputError):
     def __init__(self, sentence: str, excerpt: str = "") -> None:
         super().__init__(f"{sentence}\n{excerpt}" if excerpt else sentence)
         self.excerpt = excerpt
+
+
+class UserCodeError(InputError):
+    """The user's own code raised an exception, which is the cause of this one."""
 
 
 class SimulationError(RuntimeError):
@@ -68,6 +72,27 @@ def is_machine_error(error: BaseException | None) -> bool:
             return True
         error = error.__cause__
     return False
+
+
+class short_errors(ContextDecorator):  # noqa: N801
+    """Context manager or decorator at the border of the API: the traceback of an `InputError` ends there.
+
+    Causes are left out, unless the user's code or the machine is at fault.
+    """
+
+    def edit(self, message: str) -> str:
+        """Return the message for the user."""
+        return message
+
+    def __enter__(self) -> None:
+        """Do nothing."""
+
+    def __exit__(self, _: object, error: BaseException | None, traceback: object) -> None:
+        """Raise the error that the user sees."""
+        if isinstance(error, InputError):
+            error.args = (self.edit(str(error)), *error.args[1:])
+            is_cause_of_interest = isinstance(error, UserCodeError) or is_machine_error(error)
+            raise error.with_traceback(None) from (error.__cause__ if is_cause_of_interest else None)
 
 
 @contextmanager

@@ -42,6 +42,7 @@ _KINDS: Final = {
     "str | Optimizer": _Kind(str, "str or Optimizer"),
     "str | Simulator": _Kind(str, "str or Simulator"),
     "StopRule | Sequence[StopRule | str]": _Kind(list[str], "StopRule or sequence of StopRule or str"),
+    "Metric | str | Sequence[Metric | str]": _Kind(list[str], "Metric or str, or sequence of these"),
     "int": _Kind(int, "int"),
     "float": _Kind(float, "float"),
     "bool": _Kind(bool, "bool"),
@@ -160,7 +161,12 @@ class Option:
                 from cornercase._common.process.dask import check_cluster
 
                 return check_cluster(value)
-            case "str | Optimizer" | "str | Simulator" | "StopRule | Sequence[StopRule | str]":
+            case (
+                "str | Optimizer"
+                | "str | Simulator"
+                | "StopRule | Sequence[StopRule | str]"
+                | "Metric | str | Sequence[Metric | str]"
+            ):
                 # Rooms that know these objects check them.
                 return value
         if not self.is_mapping:

@@ -16,7 +16,7 @@ from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from cornercase._common.current_folder import hide_current_folder_from_children
+from cornercase._common.current_folder import isolate_children
 
 if TYPE_CHECKING:
     from psutil import Process
@@ -153,7 +153,7 @@ def block_interrupts(*other_signals: signal.Signals) -> Iterator[None]:
     try:
         # Started now, as it would otherwise start with the first process and unblock Ctrl-C. SIGHUP is blocked so that
         # closing the terminal does not end it unnoticed.
-        with hide_current_folder_from_children():
+        with isolate_children():
             resource_tracker.ensure_running()
         signal.pthread_sigmask(signal.SIG_SETMASK, {*before, signal.SIGINT, *other_signals})
         yield

@@ -10,7 +10,14 @@ from functools import partial
 from pathlib import Path
 from typing import Final
 
-from cornercase._common.errors import InputError, PluginError, RunLostError, SimulationError, is_machine_error
+from cornercase._common.errors import (
+    InputError,
+    PluginError,
+    RunLostError,
+    SimulationError,
+    UserCodeError,
+    is_machine_error,
+)
 from cornercase._common.process.signals import collect_interrupts, count_requests, is_termination_request
 from cornercase._common.text.sanitize import remove_folders, shorten
 
@@ -42,7 +49,7 @@ def convert_plugin_errors(name: str, plugin: object, activity: str = "") -> Iter
             if is_built_in(plugin):
                 raise
             when = f" {activity}" if activity else ""
-            raise InputError(f"{name} failed{when}: {describe_error(error)}; fix it.") from error
+            raise UserCodeError(f"{name} failed{when}: {describe_error(error)}; fix it.") from error
 
 
 def unwrap_factory(factory: Callable[..., object]) -> Callable[..., object]:
@@ -67,6 +74,11 @@ def make_scenario_failure(
     reraise_termination_request(error, n_requests_before)
     message = f"{plugin_name} failed{format_time_of_failure(time)}: {describe_error(error)}"
     return RunLostError(message) if is_machine_error(error) else PluginError(message)
+
+
+def user_code_error(failure: PluginError) -> UserCodeError:
+    """Return the failure of a scenario as an error of the whole call."""
+    return UserCodeError(f"{str(failure)[0].upper()}{str(failure)[1:]}.")
 
 
 def reraise_termination_request(error: BaseException, n_requests_before: int) -> None:

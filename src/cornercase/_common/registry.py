@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Mapping
+from collections.abc import Callable, Container, Iterable, Mapping
 from functools import partial
 from importlib.metadata import EntryPoint, entry_points
 from inspect import Parameter, signature
@@ -10,7 +10,12 @@ from typing import Any, Final, Generic, TypeVar, cast
 
 from cornercase._common.configurable import declared_options
 from cornercase._common.errors import InputError, suggest_name
-from cornercase._common.plugin_errors import convert_plugin_errors, reraise_termination_request, unwrap_factory
+from cornercase._common.plugin_errors import (
+    convert_plugin_errors,
+    is_built_in,
+    reraise_termination_request,
+    unwrap_factory,
+)
 from cornercase._common.process.signals import count_requests
 from cornercase._common.text.sanitize import format_exception
 from cornercase._common.validation import not_an_object
@@ -55,10 +60,68 @@ class Registry(Generic[T]):
         ------
         ValueError
             The name is registered already.
+        InputError
+            The factory is no subclass of the base class.
         """
         if name in self._factories:
             raise ValueError(f"The {self._kind} '{name}' is registered twice.")
+        if not isinstance(factory, str):
+            self._check_subclass(name, factory)
         self._factories[name] = (factory, options)
+
+    def export(self, values: Iterable[object]) -> dict[str, Any]:
+        """Return what another process has to `restore` to know the names that this program registered itself.
+
+        Parameters
+        ----------
+        values : iterable of object
+            Names, with or without options; other objects need no registration.
+
+        Returns
+        -------
+        dict of str to object
+        """
+        names = [value.partition(":")[0] for value in values if isinstance(value, str)]
+        return {name: self._factories[name] for name in names if name in self._factories and not self._is_own(name)}
+
+    def restore(self, registrations: Mapping[str, Any]) -> None:
+        """Register what another process has exported.
+
+        Parameters
+        ----------
+        registrations : mapping of str to object
+            Result of `export`.
+        """
+        self._factories = {**registrations, **self._factories}
+
+    def check_own_name(self, instance: Any) -> None:
+        """Raise `InputError` if an object has the name of another registered class, whose results it would seem to be.
+
+        Parameters
+        ----------
+        instance : object
+            Its attribute ``name`` may contain options after a colon.
+
+        Raises
+        ------
+        InputError
+            The name belongs to another class.
+        """
+        name, cls = instance.name.partition(":")[0], type(instance)
+        if name not in self:
+            return
+        registered = self.get_class(name)
+        # A cell of a notebook that runs again defines the same class again.
+        if (registered.__module__, registered.__qualname__) != (cls.__module__, cls.__qualname__):
+            raise InputError(
+                f"The {self._kind} {cls.__qualname__} has the name '{name}' of another {self._kind}; give it another"
+                " `name`."
+            )
+
+    def _is_own(self, name: str) -> bool:
+        """Whether cornercase registered a name."""
+        factory, _ = self._factories[name]
+        return factory.startswith("cornercase.") if isinstance(factory, str) else is_built_in(unwrap_factory(factory))
 
     def names(self) -> list[str]:
         """Return all registered names, including those from other packages.

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 
 from cornercase import suite
+from cornercase._common.errors import short_errors
 from cornercase._common.validation import check_path
 from cornercase.api._study import Study
 from cornercase.api._written_page import Page
@@ -48,6 +49,7 @@ class Comparison(suite.Comparison):
         return Page(write_comparison(self, *self.studies, path))
 
 
+@short_errors()
 def compare(
     old: Study | suite.SuiteResult | Path | str,
     new: Study | suite.SuiteResult | Path | str,

@@ -9,7 +9,7 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, Self
 
-from cornercase._common.errors import InputError
+from cornercase._common.errors import InputError, short_errors
 from cornercase._common.io.files import check_writable_file
 from cornercase._common.memory import DEFAULT_MEMORY
 from cornercase._common.text.html import render_html, render_html_table
@@ -21,9 +21,10 @@ from cornercase.exploration import Estimation, ExplorationResult, Problem, Runs
 from cornercase.exploration._config import ExplorationConfig, config_from_study
 from cornercase.exploration._explore import explore_config
 from cornercase.exploration._explore_options import stored_search_settings
-from cornercase.exploration._problem import config_from_problem, name_arguments_of_objects, problem_from_config
+from cornercase.exploration._problem import config_from_problem, name_arguments_of_objects, problem_from_study
 from cornercase.exploration._runs import run_settings, single_run_settings
-from cornercase.metrics import METRICS
+from cornercase.metrics._own_metrics import as_items
+from cornercase.optimizers._missing import known_optimizer
 from cornercase.study import StudyFile, StudyMeta
 from cornercase.study._study_file import open_study
 
@@ -230,9 +231,10 @@ class Study(PathLike[str]):
     @property
     def problem(self) -> Problem:
         """The problem that is searched; for an opened study, this reads the scenario file."""
-        if self._problem is None:
-            self._problem = problem_from_config(self._config_to_continue())
-        return self._problem
+        if self._problem is not None:
+            return self._problem
+        with self._read() as file, name_arguments_of_objects():
+            return problem_from_study(file, self._scenario)
 
     @property
     def seed(self) -> int:
@@ -697,6 +699,7 @@ class Study(PathLike[str]):
                 scenario=self._scenario_path(),
                 simulator=self._simulator_fields.get("simulator"),
                 drivers=self._simulator_fields.get("drivers"),
+                metrics=() if self._problem is None else as_items(self._problem.metrics),
                 **single_run_settings(runs, "an estimate"),
                 progress=progress,
             )
@@ -849,6 +852,7 @@ class Study(PathLike[str]):
         with self._read() as file:
             file.export(folder, parquet)
 
+    @short_errors()
     def _read(self) -> StudyFile:
         """Open the file for reading."""
         if self._problem is not None and not self.path.exists():
@@ -860,7 +864,7 @@ class Study(PathLike[str]):
         if self._problem is None:
             return replace(self._config_to_continue(), **settings)
         if meta is not None:
-            settings = stored_search_settings(meta) | settings
+            settings = {**stored_search_settings(meta), "optimizer": known_optimizer(meta.optimizer)} | settings
         return config_from_problem(self._problem, seed=self.seed, **self._simulator_fields, **settings)
 
     def _config_to_continue(self) -> ExplorationConfig:
@@ -892,8 +896,8 @@ class Study(PathLike[str]):
             return render_html(repr(self))
         with self._read() as file:
             table, metric_name = file.table(), file.meta.metrics[0]
-        # If the package of a metric is missing, the first scenarios are shown.
-        with suppress(InputError):
-            ascending = METRICS.create(metric_name).lower_is_critical
-            table = table.sort_values(metric_name, ascending=ascending, kind="stable")
+            # If a metric is unknown, the first scenarios are shown.
+            with suppress(InputError):
+                ascending = file.meta.create_metric(metric_name).lower_is_critical
+                table = table.sort_values(metric_name, ascending=ascending, kind="stable")
         return render_html_table(repr(self), table)

@@ -6,12 +6,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
+from cornercase._common.errors import short_errors
 from cornercase._common.text.html import render_html_table
 from cornercase._common.validation import check_path
 from cornercase.api._simulator_fields import simulator_fields
 from cornercase.drivers import Driver
 from cornercase.exploration import Runs
 from cornercase.exploration._runs import single_run_settings
+from cornercase.metrics import Metric
 from cornercase.simulators import Simulator
 from cornercase.suite import SuiteResult, run_suite
 from cornercase.suite._read_suite import read_suite
@@ -58,6 +60,7 @@ class Suite:
         self._ego, self._other = ego, other
 
     @classmethod
+    @short_errors()
     def open(cls, path: Path | str, *, ego: str | None = None, other: str | Sequence[str] | None = None) -> Self:
         """Open a suite.
 
@@ -82,6 +85,7 @@ class Suite:
         """
         return cls(path, ego=ego, other=other)
 
+    @short_errors()
     def run(
         self,
         study: Path | str | None = None,
@@ -89,7 +93,7 @@ class Suite:
         require: Sequence[str] = (),
         requirements: Path | str | None = None,
         require_from_file: bool = False,
-        metrics: Sequence[str] = (),
+        metrics: Metric | str | Sequence[Metric | str] = (),
         simulator: Simulator | str | None = None,
         drivers: Mapping[str, str | Driver] | None = None,
         runs: Runs | None = None,
@@ -115,9 +119,9 @@ class Suite:
         require_from_file : bool, default False
             Use the criteria for CARLA's ScenarioRunner in the files as requirements. A notice names criteria that a
             recording cannot decide.
-        metrics : sequence of str
-            Criticality metrics to store. By default those of the manifest; without a manifest those in the
-            requirements, or else ``clearance``.
+        metrics : Metric or str, or sequence of these
+            Criticality metrics to store; your own as objects. By default those of the manifest; without a manifest
+            those in the requirements, or else ``clearance``.
         simulator : Simulator or str, optional
             By default that of the manifest; without a manifest the builtin simulator.
         drivers : mapping of str to str or Driver, optional

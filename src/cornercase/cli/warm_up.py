@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, Final
 import typer
 
 from cornercase.cli.options import app, err, out
+from cornercase.metrics._own_metrics import as_items
 
 if TYPE_CHECKING:
     from cornercase._common.typing import FloatArray
@@ -161,7 +162,7 @@ def _runs_by_room(folder: Path) -> Iterator[tuple[str, Callable[[], Any]]]:
         yield "drivers", partial(simulate, drivers={"Ego": plugin})
     yield "metrics", partial(metrics.measure, simulate(), config.ego, config.other)
     for plugin in optimizers.OPTIMIZERS.names():
-        changed = replace(config, optimizer=plugin, critical=1.0, metrics=config.metrics[:1])
+        changed = replace(config, optimizer=plugin, critical=1.0, metrics=as_items(config.metrics)[:1])
 
         def explore(searched: ExplorationConfig = changed, study: Path = folder / f"{plugin}.db") -> None:
             try:

@@ -41,7 +41,6 @@ from cornercase.clustering._stored_analysis import (
 )
 from cornercase.clustering.naming._predicates import NamingFacts
 from cornercase.clustering.naming._profiles import profile_clusters
-from cornercase.metrics import METRICS
 from cornercase.metrics._outcome import Outcome
 from cornercase.study import StudyFile
 from cornercase.study._digest import downsample, downsampling_stride
@@ -251,7 +250,7 @@ def _read_inputs(
     outcomes, traits, times = [], [], []
     main = study.primary_other()
     main_index = study.meta.others.index(main)
-    metrics = {name: METRICS.create(name) for name in strides if name in study.meta.metrics}
+    metrics = {name: study.meta.create_metric(name) for name in strides if name in study.meta.metrics}
     aspects = {name: create_aspect(name) for name in strides if name not in metrics}
     series_by_aspect: dict[str, list[FloatArray]] = {name: [] for name in strides}
     for count, (i, digest) in enumerate(study.iter_digests(), 1):

@@ -14,7 +14,6 @@ from cornercase._common.process.signals import count_requests
 from cornercase._common.text.sanitize import format_exception
 from cornercase._common.typing import FloatArray
 from cornercase.clustering._aspects import ASPECTS, EGO_TRAJECTORY, Aspect, Bearing, EgoTrajectory, JointPositions
-from cornercase.metrics import METRICS
 from cornercase.recordings import Recording
 from cornercase.recordings._recording import MOTION_ARRAYS
 from cornercase.study import StudyFile
@@ -64,7 +63,7 @@ def read_series(
     require_known_aspect(study, aspect)
     ids = [row.id for row in study.finished_rows()] if ids is None else ids
     if aspect in study.meta.metrics:
-        metric = METRICS.create(aspect)
+        metric = study.meta.create_metric(aspect)
         return [metric.clip_course(study.course(scenario, aspect)) for scenario in ids]
     aspect_object, other_entity = create_aspect(aspect), study.primary_other() if other_entity is None else other_entity
     series = [
@@ -135,7 +134,7 @@ def require_same_channels(study: StudyFile, aspect: str, ids: Sequence[int], ser
 def distance_unit(study: StudyFile, aspect: str) -> str:
     """Return the unit of DTW distances by an aspect, which is that of the series; "1" for none."""
     require_known_aspect(study, aspect)
-    return METRICS.create(aspect).unit if aspect in study.meta.metrics else create_aspect(aspect).unit
+    return study.meta.create_metric(aspect).unit if aspect in study.meta.metrics else create_aspect(aspect).unit
 
 
 def window_in_instants(times: Sequence[FloatArray], window_seconds: float | None) -> int | None:

@@ -117,7 +117,29 @@ class Driver(Configurable, ABC):
     ----------
     settings : dict
         Everything that decisions depend on, as plain JSON values. It is stored with a study, which can only be resumed
-        with the same settings. The default is the name of the class, which is enough for a driver without options.
+        with the same settings. The default is the name of the class. Options of the constructor that are numbers, texts
+        or booleans are stored, too.
+
+    See Also
+    --------
+    Situation : Input of a driver.
+
+    Examples
+    --------
+    The class may be defined in a script, a notebook or a module. An object of it drives in any simulator that takes
+    drivers, also in worker processes, which load the class with it.
+
+    >>> import cornercase as cc
+    >>> class Brake(cc.Driver):
+    ...     def __init__(self, deceleration=2.0):
+    ...         self.deceleration = deceleration
+    ...
+    ...     def acceleration(self, situation):
+    ...         return 0.0 * situation.speed - self.deceleration
+    >>> scenario = "examples/x_intersection/x_intersection.xosc"
+    >>> recording = cc.simulate(scenario, drivers={"Ego": Brake(deceleration=3.0)}, duration=5.0)
+    >>> float(recording.speed[recording.entity_index("Ego"), -1])
+    0.0
     """
 
     settings: dict[str, object]

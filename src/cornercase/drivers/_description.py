@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import inspect
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
@@ -10,7 +11,7 @@ from pathlib import Path
 from typing import Any, Final
 from weakref import WeakKeyDictionary
 
-from cornercase._common.configurable import format_option_value
+from cornercase._common.configurable import format_option_value, given_options
 from cornercase._common.errors import InputError
 from cornercase._common.plugin_errors import is_built_in, unwrap_factory
 from cornercase.drivers._base import Driver
@@ -44,8 +45,8 @@ def serialize_driver(driver: str | Driver) -> str | dict[str, Any]:
 
     For a registered driver this is its name, and for an object of cornercase's own classes its settings. For any other
     driver it is a dict: ``driver`` is the class as ``"package.module:Class"``; ``options`` are its options, if it was
-    created by name; ``sha256`` is the checksum of the file that defines the class, if any; ``settings`` are its
-    settings, if the class defines them.
+    created by name or has plain ones; ``sha256`` is the checksum of the file that defines the class, if any;
+    ``settings`` are its settings, if the class defines them.
     """
     if isinstance(driver, str):
         return driver
@@ -54,7 +55,7 @@ def serialize_driver(driver: str | Driver) -> str | dict[str, Any]:
     spec = getattr(driver, "__dict__", {}).get(_SPEC_ATTRIBUTE)
     if spec is None and cls.__module__.startswith("cornercase."):
         return dict(driver.settings)
-    name, options = (class_path, None) if spec is None else spec
+    name, options = (class_path, _plain_options(driver) or None) if spec is None else spec
     description: dict[str, Any] = {"driver": name}
     if options is not None:
         description["options"] = dict(options)
@@ -65,14 +66,24 @@ def serialize_driver(driver: str | Driver) -> str | dict[str, Any]:
     return description
 
 
+def _plain_options(driver: Driver) -> dict[str, Any]:
+    """Options of the constructor of an object that JSON can store, without those that have their default value."""
+    options = given_options(driver) if isinstance(driver, Driver) else {}
+    return {name: value for name, value in sorted(options.items()) if isinstance(value, bool | int | float | str)}
+
+
 def _source_file_checksum(cls: type) -> str:
-    """SHA-256 of the file that defines a class, from when the class was first seen; empty if there is no file."""
+    """SHA-256 of the file that defines a class, from when the class was first seen; empty if there is no file.
+
+    Of a class in the main script only its own lines count, since the script may change before it continues a study.
+    """
     # A module edited in the meantime is not reloaded.
     if cls not in _checksums:
         file = getattr(sys.modules.get(cls.__module__), "__file__", None)
         content = None
         with suppress(OSError, TypeError):
-            content = Path(file or "").read_bytes()
+            is_script = cls.__module__ == "__main__"
+            content = inspect.getsource(cls).encode() if is_script else Path(file or "").read_bytes()
         _checksums[cls] = "" if content is None else hashlib.sha256(content).hexdigest()
     return _checksums[cls]
 
@@ -88,7 +99,8 @@ def driver_command_option(description: object) -> str | None:
     if not isinstance(description, Mapping):
         return None
     name, options = description.get("driver"), description.get("options")
-    if isinstance(name, str) and isinstance(options, Mapping):
+    # A class of a script or a notebook cannot be named.
+    if isinstance(name, str) and isinstance(options, Mapping) and not name.startswith("__main__:"):
         return ":".join(
             [name, ",".join(f"{key}={format_option_value(value)}" for key, value in options.items())]
             if options

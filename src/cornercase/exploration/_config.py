@@ -22,13 +22,15 @@ from cornercase.exploration._explore_options import (
 from cornercase.exploration.stop._stop_rules import StopCriterion, resolve_stop_rules
 from cornercase.metrics import METRICS, CriticalIf, Metric
 from cornercase.metrics._other_entities import ALL_OTHERS, resolve_others
+from cornercase.metrics._own_metrics import StoredMetric, as_items, metric_text, resolve_metrics
 from cornercase.optimizers import OPTIMIZERS, Optimizer
+from cornercase.optimizers._missing import known_optimizer
 from cornercase.scenario import LogicalScenario
 from cornercase.scenario._file import ScenarioFile
 from cornercase.simulators import Simulator
 from cornercase.simulators._common_options import split_common_options
 from cornercase.study import StudyFile, StudyMeta
-from cornercase.study._meta import MAX_AUDIT_FRACTION
+from cornercase.study._meta import MAX_AUDIT_FRACTION, metric_fields
 from cornercase.study._objective import Objective
 from cornercase.study._run_rates import MIN_DECISIVE_RUNS
 from cornercase.study._scenario_file import find_explored_scenario
@@ -57,11 +59,13 @@ class ExplorationConfig(ExplorationOptions):
         given["simulator"], common = split_common_options(self.simulator, given)
         given |= common
         given["optimizer"] = OPTIMIZERS.resolve(self.optimizer, "optimizer")
+        given["metrics"] = tuple(map(metric_text, as_items(self.metrics)))
         criteria, max_seconds, patience = resolve_stop_rules(self.stop_when)
         given["stop_when"] = tuple(criteria)
         for name, limit in {"max_seconds": max_seconds, "patience": patience}.items():
             if limit is not None:
                 given[name] = limit if given[name] is None else min(given[name], limit)
+        OPTIMIZERS.check_own_name(given["optimizer"])
         for name, option in CONFIG_OPTIONS.items():
             object.__setattr__(self, name, option.check(given[name]))
         all_entities = self.logical.scenario_file.entities if ALL_OTHERS in self.other else ()
@@ -127,7 +131,7 @@ class ExplorationConfig(ExplorationOptions):
         is no threshold although the optimizer, a stop criterion, `max_repeats` or the caller needs one.
         """
         if metrics is None:
-            metrics = [METRICS.create(name) for name in dict.fromkeys(self.metrics)]
+            metrics = resolve_metrics(self.metrics)
             for metric in metrics:
                 metric.check_installed()
             condition = self.make_condition()
@@ -144,6 +148,12 @@ class ExplorationConfig(ExplorationOptions):
         condition = CriticalIf.from_text(self.critical_if)
         condition.condition.check_installed()
         return condition
+
+    def require_own_code(self) -> None:
+        """Raise `InputError` if the code of a metric is missing, which only a study describes."""
+        for metric in as_items(self.metrics):
+            if isinstance(metric, StoredMetric):
+                raise metric.missing_code()
 
     @property
     def stop_criteria(self) -> tuple[StopCriterion, ...]:
@@ -180,12 +190,12 @@ class ExplorationConfig(ExplorationOptions):
             fingerprint=self.logical.fingerprint,
             space=self.logical.space,
             other=self.others[0] if len(self.others) == 1 else self.others,
-            metrics=tuple(metric.name for metric in objective.metrics),
             # The options may contain paths of this machine.
             simulator=remove_folders(str(self.simulator)),
             settings={**self._stored_settings(), **settings},
             critical=objective.threshold,
             elsewhere=warm_start_info or {},
+            **metric_fields(objective.metrics),
             **fields_of_study,
         )
 
@@ -204,19 +214,18 @@ def config_from_study(
     scenario: Path | str | ScenarioFile | None,
     simulator: str | Simulator | None,
     drivers: Mapping[str, str | Driver],
+    metrics: Sequence[Metric | str] = (),
     *,
     driver_hint: str = "give it again with `drivers`, as in {entity}={driver}",
 ) -> ExplorationConfig:
     """Rebuild the configuration with which a study was explored.
 
     `file` is the path of the study, for messages. `scenario` is the explored file; by default it is searched. Without
-    `simulator` the study's own is used, without options. `drivers` are the user's own drivers by entity. Raises
-    `InputError` if a file or driver is missing.
+    `simulator` the study's own is used, without options. `drivers` are the user's own drivers by entity. `metrics` are
+    all metrics, which are needed if one is the user's own. Raises `InputError` if a file or driver is missing.
     """
     meta, settings = study.meta, study.meta.settings
-    source = find_explored_scenario(study, scenario, search_stored_path=True)
-    if source is None:
-        raise InputError(f"{file}: contains imported recordings, so no further scenario can be run.")
+    logical = read_logical_scenario(study, scenario)
     resolved_drivers: dict[str, str | Driver] = dict(check_mapping("drivers", drivers))
     for entity, driver in settings.get("drivers", {}).items():
         # A study file must not make us import a module.
@@ -231,15 +240,28 @@ def config_from_study(
                 f"{file}: {format_driver(driver)} drove {entity}; code that a study names is not run, so {hint}."
             )
     values = stored_values(meta) | {
+        "metrics": metrics or metrics_to_continue(meta),
+        "optimizer": known_optimizer(meta.optimizer),
         "simulator": meta.simulator.partition(":")[0] if simulator is None else simulator,
         "drivers": resolved_drivers,
         # Its scores are copied into the study.
         "warm_start": None,
     }
-    return ExplorationConfig(
-        LogicalScenario(source.path, meta.space, meta.fingerprint, source),
-        **{name: value for name, value in values.items() if value is not None},
-    )
+    return ExplorationConfig(logical, **{name: value for name, value in values.items() if value is not None})
+
+
+def read_logical_scenario(study: StudyFile, scenario: Path | str | ScenarioFile | None) -> LogicalScenario:
+    """Read the scenario that was explored; by default its file is searched. `InputError` if there is none."""
+    source = find_explored_scenario(study, scenario, search_stored_path=True)
+    if source is None:
+        raise InputError(f"{study.path}: contains imported recordings, so no further scenario can be run.")
+    return LogicalScenario(source.path, study.meta.space, study.meta.fingerprint, source)
+
+
+def metrics_to_continue(meta: StudyMeta) -> tuple[str | Metric, ...]:
+    """Return the metrics of a study by name; those of an unknown class as the study describes them."""
+    names = meta.metrics[1:] if meta.condition else meta.metrics
+    return tuple(name if name.partition(":")[0] in METRICS else meta.create_metric(name) for name in names)
 
 
 def require_same_settings(study: Path, meta: StudyMeta, simulator: Simulator) -> None:

@@ -7,7 +7,6 @@ from typing import Final
 import numpy as np
 
 from cornercase._common.errors import InputError
-from cornercase.metrics import METRICS
 from cornercase.study import StudyFile
 from cornercase.study._damage import DamageError
 
@@ -34,7 +33,7 @@ def describe_constant_metrics(study: StudyFile) -> dict[str, str]:
             continue
         if np.ptp(scores) > 0.0:
             continue
-        unit = METRICS.create(name).unit
+        unit = study.meta.create_metric(name).unit
         value = f"{scores[0]:.4g}{'' if unit == '1' else f' {unit}'}"
         sentences[name] = f"All {len(scores)} scenarios have the same {name} score ({value})"
         if name not in searched:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import re
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -24,6 +24,7 @@ from cornercase.exploration._config import ExplorationConfig, config_from_study,
 from cornercase.exploration._estimation import Estimation
 from cornercase.exploration._explore import simulator_from_config
 from cornercase.exploration._probability_estimator import ProbabilityEstimator
+from cornercase.metrics import Metric
 from cornercase.scenario._file import ScenarioFile
 from cornercase.simulators import Simulator
 from cornercase.simulators._run_options import RUN_OPTIONS, RunKeywords
@@ -51,6 +52,7 @@ def estimate(
     scenario: Path | str | ScenarioFile | None = None,
     simulator: str | Simulator | None = None,
     drivers: Mapping[str, str | Driver] | None = None,
+    metrics: Sequence[Metric | str] = (),
     progress: bool = False,
     **options: Unpack[RunKeywords],
 ) -> Estimation:
@@ -82,6 +84,8 @@ def estimate(
         Default: that of the study, without options.
     drivers : mapping of str to str or Driver, optional
         Your own drivers by entity, if the study was explored with any; presets are taken from the study.
+    metrics : sequence of Metric or str, optional
+        All metrics of the study, if one is of your own class; by default they are taken from the study.
     progress : bool, default False
         Show progress on standard error.
     **options
@@ -119,7 +123,7 @@ def estimate(
     with StudyFile.open(study_file, readonly=True) as source:
         if _ESTIMATE_OPTIMIZER_NAME.fullmatch(source.meta.optimizer):
             raise InputError(f"{study_file}: is the result of an estimate; give the explored study instead.")
-        config = _estimate_config(source, scenario, budget, critical, seed, simulator, drivers or {})
+        config = _estimate_config(source, scenario, budget, critical, seed, simulator, drivers or {}, metrics)
         config = replace(config, **run_options)
         learn, n_known = _stored_sample_sizes(output_file, round(_LEARNING_FRACTION * budget))
         objective = config.make_objective(needs_threshold=True)
@@ -150,11 +154,12 @@ def _estimate_config(
     seed: int,
     simulator: str | Simulator | None,
     drivers: Mapping[str, str | Driver],
+    metrics: Sequence[Metric | str],
 ) -> ExplorationConfig:
     """Return the study's configuration with another budget and seed."""
     if study.meta.pareto:
         raise InputError(f"{study.path}: was searched for a Pareto front, so it has no threshold; give another study.")
-    config = config_from_study(study, study.path, scenario, simulator, drivers)
+    config = config_from_study(study, study.path, scenario, simulator, drivers, metrics)
     # Draws need none of the other search settings.
     return replace(
         config,

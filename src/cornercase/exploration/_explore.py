@@ -24,6 +24,7 @@ from cornercase.exploration._explorer import ExplorationResult, ScenarioExplorer
 from cornercase.exploration._varied_file import open_logical_scenario
 from cornercase.exploration._verify_proposals import verify_proposals
 from cornercase.exploration._warm_start import WarmStart, read_warm_start
+from cornercase.metrics import Metric
 from cornercase.optimizers import Optimizer
 from cornercase.scenario import LogicalScenario
 from cornercase.simulators import Simulator
@@ -42,7 +43,7 @@ def explore(
     *,
     ego: str,
     other: str | Sequence[str],
-    metrics: Sequence[str],
+    metrics: Metric | str | Sequence[Metric | str],
     progress: bool = False,
     **options: Unpack[ExploreOptions],
 ) -> ExplorationResult:
@@ -205,7 +206,8 @@ def _notices_at_center(config: ExplorationConfig, simulator: Simulator) -> tuple
 
 
 def simulator_from_config(config: ExplorationConfig) -> Simulator:
-    """Create the configured simulator; the caller has to close it."""
+    """Create the configured simulator; the caller has to close it. `InputError` if the code of a metric is missing."""
+    config.require_own_code()
     return _create_simulator(config, config.drivers)
 
 

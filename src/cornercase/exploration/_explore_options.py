@@ -16,6 +16,7 @@ from cornercase.simulators._run_options import RunOptions, SimulationKeywords, S
 
 if TYPE_CHECKING:
     from cornercase.exploration.stop._stop_rules import StopRule
+    from cornercase.metrics import Metric
     from cornercase.optimizers import Optimizer
     from cornercase.study import StudyMeta
 
@@ -58,9 +59,10 @@ class ExplorationOptions(SimulationOptions, RunOptions):
         "Other entity; repeat it for several, '*' for all others. The most critical one counts.",
         docs='Entities that the ego is measured against; the most critical one counts. ``"*"`` means all others.',
         panel=_PROBLEM, metavar="NAME|*", stored=lambda meta: meta.others)})
-    metrics: tuple[str, ...] = field(metadata={"option": Option(
+    metrics: Metric | str | Sequence[Metric | str] = field(metadata={"option": Option(
         "Criticality metric. Repeat it for several: all are stored, the first is searched.",
-        docs="Criticality metrics. All are stored; the first is searched unless `weights` are given.",
+        docs="Criticality metrics, by name or as objects, also of your own class. All are stored; the first is searched"
+        " unless `weights` are given.",
         panel=_PROBLEM, flag="--metric", metavar="NAME",
         stored=lambda meta: meta.metrics[1:] if meta.condition else meta.metrics)})
     critical_if: str | None = _problem(

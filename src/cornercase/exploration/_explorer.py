@@ -21,7 +21,7 @@ from cornercase._common.typing import FloatArray
 from cornercase.exploration._best_scores import BestScores
 from cornercase.exploration._config import ExplorationConfig
 from cornercase.exploration._constant_metrics import MIN_SCENARIOS_TO_COMPARE, describe_constant_metrics
-from cornercase.exploration._proposals import AskTell, ProposalSource
+from cornercase.exploration._proposals import AskTell, ProposalSource, warn_of_repetitions
 from cornercase.exploration._runner import ScenarioRunner, StageTimer
 from cornercase.exploration._stop_criteria import StopCriteria
 from cornercase.exploration._study_critical_set import source_study_model
@@ -164,7 +164,7 @@ class ScenarioExplorer:
 
     def run(self, progress: bool = False) -> ExplorationResult:
         """Explore until a termination criterion holds; `progress` shows best score, rate and remaining time."""
-        self._ask_tell = AskTell(self._optimizer, self._study.meta.asynchronous)
+        self._ask_tell = AskTell(self._optimizer, self._study.space, self._study.meta.asynchronous)
         self._proposal_source = ProposalSource(self._ask_tell, self._study)
         before = len(self._study.finished_rows())
         bar = ProgressBar(self._config.budget, "exploring", "scenarios") if progress else None
@@ -180,6 +180,7 @@ class ScenarioExplorer:
                 bar.stop()
             self._clock.save_times()
             self._runner.notices.issue_warnings()
+            warn_of_repetitions(self._study, self._optimizer, before)
         return ExplorationResult.from_study(self._study, reason, n_done_before=before)
 
     def _run_until_stop(self, bar: ProgressBar | None, check_interrupt: Callable[[], None]) -> str:

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Final
 
-from cornercase._common.errors import InputError
+from cornercase._common.errors import InputError, short_errors
 from cornercase._common.text.html import render_html
-from cornercase._common.validation import check_str_sequence, not_an_object, repr_short
-from cornercase.exploration._config import ExplorationConfig
+from cornercase._common.validation import repr_short
+from cornercase.exploration._config import ExplorationConfig, metrics_to_continue, read_logical_scenario
 from cornercase.metrics import Metric
 from cornercase.scenario import LogicalScenario
+from cornercase.study import StudyFile
 
 # Arguments and verbs of the objects, by their name in the functions.
 _NAME_IN_OBJECTS: Final = {
@@ -39,8 +40,8 @@ class Problem:
     other : str or sequence of str
         Entities that the ego is measured against; the most critical one counts. ``"*"`` means all others.
     metrics : Metric or str, or sequence of these
-        Criticality metrics from `cornercase.metrics`, or as text with options after a colon. All are stored; the first
-        is searched unless `weights` are given.
+        Criticality metrics from `cornercase.metrics`, or as text with options after a colon; or objects of your own
+        class, derived from `cornercase.Metric`. All are stored; the first is searched unless `weights` are given.
     threshold : float, optional
         Score from which a scenario is critical, in the unit of the objective. Default: the metric's own.
     condition : str, optional
@@ -106,30 +107,28 @@ class Problem:
         return render_html(repr(self), self.scenario.space._repr_html_())
 
 
-def problem_from_config(config: ExplorationConfig) -> Problem:
-    """Return the problem of a configuration."""
+def problem_from_study(study: StudyFile, scenario: Path | None) -> Problem:
+    """Return the problem that was searched; no code of the user is needed. `scenario` is the explored file."""
+    meta = study.meta
     return Problem(
-        config.logical,
-        config.ego,
-        config.other,
-        config.metrics,
-        config.critical,
-        config.critical_if,
-        config.weights,
-        config.pareto,
+        read_logical_scenario(study, scenario),
+        meta.ego,
+        meta.other,
+        metrics_to_continue(meta),
+        None if meta.condition else meta.critical,
+        meta.condition or None,
+        meta.weights,
+        meta.pareto,
     )
 
 
 def config_from_problem(problem: Problem, **settings: Any) -> ExplorationConfig:
     """Create the configuration of an exploration of a problem; `settings` are all other options."""
-    given = problem.metrics
-    several = given if isinstance(given, Sequence) and not isinstance(given, str) else [given]
-    metrics = [_name_of_metric(metric) for metric in several]
     return ExplorationConfig(
         logical=problem.scenario,
         ego=problem.ego,
         other=problem.other,
-        metrics=check_str_sequence("metrics", metrics),
+        metrics=problem.metrics,
         critical=problem.threshold,
         critical_if=problem.condition,
         weights=problem.weights,
@@ -138,22 +137,9 @@ def config_from_problem(problem: Problem, **settings: Any) -> ExplorationConfig:
     )
 
 
-def _name_of_metric(metric: object) -> object:
-    """Return the text of a metric; other values as they are, unless they can be no metric at all."""
-    if isinstance(metric, Metric):
-        return str(metric)
-    if isinstance(metric, str):
-        return metric
-    raise not_an_object("metrics", metric)
+class name_arguments_of_objects(short_errors):  # noqa: N801
+    """Like `short_errors`; messages name the arguments of `Problem`: `` `threshold` `` instead of `` `critical` ``."""
 
-
-@contextmanager
-def name_arguments_of_objects() -> Iterator[None]:
-    """Make error messages name the arguments of `Problem`: `` `threshold` `` instead of `` `critical` ``."""
-    try:
-        yield
-    except InputError as error:
-        message = re.sub(r"`(\w+)`", lambda match: f"`{_NAME_IN_OBJECTS.get(match[1], match[1])}`", str(error))
-        if message == str(error):
-            raise
-        raise InputError(message) from error
+    def edit(self, message: str) -> str:
+        """Replace the names between backticks."""
+        return re.sub(r"`(\w+)`", lambda match: f"`{_NAME_IN_OBJECTS.get(match[1], match[1])}`", message)

@@ -5,16 +5,24 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import groupby
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
-from cornercase._common.plugin_errors import convert_plugin_errors
+from cornercase._common.errors import InputError
+from cornercase._common.io.support_table import issue_notice_warning
+from cornercase._common.plugin_errors import convert_plugin_errors, is_built_in
+from cornercase._common.row_keys import row_keys
 from cornercase._common.typing import FloatArray
+from cornercase._common.validation import repr_short
 from cornercase.exploration._study_critical_set import audit_sampler
 from cornercase.optimizers import Optimizer
+from cornercase.scenario import ParameterSpace
 from cornercase.study import ScenarioRecord, StudyFile
 from cornercase.study._meta import count_audits
+
+# Largest distance from the unit cube that rounding explains.
+_ROUNDING: Final = 1e-9
 
 
 class AskTell:
@@ -23,19 +31,43 @@ class AskTell:
     In a search without rounds, `pending`, shape (p, d), are the points that are running during `ask`.
     """
 
-    def __init__(self, optimizer: Optimizer, asynchronous: bool) -> None:
-        self._optimizer, self._asynchronous = optimizer, asynchronous
+    def __init__(self, optimizer: Optimizer, space: ParameterSpace, asynchronous: bool) -> None:
+        self._optimizer, self._space, self._asynchronous = optimizer, space, asynchronous
         self.pending: FloatArray | None = None
-        self._name = f"The search '{optimizer.name}'"
+        self._name = f"The optimizer '{optimizer}'"
         self._result_sums: list[list[FloatArray]] = []
 
     def ask(self, n: int) -> FloatArray:
-        """Propose at most `n` points, shape (m, d), as in `Optimizer.ask`."""
+        """Propose at most `n` points, shape (m, d), as in `Optimizer.ask`; `InputError` if they cannot be run."""
         with convert_plugin_errors(self._name, self._optimizer, "in ask"):
-            if not self._asynchronous:
-                return self._optimizer.ask(n)
-            points = np.zeros((0, 0)) if self.pending is None else self.pending
-            return self._optimizer.ask_async(n, points, *self._pseudo_results(len(points)))
+            if self._asynchronous:
+                pending = np.zeros((0, 0)) if self.pending is None else self.pending
+                proposed = self._optimizer.ask_async(n, pending, *self._pseudo_results(len(pending)))
+            else:
+                proposed = self._optimizer.ask(n)
+        return self._check_points(proposed, n)
+
+    def _check_points(self, proposed: object, n: int) -> FloatArray:
+        """Return proposals as an array; `InputError` unless they are at most `n` points of the unit cube."""
+        dimension = self._space.dimension
+        try:
+            points = np.asarray(proposed, dtype=np.float64)
+        except (TypeError, ValueError):
+            points = np.zeros(())
+        if points.ndim != 2 or points.shape[1] != dimension or len(points) > n:
+            shape = f"an array of shape {points.shape}" if points.ndim else repr_short(proposed)
+            raise InputError(
+                f"{self._name} proposed {shape} in ask({n}); return an array of shape (m, {dimension}), a row per"
+                f" scenario and a column per parameter, with m up to {n}."
+            )
+        outside = np.argwhere(~((points >= -_ROUNDING) & (points <= 1.0 + _ROUNDING)))
+        if len(outside):
+            row, column = outside[0].tolist()
+            raise InputError(
+                f"{self._name} proposed {points[row, column]:.6g} for {self._space.names[column]} in ask; return values"
+                " from 0 to 1, for the lower to the upper bound of the parameter."
+            )
+        return points
 
     def tell(self, points: FloatArray, *results: FloatArray) -> None:
         """Pass points, shape (m, d), scores, shape (m,) or (m, k), and features, shape (m, f), to the optimizer."""
@@ -80,6 +112,22 @@ class ProposalSource:
                 break
             points.append(point)
         return space.snap(np.array(points).reshape(-1, space.dimension))
+
+
+def warn_of_repetitions(study: StudyFile, optimizer: Optimizer, n_before: int) -> None:
+    """Warn if a user's optimizer proposed scenarios again, after the first `n_before` of the study."""
+    if is_built_in(optimizer):
+        return
+    rows = [row for row in study.rows() if not study.meta.is_audit(row.id)]
+    seen, n_repeated = set[bytes](), 0
+    for row, key in zip(rows, row_keys(np.array([row.point for row in rows])) if rows else (), strict=True):
+        n_repeated += key in seen and row.id > n_before
+        seen.add(key)
+    if n_repeated:
+        issue_notice_warning(
+            f"the optimizer '{optimizer}' proposed {n_repeated} scenarios that were run already; they were run again"
+            " and say nothing new, so leave them out in ask"
+        )
 
 
 @dataclass(frozen=True)

@@ -21,12 +21,15 @@ _SEVERITY_WEIGHT = 0.1
 class Metric(Configurable, ABC):
     """A criticality metric: how critical a recording is for the ego and one other entity.
 
-    A subclass sets the attributes and defines `course`, the value at each instant.
+    A subclass sets the attributes and defines `course`, the value at each instant. An object of it is used itself
+    wherever metrics are given in Python: ``Problem(…, metrics=[SpeedDifference()])``. A study stores its class name,
+    unit, direction and cap: it can be read without the class, and continued with the same object.
 
     Attributes
     ----------
     name : str
-        As on the command line: ``"wttc"``.
+        As on the command line: ``"wttc"``. It must not be the name of another metric; options of the constructor are
+        added after a colon.
     unit : str
         Of the course and the score; ``"1"`` for none.
     lower_is_critical : bool
@@ -56,9 +59,9 @@ class Metric(Configurable, ABC):
 
     Examples
     --------
+    >>> import cornercase as cc
     >>> import numpy as np
-    >>> from cornercase.metrics import Metric
-    >>> class SpeedDifference(Metric):
+    >>> class SpeedDifference(cc.Metric):
     ...
     ...     name, unit, source = "speed-difference", "m/s", "an example"
     ...     lower_is_critical, cap = False, 0.0
@@ -68,6 +71,11 @@ class Metric(Configurable, ABC):
     ...         return np.abs(recording.speed[i] - recording.speed[j])
     >>> SpeedDifference().score(np.array([2.0, np.nan, 7.0]))
     7.0
+    >>> recording = cc.simulate("examples/x_intersection/x_intersection.xosc", duration=2.0)
+    >>> cc.measure(recording, "Ego", "Pedestrian", [SpeedDifference(), "distance"])
+    metric            score  unit  critical is
+    speed-difference  10     m/s   high
+    distance          48.03  m     low
     """
 
     unit: str

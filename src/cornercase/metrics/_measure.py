@@ -9,13 +9,14 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from cornercase._common.errors import InputError, PluginError
-from cornercase._common.plugin_errors import make_scenario_failure
+from cornercase._common.errors import InputError, PluginError, short_errors
+from cornercase._common.plugin_errors import make_scenario_failure, user_code_error
 from cornercase._common.process.signals import count_requests
 from cornercase._common.typing import FloatArray
-from cornercase._common.validation import check_path, check_str_sequence, repr_short
+from cornercase._common.validation import check_path, repr_short
 from cornercase.metrics._base import Metric
 from cornercase.metrics._other_entities import present_others, resolve_others
+from cornercase.metrics._own_metrics import resolve_metrics
 from cornercase.metrics._registry import METRICS
 from cornercase.metrics._severity import find_first_contact
 from cornercase.recordings import Recording, read_recording
@@ -92,8 +93,12 @@ class Measurement:
         return "\n".join("  ".join(map(str.ljust, row, widths)).rstrip() for row in rows)
 
 
+@short_errors()
 def measure(
-    recording: Recording | Path | str, ego: str, other: str | Sequence[str], metrics: Sequence[str] | None = None
+    recording: Recording | Path | str,
+    ego: str,
+    other: str | Sequence[str],
+    metrics: Metric | str | Sequence[Metric | str] | None = None,
 ) -> Measurement:
     """Measure how critical a recording is.
 
@@ -105,8 +110,9 @@ def measure(
         Name of the entity under test.
     other : str or sequence of str
         Entities to measure against. Of several, each metric takes the most critical value. ``"*"`` means all others.
-    metrics : sequence of str, optional
-        Options follow a colon, as in ``"ttc:accelerating=true"``. By default all metrics that need no option.
+    metrics : Metric or str, or sequence of these, optional
+        By name, with options after a colon, as in ``"ttc:accelerating=true"``, or as objects, also of your own class.
+        By default all registered metrics that need no option.
 
     Returns
     -------
@@ -139,15 +145,15 @@ def measure(
     others = resolve_others(other, ego, loaded.names)
     for entity in others:
         loaded.entity_index(entity)
-    optionless = [name for name in METRICS.names() if not METRICS.get_class(name).required_option]
-    names = optionless if metrics is None else check_str_sequence("metrics", metrics)
-    created = [METRICS.create(name) for name in dict.fromkeys(names)]
+    if metrics is None:
+        metrics = [name for name in METRICS.names() if not METRICS.get_class(name).required_option]
+    created = resolve_metrics(metrics)
     for metric in created:
         metric.check_installed()
     try:
         results = evaluate_metrics(created, loaded, ego, others)
     except PluginError as error:
-        raise InputError(f"{str(error)[0].upper()}{str(error)[1:]}.") from error
+        raise user_code_error(error) from error.__cause__
     return Measurement(
         time=loaded.time,
         courses={name: result.course for name, result in results.items()},

@@ -27,12 +27,13 @@ class Optimizer(Configurable, ABC):
 
     A subclass defines `prepare`, `ask` and `tell`. The arguments of its constructor are its options and have defaults.
     On the command line options follow a colon, as in ``bayes:filling=0``, which is also the text (`str`) of the object.
-    Two optimizers are equal if their class and options are.
+    Two optimizers are equal if their class and options are. A study stores the text of the optimizer: it can be read
+    without the class, and continued if the same object is given to `explore` again.
 
     Attributes
     ----------
     name : str
-        As on the command line; with the options that were given.
+        As on the command line; with the options that were given. It must not be the name of another optimizer.
     multi_objective : bool, default False
         Whether it takes several scores per scenario and searches their Pareto front.
     supports_warm_start : bool, default False
@@ -76,6 +77,12 @@ class Optimizer(Configurable, ABC):
     array([[0.75, 0.75]])
     >>> Centre(offset=0.25), str(Centre(offset=0.25))
     (Centre(offset=0.25), 'centre:offset=0.25')
+    >>> import cornercase as cc
+    >>> folder = "examples/x_intersection/x_intersection"
+    >>> scenario = cc.LogicalScenario.read(f"{folder}.xosc", f"{folder}.space.xosc")
+    >>> problem = cc.Problem(scenario, ego="Ego", other="Pedestrian", metrics=["wttc"])
+    >>> cc.Study.create("centre.db", problem).explore(Centre(offset=0.25), budget=20)
+    <ExplorationResult: 1 scenarios done in centre.db; the search has no proposals after these 1 scenarios>
     """
 
     multi_objective: ClassVar[bool] = False

@@ -9,6 +9,7 @@ import numpy as np
 
 from cornercase._common.errors import InputError, suggest_name
 from cornercase._common.typing import FloatArray
+from cornercase._common.validation import repr_short
 from cornercase.optimizers._base import Optimizer
 from cornercase.optimizers._dedupe import Deduplicator
 from cornercase.optimizers._space_filling import Sobol
@@ -44,6 +45,11 @@ class Optuna(Optimizer):
     is_stateful_ask = True
 
     def __init__(self, sampler: str = "tpe") -> None:
+        if not isinstance(sampler, str):
+            raise InputError(
+                f"`sampler` {repr_short(sampler)}: give a name, one of {', '.join(_SAMPLERS)}; the sampler is made with"
+                " the seed of the study."
+            )
         if sampler not in _SAMPLERS:
             raise InputError(f"The optimizer optuna has no sampler '{sampler}'; {suggest_name(sampler, _SAMPLERS)}")
         self._sampler_name = sampler

@@ -8,7 +8,6 @@ from dataclasses import asdict
 from typing import Any, Final
 
 from cornercase.clustering import Analysis
-from cornercase.metrics import METRICS
 from cornercase.report._chart_data import coverage_charts, hull_edges, search_chart, sensitivity_chart
 from cornercase.report._courses import encode_courses
 from cornercase.report._report_data import ReportData
@@ -140,7 +139,7 @@ def study_info_payload(meta: StudyMeta, file_name: str) -> dict[str, Any]:
         ],
         "metrics": [
             {"name": metric.name, "unit": metric.unit, "lower_is_critical": metric.lower_is_critical, "cap": metric.cap}
-            for metric in map(METRICS.create, meta.metrics)
+            for metric in meta.create_metrics()
         ],
     }
 

@@ -11,7 +11,7 @@ import numpy as np
 from cornercase._common.memory import MemoryLimit, report_memory_need
 from cornercase._common.typing import BoolArray, Float32Array, FloatArray, IntArray
 from cornercase.clustering import Analysis, read_distances
-from cornercase.metrics import METRICS, Metric
+from cornercase.metrics import Metric
 from cornercase.metrics._outcome import Impact
 from cornercase.recordings import Recording
 from cornercase.reduction._coverage import NearestDistances, measure_nearest_distances
@@ -93,7 +93,7 @@ def read_report_data(
     far.
     """
     rows = study.finished_rows()
-    metrics = tuple(METRICS.create(name) for name in study.meta.metrics)
+    metrics = study.meta.create_metrics()
     scores = {metric.name: study.scores(metric.name) for metric in metrics}
     values = np.array([[parameter.extract_number(row.values) for parameter in study.space.parameters] for row in rows])
     times: dict[int, FloatArray] = {}

@@ -15,7 +15,6 @@ from cornercase._common.text.html import render_html_table
 from cornercase.clustering import Agreement, Analysis, read_analyses
 from cornercase.clustering._agreement import compare_clusterings
 from cornercase.exploration._constant_metrics import describe_constant_metrics
-from cornercase.metrics import METRICS
 from cornercase.recordings import Collision
 from cornercase.reduction import ReducedSet, read_reduction
 from cornercase.reduction._evaluate import reevaluate
@@ -278,7 +277,7 @@ def _read_probability(study: StudyFile) -> dict[str, Any] | None:
 
 
 def _summarize_metric(study: StudyFile, name: str, constant_note: str) -> MetricSummary:
-    metric, scores = METRICS.create(name), study.scores(name)
+    metric, scores = study.meta.create_metric(name), study.scores(name)
     worst = int(metric.to_minimize(scores).argmin())
     row = study.finished_rows()[worst]
     ranges = study.score_range(name)

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import re
-import sys
 from collections.abc import Mapping
 from multiprocessing import current_process
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 from cornercase._common.configurable import given_options
 from cornercase._common.validation import check_float, check_int, check_str
@@ -21,8 +18,6 @@ from cornercase.simulators.pool._simulator import WorkerSimulator
 
 if TYPE_CHECKING:
     from distributed import Client
-
-_MAIN_GUARD_PATTERN: Final = re.compile(r"""__name__\s*==\s*["']__main__["']|["']__main__["']\s*==\s*__name__""")
 
 
 def create_simulator(
@@ -40,7 +35,7 @@ def create_simulator(
 
     In worker processes, a crash or hang costs only the scenario at fault. A simulator with `in_process` runs here,
     unless there are several workers, a time-out, or a user's driver given by name: drivers given as objects may not be
-    picklable, and worker processes would run a script without ``__name__ == "__main__"`` again.
+    picklable.
     """
     timeout = None if timeout is None else check_float("timeout", timeout, above=0.0)
     workers = check_int("workers", workers, 1, MAX_WORKERS)
@@ -60,7 +55,7 @@ def create_simulator(
         simulator_class.in_process
         and workers == 1
         and timeout is None
-        and not (_has_user_driver(accepted) and _can_start_processes())
+        and (current_process().daemon or not _has_user_driver(accepted))
     ):
         return SIMULATORS.create(name, **accepted)
     return WorkerSimulator(name, accepted, workers, timeout, retries, max_failures)
@@ -69,16 +64,3 @@ def create_simulator(
 def _has_user_driver(options: Mapping[str, Any]) -> bool:
     """Return whether an entity has a driver of the user's own, chosen by name."""
     return any(user_driver_spec(driver) is not None for driver in (options.get("drivers") or {}).values())
-
-
-def _can_start_processes() -> bool:
-    """Return whether this process can start other processes; not so if these would run the user's script again."""
-    if current_process().daemon:
-        return False
-    script = getattr(sys.modules.get("__main__"), "__file__", None)
-    if script is None:
-        return True
-    try:
-        return _MAIN_GUARD_PATTERN.search(Path(script).read_text(encoding="utf-8", errors="replace")) is not None
-    except OSError:
-        return True

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
+import cloudpickle
+
+from cornercase._common.current_folder import unpickle_with_current_folder
 from cornercase._common.errors import InputError
 from cornercase._common.text.sanitize import format_exception
-from cornercase.drivers import Driver
+from cornercase.drivers import DRIVERS, Driver
 from cornercase.drivers._description import serialize_driver, user_driver_spec
 from cornercase.drivers._resolve import driver_by_name
 from cornercase.simulators._base import Simulator
+from cornercase.simulators._registry import SIMULATORS
 
 _DRIVERS_OPTION: Final = "drivers"
 
@@ -40,32 +44,46 @@ class DriverSpec:
         return driver
 
 
-def pickle_simulator(
-    simulator: str | type[Simulator], options: Mapping[str, Any], dumps: Callable[[Any], bytes]
-) -> bytes:
-    """Pickle a simulator and its options; drivers that were created by class name are sent as `DriverSpec`."""
+def pickle_simulator(simulator: str | type[Simulator], options: Mapping[str, Any]) -> bytes:
+    """Pickle a simulator (name or class) and its options; drivers created by class name are sent as `DriverSpec`.
+
+    Names that this program registered itself are sent with what they stand for, and what the main script or a notebook
+    defines is sent by value. Raises `InputError` if a driver or another option cannot be pickled.
+    """
     drivers = {
         entity: DriverSpec.from_driver(driver_spec)
         for entity, driver_spec in (options.get(_DRIVERS_OPTION) or {}).items()
     }
     sent = {**options, _DRIVERS_OPTION: drivers} if drivers else dict(options)
+    registrations = SIMULATORS.export([simulator]), DRIVERS.export((options.get(_DRIVERS_OPTION) or {}).values())
     try:
-        return dumps((simulator, sent))
+        return bytes(cloudpickle.dumps((registrations, simulator, sent)))
     except Exception as error:
         for entity, driver in drivers.items():
-            _require_picklable(entity, driver, dumps)
+            _require_picklable(entity, driver)
         raise InputError(
             f"The options of the simulator cannot be sent to another process ({format_exception(error)})."
         ) from error
 
 
-def _require_picklable(entity: str, driver: Any, dumps: Callable[[Any], bytes]) -> None:
+def unpickle_simulator(content: bytes) -> tuple[str | type[Simulator], dict[str, Any]]:
+    """Return the name or class of a simulator and its options.
+
+    The user's modules are also searched in the current folder. Raises `InputError` if a driver cannot be created.
+    """
+    (simulators, drivers), simulator, options = unpickle_with_current_folder(content)
+    SIMULATORS.restore(simulators)
+    DRIVERS.restore(drivers)
+    return simulator, _create_drivers_from_specs(options)
+
+
+def _require_picklable(entity: str, driver: Any) -> None:
     try:
-        dumps(driver)
+        cloudpickle.dumps(driver)
     except Exception as error:
         cls = type(driver)
         attributes = getattr(driver, "__dict__", {}).items()
-        culprits = [f"its attribute '{name}'" for name, value in attributes if not _is_picklable(dumps, value)]
+        culprits = [f"its attribute '{name}'" for name, value in attributes if not _is_picklable(value)]
         culprit = next(iter(culprits), "it")
         reason = format_exception(error)
         raise InputError(
@@ -75,15 +93,15 @@ def _require_picklable(entity: str, driver: Any, dumps: Callable[[Any], bytes]) 
         ) from error
 
 
-def _is_picklable(dumps: Callable[[Any], bytes], value: Any) -> bool:
+def _is_picklable(value: Any) -> bool:
     try:
-        dumps(value)
+        cloudpickle.dumps(value)
     except Exception:
         return False
     return True
 
 
-def create_drivers_from_specs(options: dict[str, Any]) -> dict[str, Any]:
+def _create_drivers_from_specs(options: dict[str, Any]) -> dict[str, Any]:
     """Replace each `DriverSpec` in received options by a driver; `InputError` if a driver cannot be created."""
     drivers = options.get(_DRIVERS_OPTION)
     if not drivers:

@@ -19,7 +19,7 @@ import numpy.typing as npt
 from cornercase._common.errors import InputError
 from cornercase._common.text.sanitize import parse_json
 from cornercase._common.typing import Float32Array, FloatArray, IntArray
-from cornercase.metrics import METRICS, Metric, registered_features
+from cornercase.metrics import Metric, registered_features
 from cornercase.metrics._outcome import Encounter, Impact, Outcome
 from cornercase.recordings import Collision, Recording
 from cornercase.recordings._entity_series import bearing_series, position_series
@@ -161,9 +161,9 @@ def _thin_series(recording: Recording, meta: StudyMeta, instants: IntArray, pose
 
 
 def create_metrics(meta: StudyMeta) -> tuple[Metric, ...]:
-    """Create the metrics of a study; none if the package of one is missing."""
+    """Create the metrics of a study; none if one is unknown."""
     try:
-        return tuple(METRICS.create(name) for name in meta.metrics)
+        return meta.create_metrics()
     except InputError:
         return ()
 

@@ -20,12 +20,13 @@ from cornercase._common import validation
 from cornercase._common.errors import InputError, SimulationError, is_machine_error, suggest_name
 from cornercase._common.io.files import read_file
 from cornercase._common.text.sanitize import check_comma_separated, unescape_csv_cell
-from cornercase.metrics import METRICS, Metric
+from cornercase.metrics import Metric
 from cornercase.metrics._measure import evaluate_metrics
 from cornercase.metrics._other_entities import ALL_OTHERS, resolve_others
+from cornercase.metrics._own_metrics import resolve_metrics
 from cornercase.recordings import read_recording
 from cornercase.scenario import Parameter, ParameterSpace, Value
-from cornercase.study._meta import StudyMeta
+from cornercase.study._meta import StudyMeta, metric_fields
 from cornercase.study._objective import Objective
 from cornercase.study._scenario_table import ScenarioRecord
 from cornercase.study._stored_paths import stored_path
@@ -72,7 +73,7 @@ def import_recordings(
     *,
     ego: str,
     other: str | Sequence[str],
-    metrics: Sequence[str],
+    metrics: Metric | str | Sequence[Metric | str],
     table: Path | str | None = None,
     critical: float | None = None,
     progress: bool = False,
@@ -90,8 +91,8 @@ def import_recordings(
     other : str or sequence of str
         Entity that the ego is measured against; ``"*"`` stands for all other entities. If there are several, the most
         critical score counts. An entity that a recording lacks is ignored in that recording.
-    metrics : sequence of str
-        Names of metrics; the first one defines criticality.
+    metrics : Metric or str, or sequence of these
+        The first one defines criticality.
     table : path, optional
         CSV with the column ``file``, relative to the folder, and one column per parameter; by default
         ``parameters.csv`` in the folder. A column of numbers becomes a range from its minimum to its maximum, any other
@@ -122,7 +123,7 @@ def import_recordings(
     table = folder / DEFAULT_TABLE_NAME if table is None else validation.check_path("table", table)
     files, values = _read_parameter_table(folder, table)
     others = _resolve_others(other, ego, [folder / file for file in files])
-    instances = [METRICS.create(name) for name in dict.fromkeys(validation.check_str_sequence("metrics", metrics))]
+    instances = resolve_metrics(metrics)
     if not instances:
         raise InputError("`metrics`: name at least one.")
     meta = StudyMeta(
@@ -131,7 +132,7 @@ def import_recordings(
         space=_infer_space(values),
         ego=ego,
         other=others[0] if len(others) == 1 else others,
-        metrics=tuple(metric.name for metric in instances),
+        **metric_fields(instances),
         optimizer="none",
         simulator=IMPORTED_SIMULATOR,
         settings={"table": stored_path(table, path)},

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Final
@@ -15,7 +15,9 @@ from cornercase._common.text.sanitize import escape_control_characters, shorten
 from cornercase._common.typing import FloatArray
 from cornercase._common.version import __version__
 from cornercase.drivers._description import iter_driver_changes
+from cornercase.metrics import METRICS, Metric
 from cornercase.metrics._critical_if import find_critical_if_condition
+from cornercase.metrics._own_metrics import StoredMetric, describe_own_metric
 from cornercase.scenario import Parameter, ParameterSpace
 
 _DIFFERENCE_TEXTS: Final = {
@@ -25,6 +27,7 @@ _DIFFERENCE_TEXTS: Final = {
     "ego": "another ego",
     "other": "metrics against another entity",
     "metrics": "other metrics",
+    "own_metrics": "another definition of a metric (class, unit, direction or cap)",
     "optimizer": "another optimizer",
     "weights": "other weights of the metrics",
     "pareto": "another objective",
@@ -43,7 +46,7 @@ _DIFFERENCE_TEXTS: Final = {
 _FIELD_TYPES: Final[dict[str, Any]] = (
     dict.fromkeys(("scenario", "fingerprint", "ego", "optimizer", "simulator", "suite", "origin", "version"), str)
     | dict.fromkeys(("seed", "budget", "batch", "repeats", "most_repeats"), int)
-    | dict.fromkeys(("elsewhere", "repeatability", "settings", "weights"), dict)
+    | dict.fromkeys(("elsewhere", "own_metrics", "repeatability", "settings", "weights"), dict)
     | dict.fromkeys(("metrics", "files", "kinds", "requirements"), list)
     | {"other": (str, list), "critical": (int, float), "audit": (int, float), "pareto": bool, "asynchronous": bool}
 )
@@ -52,7 +55,8 @@ _MAX_SETTING_LENGTH: Final = 60
 _DRIVERS_KEY: Final = "drivers"
 # Keys that are only written if they are used.
 _OPTIONAL_FIELDS: Final = (
-    "asynchronous", "elsewhere", "kinds", "most_repeats", "origin", "repeatability", "requirements", "suite",
+    "asynchronous", "elsewhere", "kinds", "most_repeats", "origin", "own_metrics", "repeatability", "requirements",
+    "suite",
 )  # fmt: skip
 _BOOLEAN_FIELDS: Final = ("asynchronous", "pareto")
 
@@ -64,6 +68,13 @@ MAX_AUDIT_FRACTION: Final = 0.5
 def count_audits(audit_fraction: float, n_scenarios: int) -> int:
     """Return how many of the first `n_scenarios` of a study are audits, if `audit_fraction` of all scenarios are."""
     return math.floor(audit_fraction * n_scenarios + 1e-9)
+
+
+def metric_fields(metrics: Iterable[Metric]) -> dict[str, Any]:
+    """Return the fields of a `StudyMeta` that describe its metrics."""
+    described = {metric.name: describe_own_metric(metric) for metric in metrics}
+    own = {name: description for name, description in described.items() if description is not None}
+    return {"metrics": tuple(described), "own_metrics": own}
 
 
 def hash_points_and_scores(points: FloatArray, scores: FloatArray) -> str:
@@ -91,6 +102,10 @@ class StudyMeta:
         Name of the entity that the ego is measured against; a tuple of names if there are several.
     metrics : tuple of str
         Names of the metrics; the first one is the objective.
+    own_metrics : mapping of str to mapping
+        What reading needs of each metric whose class does not come with cornercase, by name: ``class``, ``unit``,
+        ``lower_is_critical``, ``cap`` and, if it has them, ``bound``, ``default_threshold``, ``contact_score`` and
+        ``severity``. Empty if there is none.
     optimizer : str
         Name of the optimizer; ``"none"`` for imported recordings and suites.
     simulator : str
@@ -155,6 +170,7 @@ class StudyMeta:
     audit: float = 0.0
     asynchronous: bool = False
     elsewhere: Mapping[str, Any] = field(default_factory=dict)
+    own_metrics: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     repeatability: Mapping[str, Any] = field(default_factory=dict)
     files: tuple[str, ...] = ()
     kinds: tuple[str, ...] = ()
@@ -167,6 +183,36 @@ class StudyMeta:
     def others(self) -> tuple[str, ...]:
         """Names of all entities that the ego is measured against."""
         return (self.other,) if isinstance(self.other, str) else self.other
+
+    def create_metric(self, name: str) -> Metric:
+        """Return a metric with which results of the study are read.
+
+        Parameters
+        ----------
+        name : str
+            One of `metrics`.
+
+        Returns
+        -------
+        Metric
+            If its class does not come with cornercase, only what the study stores of it.
+
+        Raises
+        ------
+        InputError
+            There is no such metric.
+        """
+        description = self.own_metrics.get(name)
+        return METRICS.create(name) if description is None else StoredMetric(name, description)
+
+    def create_metrics(self) -> tuple[Metric, ...]:
+        """Return all metrics of the study, as `create_metric`.
+
+        Returns
+        -------
+        tuple of Metric
+        """
+        return tuple(map(self.create_metric, self.metrics))
 
     @property
     def objective_metrics(self) -> tuple[str, ...]:
@@ -228,6 +274,7 @@ class StudyMeta:
             "asynchronous": self.asynchronous,
             "elsewhere": bool(self.elsewhere),
             "most_repeats": self.most_repeats is not None,
+            "own_metrics": bool(self.own_metrics),
             "repeatability": bool(self.repeatability),
         }
         names = [field_.name for field_ in fields(self) if is_written.get(field_.name, True)]
@@ -303,6 +350,8 @@ class StudyMeta:
             raise ValueError("its warm start is invalid")
         if (repeatability := values.get("repeatability")) and not _is_repeatability_valid(repeatability):
             raise ValueError("its repeatability is invalid")
+        for name, own_metric in values.get("own_metrics", {}).items():
+            StoredMetric(name, own_metric)
         if values.get("most_repeats", math.inf) <= values.get("repeats", 1):
             raise ValueError("its most_repeats is not greater than its repeats")
         if not 0.0 <= values.get("audit", 0.0) <= MAX_AUDIT_FRACTION:

@@ -9,7 +9,7 @@ import numpy as np
 
 from cornercase._common.errors import InputError, suggest_name
 from cornercase._common.typing import BoolArray, FloatArray
-from cornercase.metrics import METRICS, Metric
+from cornercase.metrics import Metric
 from cornercase.study._criterion import Criterion
 from cornercase.study._meta import StudyMeta
 
@@ -52,8 +52,7 @@ class Objective:
     @classmethod
     def from_study_meta(cls, meta: StudyMeta, threshold: float | None = None) -> Objective:
         """Return the objective of a stored study, with another threshold than the stored one if it is given."""
-        metrics = [METRICS.create(name) for name in meta.metrics]
-        return cls(metrics, meta.weights, meta.pareto, meta.critical if threshold is None else threshold)
+        return cls(meta.create_metrics(), meta.weights, meta.pareto, meta.critical if threshold is None else threshold)
 
     def with_threshold(self, given: float | None, *, is_required: bool = True) -> Objective:
         """Return the objective with the user's threshold, or else with the default threshold of its metric.

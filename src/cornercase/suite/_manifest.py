@@ -109,7 +109,9 @@ def _build_suite(path: Path, manifest: Mapping[str, Any]) -> SuiteContents:
         raise InputError(f"{path}: has no scenario; run `reduce` again.")
     _require_valid_values(path, space, scenarios)
     settings = dict(manifest["settings"])
-    metrics = tuple(METRICS.create(_require_text(name)).name for name in manifest["metrics"])
+    names = [_require_text(name) for name in manifest["metrics"]]
+    # The class of another metric has to be given.
+    metrics = tuple(METRICS.create(name).name if name.partition(":")[0] in METRICS else name for name in names)
     time_step, duration, on_collision = (settings.get(name, default) for name, default in DEFAULT_SETTINGS.items())
     check_settings(time_step, duration, on_collision, None)
     critical = manifest["critical_threshold"]

@@ -15,7 +15,7 @@ from cornercase._common.process.signals import collect_interrupts
 from cornercase._common.progress import ProgressBar
 from cornercase.drivers.references.r157._preventability import assess_preventability
 from cornercase.exploration._repeatability import check_repeatability
-from cornercase.metrics import METRICS, Metric
+from cornercase.metrics import Metric
 from cornercase.metrics._measure import evaluate_metrics
 from cornercase.recordings import Recording
 from cornercase.simulators import Simulator
@@ -47,11 +47,16 @@ def mark_unsupported(suite: SuiteContents, simulator: Simulator) -> SuiteContent
 
 
 def run_pending_scenarios(
-    suite: SuiteContents, meta: StudyMeta, simulator: Simulator, study_path: Path, workers: int | None, progress: bool
+    suite: SuiteContents,
+    meta: StudyMeta,
+    metrics: Sequence[Metric],
+    simulator: Simulator,
+    study_path: Path,
+    workers: int | None,
+    progress: bool,
 ) -> int:
     """Run the scenarios that the study lacks, and store each result at once; return how many had ended before."""
     _warn_about_files(suite, simulator, meta.ego)
-    metrics = [METRICS.create(name) for name in meta.metrics]
     with open_or_create_study(study_path, meta) as study:
         study.writer.resume(meta)
         values = [dict(scenario.values) for scenario in suite.scenarios]

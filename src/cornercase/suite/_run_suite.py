@@ -19,14 +19,16 @@ from cornercase._common.validation import check_path as path_argument
 from cornercase.drivers import Driver
 from cornercase.drivers._resolve import is_driver, resolve_driver
 from cornercase.exploration._explore_options import OPTIONS
-from cornercase.metrics import METRICS
+from cornercase.metrics import METRICS, Metric
 from cornercase.metrics._critical_if import find_critical_if_condition
 from cornercase.metrics._other_entities import ALL_OTHERS, resolve_others
+from cornercase.metrics._own_metrics import resolve_metrics
 from cornercase.simulators import Simulator
 from cornercase.simulators._create import create_simulator
 from cornercase.simulators._results import describe_file_error
 from cornercase.simulators._run_options import RUN_OPTIONS, RunKeywords
 from cornercase.study import StudyFile, StudyMeta
+from cornercase.study._meta import metric_fields
 from cornercase.study._stored_paths import stored_path
 from cornercase.suite._baseline import compare_with_baseline, find_baseline_study
 from cornercase.suite._judge import judge_scenario
@@ -49,7 +51,7 @@ class SuiteKeywords(RunKeywords, total=False):
 
     ego: str | None
     other: str | Sequence[str] | None
-    metrics: Sequence[str]
+    metrics: Metric | str | Sequence[Metric | str]
     simulator: str | None
     time_step: float | None
     duration: float | None
@@ -171,18 +173,11 @@ def run_suite(
                 item: stack.enter_context(_start_with_reference(start, settings, entities[0], item))
                 for item in reference_names
             }
-            meta = _build_meta(
-                contents,
-                entities,
-                _choose_metrics(contents, given["metrics"] or (), parsed),
-                parsed,
-                str(name),
-                started.settings,
-                path,
-            )
+            metrics = _choose_metrics(contents, given["metrics"] or (), parsed)
+            meta = _build_meta(contents, entities, metrics, parsed, str(name), started.settings, path)
             n_parallel = runs["workers"] if client is None else None
             n_before = run_pending_scenarios(
-                contents, meta, started, path, n_parallel, check_bool("progress", progress)
+                contents, meta, metrics, started, path, n_parallel, check_bool("progress", progress)
             )
             if references:
                 with StudyFile.open(path, readonly=False) as opened:
@@ -314,18 +309,22 @@ def _describe_no_match(suite: SuiteContents, requirement: Requirement) -> str:
 
 
 def _choose_metrics(
-    suite: SuiteContents, requested: Sequence[str], requirements: Sequence[Requirement]
-) -> tuple[str, ...]:
+    suite: SuiteContents, requested: Metric | str | Sequence[Metric | str], requirements: Sequence[Requirement]
+) -> list[Metric]:
     # A condition would need further runs with reference drivers.
-    names = list(check_str_sequence("metrics", requested)) or [
-        name for name in suite.metrics if not find_critical_if_condition([name])
-    ]
+    names = [name for name in suite.metrics if not find_critical_if_condition([name])]
+    unknown = [name for name in names if name.partition(":")[0] not in METRICS]
+    if unknown and not requested:
+        raise InputError(
+            f"`metrics`: {suite.path} names the metric '{unknown[0][:100]}', which is none of cornercase; code that a"
+            " file names is not run, so give the metrics again, your own as an object."
+        )
     required = [name for requirement in requirements for name in requirement.expression.metrics]
-    instances = [METRICS.create(name) for name in dict.fromkeys(names or required or ["clearance"])]
+    instances = resolve_metrics(requested or names or required or "clearance")
     # Check before the study is created.
     for metric in [*instances, *map(METRICS.create, required)]:
         metric.check_installed()
-    return tuple(metric.name for metric in instances)
+    return instances
 
 
 def _choose_simulator(suite: SuiteContents, requested: str | Simulator | None) -> str | Simulator:
@@ -361,7 +360,7 @@ def _resolve_drivers(suite: SuiteContents, requested: Mapping[str, str | Driver]
 def _build_meta(
     suite: SuiteContents,
     entities: tuple[str, tuple[str, ...]],
-    metrics: tuple[str, ...],
+    metrics: Sequence[Metric],
     requirements: Sequence[Requirement],
     simulator: str,
     settings: Mapping[str, object],
@@ -369,14 +368,14 @@ def _build_meta(
 ) -> StudyMeta:
     kinds = tuple(item.cluster_name for item in suite.scenarios)
     # The threshold belongs to the first metric.
-    critical = suite.critical if suite.metrics[:1] == metrics[:1] else METRICS.create(metrics[0]).default_threshold
+    critical = suite.critical if suite.metrics[:1] == (metrics[0].name,) else metrics[0].default_threshold
     return StudyMeta(
         scenario=stored_path(suite.folder, study),
         fingerprint=suite.runnable_scenarios[0].scenario.fingerprint(),
         space=suite.space,
         ego=entities[0],
         other=entities[1][0] if len(entities[1]) == 1 else entities[1],
-        metrics=metrics,
+        **metric_fields(metrics),
         optimizer="none",
         simulator=remove_folders(simulator),
         settings=settings,

@@ -9,7 +9,7 @@ from distributed import Nanny, Scheduler, SpecCluster, Worker
 from distributed.security import Security
 from distributed.worker_memory import parse_memory_limit
 
-from cornercase._common.current_folder import hide_current_folder_from_children
+from cornercase._common.current_folder import isolate_children
 from cornercase._common.errors import InputError
 from cornercase._common.process.reaper import Reaper
 
@@ -42,7 +42,7 @@ def start_local_cluster(n_workers: int, reaper: Reaper) -> SpecCluster:
         """Starts a worker, and starts it again if it dies; `reaper` ends it together with this process."""
 
         async def instantiate(self) -> Any:
-            with reaper.watch_new_processes(), hide_current_folder_from_children():
+            with reaper.watch_new_processes(), isolate_children():
                 return await super().instantiate()
 
     try:

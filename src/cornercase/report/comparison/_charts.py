@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from cornercase._common.typing import FloatArray
-from cornercase.metrics import METRICS
+from cornercase.metrics import Metric
 from cornercase.scenario import Parameter
 from cornercase.suite import Comparison, ScenarioPair
 
@@ -58,14 +58,13 @@ def draw_charts(comparison: Comparison, parameters: Sequence[Parameter]) -> Iter
     ran = [pair for pair in comparison.pairs if pair.both_ran]
     for score in comparison.scores:
         if score.moved:
-            yield _score_chart(ran, score.metric)
+            yield _score_chart(ran, score.metric, comparison.metrics[score.metric])
     axes = [parameter for parameter in parameters if not parameter.choices][:2]
     if len(axes) == 2 and any(pair.run not in ("the same", "within rounding") for pair in comparison.pairs):
         yield _space_chart(comparison.pairs, axes)
 
 
-def _score_chart(pairs: Sequence[ScenarioPair], name: str) -> Chart:
-    metric = METRICS.create(name)
+def _score_chart(pairs: Sequence[ScenarioPair], name: str, metric: Metric) -> Chart:
     scores = np.array([pair.scores[name] for pair in pairs])
     low, high = float(scores.min()), float(scores.max())
     low, high = (low, high) if high > low else (low - 0.5, high + 0.5)

@@ -11,7 +11,6 @@ from typing import Any, Final
 from cornercase._common import validation
 from cornercase._common.io.files import atomic_write, check_output_differs_from_source
 from cornercase._common.typing import FloatArray
-from cornercase.metrics import METRICS
 from cornercase.recordings import Recording
 from cornercase.recordings._rounded import encode_rounded
 from cornercase.report._page import REPLAY_SCRIPTS
@@ -163,7 +162,7 @@ def _format_ids(example: Example) -> str:
 
 def _read_courses(study: StudyFile, scenario: int, comparison: Comparison) -> dict[str, FloatArray]:
     names = [score.metric for score in comparison.scores]
-    return {name: METRICS.create(name).clip_course(study.course(scenario, name)) for name in names}
+    return {name: comparison.metrics[name].clip_course(study.course(scenario, name)) for name in names}
 
 
 def _replay_payload(comparison: Comparison, old: StudyFile, new: StudyFile) -> dict[str, Any]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from cornercase._common.errors import InputError
 from cornercase._common.typing import FloatArray
-from cornercase.metrics import METRICS, Metric
+from cornercase.metrics import Metric
 from cornercase.recordings import Recording
 from cornercase.report._road_drawing import find_road_outline, recorded_bounds
 from cornercase.roads._outline import RoadOutline
@@ -84,7 +84,7 @@ def read_replay_data(
     InputError if a scenario was not run, or if `scenario` is not the file that was explored.
     """
     meta = study.meta
-    metrics = tuple(METRICS.create(name) for name in meta.metrics)
+    metrics = meta.create_metrics()
     objective = study.objective
     # The threshold of a weighted sum does not apply to a single course.
     criterion = None if objective.weights else objective.criterion

@@ -83,14 +83,11 @@ class ClusterSimulator(RemoteSimulator):
         self._sent_bundles: dict[str, tuple[ScenarioBundle, Future[Any]]] = {}
         self._client = connect(cluster, workers)
         self._owns_client = self._client is not cluster
-        # A dependency of Dask; it also pickles classes that are defined in a notebook.
-        import cloudpickle
-
         self._job = SimulatorSetup(
             uuid.uuid4().hex,
             __version__,
             self.name,
-            pickle_simulator(name, options, cloudpickle.dumps),
+            pickle_simulator(name, options),
             timeout,
             retries,
             max_failures,

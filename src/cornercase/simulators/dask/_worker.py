@@ -19,10 +19,10 @@ from cornercase.scenario import ConcreteScenario, Value
 from cornercase.scenario._bundle import ScenarioBundle
 from cornercase.scenario._file import ScenarioFile
 from cornercase.simulators._base import Simulator
+from cornercase.simulators._option_pickling import unpickle_simulator
 from cornercase.simulators._registry import SIMULATORS
 from cornercase.simulators._results import Outcome, run_scenarios_as_given
 from cornercase.simulators._run_options import DEFAULT_MAX_FAILURES
-from cornercase.simulators.pool._process import unpickle_simulator
 from cornercase.simulators.pool._simulator import WorkerSimulator
 
 if TYPE_CHECKING:

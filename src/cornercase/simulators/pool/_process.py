@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 import sys
 import time
 from collections.abc import Sequence
@@ -14,7 +13,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-from cornercase._common.current_folder import hide_current_folder_from_children, unpickle_with_current_folder
+from cornercase._common.current_folder import isolate_children
 from cornercase._common.errors import InputError, RunLostError, SimulationError, SimulatorError
 from cornercase._common.platform import (
     block_interrupts,
@@ -31,7 +30,7 @@ from cornercase._common.process.signals import defer_interrupts
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators._base import Simulator
-from cornercase.simulators._option_pickling import create_drivers_from_specs, pickle_simulator
+from cornercase.simulators._option_pickling import pickle_simulator, unpickle_simulator
 from cornercase.simulators._registry import SIMULATORS
 from cornercase.simulators._results import Outcome, run_scenarios_as_given
 
@@ -74,7 +73,7 @@ class WorkerProcess:
     ) -> None:
         self._timeout, self._guardian = timeout, guardian
         # As bytes, so that the process imports the user's classes from where this one did.
-        self._simulator = pickle_simulator(name, options, pickle.dumps)
+        self._simulator = pickle_simulator(name, options)
         self._process: Any = None
         self._folder: Path | None = None
         self._exit_code: int | None = None
@@ -94,7 +93,7 @@ class WorkerProcess:
             arguments = child_connection, self._simulator, self._folder
             process = context.Process(target=_worker_main, args=arguments, daemon=True)
             # An interrupt in the middle would leave an orphaned process.
-            with defer_interrupts(), block_interrupts(*termination_signals()), hide_current_folder_from_children():
+            with defer_interrupts(), block_interrupts(*termination_signals()), isolate_children():
                 process.start()
                 self._process = process
             self._guardian.watch_process(self._process.pid)
@@ -200,12 +199,6 @@ def _worker_main(connection: Connection, simulator_description: bytes, folder: P
             except (EOFError, OSError):
                 return
             _run_and_send(connection, simulator, concretes)
-
-
-def unpickle_simulator(description: bytes) -> tuple[str | type[Simulator], dict[str, Any]]:
-    """Return name or class of a simulator and its options; the user's modules may be in the current folder."""
-    name, options = unpickle_with_current_folder(description)
-    return name, create_drivers_from_specs(options)
 
 
 def _run_and_send(connection: Connection, simulator: Simulator, concretes: list[ConcreteScenario]) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 
 from cornercase._common import validation
 from cornercase._common.errors import InputError, suggest_name
-from cornercase.metrics import METRICS
+from cornercase.metrics import Metric
 from cornercase.suite._requirement import Requirement
 from cornercase.suite.compare._comparison import (
     ALPHA,
@@ -50,12 +50,9 @@ class PairChange:
     size: float | None = None
 
 
-def resolve_tolerances(
-    metrics: Iterable[str], requirements: Iterable[str], overrides: Mapping[str, float] | None
-) -> dict[str, float]:
+def resolve_tolerances(metrics: Mapping[str, Metric], overrides: Mapping[str, float] | None) -> dict[str, float]:
     """Return the tolerance of each metric that is compared or in a requirement; `overrides` replace the defaults."""
-    required = [name for item in requirements for name in Requirement.parse(item).expression.metrics]
-    limits = {name: DEFAULT_TOLERANCES.get(METRICS.create(name).unit, 0.0) for name in (*metrics, *required)}
+    limits = {name: DEFAULT_TOLERANCES.get(metric.unit, 0.0) for name, metric in metrics.items()}
     for name, value in validation.check_mapping("tolerances", overrides or {}).items():
         if name not in limits:
             raise InputError(f"`tolerances` {name}: is not a compared metric; {suggest_name(name, limits)}")
@@ -69,7 +66,11 @@ def resolve_tolerances(
 
 
 def find_findings(
-    pairs: Sequence[ScenarioPair], tests: Sequence[ChangeTest], tolerances: Mapping[str, float], deterministic: bool
+    pairs: Sequence[ScenarioPair],
+    tests: Sequence[ChangeTest],
+    metrics: Mapping[str, Metric],
+    tolerances: Mapping[str, float],
+    deterministic: bool,
 ) -> tuple[tuple[Finding, ...], tuple[Finding, ...], tuple[Finding, ...]]:
     """Return what is worse with the new version, what is better, and what changed within the tolerances only.
 
@@ -81,21 +82,23 @@ def find_findings(
         step
         for pair in pairs
         if deterministic or pair.is_score_independent
-        for step in _iter_pair_changes(pair, tolerances)
+        for step in _iter_pair_changes(pair, metrics, tolerances)
     ]
     counted = [change for change in steps if change.exceeds_tolerance]
     within = [change for change in steps if not change.exceeds_tolerance]
-    findings = list(_group_into_findings(counted, tolerances)) if deterministic else []
+    findings = list(_group_into_findings(counted, metrics)) if deterministic else []
     for test in tests:
         if test.corrected <= ALPHA and test.direction is not None and (not deterministic or test.differ is None):
-            findings += _finding_of_test(test, test.direction, counted, tolerances)
+            findings += _finding_of_test(test, test.direction, counted, metrics, tolerances)
     worse, better = (
         tuple(change for change in findings if change.direction == direction) for direction in ("worse", "better")
     )
-    return worse, better, tuple(_group_into_findings(within, tolerances))
+    return worse, better, tuple(_group_into_findings(within, metrics))
 
 
-def _iter_pair_changes(pair: ScenarioPair, tolerances: Mapping[str, float]) -> Iterator[PairChange]:
+def _iter_pair_changes(
+    pair: ScenarioPair, metrics: Mapping[str, Metric], tolerances: Mapping[str, float]
+) -> Iterator[PairChange]:
     if pair.run == "not in one":
         yield PairChange("run", "", "worse" if pair.errors[0] is None else "better", pair.ids)
     # Rounding may still cross a bound; that is listed but does not count.
@@ -117,7 +120,7 @@ def _iter_pair_changes(pair: ScenarioPair, tolerances: Mapping[str, float]) -> I
         yield PairChange("critical", "", "worse" if pair.is_critical[1] else "better", pair.ids, counts)
     for name, (before, after) in pair.scores.items():
         if otherwise and _exceeds_tolerance(before, after, tolerances[name]):
-            worse = change_direction(name, after - before) == "worse"
+            worse = change_direction(metrics[name], after - before) == "worse"
             yield PairChange("score", name, "worse" if worse else "better", pair.ids, size=after - before)
 
 
@@ -136,7 +139,7 @@ def _margin_tolerance(requirement: str, tolerances: Mapping[str, float]) -> floa
     return min(tolerances[name] if name in tolerances else DEFAULT_TOLERANCES.get(unit, 0.0) for name, unit in units)
 
 
-def _group_into_findings(changes: Iterable[PairChange], metrics: Iterable[str]) -> Iterator[Finding]:
+def _group_into_findings(changes: Iterable[PairChange], metrics: Mapping[str, Metric]) -> Iterator[Finding]:
     """Combine changes of the same kind and direction; findings about scores are in the order of `metrics`."""
     order = {name: k for k, name in enumerate(metrics)}
     groups: dict[tuple[FindingKind, str, ChangeDirection], list[PairChange]] = {}
@@ -148,7 +151,7 @@ def _group_into_findings(changes: Iterable[PairChange], metrics: Iterable[str]) 
         return _KINDS_BY_IMPORTANCE.index(kind), order.get(about, 0), about, direction == "better"
 
     for kind, about, direction in sorted(groups, key=sort_key):
-        yield _build_finding(kind, about, direction, groups[kind, about, direction])
+        yield _build_finding(kind, about, direction, groups[kind, about, direction], metrics)
 
 
 def _build_finding(
@@ -156,32 +159,37 @@ def _build_finding(
     about: str,
     direction: ChangeDirection,
     changes: Sequence[PairChange],
+    metrics: Mapping[str, Metric],
     n_opposite: int = 0,
     test: ChangeTest | None = None,
 ) -> Finding:
-    unit = METRICS.create(about).unit if kind == "score" else ""
+    unit = metrics[about].unit if kind == "score" else ""
     largest = max((step.size for step in changes if step.size is not None), key=abs, default=None)
     ids = tuple(dict.fromkeys(step.ids for step in changes))
     return Finding(kind, about, direction, ids, n_opposite, largest, unit, test)
 
 
 def _finding_of_test(
-    test: ChangeTest, direction: ChangeDirection, changes: Sequence[PairChange], tolerances: Mapping[str, float]
+    test: ChangeTest,
+    direction: ChangeDirection,
+    changes: Sequence[PairChange],
+    metrics: Mapping[str, Metric],
+    tolerances: Mapping[str, float],
 ) -> Iterator[Finding]:
     """Yield the finding of a significant test; nothing if the change is within the tolerances."""
     kind = _KIND_OF_TEST.get(test.about, "score")
     about = test.about if kind == "score" else ""
     if test.differ is None:
         # The test uses ranks; a shift of the mean in the opposite direction would contradict it.
-        agrees = change_direction(about, test.shift) == direction
+        agrees = change_direction(metrics[about] if about else None, test.shift) == direction
         if agrees and (not about or _exceeds_tolerance(0.0, test.shift, tolerances[about])):
-            yield _build_finding(kind, about, direction, (), test=test)
+            yield _build_finding(kind, about, direction, (), metrics, test=test)
         return
     relevant = [step for step in changes if step.kind == kind and (not about or step.about == about)]
     confirming = [step for step in relevant if step.direction == direction]
     against = len({step.ids for step in relevant if step.direction != direction})
     if len({step.ids for step in confirming}) > against:
-        yield _build_finding(kind, about, direction, confirming, against, test)
+        yield _build_finding(kind, about, direction, confirming, metrics, against, test)
 
 
 def decide_verdict(

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Final, TypeAlias
 
 import numpy as np
 
 from cornercase._common.typing import FloatArray
-from cornercase.metrics import METRICS
+from cornercase.metrics import Metric
 from cornercase.suite.compare._comparison import Example, ScenarioPair
 from cornercase.suite.compare._significance import change_direction, score_difference
 
@@ -24,7 +24,7 @@ _ChangeTier: TypeAlias = tuple[int, bool]
 
 
 def choose_examples(
-    pairs: Sequence[ScenarioPair], metrics: Sequence[str], objective_metric: str = ""
+    pairs: Sequence[ScenarioPair], metrics: Mapping[str, Metric], objective_metric: str = ""
 ) -> tuple[Example, ...]:
     """Choose at most `MAX_EXAMPLES` scenarios that show what changed, spread over the parameter space.
 
@@ -37,7 +37,7 @@ def choose_examples(
     spreads = _old_score_spreads(pairs, metrics)
     tiers: dict[_ChangeTier, list[tuple[float, ScenarioPair, str]]] = {}
     for pair in pairs:
-        tier, size, reason = _classify_change(pair, spreads, objective_metric)
+        tier, size, reason = _classify_change(pair, spreads, metrics, objective_metric)
         if reason:
             tiers.setdefault(tier, []).append((size, pair, reason))
     chosen: list[Example] = []
@@ -67,7 +67,7 @@ def _distance_to_chosen(pair: ScenarioPair, chosen: Sequence[Example]) -> float:
     )
 
 
-def _old_score_spreads(pairs: Sequence[ScenarioPair], metrics: Sequence[str]) -> dict[str, float]:
+def _old_score_spreads(pairs: Sequence[ScenarioPair], metrics: Iterable[str]) -> dict[str, float]:
     """Return half the range of the middle 90 % of the old scores, by metric; if that is 0, the full range."""
     both_ran = [pair for pair in pairs if pair.both_ran]
     spreads = {}
@@ -80,7 +80,7 @@ def _old_score_spreads(pairs: Sequence[ScenarioPair], metrics: Sequence[str]) ->
 
 
 def _classify_change(
-    pair: ScenarioPair, spreads: Mapping[str, float], objective_metric: str
+    pair: ScenarioPair, spreads: Mapping[str, float], metrics: Mapping[str, Metric], objective_metric: str
 ) -> tuple[_ChangeTier, float, str]:
     """Return the tier, the size and a description of a pair's change; the description is empty if nothing changed."""
     if pair.run == "not in one":
@@ -88,7 +88,7 @@ def _classify_change(
         return (0, failing == "old"), 0.0, f"failed with the {failing} version"
     if not pair.both_ran:
         return (9, True), 0.0, ""
-    size, description, worse = _largest_score_change(pair, spreads)
+    size, description, worse = _largest_score_change(pair, spreads, metrics)
     if pair.changed_verdicts:
         # Prefer one that newly fails.
         old, new = min(pair.changed_verdicts, key=lambda verdicts: verdicts[1].state != "failed")
@@ -100,7 +100,7 @@ def _classify_change(
         return (2, not worse), size, ending
     if pair.is_critical is not None and pair.is_critical[0] != pair.is_critical[1]:
         reason = (
-            _describe_score_change(objective_metric, *pair.scores[objective_metric])
+            _describe_score_change(objective_metric, metrics[objective_metric], *pair.scores[objective_metric])
             if objective_metric
             else description
         )
@@ -112,18 +112,20 @@ def _classify_change(
     return (4, not worse), size, description
 
 
-def _largest_score_change(pair: ScenarioPair, spreads: Mapping[str, float]) -> tuple[float, str, bool]:
+def _largest_score_change(
+    pair: ScenarioPair, spreads: Mapping[str, float], metrics: Mapping[str, Metric]
+) -> tuple[float, str, bool]:
     """Return a pair's largest score change: size in units of its spread, description, and whether it is worse."""
     largest, description, worse = 0.0, "", False
     for name, spread in spreads.items():
         old, new = pair.scores[name]
         (change,) = np.abs(score_difference(np.array([old]), np.array([new]))).tolist()
         if change / spread > largest:
-            largest, description = change / spread, _describe_score_change(name, old, new)
-            worse = change_direction(name, new - old) == "worse"
+            metric = metrics[name]
+            largest, description = change / spread, _describe_score_change(name, metric, old, new)
+            worse = change_direction(metric, new - old) == "worse"
     return largest, description, worse
 
 
-def _describe_score_change(name: str, old: float, new: float) -> str:
-    unit = METRICS.create(name).unit
-    return f"{name} {old:.4g} → {new:.4g} {'' if unit == '1' else unit}".rstrip()
+def _describe_score_change(name: str, metric: Metric, old: float, new: float) -> str:
+    return f"{name} {old:.4g} → {new:.4g} {'' if metric.unit == '1' else metric.unit}".rstrip()

@@ -16,11 +16,12 @@ from cornercase.clustering import read_analyses
 from cornercase.clustering._assign import assign_to_clusters
 from cornercase.drivers import DRIVERS
 from cornercase.drivers._description import driver_command_option, format_driver
-from cornercase.metrics import METRICS
+from cornercase.metrics import Metric
 from cornercase.simulators import SIMULATORS
 from cornercase.study import StudyFile, StudyMeta
 from cornercase.study._study_file import open_study
 from cornercase.suite._judge import judge_study
+from cornercase.suite._requirement import Requirement
 from cornercase.suite.compare._change_verdict import decide_verdict, find_findings, resolve_tolerances
 from cornercase.suite.compare._choose_examples import choose_examples
 from cornercase.suite.compare._comparison import (
@@ -119,13 +120,22 @@ def compare(
         measured = tuple(
             dict.fromkeys((*compared, *(criticality_metrics(before) if criticality_metrics(after) else ())))
         )
-        limits = resolve_tolerances(measured, sorted(shared), tolerances)
+        required = [name for item in sorted(shared) for name in Requirement.parse(item).expression.metrics]
+        metric_by_name = {name: before.meta.create_metric(name) for name in (*measured, *required)}
+        for name in metric_by_name:
+            if before.meta.own_metrics.get(name) != after.meta.own_metrics.get(name):
+                raise InputError(
+                    f"{before.path} and {after.path}: define the metric '{name}' differently; compare by others with"
+                    " `metrics`."
+                )
+        limits = resolve_tolerances(metric_by_name, tolerances)
         sides = [StudySide.from_study(study, measured, judge_study(study)) for study in (before, after)]
         pairs = match_pairs(sides[0], sides[1], compared)
         deterministic = all(_is_deterministic(study.meta) for study in (before, after))
-        tests = _run_tests(sides[0], sides[1], pairs, compared, deterministic)
+        compared_metrics = {name: metric_by_name[name] for name in compared}
+        tests = _run_tests(sides[0], sides[1], pairs, compared_metrics, deterministic)
         changed, reason = _decide_whether_changed(pairs, tests, deterministic)
-        worse, better, within = find_findings(pairs, tests, limits, deterministic)
+        worse, better, within = find_findings(pairs, tests, metric_by_name, limits, deterministic)
         verdict, verdict_reason = decide_verdict((worse, better), pairs, tests, (changed, reason), deterministic)
         return Comparison(
             names=(before.path.name, after.path.name),
@@ -146,7 +156,9 @@ def compare(
             pairs=pairs,
             n_unmatched=(len(sides[0].rows) - len(pairs), len(sides[1].rows) - len(pairs)),
             scores=tuple(
-                _compute_score_change(pairs, name) for name in compared if any(pair.both_ran for pair in pairs)
+                _compute_score_change(pairs, name, metric)
+                for name, metric in compared_metrics.items()
+                if any(pair.both_ran for pair in pairs)
             ),
             tests=tests,
             outcomes=Counter(pair.outcomes for pair in pairs if pair.both_ran),
@@ -155,7 +167,8 @@ def compare(
             ),
             clusters=_count_cluster_changes(before, after, pairs),
             space=estimate_space_change(sides[0], sides[1], pairs),
-            examples=choose_examples(pairs, compared, _objective_metric(before.meta, compared)),
+            examples=choose_examples(pairs, compared_metrics, _objective_metric(before.meta, compared)),
+            metrics=metric_by_name,
             critical=critical,
         )
 
@@ -190,7 +203,7 @@ def _is_deterministic(meta: StudyMeta) -> bool:
 
 
 def _run_tests(
-    old: StudySide, new: StudySide, pairs: Sequence[ScenarioPair], metrics: Sequence[str], deterministic: bool
+    old: StudySide, new: StudySide, pairs: Sequence[ScenarioPair], metrics: Mapping[str, Metric], deterministic: bool
 ) -> tuple[ChangeTest, ...]:
     """Test pairs chosen independently of scores; with too few of them, the initial designs as unpaired samples."""
     tested = [pair for pair in pairs if deterministic or pair.is_score_independent]
@@ -198,10 +211,10 @@ def _run_tests(
     n_filling = len(old.space_filling_ids()), len(new.space_filling_ids())
     # If both designs are mostly the same scenarios, pairs are more powerful.
     if sum(pair.is_score_independent for pair in pairs) < MIN_SAMPLE_SIZE <= min(n_filling):
-        old_scores, old_facts = space_filling_scores(old, metrics)
-        new_scores, new_facts = space_filling_scores(new, metrics)
+        old_scores, old_facts = space_filling_scores(old, list(metrics))
+        new_scores, new_facts = space_filling_scores(new, list(metrics))
         shared = {name: fact for name, fact in old_facts.items() if name in new_facts}
-        tests_ += test_unpaired_samples((old_scores, new_scores), (shared, new_facts))
+        tests_ += test_unpaired_samples((old_scores, new_scores), (shared, new_facts), metrics)
     if not tests_ and all(pair.run == "in neither" for pair in pairs):
         raise InputError(
             f"{old.study.path} and {new.study.path}: no scenario was run in both, and only {n_filling[0]} and"
@@ -239,8 +252,7 @@ def _decide_whether_changed(
     return False, f"none of {len(tests)} tests shows a change, at {ALPHA:.0%} over all of them"
 
 
-def _compute_score_change(pairs: Sequence[ScenarioPair], metric_name: str) -> ScoreChanges:
-    metric = METRICS.create(metric_name)
+def _compute_score_change(pairs: Sequence[ScenarioPair], metric_name: str, metric: Metric) -> ScoreChanges:
     both_ran = [pair for pair in pairs if pair.both_ran]
     scores = np.array([pair.scores[metric_name] for pair in both_ran])
     changes = score_difference(scores[:, 0], scores[:, 1])

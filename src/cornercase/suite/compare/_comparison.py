@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 from cornercase._common.text.html import render_html_table
 from cornercase.evidence import Estimate, SetDifference
+from cornercase.metrics import Metric
 from cornercase.scenario import Value
 from cornercase.suite._verdict import Verdict
 
@@ -366,6 +367,8 @@ class Comparison:
         How the critical part of the space changed; None without a threshold.
     examples : tuple of Example
         At most five examples.
+    metrics : mapping of str to Metric
+        The compared metrics, those that define criticality and those in requirements, by name.
     critical : float or None
         Threshold that was given for the comparison; None if each study's own threshold is used.
     """
@@ -391,6 +394,7 @@ class Comparison:
     clusters: Mapping[str, tuple[ClusterChange, ...]]
     space: SpaceChange | None
     examples: tuple[Example, ...]
+    metrics: Mapping[str, Metric]
     critical: float | None = None
 
     def __bool__(self) -> bool:

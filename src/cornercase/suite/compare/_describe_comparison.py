@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import Final
 
 from cornercase.evidence import Estimate
-from cornercase.metrics import METRICS
 from cornercase.suite.compare._comparison import ALPHA, Comparison, ScenarioPair, SpaceChange, describe_findings
 
 MAX_TABLE_SCENARIOS: Final = 40
@@ -70,7 +69,7 @@ def _answer_section(comparison: Comparison) -> ComparisonSection:
 
 def _format_tolerances(comparison: Comparison) -> Iterator[str]:
     for name, value in comparison.tolerances.items():
-        unit = METRICS.create(name).unit
+        unit = comparison.metrics[name].unit
         yield f"{name} {value:g}" if unit == "1" else f"{name} {value:g} {unit}"
 
 

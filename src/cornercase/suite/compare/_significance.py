@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
 from cornercase._common.typing import BoolArray, FloatArray
-from cornercase.metrics import METRICS
+from cornercase.metrics import Metric
 from cornercase.suite._verdict import Verdict
 from cornercase.suite.compare._comparison import ChangeDirection, ChangeTest, ScenarioPair
 
@@ -70,7 +70,7 @@ def holm_correct(tests: Sequence[ChangeTest]) -> tuple[ChangeTest, ...]:
     return tuple(corrected)
 
 
-def test_pairs(pairs: Sequence[ScenarioPair], metrics: Sequence[str]) -> list[ChangeTest]:
+def test_pairs(pairs: Sequence[ScenarioPair], metrics: Mapping[str, Metric]) -> list[ChangeTest]:
     """Test whether scores and facts of at least one pair differ between the versions; p-values are not corrected."""
     both_ran = [pair for pair in pairs if pair.both_ran]
     results = []
@@ -78,7 +78,7 @@ def test_pairs(pairs: Sequence[ScenarioPair], metrics: Sequence[str]) -> list[Ch
         scores = np.array([pair.scores[name] for pair in both_ran])
         differences = score_difference(scores[:, 0], scores[:, 1])
         differ = int((differences != 0.0).sum())
-        p, direction = wilcoxon_p_value(differences), change_direction(name, _signed_rank_sum(differences))
+        p, direction = wilcoxon_p_value(differences), change_direction(metrics[name], _signed_rank_sum(differences))
         method, shift = "Wilcoxon signed-rank", float(differences.mean())
         results.append(ChangeTest(name, method, len(both_ran), len(both_ran), differ, p, p, direction, shift))
     facts: dict[str, list[tuple[bool, bool]]] = {"collision": [pair.collides for pair in both_ran]}
@@ -92,7 +92,7 @@ def test_pairs(pairs: Sequence[ScenarioPair], metrics: Sequence[str]) -> list[Ch
             before, after = np.array(states, dtype=np.bool_).T
             p = mcnemar_p_value(before, after)
             differ, shift = int((before != after).sum()), float(after.mean() - before.mean())
-            count, direction = len(states), change_direction("", shift)
+            count, direction = len(states), change_direction(None, shift)
             results.append(ChangeTest(about, "exact McNemar", count, count, differ, p, p, direction, shift))
     return results
 
@@ -105,9 +105,9 @@ def _signed_rank_sum(differences: FloatArray) -> float:
     return float((np.sign(moved) * rankdata(np.abs(moved))).sum()) if len(moved) else 0.0
 
 
-def change_direction(metric: str, change: float) -> ChangeDirection | None:
+def change_direction(metric: Metric | None, change: float) -> ChangeDirection | None:
     """Tell whether a change is better or worse; None for no change. Without a metric, an increase is worse."""
-    oriented = METRICS.create(metric).to_minimize(change) if metric else -change
+    oriented = -change if metric is None else metric.to_minimize(change)
     return "worse" if oriented < 0.0 else "better" if oriented > 0.0 else None
 
 
@@ -118,6 +118,7 @@ def _has_failed_verdict(verdicts: Sequence[Verdict]) -> bool:
 def test_unpaired_samples(
     scores: tuple[dict[str, FloatArray], dict[str, FloatArray]],
     facts: tuple[dict[str, BoolArray], dict[str, BoolArray]],
+    metrics: Mapping[str, Metric],
 ) -> list[ChangeTest]:
     """Test whether scores and facts differ between two samples of the space, one per study, without pairs.
 
@@ -137,12 +138,12 @@ def test_unpaired_samples(
         p = 1.0 if result is None else float(result.pvalue)
         # Number of (old, new) pairs with a higher new score, minus half of all.
         lead = 0.0 if result is None else len(old) * len(new) / 2.0 - float(result.statistic)
-        direction, shift = change_direction(name, lead), float(new.mean() - old.mean())
+        direction, shift = change_direction(metrics[name], lead), float(new.mean() - old.mean())
         results.append(ChangeTest(name, "Mann-Whitney", len(old), len(new), None, p, p, direction, shift))
     for name, before in facts[0].items():
         after = facts[1][name]
         table = np.array([[facts_.sum(), (~facts_).sum()] for facts_ in (before, after)], dtype=np.int64)
         p, shift = float(fisher_exact(table).pvalue), float(after.mean() - before.mean())
-        direction = change_direction("", shift)
+        direction = change_direction(None, shift)
         results.append(ChangeTest(name, "exact Fisher", len(before), len(after), None, p, p, direction, shift))
     return results
