@@ -68,8 +68,9 @@ def test_cells_find_what_is_left_in_places_of_any_size():
         left = [one[kept].min(axis=0) for one in costs]
         gains = sum(np.maximum(now - one, 0.0).sum(axis=1) for now, one in zip(left, costs, strict=True))
         np.testing.assert_allclose(sums.gains, gains, atol=1e-12)
-        assert sums.best_candidate(np.ones(count), 0.0) == gains.argmax()
-        assert sums.best_candidate(np.zeros(count), 0.0) is None
+        assert sums.pop_best_candidate() == gains.argmax()
+        assert {sums.pop_best_candidate() for _ in range(count - 1)} == {*range(count)} - {gains.argmax()}
+        assert sums.pop_best_candidate() is None
 
 
 def test_grades_by_places_are_those_by_the_matrix(scenarios):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from functools import cached_property
 from typing import Any, Final
 
@@ -21,8 +20,6 @@ MAX_DIMENSIONS: Final = 48
 
 # Axes with a variance below this share of the largest one are rounding errors.
 _AXIS_TOLERANCE: Final = 1e-9
-# Distances per block: 64 MB.
-_BLOCK_SIZE: Final = 2**23
 # One of the 32 nearest scenarios is nearly always in a random choice of a tenth.
 _N_NEAREST: Final = 32
 _SPARSE_SHARE: Final = 0.05
@@ -82,12 +79,6 @@ class EmbeddedDistances:
         """Return the distances between some of the rows and some of the columns."""
         return EmbeddedDistances(self._rows[rows], self._columns[columns])
 
-    def row_blocks(self) -> Iterator[slice]:
-        """Yield slices of rows; the distances of one slice take at most 64 MB."""
-        step = max(1, _BLOCK_SIZE // max(1, len(self._columns)))
-        for first in range(0, len(self), step):
-            yield slice(first, min(first + step, len(self)))
-
     def max(self) -> float:
         """Return approximately the largest distance.
 
@@ -109,8 +100,12 @@ class EmbeddedDistances:
 
     def distances_to_nearest(self, rows: IntArray) -> FloatArray:
         """Return the distance of each column to the nearest of some rows, shape (m,)."""
-        transposed = EmbeddedDistances(self._columns, self._rows[rows])
-        return np.concatenate([transposed[block].min(axis=1) for block in transposed.row_blocks()])
+        return self._squares_to_nearest(rows, np.arange(len(self._columns)))
+
+    def _squares_to_nearest(self, rows: IntArray, columns: IntArray) -> FloatArray:
+        nearest = rows[cKDTree(self._rows[rows]).query(self._columns[columns])[1]]
+        squares: FloatArray = ((self._rows[nearest] - self._columns[columns]) ** 2).sum(axis=1)
+        return squares
 
     def distances_to_nearest_per_choice(self, row_choices: IntArray) -> FloatArray:
         """Return the distance of each column to the nearest row in each choice of rows, shape (draws, m)."""
@@ -123,9 +118,8 @@ class EmbeddedDistances:
         fill_nearest_distances(self._rows, self._columns, self._nearest_rows, is_chosen, distances)
         for draw in np.flatnonzero(np.isinf(distances).any(axis=1)).tolist():
             # None of the nearest rows of these columns is in the choice.
-            columns, choice = np.flatnonzero(np.isinf(distances[draw])), row_choices[draw]
-            nearest = choice[cKDTree(self._rows[choice]).query(self._columns[columns])[1]]
-            distances[draw, columns] = ((self._rows[nearest] - self._columns[columns]) ** 2).sum(axis=1)
+            columns = np.flatnonzero(np.isinf(distances[draw]))
+            distances[draw, columns] = self._squares_to_nearest(row_choices[draw], columns)
         return distances
 
     @cached_property

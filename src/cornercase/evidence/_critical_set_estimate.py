@@ -186,15 +186,25 @@ class CriticalSet:
     @cached_property
     def _set_samples(self) -> tuple[SetSamples, SetSamples]:
         """Draws of critical sets, twice: with the calibration for the whole set, and with the one for its parts."""
-        with single_threaded_blas():
-            normal = self._draw_standardized_errors(self._joint_points[0], 4)
         whole, parts = (
             SetSamples(
-                correction, self._seed, self._sample.weights, self._z, self._known_outcome, self._joint_points, normal
+                correction,
+                self._seed,
+                self._sample.weights,
+                self._z,
+                self._known_outcome,
+                self._joint_points,
+                lambda: self._joint_errors,
             )
             for correction in self._calibrations
         )
         return whole, parts
+
+    @cached_property
+    def _joint_errors(self) -> FloatArray:
+        """Standardized errors at the points with joint draws, (m, draws)."""
+        with single_threaded_blas():
+            return self._draw_standardized_errors(self._joint_points[0], 4)
 
     @property
     def _whole_set_samples(self) -> SetSamples:

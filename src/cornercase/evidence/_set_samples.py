@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cached_property
 from typing import Final
 
@@ -26,8 +27,8 @@ class SetSamples:
     On some of the points, draws are joint; on all points, there are marginal probabilities. `weights` (n,) are the
     fractions of the space that the points represent, `z` (n,) the predictions. `known_outcome` (n,) is inf if a
     scenario was run and is critical, -inf if it was run and is not critical, else 0. `joint_points` holds the indices
-    (m,) of the points with joint draws, and the fraction of the space that each represents. `standardized_errors` (m,
-    `N_DRAWS`) are standard normal numbers for these points, with the correlation of their scores.
+    (m,) of the points with joint draws, and the fraction of the space that each represents. `draw_errors` returns
+    standard normal numbers (m, `N_DRAWS`) for these points, with the correlation of their scores.
     """
 
     def __init__(
@@ -38,21 +39,16 @@ class SetSamples:
         z: FloatArray,
         known_outcome: FloatArray,
         joint_points: tuple[IntArray, FloatArray],
-        standardized_errors: FloatArray,
+        draw_errors: Callable[[], FloatArray],
     ) -> None:
-        self._weights, self._z, self._known_outcome, self._standardized_errors = (
-            weights,
-            z,
-            known_outcome,
-            standardized_errors,
-        )
+        self._weights, self._z, self._known_outcome, self._draw_errors = weights, z, known_outcome, draw_errors
         self._a, self._b = calibration.draw_parameters(N_DRAWS, np.random.default_rng([seed, 3]))
         self.joint_indices, self._joint_weights = joint_points
 
     @cached_property
     def joint_draws(self) -> BoolArray:
         """Whether each of the points with joint draws is critical in each draw, (m, draws)."""
-        return np.asarray(self._standardized_errors <= self._critical_deviate_limits(self.joint_indices))
+        return np.asarray(self._draw_errors() <= self._critical_deviate_limits(self.joint_indices))
 
     @cached_property
     def _residuals(self) -> FloatArray:

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import io
-from contextlib import redirect_stdout
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from scipy.linalg import eigh
 from scipy.spatial.distance import cdist
-from threadpoolctl import threadpool_limits
 
 from cornercase._common.errors import InputError
+from cornercase._common.numba.blas import single_threaded_blas
 from cornercase._common.typing import FloatArray, IntArray
+from cornercase.reduction._simplex_kernel import project_on_simplex
 
 MAX_ARCHETYPES: Final = 15
 """Number per hull in the paper."""
@@ -29,6 +28,10 @@ _MAX_IN_KERNEL: Final = 2000
 _MAX_EVENLY_SPACED: Final = 400
 _KEPT_VARIANCE: Final = 0.99
 _ITERATIONS: Final = 300
+# The fit ends earlier if an iteration lowers the residual by less.
+_RESIDUAL_TOLERANCE: Final = 1e-4
+# Largest number of step lengths that are tried, each half as long.
+_STEP_TRIALS: Final = 10
 
 
 @dataclass(frozen=True)
@@ -93,7 +96,7 @@ def find_kernel_archetypes(cluster_distances: FloatArray, k: int) -> Archetypes:
     centred = kernel - kernel.mean(axis=0)
     centred -= centred.mean(axis=1)[:, None]
     # The last digits would depend on the number of BLAS threads.
-    with threadpool_limits(limits=1):
+    with single_threaded_blas():
         values, vectors = eigh(centred)
     values, vectors = np.maximum(values[::-1], 0.0), vectors[:, ::-1]
     n_axes = int(np.searchsorted(np.cumsum(values) / values.sum(), _KEPT_VARIANCE)) + 1
@@ -107,14 +110,76 @@ def pick_evenly_spaced(members: IntArray) -> IntArray:
 
 
 def _fit_archetypal_analysis(points: FloatArray, k: int) -> tuple[FloatArray, float]:
-    """Fit `k` archetypes, shape (k, d); also return the residual sum of squares."""
-    # The package prints its array library on import.
-    with redirect_stdout(io.StringIO()):
-        from archetypes import AA
-    model: Any = AA(k, method="pgd", init="furthest_sum", max_iter=_ITERATIONS, random_state=0)
-    with threadpool_limits(limits=1):
-        model.fit(points)
-    return np.asarray(model.archetypes_, dtype=np.float64), float(model.rss_)
+    """Fit `k` archetypes, shape (k, d); also return the residual sum of squares.
+
+    The points are approximated by ``shares @ archetypes``, with ``archetypes = mixing @ points``. Rows of both factors
+    are nonnegative and sum to 1. They are improved in turn by projected gradients, with steps that grow and shrink.
+    """
+    if k == 1:
+        center = points.mean(axis=0, keepdims=True)
+        return center, float(((points - center) ** 2).sum())
+    rng = np.random.RandomState(0)
+    mixing = np.zeros((k, len(points)))
+    mixing[np.arange(k), _choose_far_points(points, k, rng)] = 1.0
+    shares = np.zeros((len(points), k))
+    shares[np.arange(len(points)), rng.choice(k, len(points))] = 1.0
+    with single_threaded_blas():
+        total, share_step, mixing_step = float((points**2).sum()), 1.0, 1.0
+        archetypes = mixing @ points
+        to_archetypes, among_archetypes, weights = points @ archetypes.T, archetypes @ archetypes.T, shares.T @ shares
+        residual = total - 2.0 * float((shares * to_archetypes).sum()) + float((among_archetypes * weights).sum())
+        for _ in range(_ITERATIONS):
+            previous = residual
+            gradient = shares @ among_archetypes - to_archetypes
+            for _ in range(_STEP_TRIALS):
+                new_shares: FloatArray = shares - share_step * gradient
+                project_on_simplex(new_shares)
+                new_weights: FloatArray = new_shares.T @ new_shares
+                new_residual = (
+                    total
+                    - 2.0 * float((new_shares * to_archetypes).sum())
+                    + float((among_archetypes * new_weights).sum())
+                )
+                if new_residual < residual:
+                    shares, weights, residual, share_step = new_shares, new_weights, new_residual, 2.0 * share_step
+                    break
+                share_step *= 0.5
+            sums = shares.T @ points
+            gradient = (weights @ archetypes - sums) @ points.T
+            for _ in range(_STEP_TRIALS):
+                new_mixing: FloatArray = mixing - mixing_step * gradient
+                project_on_simplex(new_mixing)
+                new_archetypes = new_mixing @ points
+                new_among = new_archetypes @ new_archetypes.T
+                new_residual = total - 2.0 * float((sums * new_archetypes).sum()) + float((new_among * weights).sum())
+                if new_residual < residual:
+                    mixing, archetypes, among_archetypes = new_mixing, new_archetypes, new_among
+                    to_archetypes = points @ archetypes.T
+                    residual, mixing_step = new_residual, 2.0 * mixing_step
+                    break
+                mixing_step *= 0.5
+            if abs(previous - residual) < _RESIDUAL_TOLERANCE:
+                break
+    return archetypes, residual
+
+
+def _choose_far_points(points: FloatArray, k: int, rng: np.random.RandomState) -> list[int]:
+    """Choose the first archetypes by FurthestSum: each is the point with the largest sum of distances to the others."""
+
+    def distances_to(index: int) -> FloatArray:
+        return np.asarray(np.linalg.norm(points - points[index], axis=1))
+
+    chosen = [int(rng.choice(len(points)))]
+    to_first = distances_to(chosen[0])
+    sums: FloatArray = to_first.copy()
+    for _ in range(k - 1):
+        sums[chosen] = 0.0
+        chosen.append(int(sums.argmax()))
+        sums = sums + distances_to(chosen[-1])
+    # The first point was random, so another one replaces it.
+    sums -= to_first
+    sums[chosen[1:]] = 0.0
+    return [*chosen[1:], int(sums.argmax())]
 
 
 def _snap_to_points(archetypes: FloatArray, points: FloatArray) -> IntArray:

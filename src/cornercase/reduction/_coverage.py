@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +19,9 @@ from cornercase.reduction._random_selections import (
     distances_to_nearest_per_selection,
     draw_random_selections,
 )
+
+# Number of points of a coverage curve.
+_N_REACHES: Final = 120
 
 
 @dataclass(frozen=True)
@@ -74,6 +78,37 @@ class NearestDistances:
     to_selected: FloatArray
     to_medoids: FloatArray
     to_random: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class CoverageCurves:
+    """How near scenarios are to the reduced set, compared with baselines, as the report draws it.
+
+    `to_selected` and `to_medoids`, shape (n,), are those of `NearestDistances`. `reach`, shape (m,), are distances from
+    0 on. `random_low` and `random_high`, shape (m,), are the 5 % and the 95 % quantile, over the random selections, of
+    the percentage of scenarios within these distances.
+    """
+
+    to_selected: FloatArray
+    to_medoids: FloatArray
+    reach: FloatArray
+    random_low: FloatArray
+    random_high: FloatArray
+
+    @classmethod
+    def from_nearest_distances(cls, nearest_distances: NearestDistances) -> CoverageCurves:
+        """Summarize the random selections."""
+        to_selected, to_medoids = nearest_distances.to_selected, nearest_distances.to_medoids
+        to_random = nearest_distances.to_random
+        longest = max(float(to_selected.max()), float(to_medoids.max()), float(np.quantile(to_random, 0.99)), 1e-9)
+        reach = np.linspace(0.0, 1.05 * longest, _N_REACHES)
+        low, high = np.quantile([percent_within(distances, reach) for distances in to_random], (0.05, 0.95), axis=0)
+        return cls(to_selected, to_medoids, reach, low, high)
+
+
+def percent_within(distances: FloatArray, reach: FloatArray) -> FloatArray:
+    """Return the percentage of distances that are at most as long as each of `reach`."""
+    return np.asarray(100.0 * np.searchsorted(np.sort(distances), reach, side="right") / max(len(distances), 1))
 
 
 def measure_nearest_distances(

@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 
 from cornercase._common.typing import FloatArray, IntArray
 from cornercase.reduction import _coverage_kernels as coverage_kernels
-from cornercase.reduction._coverage_kernels import AXES_PER_STAGE, CELL_SIZE, CoverageCells
+from cornercase.reduction._coverage_kernels import AXES_PER_STAGE, CELL_SIZE, MAX_KNOWN_TERMS, CoverageCells
 
 
 class CellCoverageSums:
@@ -51,20 +51,25 @@ class CellCoverageSums:
             nearest_squares,
             np.full(radii.shape, np.inf),
             nearest_squares.copy(),
+            np.full(len(embeddings[0]), -1, dtype=np.int64),
+            np.empty((len(embeddings[0]), MAX_KNOWN_TERMS), dtype=np.int32),
+            np.empty((len(embeddings[0]), MAX_KNOWN_TERMS)),
         )
         for index in selected:
             self.add(index)
         self.gains = np.empty(len(embeddings[0]))
         coverage_kernels.fill_gains(self.gains, self._cells)
 
-    def best_candidate(self, nearest_distance: FloatArray, similar_distance: float) -> int | None:
-        """Return the scenario that lowers the sum most, the first if tied; None if all are similar to selected ones.
+    def pop_best_candidate(self) -> int | None:
+        """Return the scenario that lowers the sum most, the first if tied, only once each; None if there is no other.
 
-        `nearest_distance`, shape (n,), is the distance to the nearest selected scenario. A scenario is similar if this
-        is at most `similar_distance`. Only the largest gains are computed again, since gains never rise.
+        Only the largest gains are computed again, since gains never rise.
         """
-        index = int(coverage_kernels.find_best_candidate(self.gains, nearest_distance, similar_distance, self._cells))
-        return None if index < 0 else index
+        index = int(coverage_kernels.find_best_candidate(self.gains, self._cells))
+        if index < 0:
+            return None
+        self.gains[index] = -np.inf
+        return index
 
     def add(self, index: int) -> None:
         """Add a scenario to the selection."""

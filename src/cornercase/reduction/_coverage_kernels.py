@@ -13,15 +13,19 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from cornercase._common.numba.kernel import kernel
-from cornercase._common.typing import FloatArray
+from cornercase._common.typing import FloatArray, IntArray
 
 CELL_SIZE = 16
 """Number of scenarios in a cell."""
 
 AXES_PER_STAGE = 8
 """Number of axes by which cells are formed, and after which the distance computation may stop early."""
+
+MAX_KNOWN_TERMS = 192
+"""Largest number of terms of a scenario's gain that are kept, instead of searching the cells again."""
 
 _MARGIN = 1.0 + 1e-9
 """Factor by which bounds are wider, far more than rounding."""
@@ -35,6 +39,11 @@ class CoverageCells(NamedTuple):
     `radii` are bounding balls of the cells in the first axes. `nearest_squares` are squared distances to the nearest
     selected scenario, and `costs` follow from them. A scenario is nearest to none of a cell if its squared distance to
     the centre is above `reach`.
+
+    The gain of a scenario is a sum over scenarios that are nearer to it than to the selected ones; their number only
+    falls. Once there are at most `MAX_KNOWN_TERMS`, `n_terms`, shape (n,), is their number, otherwise -1.
+    `term_members`, (n, TERMS), are their positions in the flattened `costs`, and `term_costs` their costs if the
+    scenario is selected.
     """
 
     coordinates: FloatArray
@@ -47,6 +56,9 @@ class CoverageCells(NamedTuple):
     nearest_squares: FloatArray
     reach: FloatArray
     costs: FloatArray
+    n_terms: IntArray
+    term_members: npt.NDArray[np.int32]
+    term_costs: FloatArray
 
 
 @kernel(error_model="numpy")
@@ -58,8 +70,8 @@ def fill_gains(gains, cells):
 
 
 @kernel(error_model="numpy")
-def find_best_candidate(gains, nearest_distance, similar_distance, cells):
-    """Return the scenario whose selection lowers the coverage sum most, the first if tied; -1 if none lowers it.
+def find_best_candidate(gains, cells):
+    """Return the scenario whose selection lowers the coverage sum most, the first if tied; -1 if all gains are -inf.
 
     `gains` come from earlier steps, so they are upper bounds; they are updated as needed.
     """
@@ -71,11 +83,11 @@ def find_best_candidate(gains, nearest_distance, similar_distance, cells):
             return best
         if gains[best] == -np.inf:
             return -1
-        if nearest_distance[best] <= similar_distance:
-            gains[best] = -np.inf
-        else:
+        if cells.n_terms[best] < 0:
             gains[best] = _gain_of(best, cells, to_centres, to_members)
-            last = best
+        else:
+            gains[best] = _gain_of_known_terms(best, cells)
+        last = best
 
 
 @kernel(error_model="numpy")
@@ -101,7 +113,8 @@ def add_to_selection(index, cells):
 
 @kernel(error_model="numpy", _nrt=False)
 def _gain_of(index, cells, to_centres, to_members):
-    gain = 0.0
+    gain, n_terms = 0.0, 0
+    term_members, term_costs = cells.term_members[index], cells.term_costs[index]
     for k in range(len(cells.members)):
         point = cells.coordinates[k, index]
         _fill_squares_to_centres(point, cells.centres[k], to_centres)
@@ -112,9 +125,29 @@ def _gain_of(index, cells, to_centres, to_members):
                 squares, costs, weights = cells.nearest_squares[k, cell], cells.costs[k, cell], cells.weights[k, cell]
                 for i in range(CELL_SIZE):
                     if to_members[i] < squares[i]:
-                        gain += costs[i] - _weighted_cost(
-                            to_members[i], cells.usual_distances[k], cells.power, weights[i]
-                        )
+                        cost = _weighted_cost(to_members[i], cells.usual_distances[k], cells.power, weights[i])
+                        gain += costs[i] - cost
+                        if n_terms < MAX_KNOWN_TERMS:
+                            term_members[n_terms] = (k * len(to_centres) + cell) * CELL_SIZE + i
+                            term_costs[n_terms] = cost
+                        n_terms += 1
+    if n_terms <= MAX_KNOWN_TERMS:
+        cells.n_terms[index] = n_terms
+    return gain
+
+
+@kernel(error_model="numpy", _nrt=False)
+def _gain_of_known_terms(index, cells):
+    gain, n_terms = 0.0, 0
+    term_members, term_costs = cells.term_members[index], cells.term_costs[index]
+    costs = cells.costs.reshape(-1)
+    for term in range(cells.n_terms[index]):
+        member, cost = term_members[term], term_costs[term]
+        if cost < costs[member]:
+            gain += costs[member] - cost
+            term_members[n_terms], term_costs[n_terms] = member, cost
+            n_terms += 1
+    cells.n_terms[index] = n_terms
     return gain
 
 

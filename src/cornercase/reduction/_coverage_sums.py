@@ -93,23 +93,11 @@ class CoverageSums:
                 gains[first : first + block] += costs.sum(axis=1)
         return gains
 
-    def add_greedily(self, selected: list[int], size: int, selection: Selection) -> list[int]:
-        """Add scenarios greedily until `size` are selected; return the indices of those added.
-
-        Scenarios that are similar to a selected one, according to `selection`, are skipped.
-        """
-        new: list[int] = []
-        sums = (
-            self._make_cell_sums(selected)
-            if self._is_embedded and self._all_costs is None
-            else _RowGreedySearch(self, selected)
-        )
-        gap = selection.nearest_distance.copy()
-        while len(selected) + len(new) < size and (best := sums.best_candidate(gap, SIMILAR_SHARE)) is not None:
-            new.append(best)
-            sums.add(best)
-            gap = np.minimum(gap, selection.distances_to([best])[0])
-        return new
+    def search_greedily(self, selected: Sequence[int]) -> CellCoverageSums | RowCoverageSums:
+        """Return the search for the scenario that lowers the sum most, given those selected so far."""
+        if self._is_embedded and self._all_costs is None:
+            return self._make_cell_sums(selected)
+        return RowCoverageSums(self, selected)
 
     def _make_cell_sums(self, selected: Sequence[int]) -> CellCoverageSums:
         heavy = [self._weights * weight for weight in self._clustering_weights]
@@ -124,7 +112,7 @@ class CoverageSums:
         The first `n_fixed` scenarios stay.
         """
         selected = selected[:]
-        everyone = np.arange(len(selection.nearest_distance))
+        everyone = np.arange(len(self._weights))
         pair_distances = selection.distances_to(everyone)
         for _ in range(EXCHANGE_ROUNDS):
             previous = selected[:]
@@ -142,7 +130,7 @@ class CoverageSums:
         return selected
 
 
-class _RowGreedySearch:
+class RowCoverageSums:
     """Lazy greedy search on rows of a cost matrix; it has the methods of `CellCoverageSums`."""
 
     def __init__(self, sums: CoverageSums, selected: Sequence[int]) -> None:
@@ -152,11 +140,9 @@ class _RowGreedySearch:
         self._queue = [(-gain, k) for k, gain in enumerate(gains.tolist())]
         heapq.heapify(self._queue)
 
-    def best_candidate(self, nearest_distance: FloatArray, similar_distance: float) -> int | None:
+    def pop_best_candidate(self) -> int | None:
         while self._queue:
             _, best = heapq.heappop(self._queue)
-            if nearest_distance[best] <= similar_distance:
-                continue
             entry = (-float(self._sums.compute_gains(self._uncovered, np.array([best]))[0]), best)
             if not self._queue or entry <= self._queue[0]:
                 return best

@@ -18,6 +18,7 @@ from cornercase._common.validation import check_float, check_int, check_str
 from cornercase.clustering import Analysis, read_analyses, read_analysis
 from cornercase.clustering._embedding import Distances
 from cornercase.reduction._cluster_shapes import ArchetypeMethod, require_archetype_method
+from cornercase.reduction._coverage import CoverageCurves
 from cornercase.reduction._critical_clusters import find_critical_clusters
 from cornercase.reduction._critical_coverage import DEFAULT_SIMILARITY, check_similarity
 from cornercase.reduction._evaluate import (
@@ -182,14 +183,14 @@ def reduce(
             None if kill_matrix is None else kill_matrix.kills_of(analysis.ids.tolist()),
         )
         request = SelectionRequest(size, cover, archetypes, archetypes_by)
-        reduced = _select_and_evaluate(data, analysis, selection_input, request, within)
+        reduced, curves = _select_and_evaluate(data, analysis, selection_input, request, within)
         if kill_matrix is not None:
             without_mutants, _ = select(replace(selection_input, kills=None), request)
             reduced = add_mutant_selection(
                 reduced, kill_matrix, [int(analysis.ids[entry.index]) for entry in without_mutants]
             )
         cluster_names = {profile.cluster: profile.label for profile in analysis.profiles}
-        _write_files_and_store(opened, explored, reduced, cluster_names, folder)
+        _write_files_and_store(opened, explored, reduced, curves, cluster_names, folder)
         opened.writer.add_elapsed_time("reduce", time.monotonic() - start)
     if size is not None and size_requested and len(reduced) < size:
         _warn_fewer_selected(size, len(reduced), len(analysis.ids))
@@ -229,8 +230,8 @@ def _distances_by_aspect(data: StudyData, analysis: Analysis) -> list[Distances]
 
 def _select_and_evaluate(
     data: StudyData, analysis: Analysis, selection_input: SelectionInput, request: SelectionRequest, similarity: float
-) -> ReducedSet:
-    """Select scenarios, with a reason for each, and evaluate how well they represent all others."""
+) -> tuple[ReducedSet, dict[str, CoverageCurves]]:
+    """Select scenarios, with a reason for each, and evaluate how well they represent all others, by aspect."""
     selected, shaped = select(selection_input, request)
     ids = analysis.ids.tolist()
     selected_ids = [ids[entry.index] for entry in selected]
@@ -241,7 +242,7 @@ def _select_and_evaluate(
     ]
     held_out = measure_folds(data, folds)
     gaps = measure_nearest_distances_by_aspect(data, selected_ids)
-    return ReducedSet(
+    reduced = ReducedSet(
         by=analysis.by,
         n_run=len(data.rows),
         scenarios=tuple(
@@ -256,6 +257,7 @@ def _select_and_evaluate(
         hulls={entry.shape.cluster: _hull_facets(selection_input.points, entry.parts, ids) for entry in shaped},
         threshold=data.study.critical,
     )
+    return reduced, {name: CoverageCurves.from_nearest_distances(distances) for name, distances in gaps.items()}
 
 
 def _make_selected_scenario(data: StudyData, selected: Selected, scenario_id: int, reason: str) -> SelectedScenario:
@@ -288,6 +290,7 @@ def _write_files_and_store(
     study: StudyFile,
     scenario: ScenarioFile | None,
     reduced_set: ReducedSet,
+    curves: Mapping[str, CoverageCurves],
     cluster_names: Mapping[int, str],
     folder: Path,
 ) -> None:
@@ -307,10 +310,10 @@ def _write_files_and_store(
                 set_folder.add(path, dependencies[source])
             set_folder.add(selected.file, concrete.content)
         set_folder.write_manifest(make_manifest(study, reduced_set, cluster_names, set_folder.digests))
-        previous = study.read_reduction()
-        save_reduction(study, reduced_set)
+        previous = None if study.read_reduction() is None else study.read_analysis("reduction")
+        save_reduction(study, reduced_set, curves)
         try:
             set_folder.replace()
         except InputError:
-            study.writer.save_analyses({"reduction": None if previous is None else ({}, previous)})
+            study.writer.save_analyses({"reduction": previous})
             raise

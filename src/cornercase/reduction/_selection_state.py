@@ -33,15 +33,12 @@ class Selected:
 class Selection:
     """Scenarios selected so far, in order.
 
-    A scenario is not added if it is similar to a selected one, or if `size` scenarios are selected. `nearest_distance`,
-    shape (n,), is the distance from each scenario to the nearest selected one, as in `distances_to`; infinite while
-    none is selected.
+    A scenario is not added if it is similar to a selected one, or if `size` scenarios are selected.
     """
 
     def __init__(self, distances: Sequence[Distances], size: int | None) -> None:
         self._distances = distances
         self._extents = [max(float(matrix.max()), 1e-300) for matrix in distances]
-        self.nearest_distance = np.full(len(distances[0]), np.inf)
         self.selected: list[Selected] = []
         self._size = size
 
@@ -63,13 +60,22 @@ class Selection:
     def copy(self) -> Selection:
         """Copy the selection, so that both copies can be continued in different ways."""
         other = copy(self)
-        other.nearest_distance, other.selected = self.nearest_distance.copy(), self.selected[:]
+        other.selected = self.selected[:]
         return other
 
-    def add(self, scenario: Selected) -> None:
-        """Add a scenario, unless it is similar to a selected one or `size` scenarios are selected."""
-        if self.nearest_distance[scenario.index] > SIMILAR_SHARE and (
-            self._size is None or len(self.selected) < self._size
-        ):
-            self.selected.append(scenario)
-            np.minimum(self.nearest_distance, self.distances_to([scenario.index])[0], out=self.nearest_distance)
+    @property
+    def is_complete(self) -> bool:
+        """Whether `size` scenarios are selected."""
+        return self._size is not None and len(self.selected) >= self._size
+
+    def add(self, scenario: Selected) -> bool:
+        """Add a scenario unless it is similar to a selected one, or all are selected; return whether it was added."""
+        if self.is_complete or self._is_similar_to_selected(scenario.index):
+            return False
+        self.selected.append(scenario)
+        return True
+
+    def _is_similar_to_selected(self, index: int) -> bool:
+        pairs = np.ix_([index], self.indices)
+        scaled = [matrix[pairs][0] / extent for matrix, extent in zip(self._distances, self._extents, strict=True)]
+        return bool((np.max(scaled, axis=0) <= SIMILAR_SHARE).any())

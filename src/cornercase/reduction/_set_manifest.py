@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from typing import Any, Final, get_args
+
+import numpy as np
 
 from cornercase._common.text.json_keys import keys_to_identifiers
 from cornercase._common.text.sanitize import escape_control_characters
 from cornercase._common.version import __version__
 from cornercase.evidence import Estimate
 from cornercase.reduction._cluster_shapes import ClusterShape
-from cornercase.reduction._coverage import Coverage
+from cornercase.reduction._coverage import Coverage, CoverageCurves
 from cornercase.reduction._critical_coverage import CriticalCoverage
 from cornercase.reduction._held_out_coverage import HeldOut, HeldOutCritical
 from cornercase.reduction._kill_matrix import MutantSelection, MutationScore
@@ -76,8 +78,8 @@ def _other_threshold(study: StudyFile) -> dict[str, float | None]:
     return {} if study.critical == study.meta.critical else {"critical_threshold_of_the_study": study.meta.critical}
 
 
-def save_reduction(study: StudyFile, reduced_set: ReducedSet) -> None:
-    """Store a reduced set in a study; it replaces an earlier one."""
+def save_reduction(study: StudyFile, reduced_set: ReducedSet, curves: Mapping[str, CoverageCurves]) -> None:
+    """Store a reduced set in a study, with its coverage curves by aspect; it replaces an earlier one."""
     info = {
         "by": reduced_set.by,
         "run": reduced_set.n_run,
@@ -89,7 +91,36 @@ def save_reduction(study: StudyFile, reduced_set: ReducedSet) -> None:
     } | ({} if reduced_set.exposing is None else {"exposing": reduced_set.exposing.to_json()})
     if study.critical != study.meta.critical:
         info["critical_threshold"] = study.critical
-    study.writer.save_analysis("reduction", {}, info)
+    arrays = {
+        f"{field.name} {name}": getattr(curve, field.name) for name, curve in curves.items() for field in fields(curve)
+    }
+    study.writer.save_analysis("reduction", arrays, info)
+
+
+def read_coverage_curves(study: StudyFile) -> dict[str, CoverageCurves]:
+    """Read the coverage curves of the stored reduced set, by aspect; empty before the study was reduced."""
+    if study.read_reduction() is None:
+        return {}
+    arrays, info = study.read_analysis("reduction")
+    if not arrays and info["coverage"]:
+        raise InputError(f"{study.path}: was reduced by an earlier version of cornercase; run `reduce` again.")
+    with reraise_as_damage(study.path):
+        curves = {
+            name: CoverageCurves(*(arrays[f"{field.name} {name}"] for field in fields(CoverageCurves)))
+            for name in info["coverage"]
+        }
+        for array in arrays.values():
+            require_value(
+                array.ndim == 1 and array.dtype.kind == "f" and bool(np.isfinite(array).all()),
+                "coverage curves without numbers",
+            )
+        for curve in curves.values():
+            require_value(
+                len(curve.to_selected) == len(curve.to_medoids)
+                and len(curve.reach) == len(curve.random_low) == len(curve.random_high),
+                "coverage curves of different lengths",
+            )
+    return curves
 
 
 def read_reduction(study: StudyFile) -> ReducedSet | None:

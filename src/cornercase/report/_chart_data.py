@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import math
 from itertools import combinations
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
 from cornercase._common.typing import FloatArray
+from cornercase.reduction._coverage import percent_within
 from cornercase.report._report_data import ReportData
 from cornercase.study._objective import Objective
-
-_N_DISTANCES: Final = 120
 
 
 def search_chart(data: ReportData) -> dict[str, Any]:
@@ -66,24 +65,17 @@ def coverage_charts(data: ReportData) -> dict[str, Any]:
     alone.
     """
     charts = {}
-    for name, gaps in data.gaps.items():
+    for name, curves in data.coverage_curves.items():
         analysis = data.summary.analyses[name]
-        farthest = max(
-            float(gaps.to_selected.max()), float(gaps.to_medoids.max()), float(np.quantile(gaps.to_random, 0.99)), 1e-9
-        )
-        distances_axis = np.linspace(0.0, 1.05 * farthest, _N_DISTANCES)
-        low, high = np.quantile(
-            [_percent_within(distances, distances_axis) for distances in gaps.to_random], (0.05, 0.95), axis=0
-        )
-        critical = gaps.to_selected[data.is_critical[data.row_indices(analysis.ids.tolist())]]
+        critical = curves.to_selected[data.is_critical[data.row_indices(analysis.ids.tolist())]]
         charts[name] = {
             "unit": analysis.unit,
-            "reach": _rounded_list(distances_axis),
-            "kept": _rounded_list(_percent_within(gaps.to_selected, distances_axis)),
-            "medoids": _rounded_list(_percent_within(gaps.to_medoids, distances_axis)),
-            "random_low": _rounded_list(low),
-            "random_high": _rounded_list(high),
-            "critical": _rounded_list(_percent_within(critical, distances_axis)) if len(critical) else None,
+            "reach": _rounded_list(curves.reach),
+            "kept": _rounded_list(percent_within(curves.to_selected, curves.reach)),
+            "medoids": _rounded_list(percent_within(curves.to_medoids, curves.reach)),
+            "random_low": _rounded_list(curves.random_low),
+            "random_high": _rounded_list(curves.random_high),
+            "critical": _rounded_list(percent_within(critical, curves.reach)) if len(critical) else None,
         }
     return charts
 
@@ -97,11 +89,6 @@ def hull_edges(data: ReportData) -> dict[str, list[list[int]]]:
         edges = {(min(pair), max(pair)) for facet in facets for pair in combinations(facet, 2)}
         edges_by_cluster[str(cluster)] = [list(pair) for pair in sorted(edges)]
     return edges_by_cluster
-
-
-def _percent_within(gaps: FloatArray, distances: FloatArray) -> FloatArray:
-    """Return, for each distance, the percentage of gaps that are at most this long."""
-    return np.asarray(100.0 * np.searchsorted(np.sort(gaps), distances, side="right") / max(len(gaps), 1))
 
 
 def _rounded_list(values: FloatArray) -> list[float | None]:

@@ -10,11 +10,12 @@ import numpy as np
 
 from cornercase._common.memory import MemoryLimit, report_memory_need
 from cornercase._common.typing import BoolArray, Float32Array, FloatArray, IntArray
-from cornercase.clustering import Analysis, read_distances
+from cornercase.clustering import Analysis
 from cornercase.metrics import Metric
 from cornercase.metrics._outcome import Impact
 from cornercase.recordings import Recording
-from cornercase.reduction._coverage import NearestDistances, measure_nearest_distances
+from cornercase.reduction._coverage import CoverageCurves
+from cornercase.reduction._set_manifest import read_coverage_curves
 from cornercase.report._estimates import MissedFractionAfter, estimate_missed_fractions
 from cornercase.report._road_drawing import add_road_margin
 from cornercase.report._summary import Summary, entities_hit_by_ego, summarize_with_collisions
@@ -57,7 +58,7 @@ class ReportData:
         int, ...
     ]  # parameters by influence on the first metric; the first two in their own order
     is_critical: BoolArray  # shape (n,); all False without a threshold
-    gaps: Mapping[str, NearestDistances]  # by aspect; empty before the study was reduced
+    coverage_curves: Mapping[str, CoverageCurves]  # by aspect; empty before the study was reduced
     verdicts: Mapping[int, Sequence[Verdict]]  # by id, one per requirement; empty without requirements
     outcomes: Mapping[int, str]  # endings by id; empty before the study was analyzed
     notes: Mapping[int, str]  # user notes by id
@@ -142,7 +143,7 @@ def read_report_data(
         values=values,
         influential_parameters=_order_by_influence(values, scores[metrics[0].name]),
         is_critical=study.critical_mask(),
-        gaps={} if summary.reduced_set is None else _measure_gaps(study, summary.analyses, summary.reduced_set.ids),
+        coverage_curves=read_coverage_curves(study),
         verdicts=judge_study(study),
         outcomes=study.outcomes(),
         notes=study.notes(),
@@ -188,14 +189,3 @@ def _order_by_influence(values: FloatArray, scores: FloatArray) -> tuple[int, ..
         shares.append(float((counts * (means - scores.mean()) ** 2).sum()))
     order = sorted(range(len(shares)), key=lambda j: (-shares[j], j))
     return (*sorted(order[:2]), *order[2:])
-
-
-def _measure_gaps(
-    study: StudyFile, analyses: Mapping[str, Analysis], selected_ids: list[int]
-) -> dict[str, NearestDistances]:
-    gaps = {}
-    for name, analysis in analyses.items():
-        index = analysis.rows_of(selected_ids)
-        if len(index):
-            gaps[name] = measure_nearest_distances(read_distances(study, name), index)
-    return gaps

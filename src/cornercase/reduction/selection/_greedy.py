@@ -15,7 +15,7 @@ from cornercase.reduction._baselines import Baselines
 from cornercase.reduction._cluster_shapes import ShapedCluster, classify_cluster_shapes, divide_in_proportion
 from cornercase.reduction._coverage_sums import CoverageSums, SetComposition
 from cornercase.reduction._medoids import find_prototype
-from cornercase.reduction._selection_state import Selected, Selection
+from cornercase.reduction._selection_state import SIMILAR_SHARE, Selected, Selection
 
 _MAX_EXCHANGED: Final = 2000
 
@@ -79,9 +79,12 @@ def select_scenarios(
     if size is None:
         assert cover is not None
         # Archetypes are left out, since a coverage is to be reached with as few scenarios as possible.
-        while base.nearest_distance.max() > cover:
-            farthest = int(base.nearest_distance.argmax())
+        nearest = base.distances_to(base.indices).min(axis=0)
+        # Nearer ones are similar, so they are never selected.
+        while nearest.max() > max(cover, SIMILAR_SHARE):
+            farthest = int(nearest.argmax())
             base.add(Selected(farthest, int(labels[farthest]), "gap"))
+            np.minimum(nearest, base.distances_to([farthest])[0], out=nearest)
         return tuple(base.selected)
     shapes = {
         cluster.shape.cluster: cluster
@@ -136,8 +139,10 @@ class _SelectionTask:
         """Add scenarios that minimise the coverage sum until enough are selected."""
         n_fixed = len(selection.selected)
         sums = CoverageSums(self.distances, np.isin(self.labels, self.critical_clusters), composition, self.size)
-        for index in sums.add_greedily(selection.indices, self.size, selection):
-            selection.add(Selected(index, int(self.labels[index]), "gap"))
+        search = sums.search_greedily(selection.indices)
+        while not selection.is_complete and (best := search.pop_best_candidate()) is not None:
+            if selection.add(Selected(best, int(self.labels[best]), "gap")):
+                search.add(best)
         if len(self.labels) <= _MAX_EXCHANGED:
             indices = sums.exchange(selection.indices, n_fixed, selection)
             selection.selected[n_fixed:] = [

@@ -107,8 +107,8 @@ def _draw_reduced_set(data: ReportData) -> Iterator[CaptionedFigure]:
     yield CaptionedFigure("hulls", figure, captions.caption_reduced_set(reduced))
     analyses = data.summary.analyses
     curves = {
-        name: (gaps, data.is_critical[data.row_indices(analyses[name].ids.tolist())])
-        for name, gaps in data.gaps.items()
+        name: (curve, data.is_critical[data.row_indices(analyses[name].ids.tolist())])
+        for name, curve in data.coverage_curves.items()
     }
     if curves:
         units = [analyses[name].unit for name in curves]

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from cornercase._common.typing import BoolArray, Float32Array, FloatArray, IntArray
 from cornercase.evidence import Sensitivity
 from cornercase.metrics import Metric
-from cornercase.reduction._coverage import NearestDistances
+from cornercase.reduction._coverage import CoverageCurves, percent_within
 from cornercase.report.figures._style import COLOURS, GREY, cluster_style, format_score_label, shorten_tick_label
 
 
@@ -47,38 +47,29 @@ def draw_courses_by_cluster(
 
 
 def draw_coverage_curves(
-    gaps_and_critical: Mapping[str, tuple[NearestDistances, BoolArray]], units: Sequence[str]
+    curves_and_critical: Mapping[str, tuple[CoverageCurves, BoolArray]], units: Sequence[str]
 ) -> Figure:
     """Draw the fraction of scenarios within a distance of the reduced set, in one panel for each aspect.
 
-    `gaps_and_critical` maps an aspect to the distances from scenarios to the reduced set and the mask of critical
-    scenarios. `units` are the units of these distances.
+    `curves_and_critical` maps an aspect to the coverage by the reduced set and the mask of critical scenarios. `units`
+    are the units of the distances.
     """
-    columns = min(3, len(gaps_and_critical))
-    rows = -(-len(gaps_and_critical) // columns)
+    columns = min(3, len(curves_and_critical))
+    rows = -(-len(curves_and_critical) // columns)
     figure = Figure(figsize=(4.4 * columns + 1.8, 3.4 * rows), layout="constrained")
     axes = figure.subplots(rows, columns, squeeze=False).ravel()
-    for axis, (name, (coverage, critical)), unit in zip(axes, gaps_and_critical.items(), units, strict=False):
-        farthest = max(
-            float(coverage.to_selected.max()),
-            float(coverage.to_medoids.max()),
-            float(np.quantile(coverage.to_random, 0.99)),
-            1e-9,
+    for axis, (name, (curve, critical)), unit in zip(axes, curves_and_critical.items(), units, strict=False):
+        reach = curve.reach
+        axis.fill_between(
+            reach, curve.random_low, curve.random_high, color=GREY, alpha=0.35, linewidth=0, label="random choices"
         )
-        reach = np.linspace(0.0, 1.05 * farthest, 300)
-
-        def fraction_within(gaps: FloatArray, distances: FloatArray = reach) -> FloatArray:
-            return np.asarray(np.searchsorted(np.sort(gaps), distances, side="right") / max(len(gaps), 1))
-
-        band = np.quantile([fraction_within(distances) for distances in coverage.to_random], (0.05, 0.95), axis=0)
-        axis.fill_between(reach, *(100.0 * band), color=GREY, alpha=0.35, linewidth=0, label="random choices")
         axis.plot(
-            reach, 100.0 * fraction_within(coverage.to_medoids), ":", color=COLOURS[6], linewidth=1.6, label="k-medoids"
+            reach, percent_within(curve.to_medoids, reach), ":", color=COLOURS[6], linewidth=1.6, label="k-medoids"
         )
-        axis.plot(reach, 100.0 * fraction_within(coverage.to_selected), color=COLOURS[0], linewidth=2.0, label="kept")
+        axis.plot(reach, percent_within(curve.to_selected, reach), color=COLOURS[0], linewidth=2.0, label="kept")
         if critical.any():
             axis.plot(
-                reach, 100.0 * fraction_within(coverage.to_selected[critical]), "--", color=COLOURS[1], linewidth=2.0,
+                reach, percent_within(curve.to_selected[critical], reach), "--", color=COLOURS[1], linewidth=2.0,
                 label="kept, of the critical ones",
             )  # fmt: skip
         axis.set_title(name)
@@ -86,9 +77,9 @@ def draw_coverage_curves(
         axis.set_ylabel("scenarios [%]")
         axis.set_ylim(0.0, 103.0)
         axis.grid(alpha=0.3)
-    for axis in axes[len(gaps_and_critical) :]:
+    for axis in axes[len(curves_and_critical) :]:
         axis.set_visible(False)
-    if gaps_and_critical:
+    if curves_and_critical:
         axes[0].legend(loc="lower right", frameon=True)
     return figure
 
