@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
     from cornercase.clustering import Analysis, ClusteringMethod
     from cornercase.evidence import Sensitivity
-    from cornercase.exploration import stop as stop_rules
+    from cornercase import stop as stop_rules
     from cornercase.optimizers import Optimizer
     from cornercase.recordings import Recording
     from cornercase.reduction import ArchetypeMethod, KillMatrix, ReducedSet

@@ -19,7 +19,7 @@ from cornercase.exploration._explore_options import (
     ExplorationOptions,
     stored_values,
 )
-from cornercase.exploration.stop._stop_rules import StopCriterion, resolve_stop_rules
+from cornercase.stop._stop_rules import StopCriterion, resolve_stop_rules
 from cornercase.metrics import METRICS, CriticalIf
 from cornercase.metrics._other_entities import ALL_OTHERS, resolve_others
 from cornercase.optimizers import OPTIMIZERS, Optimizer

@@ -12,7 +12,7 @@ from cornercase._common.typing import FloatArray
 from cornercase.evidence._critical_set_estimate import CriticalSet
 from cornercase.evidence._multi_fidelity import SourceStudyModel
 from cornercase.exploration._study_critical_set import is_score_independent
-from cornercase.exploration.stop._stop_rules import StopCriterion
+from cornercase.stop._stop_rules import StopCriterion
 from cornercase.metrics import registered_features
 from cornercase.scenario import ParameterSpace
 
