@@ -46,7 +46,7 @@ def test_it_says_what_is_critical(scenario, arguments, criterion):
         ({"weights": {"distance": 1.0}}, "distance"),
         ({"scenario": "x.xosc"}, "give a scenario that `LogicalScenario.read` has read"),
         ({"metrics": cc.metrics.Ttc}, "`metrics`: Ttc is a class; give an object of it, as in Ttc"),
-        ({"metrics": 3}, "`metrics` 3: give one as an object, or its name"),
+        ({"metrics": 3}, "`metrics` 3: give an object or its name"),
     ],
 )
 def test_it_refuses_what_cannot_be_searched(scenario, arguments, message):
