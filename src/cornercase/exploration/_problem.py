@@ -6,9 +6,12 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Any, Final
+from functools import wraps
+from inspect import signature
+from typing import Any, Final, cast
 
 from cornercase._common.errors import InputError
+from cornercase._common.option import Function, refuse_unknown
 from cornercase._common.text.html import render_html
 from cornercase._common.validation import check_str_sequence, not_an_object, repr_short
 from cornercase.exploration._config import ExplorationConfig
@@ -24,6 +27,18 @@ _NAME_IN_OBJECTS: Final = {
     "stop_when": "stop",
     "study": "path",
 }
+
+
+def suggest_arguments(function: Function) -> Function:
+    """Decorator: the error of an unknown keyword argument says which one is meant, also for names of options."""
+    parameters = [name for name in signature(function).parameters if name != "self"]
+
+    @wraps(function)
+    def call(*positional: Any, **given: Any) -> Any:
+        refuse_unknown(function.__qualname__.removesuffix(".__init__"), parameters, given, _NAME_IN_OBJECTS)
+        return function(*positional, **given)
+
+    return cast(Function, call)
 
 
 @dataclass(frozen=True, repr=False)
@@ -108,6 +123,9 @@ class Problem:
         return render_html(repr(self), self.scenario.space._repr_html_())
 
 
+Problem.__init__ = suggest_arguments(Problem.__init__)  # type: ignore[method-assign]
+
+
 def problem_from_config(config: ExplorationConfig) -> Problem:
     """Return the problem of a configuration."""
     return Problem(
@@ -155,7 +173,10 @@ def name_arguments_of_objects() -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        message = re.sub(r"`(\w+)`", lambda match: f"`{_NAME_IN_OBJECTS.get(match[1], match[1])}`", str(error))
+        # A verb of an object names no file.
+        message = str(error).replace("name another study with `study`", "create another study")
+        message = message.replace("name it with `scenario`", "name it as in Study.open(…, scenario=…)")
+        message = re.sub(r"`(\w+)`", lambda match: f"`{_NAME_IN_OBJECTS.get(match[1], match[1])}`", message)
         if message == str(error):
             raise
         raise InputError(message) from error
