@@ -7,9 +7,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from cornercase._common.errors import InputError
+from cornercase._common.errors import InputError, suggest_name
 from cornercase._common.typing import FloatArray
-from cornercase._common.validation import check_str, repr_short
+from cornercase._common.validation import repr_short
 from cornercase.optimizers._base import Optimizer
 from cornercase.optimizers._dedupe import Deduplicator
 from cornercase.optimizers._space_filling import Sobol
@@ -47,7 +47,9 @@ class Optuna(Optimizer):
     def __init__(self, sampler: str = "tpe") -> None:
         if not isinstance(sampler, str):
             raise InputError(f"`sampler` {repr_short(sampler)}: give its name, one of {', '.join(_SAMPLERS)}.")
-        self._sampler_name = check_str("sampler", sampler, _SAMPLERS)
+        if sampler not in _SAMPLERS:
+            raise InputError(f"The optimizer optuna has no sampler '{sampler}'; {suggest_name(sampler, _SAMPLERS)}")
+        self._sampler_name = sampler
 
     def prepare(self, space: ParameterSpace, seed: int) -> None:
         """Create the sampler for a space."""
