@@ -36,9 +36,9 @@ from cornercase.evidence._critical_set_estimate import MIN_REGION_FRACTION, Crit
 from cornercase.evidence.gp._process import encode_points
 from cornercase.exploration._stop_criteria import StopCriteria
 from cornercase.exploration._study_critical_set import audit_sampler, is_score_independent
-from cornercase.exploration.stop._stop_rules import StopCriterion
 from cornercase.optimizers import OPTIMIZERS
 from cornercase.scenario import Parameter, ParameterSpace
+from cornercase.stop._stop_rules import StopCriterion
 from cornercase.study._criterion import Criterion
 
 Floats = npt.NDArray[np.float64]

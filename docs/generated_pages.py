@@ -21,7 +21,7 @@ from cornercase.exploration._explore_options import OPTIONS
 # In the order in which data goes through them.
 ROOMS = (
     "scenario", "roads", "recordings", "drivers", "simulators", "metrics", "study", "evidence", "optimizers",
-    "exploration", "exploration.stop", "dtw", "clustering", "reduction", "suite", "report", "api",
+    "stop", "exploration", "dtw", "clustering", "reduction", "suite", "report", "api",
 )  # fmt: skip
 
 # Of the package itself.

@@ -2,6 +2,7 @@ from . import drivers as drivers
 from . import metrics as metrics
 from . import optimizers as optimizers
 from . import simulators as simulators
+from . import stop as stop
 from ._common.errors import InputError as InputError
 from ._common.errors import NoticeWarning as NoticeWarning
 from ._common.errors import SimulationError as SimulationError
@@ -19,7 +20,6 @@ from .exploration import Problem as Problem
 from .exploration import Runs as Runs
 from .exploration import estimate as estimate
 from .exploration import explore as explore
-from .exploration import stop as stop
 from .metrics import Metric as Metric
 from .metrics import measure as measure
 from .optimizers import Optimizer as Optimizer

@@ -24,7 +24,7 @@ from helpers.command_line import SPACE, X
 pytestmark = pytest.mark.filterwarnings("ignore::cornercase.NoticeWarning")
 
 VERBS = ("explore", "cluster", "reduce", "report", "watch", "replay", "estimate")
-READS = ("table", "recording", "course", "critical_set", "sensitivity", "summary", "export")
+READS = ("table", "most_critical", "recording", "course", "critical_set", "sensitivity", "summary", "export")
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +43,18 @@ def explored(problem, tmp_path_factory) -> cc.Study:
 
 def test_tab_completion_shows_verbs_and_what_is_read(explored):
     shown = {name for name in dir(explored) if not name.startswith("_")}
-    assert shown == {*VERBS, *READS, "create", "open", "open_or_create", "path", "problem", "seed"}
+    assert shown == {
+        *VERBS,
+        *READS,
+        "create",
+        "open",
+        "open_or_create",
+        "optimizer",
+        "path",
+        "problem",
+        "seed",
+        "simulator",
+    }
 
 
 @pytest.mark.parametrize("method", [getattr(cc.Study, name) for name in (*VERBS, *READS)] + [cc.Suite.run])
@@ -186,7 +197,9 @@ def test_messages_name_the_verbs_and_their_arguments(problem, tmp_path):
     study.explore(cc.optimizers.Sobol(), budget=2)
     with pytest.raises(cc.InputError, match="run `cluster` first"):
         study.reduce(tmp_path / "reduced")
-    with pytest.raises(cc.InputError, match="another optimizer; name another study with `path`"):
+    with pytest.raises(
+        cc.InputError, match=r"another optimizer \(sobol in the study, grid given\); create another study"
+    ):
         study.explore(cc.optimizers.Grid())
     with pytest.raises(cc.InputError, match="`scenario` '1': give a whole number"):
         study.replay(cast("Any", "1"), tmp_path / "run.html")
@@ -219,7 +232,7 @@ def test_own_drivers_are_given_again_and_code_that_a_study_names_is_not_run(prob
     ("argument", "says"),
     [
         ({"optimizer": cc.optimizers.Sobol}, "`optimizer`: Sobol is a class; give an object of it, as in Sobol()."),
-        ({"optimizer": 3}, "`optimizer` 3: give one as an object, or its name."),
+        ({"optimizer": 3}, "`optimizer` 3: give an object or its name."),
         ({"runs": cc.Runs}, "`runs`: Runs is a class; give an object of it, as in Runs()."),
         ({"runs": 4}, "`runs` 4: give them as in Runs(workers=4)."),
     ],

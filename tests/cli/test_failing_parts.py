@@ -137,7 +137,7 @@ def test_42_4_a_driver_that_always_fails_ends_the_search_in_a_sentence(folder):
     done = searched(folder, "Hopeless")
     assert done.returncode == 2
     assert done.stderr.startswith(
-        "cornercase: None of 6 scenarios gave a result (--max-failures); in the last one the driver of Ego"
+        "cornercase: The first 6 scenarios all failed, so no more are run; in the last one the driver of Ego"
         " (faulty:Hopeless) failed at t = 0 s: RuntimeError: no map (faulty.py line"
     )
     assert done.stderr.count("\n") == 1
@@ -154,11 +154,11 @@ def test_42_8_whoever_wants_to_knows_of_all_failures(tmp_path):
     given = {**PYTHON, "metrics": ["wttc"], "drivers": {"Ego": Hopeless()}}
     assert cc.explore(X, tmp_path / "s.db", max_failures=0, **given).failed == 6
     assert cc.explore(X, tmp_path / "s.db", max_failures=7, retry_failed=True, **given).failed == 6
-    with pytest.raises(InputError, match="None of 6 scenarios gave a result"):
+    with pytest.raises(InputError, match="The first 6 scenarios all failed"):
         cc.explore(X, tmp_path / "s.db", max_failures=6, retry_failed=True, **given)
     assert len(rows(tmp_path / "s.db")) == 6
     # As soon as it is known, where each scenario is proposed by itself.
-    with pytest.raises(InputError, match="None of 2 scenarios gave a result"):
+    with pytest.raises(InputError, match="The first 2 scenarios all failed"):
         cc.explore(X, tmp_path / "b.db", max_failures=2, asynchronous=True, **given)
     (tmp_path / "study.toml").write_text("max-failures = 7\n")
     assert read_study_file(tmp_path / "study.toml") == {"max_failures": 7}

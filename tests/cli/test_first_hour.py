@@ -123,7 +123,7 @@ def test_stumble_10_other_settings_are_told_with_both_values_and_quiet_is_quiet(
     assert "2 scenarios in" in quiet.stdout
     done = cornercase(*search, "--time-step", "0.1")
     assert done.returncode == 2
-    assert "other simulator settings (time_step: 0.05 there, 0.1 here)" in done.stderr
+    assert "other simulator settings (time_step: 0.05 in the study, 0.1 given)" in done.stderr
     cornercase("-q", "analyze", tmp_path / "study.db", "--by", "wttc")
     assert "settings at most" in cornercase("-v", "analyze", tmp_path / "study.db", "--by", "wttc").stderr
 

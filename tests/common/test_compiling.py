@@ -12,6 +12,7 @@ from types import FunctionType, ModuleType
 from typing import Any
 
 import pytest
+from numba.core import event
 
 from conftest import at_night
 from cornercase._common.numba import kernel as kernel_module
@@ -231,6 +232,24 @@ def test_a_full_disk_keeps_nobody_from_what_is_compiled(caplog, monkeypatch):
     assert tripled(2) == 6
     assert "No space left on device" in reason_not_cached()
     assert "Compiled kernels cannot be cached" in caplog.text
+
+
+def test_a_message_says_how_long_compiling_takes_and_others_that_it_goes_on(caplog):
+    @kernel()
+    def first(x):
+        return x + 1
+
+    @kernel()
+    def second(x):
+        return x + 2
+
+    with event.install_listener("numba:compile", kernel_module._CompilationListener(seconds_between_messages=0.0)):
+        compiled: Any
+        for compiled in (first, second):
+            compiled._cache.flush()
+            compiled(1)
+    assert "about a minute" in caplog.text
+    assert "Still compiling: kernel 2, after" in caplog.text
 
 
 COMPANION = """

@@ -1,4 +1,4 @@
-"""Optimizers, simulators, drivers, metrics and stop rules are objects whose `repr` evaluates."""
+"""Optimizers, simulators, drivers and metrics are objects whose `repr` evaluates."""
 
 from __future__ import annotations
 
@@ -11,8 +11,6 @@ import pytest
 import cornercase as cc
 from cornercase._common.errors import InputError
 from cornercase.drivers import *  # noqa: F403 - for `eval`
-from cornercase.exploration.stop import *  # noqa: F403
-from cornercase.exploration.stop._stop_rules import StopCriterion
 from cornercase.metrics import *  # noqa: F403
 from cornercase.optimizers import *  # noqa: F403
 from cornercase.scenario import ParameterSpace
@@ -68,31 +66,6 @@ def test_an_optimizer_of_options_stays_as_it_is_when_it_starts():
     first.tell(points, points[:, 0])
     np.testing.assert_array_equal(search.start(space, 1, threshold=0.5).ask(20), points)
     assert search == first == cc.optimizers.OPTIMIZERS.create("level-set:filling=0.4")
-
-
-@pytest.mark.parametrize(
-    ("rule", "text"),
-    [
-        (cc.stop.missed(0.05), "missed<0.05"),
-        (cc.stop.interval(0.05), "interval<0.05"),
-        (cc.stop.overlooked(0.05, size=0.02), "overlooked(0.02)<0.05"),
-        (cc.stop.unvisited(0.05), "unvisited(0.01)<0.05"),
-        (cc.stop.audited_missed(0.1), "audited-missed<0.1"),
-        (cc.stop.seconds(3600), "max_seconds=3600"),
-        (cc.stop.no_improvement(rounds=20), "patience=20"),
-    ],
-)
-def test_stop_rules_are_compared_by_value(rule, text):
-    assert eval(repr(rule)) == rule
-    assert str(rule) == text
-    if isinstance(rule, StopCriterion):
-        assert StopCriterion.parse(text) == rule
-
-
-def test_a_stop_rule_that_cannot_hold_is_refused():
-    for make in (lambda: cc.stop.missed(0.0), lambda: cc.stop.overlooked(0.1, size=2), lambda: cc.stop.seconds(-1)):
-        with pytest.raises(InputError):
-            make()
 
 
 @dataclass

@@ -149,7 +149,7 @@ def test_43_5_each_notice_that_matters_is_given_and_the_others_are_counted(read)
     assert [str(one.message).partition(" (")[0] for one in caught] == [
         "adapted: <Door>",
         "without effect: <Roof>",
-        "without effect: 4 more parts, which affect no position or speed; `check` and -v list them",
+        "4 more parts of the files are ignored, on which no position or speed depends; `check` lists them",
     ]
     token = verbosity.set("verbose")
     try:

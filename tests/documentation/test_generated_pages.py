@@ -33,7 +33,7 @@ def test_every_public_name_is_on_the_page_of_its_room_and_every_value_is_describ
                 described += 1
     assert described > 10
     start = (tmp_path / "api.rst").read_text("utf-8")
-    for name, room in {"optimizers": "optimizers", "stop": "exploration.stop", "simulators": "simulators"}.items():
+    for name, room in {"optimizers": "optimizers", "stop": "stop", "simulators": "simulators"}.items():
         assert f":doc:`cornercase.{name} <api/{room}>`" in start
         assert (tmp_path / "api" / f"{room}.rst").exists()
     # What `help` says of any text or union is nothing about it.

@@ -132,7 +132,7 @@ def test_42_5_a_study_goes_on_only_with_the_same_file_of_its_driver(folder):
     refused = explored(folder, "my_aeb:Aeb:reaction=0.4")
     assert refused.returncode == 2
     assert "driver of Ego: my_aeb:Aeb, eager=true, reaction=0.3, sha256 " in refused.stderr
-    assert "there, my_aeb:Aeb, reaction=0.4, sha256 " in refused.stderr
+    assert "in the study, my_aeb:Aeb, reaction=0.4, sha256 " in refused.stderr
     (folder / "my_aeb.py").write_text(MODULE + "# another version\n")
     refused = explored(folder, DRIVER)
     assert refused.returncode == 2

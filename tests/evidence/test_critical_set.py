@@ -9,10 +9,10 @@ from scipy.stats import qmc
 from cornercase._common.errors import InputError
 from cornercase.evidence._critical_set_estimate import CriticalSet
 from cornercase.evidence.gp._process import GaussianProcess
-from cornercase.exploration.stop._stop_rules import StopCriterion
 from cornercase.metrics import Feature
 from cornercase.optimizers import LevelSet, Sobol
 from cornercase.scenario import Constraint, Parameter, ParameterDeclaration, ParameterSpace
+from cornercase.stop._stop_rules import StopCriterion
 from cornercase.study._criterion import Criterion
 from helpers.search_cases import CUBE, EVERYWHERE, THRESHOLD, explored, two_regions
 

@@ -252,6 +252,7 @@ def test_42_s3_who_waited_for_a_study_that_was_replaced_does_not_write_to_the_ea
         assert connection.execute("SELECT count(*) FROM lease").fetchone() == (0,)
 
 
+@pytest.mark.usefixtures("no_cache")
 def test_42_10_a_repair_names_the_study_where_its_scenario_is_not_found(damaged, tmp_path, monkeypatch):
     (tmp_path / "elsewhere").mkdir()
     monkeypatch.chdir(tmp_path / "elsewhere")

@@ -124,7 +124,7 @@ def test_a_front_is_told_by_id(tmp_path):
 
 def test_what_is_known_of_the_critical_set_is_told_with_its_threshold():
     share = Estimate(0.2, 0.1, 0.3)
-    known = CriticalEstimates(1.5, False, "m/s²", 7, CriticalSetEstimates(share, share, 0.0, 0.5, 0.01, 0.02))
+    known = CriticalEstimates(1.5, False, "m/s²", 20, 7, CriticalSetEstimates(share, share, 0.0, 0.5, 0.01, 0.02))
     assert format_criterion(known.criterion, "drac") == "drac >= 1.5 m/s²"
     known = replace(known, lower_is_critical=True, unit="")
     assert format_criterion(known.criterion, "ttc + 2 pet") == "ttc + 2 pet <= 1.5"

@@ -88,7 +88,7 @@ def test_versions_that_do_not_differ_have_a_page_too(versions, tmp_path):
     assert result.exit_code == 0, result.output
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
     assert "<h2>The same</h2>" in page
-    assert "<p>All 30 scenarios that both ran are the same bytes</p>" in page
+    assert "<p>All 30 scenarios that both ran have identical recordings</p>" in page
     assert 'id="replay"' not in page
 
 

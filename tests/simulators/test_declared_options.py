@@ -77,7 +77,10 @@ def registered(monkeypatch):
     [
         ("swallowing:crash=15,typo=3", "The simulator 'swallowing' has no option 'typo'; known are: crash."),
         ("swallowing:crsh=15", "has no option 'crsh'; did you mean 'crash'?"),
-        ("terse:crash=15", "The simulator 'terse' has no option 'crash'; its constructor declares none."),
+        (
+            "terse:crash=15",
+            "The simulator 'terse' has no option 'crash'; its options (time_step) are given on their own",
+        ),
         ("longer:typo=3", "The simulator 'longer' has no option 'typo'; known are: more."),
         ("needy", "The simulator 'needy' needs the option 'licence'; give it as in 'needy:licence=value'."),
         (

@@ -281,7 +281,7 @@ def test_a_controller_of_a_catalog_names_a_driver(tmp_path):
 
 def test_simulate_and_explore_warn_and_the_command_line_prints(tmp_path):
     path = EXAMPLES / "t_intersection" / "t_intersection.xosc"
-    rest = "without effect: 3 parts, which affect no position or speed; `check` and -v list them"
+    rest = "3 parts of the files are ignored, on which no position or speed depends; `check` lists them"
     with pytest.warns(NoticeWarning, match=rest) as caught:
         cc.simulate(path, duration=0.1)
     assert all(one.filename == __file__ for one in caught)
@@ -292,7 +292,7 @@ def test_simulate_and_explore_warn_and_the_command_line_prints(tmp_path):
         )  # fmt: skip
     printed = cornercase("simulate", path, "--duration", 0.1, "-o", tmp_path / "r.csv")
     assert printed.returncode == 0
-    rest = "Without effect: 3 parts, which affect no position or speed; 'cornercase check' and -v list them.\n"
+    rest = "3 parts of the files are ignored, on which no position or speed depends; 'cornercase check' lists them.\n"
     assert rest in printed.stderr
     assert "<Axles>" not in printed.stderr
     printed = cornercase("-v", "simulate", path, "--duration", 0.1, "-o", tmp_path / "r.csv")
@@ -312,7 +312,7 @@ def test_43_5_what_can_change_the_result_comes_first_and_the_rest_is_a_count(tmp
     assert "<Axles>" in listed[-1]
     (first, rest) = cornercase("simulate", path, "--duration", 0.1, "-o", tmp_path / "r.csv").stderr.splitlines()[:2]
     assert "<EnvironmentAction>" in first
-    assert rest.startswith("Without effect: 3 more parts, ")
+    assert rest.startswith("3 more parts of the files are ignored, ")
 
 
 @pytest.mark.parametrize("each", ["builtin/openscenario.csv", "../roads/opendrive.csv", "carla/scenario_runner.csv"])

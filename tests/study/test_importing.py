@@ -97,7 +97,7 @@ def test_the_same_again_goes_on_and_something_else_is_refused(exported, tmp_path
         assert len(opened.finished_rows()) == 40
     done = cornercase("import", exported / "runs", *EXPLORED[:-1], "ttc", "-o", study)
     assert done.returncode == 2
-    assert "belongs to other metrics; name another study with -o" in done.stderr
+    assert "belongs to other metrics (wttc in the study, ttc given); name another study with -o" in done.stderr
     assert len(before) > 1000
 
 

@@ -197,6 +197,7 @@ def apart(written, tmp_path, monkeypatch) -> Path:
     return study
 
 
+@pytest.mark.usefixtures("no_cache")
 def test_42_10_the_scenario_is_taken_from_where_the_study_says(apart, tmp_path):
     assert json.loads(cornercase("show", apart, "--json").stdout)["scenario"] == f"../{X.name}"
     done = cornercase("reduce", apart, "-o", tmp_path / "reduced")
@@ -277,6 +278,7 @@ def test_42_10_only_who_asks_for_what_needs_the_scenario_reads_it_there(apart, t
     assert read == [f"../{X.name}"]
 
 
+@pytest.mark.usefixtures("no_cache")
 def test_42_s6_a_study_with_an_absolute_path_goes_on(apart, tmp_path):
     file = apart.parent.parent / X.name
     changed(apart, ("UPDATE meta SET value = ? WHERE key = 'scenario'", (json.dumps(str(file)),)))

@@ -75,6 +75,7 @@ def every_command(study):
     yield "analyze", study
 
 
+@pytest.mark.usefixtures("no_cache")
 def test_no_path_in_a_study_is_read_and_nothing_in_it_is_imported(sent, tmp_path, opened_files):
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()

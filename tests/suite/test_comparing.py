@@ -81,7 +81,7 @@ def test_a_study_compared_with_itself_shows_no_change(tmp_path):
     path = written(tmp_path / "a.db", GAPS)
     found = compared(path, path)
     assert not found
-    assert found.reason == "all 36 scenarios that both ran are the same bytes"
+    assert found.reason == "all 36 scenarios that both ran have identical recordings"
     assert found.count_pairs("the same") == 36
     assert found.examples == ()
     assert [one.p for one in found.tests] == [1.0] * len(found.tests)
@@ -221,7 +221,7 @@ def test_a_scenario_that_one_version_could_not_run_is_a_change(tmp_path):
         34,
     )
     assert found.reason == "1 of 36 scenarios could be run with one version only"
-    assert compared(old, old).reason == "all 35 scenarios that both ran are the same bytes"
+    assert compared(old, old).reason == "all 35 scenarios that both ran have identical recordings"
     broken = written(tmp_path / "broken.db", GAPS, failed=range(36))
     with pytest.raises(InputError, match="no scenario was run in both"):
         compared(broken, broken)
@@ -296,7 +296,7 @@ def test_a_zero_with_another_sign_is_not_the_same_bytes_and_no_change(tmp_path):
         ({"other": "Ego", "ego": "B"}, "measure different entities (Ego and B; B and Ego)"),
         ({"metrics": ("ttc",)}, "have different metrics (distance; ttc)"),
         ({"metrics": ("distance", "ttc")}, "choose among distance with `metrics`"),
-        ({"critical": 2.0}, "have different thresholds (1, 2); give one for both with `critical`"),
+        ({"critical": 2.0}, "have different thresholds (1, 2); give one for both with `threshold`"),
     ],
 )
 def test_studies_of_something_else_are_refused(tmp_path, more, words):
@@ -310,7 +310,7 @@ def test_one_threshold_for_both_takes_the_place_of_their_own(tmp_path):
     old = written(tmp_path / "old.db", GAPS)
     new = written(tmp_path / "new.db", GAPS, critical=2.0)
     between = float(np.median(GAPS))
-    found = compared(old, new, critical=between)
+    found = compared(old, new, threshold=between)
     critical = [pair.is_critical for pair in found.pairs]
     assert critical == [(gap <= between,) * 2 for gap in GAPS]
     assert found.to_json()["critical"] == between

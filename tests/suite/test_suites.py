@@ -213,7 +213,9 @@ def test_what_has_run_is_judged_anew_by_other_requirements(explored, tmp_path):
     with StudyFile.open(path, readonly=True) as study:
         assert study.elapsed_by_stage()["simulate"] == spent
         assert study.meta.requirements == result.requirements
-    with pytest.raises(cc.InputError, match=r"other simulator settings \(driver of Ego: as the file says there"):
+    with pytest.raises(
+        cc.InputError, match=r"other simulator settings \(driver of Ego: that of the scenario file in the study"
+    ):
         cc.run_suite(explored / "reduced", path, drivers={"Ego": "cautious"})
 
 

@@ -214,11 +214,17 @@ def check_options(function: str, options: Mapping[str, Option], given: Mapping[s
     return {name: item.check(given.get(name, item.default)) for name, item in options.items()}
 
 
-def refuse_unknown(function: str, options: Mapping[str, Option], given: Collection[str]) -> None:
-    """Raise `TypeError`, as Python does, if one of the keyword arguments is not an option of the function."""
+def refuse_unknown(
+    function: str, options: Collection[str], given: Collection[str], other_names: Mapping[str, str] | None = None
+) -> None:
+    """Raise `TypeError`, as Python does, if one of the keyword arguments is not an option of the function.
+
+    `other_names` maps names of other interfaces to those of the options.
+    """
     for name in given:
         if name not in options:
-            hint = suggest_name(name, options)
+            here = (other_names or {}).get(name)
+            hint = f"did you mean '{here}'?" if here in options else suggest_name(name, options)
             raise TypeError(f"{function}() got an unexpected keyword argument '{name}'; {hint}")
 
 

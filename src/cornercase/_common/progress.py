@@ -129,6 +129,11 @@ class _NotebookBar:
             self._display.update(page)
 
 
+def can_show_bar() -> bool:
+    """Whether a progress bar would be seen: in the kernel of a notebook, or in a terminal."""
+    return _is_in_notebook() or sys.stderr.isatty()
+
+
 def _is_in_notebook() -> bool:
     """Whether the code runs in the kernel of a notebook."""
     ipython = sys.modules.get("IPython")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Iterable, Mapping
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping
 from functools import partial
 from importlib.metadata import EntryPoint, entry_points
 from inspect import Parameter, signature
@@ -135,6 +135,15 @@ class Registry(Generic[T]):
 
     def __contains__(self, name: object) -> bool:
         return name in self._factories or any(entry.name == name for entry in entry_points(group=self._group))
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.names())
+
+    def __len__(self) -> int:
+        return len(self.names())
+
+    def __repr__(self) -> str:
+        return f"<Registry ({self._kind}): {', '.join(self)}>"
 
     def create(self, name: str | type[T], **options: Any) -> T:
         """Create the object registered as `name`.
@@ -294,7 +303,8 @@ def parse_options(
     `kind` and `name` are used in messages. `reserved` are options that the text may not set. `InputError` for unknown
     options and wrong values.
     """
-    declared = {key: parameter for key, parameter in declared_options(factory).items() if key not in reserved}
+    all_declared = declared_options(factory)
+    declared = {key: parameter for key, parameter in all_declared.items() if key not in reserved}
     options: dict[str, Any] = {}
     for option in text.split(","):
         key, equals, value = (part.strip() for part in option.partition("="))
@@ -306,7 +316,12 @@ def parse_options(
         if key in options:
             raise InputError(f"The {kind} '{name}:{text}' has the option '{key}' twice; give it once.")
         if key not in declared:
-            advice = suggest_name(key, declared) if declared else "its constructor declares none."
+            if declared:
+                advice = suggest_name(key, declared)
+            elif all_declared:
+                advice = f"its options ({', '.join(sorted(all_declared))}) are given on their own, not after the colon."
+            else:
+                advice = "its constructor declares none."
             raise InputError(f"The {kind} '{name}' has no option '{key}'; {advice}")
         try:
             options[key] = _parse_option_value(value, _plain_type(declared[key]))

@@ -29,20 +29,28 @@ def check_int(name: str, value: object, minimum: int = 0, maximum: int | None = 
     raise InputError(f"`{name}` {repr_short(value)}: give a whole number {bounds}.")
 
 
-def check_float(name: str, value: object, *, above: float | None = None, minimum: float | None = None) -> float:
+def check_float(
+    name: str, value: object, *, above: float | None = None, minimum: float | None = None, maximum: float = inf
+) -> float:
     """Return an argument as a finite float; ints and NumPy numbers are valid.
 
-    `above` is exclusive, `minimum` inclusive.
+    `above` is exclusive, `minimum` and `maximum` are inclusive.
     """
     if isinstance(value, Real) and not isinstance(value, bool):
         try:
             result = float(value)
         except OverflowError:
             result = inf
-        if isfinite(result) and (above is None or result > above) and (minimum is None or result >= minimum):
+        is_high_enough = (above is None or result > above) and (minimum is None or result >= minimum)
+        if isfinite(result) and is_high_enough and result <= maximum:
             return result
-    bound = f" above {above:g}" if above is not None else f" of {minimum:g} or more" if minimum is not None else ""
-    raise InputError(f"`{name}` {repr_short(value)}: give a number{bound}.")
+    if above is not None:
+        bound = f"number above {above:g}"
+    elif minimum is None:
+        bound = "finite number"
+    else:
+        bound = f"number of {minimum:g} or more" if maximum == inf else f"number from {minimum:g} to {maximum:g}"
+    raise InputError(f"`{name}` {repr_short(value)}: give a {bound}.")
 
 
 def check_bool(name: str, value: object) -> bool:
@@ -93,7 +101,7 @@ def check_path(name: str, value: object) -> Path:
     raise InputError(f"`{name}` {repr_short(value)}: give the path of a file or folder.")
 
 
-def not_an_object(name: str, value: object, hint: str = "give one as an object, or its name") -> InputError:
+def not_an_object(name: str, value: object, hint: str = "give an object or its name") -> InputError:
     """Return the error for an argument that should be an object; for a class, it says how to make an object of it."""
     if isinstance(value, type):
         return InputError(f"`{name}`: {value.__name__} is a class; give an object of it, as in {value.__name__}().")

@@ -11,6 +11,7 @@ from cornercase._common.errors import short_errors
 from cornercase._common.validation import check_path
 from cornercase.api._study import Study
 from cornercase.api._written_page import Page
+from cornercase.exploration._problem import name_arguments_of_objects, suggest_arguments
 from cornercase.report import write_comparison
 
 
@@ -50,12 +51,13 @@ class Comparison(suite.Comparison):
 
 
 @short_errors()
+@suggest_arguments
 def compare(
     old: Study | suite.SuiteResult | Path | str,
     new: Study | suite.SuiteResult | Path | str,
     *,
     metrics: str | Sequence[str] | None = None,
-    critical: float | None = None,
+    threshold: float | None = None,
     tolerances: Mapping[str, float] | None = None,
 ) -> Comparison:
     """Compare two versions of the system under test, and tell whether the new one is better or worse.
@@ -67,8 +69,9 @@ def compare(
         differ. For a `SuiteResult`, its study is compared.
     metrics : str or sequence of str, optional
         Metrics to compare by. By default all; both studies must then have the same metrics.
-    critical : float, optional
-        Threshold for this comparison only. By default each study's own; both must then be equal.
+    threshold : float, optional
+        Score from which a scenario is critical, for this comparison only. By default each study's own; both must then
+        be equal.
     tolerances : mapping of str to float, optional
         Largest change of a score that does not count, by metric, in its unit; defaults as in
         `cornercase.suite.compare`.
@@ -90,11 +93,12 @@ def compare(
     >>> cc.compare("old.db", "new.db").write("compare.html")  # doctest: +SKIP
     <Page 'compare.html'>
     """
-    paths = _path_of(old), _path_of(new)
-    result = suite.compare(*paths, metrics=metrics, critical=critical, tolerances=tolerances)
+    paths = _path_of("old", old), _path_of("new", new)
+    with name_arguments_of_objects():
+        result = suite.compare(*paths, metrics=metrics, critical=threshold, tolerances=tolerances)
     values = {item.name: getattr(result, item.name) for item in fields(result)}
     return Comparison(**values, studies=paths)
 
 
-def _path_of(study: Study | suite.SuiteResult | Path | str) -> Path:
-    return study.study if isinstance(study, suite.SuiteResult) else check_path("study", study)
+def _path_of(name: str, study: Study | suite.SuiteResult | Path | str) -> Path:
+    return study.study if isinstance(study, suite.SuiteResult) else check_path(name, study)

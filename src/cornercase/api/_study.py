@@ -9,9 +9,10 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, Self
 
-from cornercase._common.errors import InputError, short_errors
+from cornercase._common.errors import InputError
 from cornercase._common.io.files import check_writable_file
 from cornercase._common.memory import DEFAULT_MEMORY
+from cornercase._common.progress import can_show_bar
 from cornercase._common.text.html import render_html, render_html_table
 from cornercase._common.typing import FloatArray
 from cornercase._common.validation import check_int, check_path
@@ -19,9 +20,14 @@ from cornercase.api._simulator_fields import simulator_fields
 from cornercase.api._written_page import Page
 from cornercase.exploration import Estimation, ExplorationResult, Problem, Runs
 from cornercase.exploration._config import ExplorationConfig, config_from_study
-from cornercase.exploration._explore import explore_config
+from cornercase.exploration._explore import explore_config, simulator_from_config
 from cornercase.exploration._explore_options import stored_search_settings
-from cornercase.exploration._problem import config_from_problem, name_arguments_of_objects, problem_from_study
+from cornercase.exploration._problem import (
+    config_from_problem,
+    name_arguments_of_objects,
+    problem_from_study,
+    suggest_arguments,
+)
 from cornercase.exploration._runs import run_settings, single_run_settings
 from cornercase.metrics._own_metrics import as_items
 from cornercase.optimizers._missing import known_optimizer
@@ -32,9 +38,9 @@ if TYPE_CHECKING:
     import pandas as pd
     from distributed import Client
 
+    from cornercase import stop as stop_rules
     from cornercase.clustering import Analysis, ClusteringMethod
     from cornercase.evidence import Sensitivity
-    from cornercase.exploration import stop as stop_rules
     from cornercase.optimizers import Optimizer
     from cornercase.recordings import Recording
     from cornercase.reduction import ArchetypeMethod, KillMatrix, ReducedSet
@@ -96,8 +102,10 @@ class Study(PathLike[str]):
     ) -> None:
         self.path = check_path("path", path)
         self._problem, self._seed = problem, None if seed is None else check_int("seed", seed, 0)
-        self._simulator_fields = {} if simulator is None else simulator_fields(simulator)
+        self._simulator, self._simulator_fields = simulator, {} if simulator is None else simulator_fields(simulator)
         self._scenario = None if scenario is None else check_path("scenario", scenario)
+        # Of the scenario's files; the same for each exploration.
+        self._has_shown_notices = False
 
     @classmethod
     def create(
@@ -204,9 +212,9 @@ class Study(PathLike[str]):
             return study
         with study._read() as file, name_arguments_of_objects():
             config = study._make_config(file.meta)
-            meta = config.make_study_meta(
-                config.make_objective(), file.meta.settings, file.meta.elsewhere, study=study.path
-            )
+            with simulator_from_config(config) as configured:
+                settings = configured.settings
+            meta = config.make_study_meta(config.make_objective(), settings, file.meta.elsewhere, study=study.path)
             file.meta.require_resumable(meta, study.path)
         return study
 
@@ -216,7 +224,10 @@ class Study(PathLike[str]):
             raise InputError(f"`problem`: give a Problem, not a {type(problem).__name__}.")
         study = cls(path, problem, simulator, seed=seed)
         with name_arguments_of_objects():
-            study._make_config(None).require_entities()
+            config = study._make_config(None)
+            config.require_entities()
+            # It only describes the simulator, and checks options and drivers.
+            simulator_from_config(config).close()
         return study
 
     def __fspath__(self) -> str:
@@ -244,6 +255,32 @@ class Study(PathLike[str]):
                 self._seed = file.meta.seed
         return self._seed
 
+    @property
+    def simulator(self) -> Simulator | str:
+        """Simulator that runs the scenarios, as it was given; of an opened study, its name in the file."""
+        if self._simulator is not None:
+            return self._simulator
+        with self._read() as file:
+            return file.meta.simulator
+
+    @property
+    def optimizer(self) -> str | None:
+        """Optimizer that searched, as text; None if no scenario was run yet."""
+        if not self.path.exists():
+            return None
+        with self._read() as file:
+            return file.meta.optimizer
+
+    def __len__(self) -> int:
+        if not self.path.exists():
+            return 0
+        with self._read() as file:
+            return len(file.rows())
+
+    def __bool__(self) -> bool:
+        return True
+
+    @suggest_arguments
     def explore(
         self,
         optimizer: Optimizer | str | None = None,
@@ -256,7 +293,7 @@ class Study(PathLike[str]):
         audit: float | None = None,
         warm_start: Study | Path | str | None = None,
         retry_failed: bool = False,
-        progress: bool = False,
+        progress: bool | None = None,
     ) -> ExplorationResult:
         """Search for critical concrete scenarios.
 
@@ -270,7 +307,7 @@ class Study(PathLike[str]):
             By default ``Bayes()``. If the study was searched before, this and all other settings default to those of
             that search.
         budget : int, optional
-            Number of scenarios in total; 200 by default.
+            Number of scenarios in total, including those that were run before; 200 by default.
         stop : StopRule or str, or sequence of these
             Rules of `cornercase.stop` that end the search before the budget is used up: when the critical set is known
             well enough (``stop.missed(0.05)``), after a time, or when there is no improvement. If there are several
@@ -289,8 +326,8 @@ class Study(PathLike[str]):
             its scores.
         retry_failed : bool, default False
             Run the failed scenarios of the study again before the search goes on.
-        progress : bool, default False
-            Show a progress bar.
+        progress : bool, optional
+            Show a progress bar; by default in notebooks and terminals.
 
         Returns
         -------
@@ -324,12 +361,20 @@ class Study(PathLike[str]):
                 with self._read() as file:
                     meta = file.meta
             config = self._make_config(meta, **{key: value for key, value in settings.items() if value is not None})
-            result = explore_config(config, self.path, progress, retry_failed=retry_failed)
+            result = explore_config(
+                config,
+                self.path,
+                can_show_bar() if progress is None else progress,
+                retry_failed=retry_failed,
+                notices=not self._has_shown_notices,
+            )
+        self._has_shown_notices = True
         if result.interrupted:
             # What follows in a script or notebook is not done with half a search.
             raise KeyboardInterrupt(f"Interrupted after {result.n_finished} scenarios. The same call again resumes.")
         return result
 
+    @suggest_arguments
     def cluster(
         self,
         by: str | Sequence[str] | None = None,
@@ -348,14 +393,16 @@ class Study(PathLike[str]):
     ) -> dict[str, Analysis]:
         """Cluster the scenarios by behaviour and by criticality, and store the result.
 
-        For each aspect, Dynamic Time Warping gives distances between scenarios, and the clusters are found from these
-        distances.
+        Scenarios are compared by several *aspects*, one at a time: how the ego moved, from where it saw the other, how
+        critical each instant was. For each aspect, Dynamic Time Warping gives distances between scenarios, and the
+        clusters are found from these distances.
 
         Parameters
         ----------
         by : str or sequence of str, optional
-            Aspects: any of `cornercase.clustering.ASPECTS`, and metrics of the study. By default the ego's trajectory,
-            the bearing of the other, the interaction of both, and all metrics of the study.
+            Aspects: any of `cornercase.clustering.ASPECTS`, and metrics of the study. By default ``"ego-trajectory"``,
+            ``"bearing"`` (the direction in which the ego sees the other), ``"interaction"`` (both motions), and all
+            metrics of the study.
         gamma, eps : float or "auto", default "auto"
             Width of the kernel, and radius of a neighbourhood in kernel space; both without unit.
         min_samples : int or "auto", default "auto"
@@ -396,7 +443,7 @@ class Study(PathLike[str]):
 
         with name_arguments_of_objects():
             return analyze(
-                self.path,
+                self._file,
                 by,
                 gamma=gamma,
                 eps=eps,
@@ -411,6 +458,7 @@ class Study(PathLike[str]):
                 progress=progress,
             )
 
+    @suggest_arguments
     def reduce(
         self,
         folder: Path | str,
@@ -485,7 +533,7 @@ class Study(PathLike[str]):
         similarity = {} if within is None else {"within": within}
         with name_arguments_of_objects():
             return reduce(
-                self.path,
+                self._file,
                 folder,
                 by=by,
                 size=size,
@@ -501,6 +549,7 @@ class Study(PathLike[str]):
                 **similarity,
             )
 
+    @suggest_arguments
     def report(
         self,
         path: Path | str,
@@ -541,7 +590,7 @@ class Study(PathLike[str]):
         with name_arguments_of_objects():
             return Page(
                 write_report(
-                    self.path,
+                    self._file,
                     path,
                     figures=figures,
                     scenario=self._scenario_path(),
@@ -580,8 +629,9 @@ class Study(PathLike[str]):
         """
         from cornercase.report import watch
 
-        watch(self.path, port=port, host=host, scenario=self._scenario_path(), browser=browser, show=show)
+        watch(self._file, port=port, host=host, scenario=self._scenario_path(), browser=browser, show=show)
 
+    @suggest_arguments
     def replay(
         self,
         scenario: int,
@@ -628,7 +678,7 @@ class Study(PathLike[str]):
         with name_arguments_of_objects():
             return Page(
                 replay(
-                    self.path,
+                    self._file,
                     scenario,
                     path,
                     beside=next_to,
@@ -640,6 +690,7 @@ class Study(PathLike[str]):
                 )
             )
 
+    @suggest_arguments
     def estimate(
         self,
         path: Path | str,
@@ -690,7 +741,7 @@ class Study(PathLike[str]):
 
         with name_arguments_of_objects():
             return estimate(
-                self.path,
+                self._file,
                 path,
                 budget=budget,
                 critical=threshold,
@@ -710,12 +761,40 @@ class Study(PathLike[str]):
         Returns
         -------
         DataFrame
-            One row per scenario, indexed by its id: ``round``, ``state``, the parameters, the score by each metric, and
-            once they are known ``cluster by …`` (-1 for noise), ``outcome`` and ``note``; ``error`` if it failed. All
-            columns are listed in `cornercase.study.StudyFile.table`.
+            One row per scenario, indexed by its id: ``round``, ``state``, the parameters, the score by each metric,
+            ``collision`` (the entity that the ego collides with first), ``impact speed`` in m/s, and once they are
+            known ``cluster by …`` (-1 for noise), ``outcome`` and ``note``; ``error`` if it failed. All columns are
+            listed in `cornercase.study.StudyFile.table`.
         """
         with self._read() as file:
             return file.table()
+
+    def most_critical(self, n: int = 10, metric: str | None = None) -> pd.DataFrame:
+        """Make a table of the most critical scenarios.
+
+        Many scenarios may have the same score, such as a time to collision of 0 s. Of these, those in which the ego
+        collides come first, and the higher the speed at contact the earlier.
+
+        Parameters
+        ----------
+        n : int, default 10
+            Largest number of rows.
+        metric : str, optional
+            By default the first metric of the study.
+
+        Returns
+        -------
+        DataFrame
+            Rows of `table`, the most critical one first.
+
+        Raises
+        ------
+        InputError
+            No scenario was run, or the study has no such metric.
+        """
+        count = check_int("n", n, 1)
+        with self._read() as file, file.snapshot():
+            return file.table().loc[file.most_critical(metric)[:count]]
 
     def recording(self, scenario: int) -> Recording:
         """Read the recording of a scenario.
@@ -760,6 +839,7 @@ class Study(PathLike[str]):
         with self._read() as file:
             return file.course(scenario, file.meta.metrics[0] if metric is None else metric)
 
+    @suggest_arguments
     def critical_set(self, *, threshold: float | None = None) -> CriticalEstimates:
         """Estimate which fraction of the space is critical, and how much of the critical part was missed.
 
@@ -780,7 +860,7 @@ class Study(PathLike[str]):
         """
         from cornercase.report._estimates import estimate_critical
 
-        with name_arguments_of_objects(), open_study(self.path, readonly=True, critical=threshold) as file:
+        with name_arguments_of_objects(), open_study(self._file, readonly=True, critical=threshold) as file:
             estimates = estimate_critical(file)
         if estimates is None:
             raise InputError(f"{self.path}: no scenario was run, or nothing says what is critical; give `threshold`.")
@@ -812,6 +892,7 @@ class Study(PathLike[str]):
                     f"{self.path}: sensitivities need 10 scenarios or more with different scores."
                 ) from error
 
+    @suggest_arguments
     def summary(self, *, threshold: float | None = None) -> Summary:
         """Summarize what was run and what was found, with all stored clusters and the reduced set.
 
@@ -832,7 +913,7 @@ class Study(PathLike[str]):
         from cornercase.report import summarize
 
         with name_arguments_of_objects():
-            return summarize(self.path, critical=threshold)
+            return summarize(self._file, critical=threshold)
 
     def export(self, folder: Path | str, *, parquet: bool = False) -> None:
         """Write the study as CSV: a table of scenarios, and the recording and metric courses of each scenario.
@@ -852,12 +933,16 @@ class Study(PathLike[str]):
         with self._read() as file:
             file.export(folder, parquet)
 
-    @short_errors()
-    def _read(self) -> StudyFile:
-        """Open the file for reading."""
+    @property
+    def _file(self) -> Path:
+        """Path of the file; `InputError` if no scenario was run yet."""
         if self._problem is not None and not self.path.exists():
             raise InputError(f"{self.path}: no scenario was run yet; run some with `explore`.")
-        return StudyFile.open(self.path)
+        return self.path
+
+    def _read(self) -> StudyFile:
+        """Open the file for reading."""
+        return StudyFile.open(self._file)
 
     def _make_config(self, meta: StudyMeta | None, **settings: Any) -> ExplorationConfig:
         """Return the configuration of an exploration; `meta` of the existing file gives the defaults of `settings`."""
@@ -895,9 +980,9 @@ class Study(PathLike[str]):
         if self._problem is not None and not self.path.exists():
             return render_html(repr(self))
         with self._read() as file:
-            table, metric_name = file.table(), file.meta.metrics[0]
-            # If a metric is unknown, the first scenarios are shown.
+            table = file.table()
+            # If the package of a metric is missing, the first scenarios are shown.
             with suppress(InputError):
-                ascending = file.meta.create_metric(metric_name).lower_is_critical
-                table = table.sort_values(metric_name, ascending=ascending, kind="stable")
+                ids = file.most_critical()
+                table = table.loc[[*ids, *table.index.difference(ids)]]
         return render_html_table(repr(self), table)

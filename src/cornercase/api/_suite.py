@@ -10,7 +10,8 @@ from cornercase._common.errors import short_errors
 from cornercase._common.text.html import render_html_table
 from cornercase._common.validation import check_path
 from cornercase.api._simulator_fields import simulator_fields
-from cornercase.drivers import Driver
+from cornercase.drivers import Behaviour, Driver
+from cornercase.drivers._resolve import check_drivers
 from cornercase.exploration import Runs
 from cornercase.exploration._runs import single_run_settings
 from cornercase.metrics import Metric
@@ -95,7 +96,7 @@ class Suite:
         require_from_file: bool = False,
         metrics: Metric | str | Sequence[Metric | str] = (),
         simulator: Simulator | str | None = None,
-        drivers: Mapping[str, str | Driver] | None = None,
+        drivers: Mapping[str, str | Driver | Behaviour] | None = None,
         runs: Runs | None = None,
         against: Path | str | None = None,
         mutants: int | None = None,
@@ -124,7 +125,7 @@ class Suite:
             those in the requirements, or else ``clearance``.
         simulator : Simulator or str, optional
             By default that of the manifest; without a manifest the builtin simulator.
-        drivers : mapping of str to str or Driver, optional
+        drivers : mapping of str to str, Driver or Behaviour, optional
             Drivers by entity: the name of a preset, ``package.module:Class``, or an object. Names may have options
             after a colon. By default the drivers in the files.
         runs : Runs, optional
@@ -156,7 +157,7 @@ class Suite:
             Something in the files has no effect in the simulator.
         """
         fields = {} if simulator is None else simulator_fields(simulator)
-        fields["drivers"] = {**fields.get("drivers", {}), **(drivers or {})}
+        fields["drivers"] = {**fields.get("drivers", {}), **check_drivers(drivers)}
         return run_suite(
             self.path,
             self._default_study() if study is None else study,

@@ -90,7 +90,7 @@ def analyze(
         Open for writing, or the file.
     by : str or sequence of str, optional
         Aspects: any of `cornercase.clustering.ASPECTS`, and metrics of the study. By default the ego's trajectory,
-        the bearing of the other, the interaction of both, and all metrics of the study.
+        the direction in which it sees the other (``"bearing"``), the interaction of both, and all metrics of the study.
     gamma, eps : float or "auto", default "auto"
         Kernel width and radius of the neighbourhood, without unit.
     min_samples : int or "auto", default "auto"

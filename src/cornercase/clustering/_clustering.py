@@ -126,7 +126,8 @@ class Clustering:
         return float(np.mean(self.labels == NOISE_LABEL)) if len(self.labels) else 0.0
 
     def __repr__(self) -> str:
+        clusters = "1 cluster" if self.n_clusters == 1 else f"{self.n_clusters} clusters"
         return (
-            f"Clustering({len(self.labels)} scenarios, {self.n_clusters} clusters, {self.noise:.0%} noise,"
-            f" {self.method}, gamma={self.gamma:.4g}, eps={self.eps:.4g}, min_samples={self.min_samples})"
+            f"<Clustering: {len(self.labels)} scenarios, {clusters}, {self.noise:.0%} noise,"
+            f" {self.method}, gamma={self.gamma:.4g}, eps={self.eps:.4g}, min_samples={self.min_samples}>"
         )

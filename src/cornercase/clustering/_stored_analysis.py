@@ -128,9 +128,9 @@ class Analysis:
     def __repr__(self) -> str:
         clustering = self.clustering
         return (
-            f"Analysis(by {self.by}: {len(self.ids)} scenarios, clusters of {self.sizes}, {clustering.noise:.0%} noise,"
-            f" {clustering.method}, gamma={clustering.gamma:.4g}, eps={clustering.eps:.4g},"
-            f" min_samples={clustering.min_samples})"
+            f"<Analysis by {self.by}: {len(self.ids)} scenarios, clusters of {self.sizes},"
+            f" {clustering.noise:.0%} noise, {clustering.method}, gamma={clustering.gamma:.4g},"
+            f" eps={clustering.eps:.4g}, min_samples={clustering.min_samples}>"
         )
 
 

@@ -135,7 +135,7 @@ def format_driver(description: object) -> str:
     if isinstance(description, str):
         return description
     if not isinstance(description, Mapping):
-        return "as the file says" if description is None else str(description)
+        return "that of the scenario file" if description is None else str(description)
     checksum, options = description.get("sha256"), description.get("options")
     if checksum is None and options is None and (command := driver_command_option(description)) is not None:
         return command

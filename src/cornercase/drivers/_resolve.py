@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Protocol, TypeGuard, runtime_checkable
 
 from cornercase._common.current_folder import import_from_current_folder
@@ -11,9 +12,10 @@ from cornercase._common.process.signals import collect_interrupts, count_request
 from cornercase._common.registry import check_options, parse_options
 from cornercase._common.text.sanitize import format_exception
 from cornercase._common.typing import FloatArray
-from cornercase._common.validation import repr_short
+from cornercase._common.validation import check_mapping, repr_short
 from cornercase.drivers._base import Driver, Situation
 from cornercase.drivers._description import record_driver_spec
+from cornercase.drivers._presets import Behaviour
 from cornercase.drivers._registry import DRIVERS, is_registered_driver
 
 
@@ -37,9 +39,29 @@ def is_driver(candidate: object) -> TypeGuard[Driver]:
     )
 
 
-def check_driver(entity: str, driver: object) -> str | Driver:
-    """Return a name or a driver; `InputError` for anything else that is to drive `entity`."""
-    if (driver and isinstance(driver, str)) or is_driver(driver):
+def check_drivers(drivers: object) -> dict[str, str | Driver]:
+    """Return drivers by entity, each as a name or a driver; `InputError` for an unknown name and for anything else.
+
+    A `Behaviour` becomes the name of its preset, with options. The module of a user's own driver is not imported.
+    """
+    if drivers is not None and not isinstance(drivers, Mapping):
+        raise InputError(
+            f"`drivers` {repr_short(drivers)}: give the driver of each entity, as in drivers={{'Ego': 'normal'}}."
+        )
+    return {entity: _check_driver(entity, driver) for entity, driver in check_mapping("drivers", drivers or {}).items()}
+
+
+def _check_driver(entity: str, driver: object) -> str | Driver:
+    if isinstance(driver, Behaviour):
+        # Its kernels take long to import.
+        from cornercase.drivers._behaviour import BehaviourDriver
+
+        return str(BehaviourDriver(driver))
+    if driver and isinstance(driver, str):
+        if ":" not in driver or is_registered_driver(driver):
+            DRIVERS.create(driver)
+        return driver
+    if is_driver(driver):
         return driver
     raise InputError(f"`drivers` {entity}={repr_short(driver)}: give the name of a driver, or an instance.")
 

@@ -29,7 +29,7 @@ MIN_PREDICTED: Final = 0.1
 """Least predicted fraction of the variance for the indices to be meaningful."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Sensitivity:
     """Sensitivity of a score to the parameters: the fraction of the variance that comes from each.
 
@@ -78,10 +78,17 @@ class Sensitivity:
         table = pd.DataFrame(columns, index=pd.Index(self.names, name="parameter"))
         return table.sort_values("total", ascending=False, kind="stable")
 
+    def __repr__(self) -> str:
+        totals = ", ".join(f"{name} {total:.2f}" for name, total in self.table()["total"].items())
+        return f"<Sensitivity: total {totals}; {self._reliability}>"
+
     def _repr_html_(self) -> str:
         """HTML table of the parameters, for notebooks."""
-        title = f"Sensitivity: the parameters predict {max(self.predicted, 0.0):.0%} of the variance"
-        return render_html_table(title, self.table(), n_rows=len(self.names))
+        return render_html_table(f"Sensitivity: {self._reliability}", self.table(), n_rows=len(self.names))
+
+    @property
+    def _reliability(self) -> str:
+        return f"the parameters predict {max(self.predicted, 0.0):.0%} of the variance"
 
     @property
     def uninfluential_parameters(self) -> tuple[str, ...]:

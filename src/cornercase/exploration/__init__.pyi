@@ -1,4 +1,3 @@
-from . import stop as stop
 from ._estimate import estimate as estimate
 from ._estimation import Estimation as Estimation
 from ._explore import explore as explore

@@ -12,14 +12,13 @@ from cornercase._common.text.sanitize import remove_folders
 from cornercase._common.validation import check_mapping
 from cornercase.drivers import Driver
 from cornercase.drivers._description import driver_command_option, format_driver, iter_driver_changes
-from cornercase.drivers._resolve import check_driver, may_be_named_in_file
+from cornercase.drivers._resolve import check_drivers, may_be_named_in_file
 from cornercase.exploration._explore_options import (
     CONFIG_OPTIONS,
     SEARCH_SETTINGS,
     ExplorationOptions,
     stored_values,
 )
-from cornercase.exploration.stop._stop_rules import StopCriterion, resolve_stop_rules
 from cornercase.metrics import METRICS, CriticalIf, Metric
 from cornercase.metrics._other_entities import ALL_OTHERS, resolve_others
 from cornercase.metrics._own_metrics import StoredMetric, as_items, metric_text, resolve_metrics
@@ -29,6 +28,7 @@ from cornercase.scenario import LogicalScenario
 from cornercase.scenario._file import ScenarioFile
 from cornercase.simulators import Simulator
 from cornercase.simulators._common_options import split_common_options
+from cornercase.stop._stop_rules import StopCriterion, resolve_stop_rules
 from cornercase.study import StudyFile, StudyMeta
 from cornercase.study._meta import MAX_AUDIT_FRACTION, metric_fields
 from cornercase.study._objective import Objective
@@ -75,8 +75,7 @@ class ExplorationConfig(ExplorationOptions):
             self._refuse_conflicts_with_condition()
         if self.audit > MAX_AUDIT_FRACTION:
             raise InputError(f"`audit` {self.audit:g}: give a fraction of the scenarios up to {MAX_AUDIT_FRACTION:g}.")
-        for entity, driver in self.drivers.items():
-            check_driver(entity, driver)
+        object.__setattr__(self, "drivers", check_drivers(self.drivers))
         object.__setattr__(self, "max_repeats", self._decisive_max_repeats())
 
     @property

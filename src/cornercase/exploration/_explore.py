@@ -33,6 +33,7 @@ from cornercase.simulators._results import check_simulator_accepts, list_ignored
 from cornercase.simulators._run_notices import warn_if_ego_has_no_driver
 from cornercase.study import StudyFile
 from cornercase.study._objective import Objective
+from cornercase.study._remembered_paths import remember_scenario
 from cornercase.study._study_file import open_or_create_study
 
 
@@ -139,14 +140,22 @@ def _load_warm_start(
 
 
 def explore_config(
-    config: ExplorationConfig, study: Path | str, progress: bool = False, *, retry_failed: bool = False
+    config: ExplorationConfig,
+    study: Path | str,
+    progress: bool = False,
+    *,
+    retry_failed: bool = False,
+    notices: bool = True,
 ) -> ExplorationResult:
-    """Run the exploration of a configuration, in a new or existing study; otherwise like `explore`."""
+    """Run the exploration of a configuration, in a new or existing study; otherwise like `explore`.
+
+    With `notices`, warnings say what in the scenario's files has no effect.
+    """
     file = check_path("study", study)
     check_bool("progress", progress)
     check_bool("retry_failed", retry_failed)
     try:
-        return _run_exploration(config, file, progress, retry_failed)
+        return _run_exploration(config, file, progress, retry_failed, notices)
     except KeyboardInterrupt:
         # Interrupted before or after the part in which the explorer handles it itself.
         with suppress(InputError), StudyFile.open(file, readonly=True) as opened:
@@ -155,7 +164,7 @@ def explore_config(
 
 
 def _run_exploration(
-    config: ExplorationConfig, study_path: Path, progress: bool, retry_failed: bool
+    config: ExplorationConfig, study_path: Path, progress: bool, retry_failed: bool, notices: bool
 ) -> ExplorationResult:
     start = time.monotonic()
     config.require_entities()
@@ -173,8 +182,9 @@ def _run_exploration(
             [config.logical.scenario_file],
             [config.logical.concrete_scenario(values) for values in sample_values],
         )
-        warn_notices(_notices_at_center(config, simulator))
-        warn_if_ego_has_no_driver(simulator, [config.logical.scenario_file], config.ego)
+        if notices:
+            warn_notices(_notices_at_center(config, simulator))
+            warn_if_ego_has_no_driver(simulator, [config.logical.scenario_file], config.ego)
         meta = config.make_study_meta(
             objective, simulator.settings, None if warm_start is None else warm_start.study_info, study=study_path
         )
@@ -183,6 +193,7 @@ def _run_exploration(
                 # A resumed study holds its warm-start data itself.
                 meta = replace(meta, elsewhere=study.meta.elsewhere)
             study.writer.resume(meta, same_budget="budget" in optimizer.requires)
+            remember_scenario(config.logical.path, meta.fingerprint, study_path)
             if warm_start is not None:
                 study.writer.save_warm_start(warm_start.points, warm_start.scores)
             had_ended = any(row.state != "pending" for row in study.rows())

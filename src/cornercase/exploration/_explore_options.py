@@ -15,9 +15,9 @@ from cornercase._common.option import Option, option, read_options
 from cornercase.simulators._run_options import RunOptions, SimulationKeywords, SimulationOptions
 
 if TYPE_CHECKING:
-    from cornercase.exploration.stop._stop_rules import StopRule
     from cornercase.metrics import Metric
     from cornercase.optimizers import Optimizer
+    from cornercase.stop._stop_rules import StopRule
     from cornercase.study import StudyMeta
 
 _PROBLEM: Final = "What is tested"

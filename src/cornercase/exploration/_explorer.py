@@ -214,13 +214,21 @@ class ScenarioExplorer:
     def _stop_reason(self, n_done: int, seconds: float) -> str | None:
         """Return the termination criterion that holds; None if none does."""
         config = self._config
-        if n_done >= config.budget:
-            return f"the budget of {config.budget} scenarios is used up"
-        if self._patience is not None and self._n_without_improvement >= self._patience:
-            return f"{self._patience} {self._patience_unit} brought no improvement"
-        if config.max_seconds is not None and seconds >= config.max_seconds:
-            return f"{config.max_seconds:g} s have passed"
-        return self._stop_criteria_reason()
+        if n_done > config.budget:
+            return (
+                f"the budget of {config.budget} scenarios counts these too, so no new one was run; a budget of"
+                f" {n_done + config.budget} runs {config.budget} more"
+            )
+        if n_done == config.budget:
+            reason = f"the budget of {config.budget} scenarios is used up"
+        elif self._patience is not None and self._n_without_improvement >= self._patience:
+            reason = f"{self._patience} {self._patience_unit} brought no improvement"
+        elif config.max_seconds is not None and seconds >= config.max_seconds:
+            reason = f"{config.max_seconds:g} s have passed"
+        else:
+            return self._stop_criteria_reason()
+        with self._clock("judge"):
+            return reason + self._stopping.describe_not_reached()
 
     def _exhausted_reason(self, n_done: int) -> str:
         """Return why the search has no more proposals: the space is exhausted, or the constraints exclude the rest."""

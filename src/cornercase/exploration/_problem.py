@@ -5,10 +5,13 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import wraps
+from inspect import signature
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, cast
 
 from cornercase._common.errors import InputError, short_errors
+from cornercase._common.option import Function, refuse_unknown
 from cornercase._common.text.html import render_html
 from cornercase._common.validation import repr_short
 from cornercase.exploration._config import ExplorationConfig, metrics_to_continue, read_logical_scenario
@@ -25,6 +28,18 @@ _NAME_IN_OBJECTS: Final = {
     "stop_when": "stop",
     "study": "path",
 }
+
+
+def suggest_arguments(function: Function) -> Function:
+    """Decorator: the error of an unknown keyword argument says which one is meant, also for names of options."""
+    parameters = [name for name in signature(function).parameters if name != "self"]
+
+    @wraps(function)
+    def call(*positional: Any, **given: Any) -> Any:
+        refuse_unknown(function.__qualname__.removesuffix(".__init__"), parameters, given, _NAME_IN_OBJECTS)
+        return function(*positional, **given)
+
+    return cast(Function, call)
 
 
 @dataclass(frozen=True, repr=False)
@@ -107,6 +122,9 @@ class Problem:
         return render_html(repr(self), self.scenario.space._repr_html_())
 
 
+Problem.__init__ = suggest_arguments(Problem.__init__)  # type: ignore[method-assign]
+
+
 def problem_from_study(study: StudyFile, scenario: Path | None) -> Problem:
     """Return the problem that was searched; no code of the user is needed. `scenario` is the explored file."""
     meta = study.meta
@@ -141,5 +159,8 @@ class name_arguments_of_objects(short_errors):  # noqa: N801
     """Like `short_errors`; messages name the arguments of `Problem`: `` `threshold` `` instead of `` `critical` ``."""
 
     def edit(self, message: str) -> str:
-        """Replace the names between backticks."""
+        """Replace the names between backticks, and hints for functions."""
+        # A verb of an object names no file.
+        message = message.replace("name another study with `study`", "create another study")
+        message = message.replace("name it with `scenario`", "name it as in Study.open(…, scenario=…)")
         return re.sub(r"`(\w+)`", lambda match: f"`{_NAME_IN_OBJECTS.get(match[1], match[1])}`", message)

@@ -218,9 +218,8 @@ class ScenarioRunner:
         """Raise `InputError` if the first `max_failures` scenarios all failed by exceptions."""
         if 0 < self._config.max_failures <= self._n_exceptions and not self._study.finished_rows():
             raise InputError(
-                f"None of {self._n_exceptions} scenarios gave a result (`max_failures`); in the"
-                f" last one {self._last_error}. Fix"
-                " it, and run the same command again."
+                f"The first {self._n_exceptions} scenarios all failed, so no more are run; in the last one"
+                f" {self._last_error}. Fix it, and run the same command again; `max_failures` is the limit."
             )
 
     def simulate(

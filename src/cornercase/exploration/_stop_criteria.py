@@ -12,9 +12,9 @@ from cornercase._common.typing import FloatArray
 from cornercase.evidence._critical_set_estimate import CriticalSet
 from cornercase.evidence._multi_fidelity import SourceStudyModel
 from cornercase.exploration._study_critical_set import is_score_independent
-from cornercase.exploration.stop._stop_rules import StopCriterion
 from cornercase.metrics import registered_features
 from cornercase.scenario import ParameterSpace
+from cornercase.stop._stop_rules import StopCriterion
 from cornercase.study._criterion import Criterion
 
 # Minimum number of scenarios to judge a critical set.
@@ -71,6 +71,26 @@ class StopCriteria:
 
     def describe_reached(self) -> str | None:
         """Describe how well the critical set is known if all criteria hold, else None."""
+        values = self._values()
+        if values is None or not all(value < rule.bound for rule, value in values):
+            return None
+        return " and ".join(rule.describe_value(value) for rule, value in values)
+
+    def describe_not_reached(self) -> str:
+        """Continue a sentence on why the search ended: which criteria do not hold. Empty if all do."""
+        if not self._criteria:
+            return ""
+        values = self._values()
+        if values is None:
+            return f", and too little is known to judge {' and '.join(map(str, self._criteria))}"
+        return "".join(
+            f", and {rule} is not reached: {rule.describe_value(value)}"
+            for rule, value in values
+            if value >= rule.bound
+        )
+
+    def _values(self) -> list[tuple[StopCriterion, float]] | None:
+        """Return each criterion with the value of its quantity; None if too little is known."""
         if not self.is_ready or self._criterion is None:
             return None
         try:
@@ -87,7 +107,4 @@ class StopCriteria:
             )
         except ValueError:
             return None
-        values = [(rule, rule.evaluate(critical_set)) for rule in self._criteria]
-        if any(value >= rule.bound for rule, value in values):
-            return None
-        return " and ".join(rule.describe_value(value) for rule, value in values)
+        return [(rule, rule.evaluate(critical_set)) for rule in self._criteria]

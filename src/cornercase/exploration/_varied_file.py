@@ -11,6 +11,7 @@ from cornercase._common.errors import InputError
 from cornercase._common.io.files import check_output_differs_from_source, read_file, write_files
 from cornercase._common.validation import check_str_sequence
 from cornercase.scenario import LogicalScenario, Parameter, ParameterSpace
+from cornercase.scenario._range_syntax import format_ranges
 from cornercase.scenario._types import format_value
 from cornercase.scenario._vary import VariedScenario
 
@@ -51,7 +52,7 @@ def open_logical_scenario(
     extra_files = varied.companion_files(file.parent)
     _write_varied_scenario(varied, extra_files, file, study)
     try:
-        all_ranges = [*check_str_sequence("ranges", ranges), *map(_format_range, varied.parameters)]
+        all_ranges = [*format_ranges(ranges), *map(_format_range, varied.parameters)]
         logical = LogicalScenario.read(file, space, all_ranges, continuous)
         _require_same_folder_for_roads(logical, varied, file)
         yield replace(logical, space=varied.add_units(logical.space))

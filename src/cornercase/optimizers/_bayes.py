@@ -12,6 +12,7 @@ from scipy.spatial.distance import pdist
 
 from cornercase._common.numba.blas import single_threaded_blas
 from cornercase._common.typing import FloatArray
+from cornercase._common.validation import check_float, check_int
 from cornercase.evidence.gp._kernel import evenly_spaced_indices
 from cornercase.evidence.gp._process import encode_points
 from cornercase.optimizers._candidates import CandidateOptimizer
@@ -44,6 +45,11 @@ class Bayes(CandidateOptimizer):
         Number of random features that approximate the kernel.
     filling : float, default 0.3
         Fraction of the points that fills the space; 0 is the paper's setting.
+
+    Raises
+    ------
+    InputError
+        An option is out of range.
     """
 
     name = "bayes"
@@ -53,7 +59,8 @@ class Bayes(CandidateOptimizer):
     _score_mean_and_deviation: tuple[float, float]
 
     def __init__(self, candidates: int = 2000, features: int = 500, filling: float = 0.3) -> None:
-        self._count, self._features, self._filling = candidates, features, filling
+        self._count, self._features = check_int("candidates", candidates, 1), check_int("features", features, 1)
+        self._filling = check_float("filling", filling, minimum=0.0, maximum=1.0)
 
     def _fit_model(self, points: FloatArray, scores: FloatArray, seed: int) -> None:
         self._score_mean_and_deviation = float(scores.mean()), float(scores.std())

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from cornercase._common.typing import FloatArray, IntArray
+from cornercase._common.validation import check_float, check_int
 from cornercase.evidence._committee import CommitteeModel
 from cornercase.evidence._multi_fidelity import augment_points
 from cornercase.evidence.gp._process import encode_points
@@ -52,6 +53,11 @@ class Committee(WarmStartOptimizer):
         Number of candidates from which the points of a round are chosen; 85 % of them are near critical scenarios.
     filling : float, default 0.15
         Fraction of the points that fills the space.
+
+    Raises
+    ------
+    InputError
+        An option is out of range.
     """
 
     name = "committee"
@@ -60,7 +66,8 @@ class Committee(WarmStartOptimizer):
     relearn_growth = 0.25
 
     def __init__(self, candidates: int = 4096, filling: float = 0.15) -> None:
-        self._count, self._filling = candidates, filling
+        self._count = check_int("candidates", candidates, 1)
+        self._filling = check_float("filling", filling, minimum=0.0, maximum=1.0)
 
     def prepare(self, space: ParameterSpace, seed: int, threshold: float, features: Sequence[Feature]) -> None:
         """Prepare the search of a space; without `features`, the committee learns from the scores alone."""

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from cornercase._common.errors import InputError
 from cornercase._common.typing import BoolArray, FloatArray
+from cornercase._common.validation import check_int
 from cornercase.optimizers._base import Optimizer
 from cornercase.optimizers._dedupe import Deduplicator
 from cornercase.optimizers._space_filling import Sobol
@@ -42,9 +42,7 @@ class Evolutionary(Optimizer):
     multi_objective = True
 
     def __init__(self, population: int = 40) -> None:
-        if population < 2:
-            raise InputError(f"evolutionary cannot take a population of {population:g}; give 2 or more.")
-        self._population = int(population)
+        self._population = check_int("population", population, 2)
 
     def prepare(self, space: ParameterSpace, seed: int) -> None:
         """Start the Sobol' sequence of the space."""

@@ -10,6 +10,7 @@ from scipy.spatial.distance import cdist
 from scipy.special import ndtr
 
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
+from cornercase._common.validation import check_float, check_int
 from cornercase.evidence.gp._process import (
     GaussianProcess,
     encode_points,
@@ -64,7 +65,12 @@ class LevelSet(WarmStartOptimizer):
     candidates : int, default 20000
         Number of candidates from which the points are chosen.
     filling : float, default 0.2
-        Least fraction of the points that fills the space; below 1.
+        Least fraction of the points that fills the space, from 0 to 1.
+
+    Raises
+    ------
+    InputError
+        An option is out of range.
     """
 
     name = "level-set"
@@ -76,7 +82,8 @@ class LevelSet(WarmStartOptimizer):
     _all_candidates: FloatArray
 
     def __init__(self, candidates: int = 20_000, filling: float = 0.2) -> None:
-        self._count, self._min_filling = candidates, filling
+        self._count = check_int("candidates", candidates, 1)
+        self._min_filling = check_float("filling", filling, minimum=0.0, maximum=1.0)
 
     def prepare(self, space: ParameterSpace, seed: int, threshold: float) -> None:
         """Prepare the search of a space for the boundary at `threshold`."""

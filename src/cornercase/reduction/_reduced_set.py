@@ -32,8 +32,8 @@ class SelectedScenario:
     cluster : int
         Cluster that it represents; -1 for noise.
     role : {"archetype", "prototype", "gap", "exposing"}
-        ``"gap"``: chosen because it was far from all scenarios selected before; ``"exposing"``: kills mutants of the
-        driver.
+        ``"gap"``: fills a gap, since it was far from all scenarios selected before; ``"exposing"``: kills mutants of
+        the driver.
     why : str
         Reason for selecting it, in words.
     values : mapping of str to float or str
@@ -98,8 +98,11 @@ class ReducedSet:
 
     def __repr__(self) -> str:
         roles = Counter(scenario.role for scenario in self.scenarios)
-        counts = ", ".join(f"{count} {role}{'' if count == 1 else 's'}" for role, count in roles.items())
-        return f"ReducedSet({len(self.scenarios)} of {self.n_run} scenarios kept by {self.by}: {counts or 'none'})"
+        words = {"gap": "to fill gaps between these", "exposing": "that expose mutants"}
+        counts = ", ".join(
+            f"{count} {words.get(role) or role + ('' if count == 1 else 's')}" for role, count in roles.items()
+        )
+        return f"<ReducedSet: {len(self.scenarios)} of {self.n_run} scenarios kept by {self.by}: {counts or 'none'}>"
 
     def table(self) -> pd.DataFrame:
         """Make a table of the selected scenarios.

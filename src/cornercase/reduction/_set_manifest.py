@@ -9,6 +9,7 @@ from typing import Any, Final, get_args
 
 import numpy as np
 
+from cornercase._common.errors import InputError
 from cornercase._common.text.json_keys import keys_to_identifiers
 from cornercase._common.text.sanitize import escape_control_characters
 from cornercase._common.version import __version__

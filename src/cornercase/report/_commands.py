@@ -169,7 +169,7 @@ def format_study_file(study: StudyFile | Path | str) -> str:
         n_ended = sum(row.state != "pending" for row in opened.rows())
         scenario, space = None, None
         with suppress(InputError):
-            scenario = find_explored_scenario(opened)
+            scenario = find_explored_scenario(opened, search_remembered_path=False)
         if scenario is not None and (space := _find_space_file(scenario, opened.space)) is not None:
             options.pop("ranges", None)
             options |= {"space": [_relative_path(space)]}

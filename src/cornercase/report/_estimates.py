@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from html import escape
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -18,11 +19,16 @@ from cornercase.exploration._study_critical_set import estimate_critical_set, us
 from cornercase.study import StudyFile
 from cornercase.study._criterion import Criterion
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 # The missed share is estimated for this range of scenario counts, at this many sizes.
 _MIN_SCENARIOS, _MAX_SCENARIOS, _MAX_SIZES = 10, 1000, 8
+_CRITICAL: Final = "critical share of the space"
+_MISSED: Final = "missed share of the critical set"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class CriticalEstimates:
     """Estimates about the critical scenarios of a study.
 
@@ -33,8 +39,8 @@ class CriticalEstimates:
     lower_is_critical : bool
     unit : str
         Unit of the objective; empty if there is none.
-    n_critical : int
-        Number of critical scenarios that were run.
+    n_run, n_critical : int
+        Number of scenarios that were run, and of critical ones among them.
     critical_set : CriticalSetEstimates or None
         None if too few scenarios were run.
     audits : AuditEstimates or None
@@ -44,6 +50,7 @@ class CriticalEstimates:
     threshold: float
     lower_is_critical: bool
     unit: str
+    n_run: int
     n_critical: int
     critical_set: CriticalSetEstimates | None
     audits: AuditEstimates | None = None
@@ -53,17 +60,46 @@ class CriticalEstimates:
         """Threshold, side and unit in one value."""
         return Criterion(self.threshold, self.lower_is_critical, self.unit)
 
+    def table(self) -> pd.DataFrame:
+        """Make a table of the estimates.
+
+        Returns
+        -------
+        DataFrame
+            One row per fraction, indexed by what it is of: ``fraction``, the bounds ``low`` and ``high`` of its 90 %
+            interval, and ``no interval``, the reason if there is none. ``audits`` are rows of their own. Empty if too
+            few scenarios were run.
+        """
+        import pandas as pd
+
+        rows: dict[str, tuple[float, float, float, str | None]] = {}
+        if self.critical_set is not None:
+            for name, estimate, why in self.critical_set.fractions():
+                bounds = (estimate.low, estimate.high) if why is None else (np.nan, np.nan)
+                rows[name] = (estimate.value, *bounds, why)
+        if self.audits is not None:
+            audited = {_CRITICAL: self.audits.critical_fraction, _MISSED: self.audits.missed_fraction}
+            for name, audit in audited.items():
+                if audit is not None:
+                    rows[f"{name}, by audits"] = (audit.value, audit.low, audit.high, None)
+        columns = ["fraction", "low", "high", "no interval"]
+        return pd.DataFrame.from_dict(rows, orient="index", columns=columns).rename_axis("of")
+
+    def __repr__(self) -> str:
+        return f"<CriticalEstimates: {'; '.join(self._facts())}>"
+
     def _repr_html_(self) -> str:
         """The estimates in a list, for notebooks."""
-        facts = [f"critical if the score {self.criterion}; {self.n_critical} such scenarios ran"]
+        return f"<ul>{''.join(f'<li>{escape(fact)}</li>' for fact in self._facts())}</ul>"
+
+    def _facts(self) -> list[str]:
+        facts = [f"{self.n_critical} of {self.n_run} scenarios are critical (score {self.criterion})"]
         if self.critical_set is None:
-            facts.append("too few scenarios for estimates about the whole space")
-        else:
-            facts += self.critical_set.descriptions()
-        return f"<ul>{''.join(f'<li>{escape(fact)}</li>' for fact in facts)}</ul>"
+            return [*facts, "too few scenarios for estimates about the whole space"]
+        return facts + self.critical_set.descriptions()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class CriticalSetEstimates:
     """Estimates about all critical scenarios of the space, including those that were not run.
 
@@ -106,10 +142,6 @@ class CriticalSetEstimates:
         -------
         list of str
         """
-        fractions = (
-            ("critical share of the space", self.critical_fraction, self.interval_unavailable),
-            ("missed share of the critical set", self.missed_fraction, self.missed_interval_unavailable),
-        )
         return [
             f"{name}: {estimate.value:.2%} "
             + (
@@ -117,8 +149,23 @@ class CriticalSetEstimates:
                 if why is None
                 else f"(no interval: {why})"
             )
-            for name, estimate, why in fractions
+            for name, estimate, why in self.fractions()
         ]
+
+    def fractions(self) -> list[tuple[str, Estimate, str | None]]:
+        """List what is estimated: its name, its estimate, and why it has no interval, if so.
+
+        Returns
+        -------
+        list of (str, Estimate, str or None)
+        """
+        return [
+            (_CRITICAL, self.critical_fraction, self.interval_unavailable),
+            (_MISSED, self.missed_fraction, self.missed_interval_unavailable),
+        ]
+
+    def __repr__(self) -> str:
+        return f"<CriticalSetEstimates: {'; '.join(self.descriptions())}>"
 
 
 @dataclass(frozen=True)
@@ -236,6 +283,7 @@ def estimate_critical(study: StudyFile) -> CriticalEstimates | None:
     )
     return CriticalEstimates(
         **asdict(criterion),
+        n_run=len(critical),
         n_critical=int(critical.sum()),
         critical_set=estimates,
         audits=audit,

@@ -97,6 +97,7 @@ def whole_study_payload(data: ReportData) -> dict[str, Any]:
         "answers": [answer.to_json() for answer in page_answers(data)],
         "captions": describe_views(data),
         "notes": {str(scenario): text for scenario, text in data.notes.items()},
+        "most_critical": {name: metric.most_critical_id for name, metric in data.summary.metrics.items()},
         "kept": {
             str(scenario.id): {
                 "role": scenario.role,

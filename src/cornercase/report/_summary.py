@@ -15,6 +15,7 @@ from cornercase._common.text.html import render_html_table
 from cornercase.clustering import Agreement, Analysis, read_analyses
 from cornercase.clustering._agreement import compare_clusterings
 from cornercase.exploration._constant_metrics import describe_constant_metrics
+from cornercase.metrics._outcome import Impact
 from cornercase.recordings import Collision
 from cornercase.reduction import ReducedSet, read_reduction
 from cornercase.reduction._evaluate import reevaluate
@@ -22,6 +23,7 @@ from cornercase.report._estimates import SpaceEstimates, estimate_space
 from cornercase.report._reference_counts import ReferenceCount, count_reference_results
 from cornercase.scenario import Value
 from cornercase.study import ScenarioRecord, StudyFile, StudyMeta
+from cornercase.study._criticality_order import order_by_criticality
 from cornercase.study._damage import require_value, reraise_as_damage
 from cornercase.study._objective import Objective
 from cornercase.study._study_file import open_study
@@ -42,7 +44,7 @@ class MetricSummary:
     most_critical, median : float
         In the unit of the metric.
     most_critical_id : int
-        Id of the most critical scenario.
+        Id of the most critical scenario; of several with this score, that with the fastest collision of the ego.
     parameters : mapping of str to float or str
         Parameters of the most critical scenario.
     repeat_spread : tuple of float, or None
@@ -149,10 +151,13 @@ class Summary:
         if self.n_pending:
             parts.append(f"{self.n_pending} pending")
         parts += [f"{name} from {metric.most_critical:.4g} {metric.unit}" for name, metric in self.metrics.items()]
-        parts += [f"{len(analysis.sizes)} clusters by {by}" for by, analysis in self.analyses.items()]
+        parts += [
+            f"{len(analysis.sizes)} cluster{'' if len(analysis.sizes) == 1 else 's'} by {by}"
+            for by, analysis in self.analyses.items()
+        ]
         if self.reduced_set is not None:
             parts.append(f"{len(self.reduced_set)} kept")
-        return f"Summary({', '.join(parts)})"
+        return f"<Summary of {', '.join(parts)}>"
 
     def _repr_html_(self) -> str:
         """Counts, a table of the metrics, the clusters and the reduced set, for notebooks."""
@@ -223,6 +228,7 @@ def summarize_with_collisions(study: StudyFile, entities_hit: Sequence[frozenset
     `entities_hit` has the names of the entities that the ego collides with, for each scenario that ran.
     """
     states = [row.state for row in study.rows()]
+    impacts = list(study.impacts().values())
     others = frozenset(study.meta.others)
     names, constant_notes = study.meta.metrics, describe_constant_metrics(study)
     reduced = read_reduction(study)
@@ -237,7 +243,7 @@ def summarize_with_collisions(study: StudyFile, entities_hit: Sequence[frozenset
             name: sum(name in names for names in entities_hit)
             for name in sorted(frozenset().union(*entities_hit) - others)
         },
-        metrics={name: _summarize_metric(study, name, constant_notes.get(name, "")) for name in names}
+        metrics={name: _summarize_metric(study, name, constant_notes.get(name, ""), impacts) for name in names}
         if "done" in states
         else {},
         analyses=read_analyses(study),
@@ -276,9 +282,11 @@ def _read_probability(study: StudyFile) -> dict[str, Any] | None:
     return estimate
 
 
-def _summarize_metric(study: StudyFile, name: str, constant_note: str) -> MetricSummary:
+def _summarize_metric(
+    study: StudyFile, name: str, constant_note: str, impacts: Sequence[Sequence[Impact]]
+) -> MetricSummary:
     metric, scores = study.meta.create_metric(name), study.scores(name)
-    worst = int(metric.to_minimize(scores).argmin())
+    worst = int(order_by_criticality(metric.to_minimize(scores), impacts)[0])
     row = study.finished_rows()[worst]
     ranges = study.score_range(name)
     against = study.score_sources(name)

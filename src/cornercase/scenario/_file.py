@@ -78,7 +78,7 @@ class ScenarioFile:
         return scenario
 
     def __repr__(self) -> str:
-        return f"ScenarioFile({str(self.path)!r})"
+        return f"<ScenarioFile {str(self.path)!r}>"
 
     def __reduce__(self) -> tuple[type[ScenarioFile], tuple[Path, str, tuple[str, ...]]]:
         return ScenarioFile, (self.path, self.fingerprint(), self._varied_roads)

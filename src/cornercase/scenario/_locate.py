@@ -53,12 +53,20 @@ def _candidate_files(file_name: str, folder: Path) -> Iterator[Path]:
         subfolders = []
         for current in level:
             for entry in _list_folder(current):
-                if entry.is_dir():
+                if _is_folder(entry):
                     # Do not follow links.
                     subfolders += [] if entry.is_symlink() else [entry]
                 elif entry.name == file_name or (depth == 0 and entry.suffix == ".xosc"):
                     yield entry
         level = subfolders[:_MAX_ENTRIES]
+
+
+def _is_folder(entry: Path) -> bool:
+    try:
+        return entry.is_dir()
+    except OSError:
+        # A link to where this user may not look.
+        return False
 
 
 def _list_folder(folder: Path) -> list[Path]:

@@ -11,10 +11,11 @@ from typing import Any, Final, Self
 import numpy as np
 
 from cornercase._common.errors import InputError
-from cornercase._common.validation import check_bool, check_float, check_path, check_str, check_str_sequence
+from cornercase._common.validation import check_bool, check_float, check_path, check_str
 from cornercase.scenario._constraints import read_declarations
 from cornercase.scenario._file import ScenarioFile
 from cornercase.scenario._parameter import Value
+from cornercase.scenario._range_syntax import format_ranges
 from cornercase.scenario._road_choices import add_varied_roads
 from cornercase.scenario._scope import Scope
 from cornercase.scenario._space import ParameterSpace
@@ -123,7 +124,7 @@ class LogicalScenario:
         cls,
         scenario: Path | str | ScenarioFile | None,
         space: Path | str | None = None,
-        ranges: Sequence[str] = (),
+        ranges: Sequence[str] | Mapping[str, Sequence[float]] = (),
         continuous: bool = False,
     ) -> LogicalScenario:
         """Read a logical scenario.
@@ -134,8 +135,8 @@ class LogicalScenario:
             OpenSCENARIO file; by default the file that `space` names.
         space : path, optional
             ParameterValueDistribution file. Without it and `ranges` nothing is varied, until `vary` says what.
-        ranges : sequence of str
-            ``NAME=LOW:HIGH[:STEP]``; they extend the space or replace its ranges.
+        ranges : sequence of str or mapping
+            ``["NAME=LOW:HIGH[:STEP]"]`` or ``{"NAME": (LOW, HIGH)}``; they extend the space or replace its ranges.
         continuous : bool, default False
             Treat ranges with steps as continuous.
 
@@ -156,7 +157,7 @@ class LogicalScenario:
         >>> [parameter.name for parameter in logical.space.parameters]
         ['ego_start', 'pedestrian_wait', 'p1_speed']
         """
-        ranges = check_str_sequence("ranges", ranges)
+        ranges = format_ranges(ranges)
         files = XmlFileCache()
         varied = ParameterSpace(()) if space is None else ParameterSpace.from_file(check_path("space", space), files)
         if scenario is None:

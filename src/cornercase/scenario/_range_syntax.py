@@ -3,18 +3,31 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from cornercase._common.errors import InputError
 from cornercase._common.text.parse_number import parse_number
+from cornercase._common.validation import check_float, check_mapping, check_str_sequence, repr_short
 from cornercase.scenario._parameter import Parameter
 
 # Limits of what doubles can resolve.
 _MAX_BOUND = 1e15
 _MAX_STEPS = 1e9
 _RANGE_PATTERN = re.compile(r"(?P<name>[^=]+)=(?P<low>[^:]+):(?P<high>[^:]+)(?::(?P<step>[^:]+))?")
+
+
+def format_ranges(ranges: object) -> tuple[str, ...]:
+    """Return ranges as ``NAME=LOW:HIGH[:STEP]`` texts; they may be such texts, or numbers by name."""
+    if not isinstance(ranges, Mapping):
+        return check_str_sequence("ranges", ranges)
+    texts = []
+    for name, bounds in check_mapping("ranges", ranges).items():
+        if isinstance(bounds, str) or not isinstance(bounds, Sequence) or len(bounds) not in (2, 3):
+            raise InputError(f"`ranges` {name}={repr_short(bounds)}: give two bounds, as in {{{name!r}: (20, 80)}}.")
+        texts.append(f"{name}={':'.join(repr(check_float('ranges', bound)) for bound in bounds)}")
+    return tuple(texts)
 
 
 def parse_ranges(texts: Sequence[str], option: str = "ranges") -> list[Parameter]:

@@ -17,7 +17,7 @@ from cornercase.scenario import _distributions as distributions
 from cornercase.scenario._constraints import ParameterDeclaration, format_constraints
 from cornercase.scenario._distribution_files import read_distribution_file, read_scenario_path, remove_from_value_sets
 from cornercase.scenario._parameter import Parameter, Value
-from cornercase.scenario._range_syntax import parse_ranges
+from cornercase.scenario._range_syntax import format_ranges, parse_ranges
 from cornercase.scenario._scope import fulfils_constraints
 from cornercase.scenario._types import convert_parameter_to_type
 from cornercase.scenario._xml import XmlFileCache
@@ -119,12 +119,13 @@ class ParameterSpace:
         return product
 
     @classmethod
-    def from_ranges(cls, ranges: Sequence[str]) -> ParameterSpace:
-        """Create a space from ``NAME=LOW:HIGH[:STEP]`` texts.
+    def from_ranges(cls, ranges: Sequence[str] | Mapping[str, Sequence[float]]) -> ParameterSpace:
+        """Create a space from ranges.
 
         Parameters
         ----------
-        ranges : sequence of str
+        ranges : sequence of str or mapping
+            ``["NAME=LOW:HIGH[:STEP]"]`` or ``{"NAME": (LOW, HIGH)}``, with the step as third number.
 
         Returns
         -------
@@ -142,7 +143,7 @@ class ParameterSpace:
         >>> space.values([[0.5, 0.9]])
         [{'speed': 15.0, 'lanes': 3.0}]
         """
-        return cls(parse_ranges(ranges)).require_parameters()
+        return cls(parse_ranges(format_ranges(ranges))).require_parameters()
 
     @classmethod
     def from_file(cls, path: Path | str, cache: XmlFileCache | None = None) -> ParameterSpace:

@@ -12,9 +12,9 @@ from cornercase._common.errors import InputError, SimulationError
 from cornercase._common.io.support_table import Notice, issue_notice_warning
 from cornercase._common.plugin_errors import convert_plugin_errors
 from cornercase._common.validation import check_float, check_str
-from cornercase.drivers import Driver
+from cornercase.drivers import Behaviour, Driver
 from cornercase.drivers._description import serialize_driver
-from cornercase.drivers._resolve import check_driver
+from cornercase.drivers._resolve import check_drivers
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario, Value
 from cornercase.scenario._file import ScenarioFile
@@ -238,7 +238,7 @@ def check_seed(seed: int, owner: str) -> int:
 
 
 def check_settings(
-    time_step: float, duration: float, on_collision: str, drivers: Mapping[str, str | Driver] | None
+    time_step: float, duration: float, on_collision: str, drivers: Mapping[str, str | Driver | Behaviour] | None
 ) -> dict[str, object]:
     """Return the settings common to all simulators with a storyboard, as plain values.
 
@@ -247,7 +247,7 @@ def check_settings(
     time_step, duration : float
         In s.
     on_collision : str
-    drivers : mapping of str to str or Driver, or None
+    drivers : mapping of str to str, Driver or Behaviour, or None
         By entity.
 
     Returns
@@ -265,10 +265,9 @@ def check_settings(
     if not time_step <= duration <= 3600.0:
         raise InputError(f"`duration` {duration:g}: choose a time from one time step to 3600 s.")
     check_str("on_collision", on_collision, ("continue", "stop"))
-    given = {entity: check_driver(entity, driver) for entity, driver in sorted((drivers or {}).items())}
     return {
         "time_step": time_step,
         "duration": duration,
         "on_collision": on_collision,
-        "drivers": {entity: serialize_driver(driver) for entity, driver in given.items()},
+        "drivers": {entity: serialize_driver(driver) for entity, driver in sorted(check_drivers(drivers).items())},
     }

@@ -49,7 +49,10 @@ class SimulationOptions:
 class RunOptions:
     """Options that determine where scenarios run, and what happens if a simulator crashes or hangs."""
 
-    workers: int = _runs(1, "Number of simulators that run in parallel.", metavar="N", minimum=1, maximum=MAX_WORKERS)
+    workers: int = _runs(
+        1, "Number of simulators that run in parallel.", metavar="N", minimum=1, maximum=MAX_WORKERS,
+        docs="Number of simulators that run in parallel, each in a process. Simulators that run one scenario at a time"
+        " gain from it; ``builtin`` runs all scenarios of a round at once, and only gets slower for short searches.")
     cluster: str | Client | None = _runs(
         None, "Run on a Dask cluster: address or file of its scheduler; local starts --workers on this machine.",
         docs='Dask cluster to run on: ``"local"`` for `workers` local processes, the address of a scheduler, a'

@@ -271,6 +271,19 @@ def decode_collisions(facts: Mapping[str, Any]) -> tuple[Collision, ...]:
     return tuple(Collision(float(time), (str(first), str(second))) for time, first, second in facts["collisions"])
 
 
+def decode_impacts(facts: Mapping[str, Any]) -> tuple[Impact, ...]:
+    """Return the collisions of the ego, by time, from the facts of a digest."""
+    # They are the same for each other entity of the study.
+    return _decode_impacts(facts["endings"][0])
+
+
+def _decode_impacts(ending: Mapping[str, Any]) -> tuple[Impact, ...]:
+    return tuple(
+        Impact(str(entity), float(time), _decode_float(speed), manner)
+        for entity, time, speed, manner in ending["impacts"]
+    )
+
+
 def decode_digest(facts: Mapping[str, Any], packed: bytes, meta: StudyMeta) -> ScenarioDigest:
     """Decode a digest; raise `ValueError` if it does not fit the study."""
     arrays = unpack_arrays(packed)
@@ -340,10 +353,7 @@ def _decode_outcome(ending: Mapping[str, Any], ego: str, collisions: Sequence[Co
         ego=ego,
         encounter=_decode_encounter(ending["encounter"]),
         others=tuple(map(_decode_encounter, ending["others"])),
-        impacts=tuple(
-            Impact(str(entity), float(time), _decode_float(speed), manner)
-            for entity, time, speed, manner in ending["impacts"]
-        ),
+        impacts=_decode_impacts(ending),
         other_collisions=tuple(collision for collision in collisions if ego not in collision.entities),
         **{name: bool(flag) for name, flag in zip(_FLAGS, ending["flags"], strict=True)},
     )

@@ -42,6 +42,8 @@ _DIFFERENCE_TEXTS: Final = {
     "suite": "other files, or files that have changed since",
 }
 
+# Whose values are short enough for a message.
+_COMPARED_VALUES: Final = ("ego", "other", "metrics", "optimizer", "seed", "batch", "repeats", "most_repeats", "audit")
 
 _FIELD_TYPES: Final[dict[str, Any]] = (
     dict.fromkeys(("scenario", "fingerprint", "ego", "optimizer", "simulator", "suite", "origin", "version"), str)
@@ -404,6 +406,8 @@ class StudyMeta:
                 if name == "settings":
                     _require_same_driver_files(mine, theirs_value, path)
                     description += f" ({_describe_setting_differences(mine, theirs_value)})"
+                elif name in _COMPARED_VALUES:
+                    description += f" ({_describe_difference(mine, theirs_value)})"
                 raise InputError(
                     f"{path}: belongs to {description}; name another study with `study`, or give the same options."
                 )
@@ -462,8 +466,8 @@ def _require_same_driver_files(stored_settings: Mapping[str, Any], new_settings:
         if only_file and all(change[-1] for change in changes):
             raise InputError(
                 f"{path}: the file of the driver of {entity} has changed since"
-                f" ({escape_control_characters(stored)} there,"
-                f" {escape_control_characters(current)} here), and a study holds runs of one"
+                f" ({escape_control_characters(stored)} in the study,"
+                f" {escape_control_characters(current)} given), and a study holds runs of one"
                 f" version; name another study with"
                 " `study`, or restore the file."
             )
@@ -475,14 +479,18 @@ def _describe_setting_differences(stored_settings: Mapping[str, Any], new_settin
     for name in sorted({*stored_settings, *new_settings}):
         if name == _DRIVERS_KEY:
             texts += [
-                f"driver of {entity}: {escape_control_characters(stored)} there,"
-                f" {escape_control_characters(current)} here"
+                f"driver of {entity}: {escape_control_characters(stored)} in the study,"
+                f" {escape_control_characters(current)} given"
                 for entity, stored, current, _ in iter_driver_changes(stored_settings.get(name), new_settings.get(name))
             ]
         elif stored_settings.get(name) != new_settings.get(name):
-            values = [
-                shorten(escape_control_characters(str(settings.get(name, "none"))), _MAX_SETTING_LENGTH)
-                for settings in (stored_settings, new_settings)
-            ]
-            texts.append(f"{name}: {values[0]} there, {values[1]} here")
+            texts.append(f"{name}: {_describe_difference(stored_settings.get(name), new_settings.get(name))}")
     return "; ".join(texts)
+
+
+def _describe_difference(stored: object, given: object) -> str:
+    texts = []
+    for value in (stored, given):
+        text = "none" if value is None else ", ".join(map(str, value)) if isinstance(value, tuple) else str(value)
+        texts.append(shorten(escape_control_characters(text), _MAX_SETTING_LENGTH))
+    return f"{texts[0]} in the study, {texts[1]} given"

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cornercase._common.typing import FloatArray, IntArray
+from cornercase.metrics._outcome import Impact
 from cornercase.scenario import ParameterSpace, Value
 
 if TYPE_CHECKING:
@@ -51,6 +52,7 @@ def build_scenario_table(
     notes: Mapping[int, str] | None = None,
     score_sources: Mapping[str, Mapping[int, str | None]] | None = None,
     run_counts: Mapping[int, int] | None = None,
+    impacts: Mapping[int, Sequence[Impact]] | None = None,
 ) -> pd.DataFrame:
     """Build the table that `StudyFile.table` returns, with one row per scenario.
 
@@ -70,6 +72,9 @@ def build_scenario_table(
         columns["runs"] = pd.array([run_counts.get(row.id) for row in rows], dtype="Int64")
     for name, sources in (score_sources or {}).items():
         columns[f"other by {name}"] = pd.Series([sources.get(row.id) for row in rows], dtype=object)
+    first_impacts = [next(iter((impacts or {}).get(row.id, ())), None) for row in rows]
+    columns["collision"] = pd.Series([None if hit is None else hit.entity for hit in first_impacts], dtype=object)
+    columns["impact speed"] = np.array([np.nan if hit is None else hit.speed for hit in first_impacts])
     for name, (members, labels) in clusters.items():
         column = pd.Series(pd.NA, index=ids, dtype="Int64")
         column.loc[members] = labels

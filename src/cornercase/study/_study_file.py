@@ -18,14 +18,17 @@ from cornercase._common.io.files import check_folder
 from cornercase._common.text.sanitize import check_no_surrogates, parse_json
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase._common.validation import check_float, check_int
+from cornercase.drivers._description import format_driver
 from cornercase.drivers.references.r157._preventability import ReferenceOutcome
 from cornercase.metrics import METRICS, Metric, compute_features
+from cornercase.metrics._outcome import Impact
 from cornercase.recordings import Collision, Recording
 from cornercase.recordings._rounded import encode_rounded
 from cornercase.study._arrays import read_arrays
 from cornercase.study._codec import unpack_arrays, unpack_recording
 from cornercase.study._connection import remove_sqlite_files
 from cornercase.study._criterion import Criterion
+from cornercase.study._criticality_order import order_by_criticality
 from cornercase.study._damage import require_value, reraise_as_damage
 from cornercase.study._database import Database
 from cornercase.study._digest import (
@@ -36,6 +39,7 @@ from cornercase.study._digest import (
     decode_digest,
     decode_facts,
     decode_features,
+    decode_impacts,
     decode_rounded,
     registered_features_checksum,
 )
@@ -592,6 +596,42 @@ class StudyFile:
         """
         return {scenario: decode_collisions(facts) for scenario, facts in self._iter_facts()}
 
+    def impacts(self) -> dict[int, tuple[Impact, ...]]:
+        """Collisions of the ego in the scenarios that ran, with the relative speed at contact.
+
+        Returns
+        -------
+        dict of int to tuple of Impact
+            Collisions by scenario id, by time, in the order in which scenarios were proposed.
+        """
+        return {scenario: decode_impacts(facts) for scenario, facts in self._iter_facts()}
+
+    def most_critical(self, metric: str | None = None) -> list[int]:
+        """List the scenarios that ran from the most critical one.
+
+        Parameters
+        ----------
+        metric : str, optional
+            By default the first metric of the study.
+
+        Returns
+        -------
+        list of int
+            Ids of the scenarios. Of those with the same score, those in which the ego collides come first, and the
+            faster its first collision the earlier.
+
+        Raises
+        ------
+        InputError
+            The study has no such metric, or the package of the metric is not installed.
+        """
+        name = self.meta.metrics[0] if metric is None else metric
+        with self.snapshot():
+            scores, impacts = self.scores(name), self.impacts()
+        order = order_by_criticality(METRICS.create(name).to_minimize(scores), list(impacts.values()))
+        ids = list(impacts)
+        return [ids[k] for k in order]
+
     def _iter_facts(self) -> Iterator[tuple[int, dict[str, Any]]]:
         """Yield id and decoded facts (a dict) of the digest of each recording."""
         self._database.require_all_rows("digests")
@@ -853,10 +893,11 @@ class StudyFile:
 
     def __repr__(self) -> str:
         meta, counts = self.meta, self._count_states()
+        drivers = "".join(f", {entity} driven by {format_driver(driver)}" for entity, driver in meta.drivers.items())
         return (
             f"<Study {str(self.path)!r}: {meta.title}, {meta.ego} and {', '.join(meta.others)}, by"
-            f" {', '.join(meta.metrics)}; {counts.get('done', 0)} scenarios run, {counts.get('failed', 0)} failed,"
-            f" {counts.get('pending', 0)} pending>"
+            f" {', '.join(meta.metrics)}, in {meta.simulator}{drivers}; {counts.get('done', 0)} scenarios run,"
+            f" {counts.get('failed', 0)} failed, {counts.get('pending', 0)} pending>"
         )
 
     def critical_run_rates(self) -> FloatArray | None:
@@ -1036,9 +1077,11 @@ class StudyFile:
             audits, and one for each parameter and metric. If scenarios were run several times, there are also ``lowest
             …`` and ``highest …`` for each metric, ``critical runs`` as in `critical_run_rates`, and ``runs`` (the
             number of runs that did not fail) if it may vary. If there are several other entities, ``other by …`` names
-            the entity that the score of a metric is measured against. ``cluster by …`` is the cluster by an aspect, -1
-            for noise. Then follow ``outcome`` after an analysis, ``note`` if there are notes, and ``error``. Cells
-            without a value are empty. A parameter with the name of another column becomes ``parameter …``.
+            the entity that the score of a metric is measured against. ``collision`` names the entity that the ego
+            collides with first, and ``impact speed`` is their relative speed at contact in m/s. ``cluster by …`` is the
+            cluster by an aspect, -1 for noise. Then follow ``outcome`` after an analysis, ``note`` if there are notes,
+            and ``error``. Cells without a value are empty. A parameter with the name of another column becomes
+            ``parameter …``.
         """
         with self.snapshot():
             scores = {}
@@ -1069,7 +1112,16 @@ class StudyFile:
                 against = {name: self.score_sources(name) for name in self.meta.metrics if len(self.meta.others) > 1}
                 counts = self._count_runs() if self.meta.most_repeats is not None else None
                 return build_scenario_table(
-                    rows, self.space, scores, clusters, self.outcomes(), audits, self.notes(), against, counts
+                    rows,
+                    self.space,
+                    scores,
+                    clusters,
+                    self.outcomes(),
+                    audits,
+                    self.notes(),
+                    against,
+                    counts,
+                    self.impacts(),
                 )
 
     def _count_runs(self) -> dict[int, int]:

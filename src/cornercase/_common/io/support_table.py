@@ -169,10 +169,10 @@ def warn_notices(notices: Iterable[Notice]) -> None:
     for notice in shown:
         issue_notice_warning(notice.sentence)
     if count := sum(len(n.parts) for n in sorted_notices) - sum(len(n.parts) for n in shown):
-        more, parts = " more" if shown else "", "parts" if count > 1 else "part"
-        what = f"{count}{more} {parts}, which affect{'' if count > 1 else 's'} no position or speed"
+        more, parts = " more" if shown else "", "parts of the files are" if count > 1 else "part of the files is"
         issue_notice_warning(
-            f"{NoticeLabel.WITHOUT_EFFECT}: {what}; `check` and -v list {'them' if count > 1 else 'it'}"
+            f"{count}{more} {parts} ignored, on which no position or speed depends; `check` lists"
+            f" {'them' if count > 1 else 'it'}"
         )
 
 

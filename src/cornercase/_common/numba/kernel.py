@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import logging
 import multiprocessing
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import cached_property
@@ -134,16 +135,19 @@ def kernel(
 
 
 class _CompilationListener(event.Listener):
-    """Logs a single warning when numba begins to compile kernels, unless other listeners are registered.
+    """Logs that numba begins to compile kernels, and then that it goes on, unless other listeners are registered.
 
     Worker processes log nothing, because their parent does.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, seconds_between_messages: float = 10.0) -> None:
+        self.seconds_between_messages = seconds_between_messages
         self.not_cached_reason = ""
         self.listeners: list[Callable[[str], None]] = []
         self.start_callbacks: list[Callable[[], None]] = []
         self.is_quiet = multiprocessing.parent_process() is not None
+        # Kernels that this process has begun to compile; times in s of the first one and of the last message.
+        self.n_compiled, self.start_time, self.message_time = 0, 0.0, 0.0
 
     def on_start(self, event: Any) -> None:
         kernel = event.data["dispatcher"]
@@ -156,9 +160,16 @@ class _CompilationListener(event.Listener):
             self.start_callbacks.pop()()
         for listener in self.listeners:
             listener(f"{kernel.py_func.__module__.removeprefix('cornercase.')}.{kernel.py_func.__name__}")
-        if not (self.listeners or self.is_quiet):
-            self.is_quiet = True
+        if self.listeners or self.is_quiet:
+            return
+        now = time.monotonic()
+        if not self.n_compiled:
+            self.start_time = self.message_time = now
             _LOG.warning(_CACHED_MESSAGE if cached else _NOT_CACHED_MESSAGE)
+        elif now - self.message_time >= self.seconds_between_messages:
+            self.message_time = now
+            _LOG.warning("Still compiling: kernel %d, after %.0f s.", self.n_compiled + 1, now - self.start_time)
+        self.n_compiled += 1
 
     def on_end(self, event: Any) -> None:
         pass
@@ -171,7 +182,8 @@ class _CompilationListener(event.Listener):
 
 
 _CACHED_MESSAGE = (
-    "Compiling kernels for this machine (cached for later runs); 'cornercase warm-up' compiles all in advance."
+    "Compiling kernels for this machine, which takes about a minute in all (cached for later runs);"
+    " 'cornercase warm-up' compiles all in advance."
 )
 _NO_CACHE_FOLDER_MESSAGE = "no cache folder is writable; set NUMBA_CACHE_DIR to one that is"
 _NOT_CACHED_MESSAGE = "Compiling kernels in each process anew; set NUMBA_CACHE_DIR to a writable folder to cache them."

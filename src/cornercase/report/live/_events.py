@@ -136,7 +136,7 @@ def _initial_contents(meta: StudyMeta, path: Path) -> dict[str, Any]:
     return study_info_payload(meta, path.name) | {
         "about": describe_roles(meta), "critical": critical, "default_aspect": None, "influential": influential,
         "outcomes": [], "answers": [], "captions": {}, "recordings_left_out": "", "roads": None, "roads_missing": "",
-        "rerun": None, "details": [], "provenance": "", "kept": {}, "kinds": {},
+        "rerun": None, "details": [], "provenance": "", "kept": {}, "kinds": {}, "most_critical": {},
     }  # fmt: skip
 
 

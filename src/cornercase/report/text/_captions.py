@@ -94,11 +94,10 @@ def describe_search_progress(data: ReportData) -> str:
     """Describe when the search found the most critical scenario by each metric."""
     sentences = []
     for name, summary in data.summary.metrics.items():
-        round_number = next(row.round for row in data.rows if row.id == summary.most_critical_id)
+        first = data.rows[int((data.scores[name] == summary.most_critical).argmax())]
         score = append_unit(f"{summary.most_critical:.3g}", summary.unit)
         sentences.append(
-            f"The most critical {name} of all, {score}, was first found in round {round_number}"
-            f" (scenario {summary.most_critical_id})."
+            f"The most critical {name} of all, {score}, was first found in round {first.round} (scenario {first.id})."
         )
     return " ".join(sentences)
 

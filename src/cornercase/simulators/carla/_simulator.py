@@ -15,7 +15,8 @@ from typing import Final, Literal
 
 from cornercase._common.errors import InputError, SimulationError, SimulatorError, suggest_name
 from cornercase._common.io.support_table import Notice, merge_notices
-from cornercase.drivers import Driver
+from cornercase.drivers import Behaviour, Driver
+from cornercase.drivers._resolve import check_drivers
 from cornercase.recordings import Recording
 from cornercase.recordings.formats._carla_log import read_carla_log
 from cornercase.scenario import ConcreteScenario, Value
@@ -118,7 +119,7 @@ class Carla(Simulator):
         time_step: float = 0.05,
         duration: float = 60.0,
         on_collision: str = "continue",
-        drivers: Mapping[str, str | Driver] | None = None,
+        drivers: Mapping[str, str | Driver | Behaviour] | None = None,
         ego: str = "Ego",
         hosts: str = "localhost",
         port: int = 2000,
@@ -146,7 +147,7 @@ class Carla(Simulator):
         if not patience > 0.0:
             raise InputError(f"patience={patience:g}: give a time above 0 s.")
         self._time_step, self._duration, self._stop_on_collision = time_step, duration, on_collision == "stop"
-        self._drivers = {entity: str(driver) for entity, driver in (drivers or {}).items()}
+        self._drivers = {entity: str(driver) for entity, driver in check_drivers(drivers).items()}
         self._ego, self._record, self._seed = ego, record, check_seed(seed, "CARLA's traffic manager")
         self._undriven, self._open_loop = bool(undriven), bool(open_loop)
         self._server = CarlaServer(*worker_address(hosts, port, worker, _PORTS_PER_SERVER), patience)

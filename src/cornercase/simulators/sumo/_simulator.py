@@ -13,8 +13,9 @@ from cornercase._common.errors import InputError, SimulationError, suggest_name
 from cornercase._common.io.support_table import Notice
 from cornercase._common.text.sanitize import remove_folders
 from cornercase._common.typing import FloatArray
-from cornercase.drivers import DRIVERS, Driver, Situation
+from cornercase.drivers import DRIVERS, Behaviour, Driver, Situation
 from cornercase.drivers._registry import is_registered_driver
+from cornercase.drivers._resolve import check_drivers
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario, Value
 from cornercase.scenario._file import ScenarioFile
@@ -67,13 +68,13 @@ class Sumo(Simulator):
         time_step: float = 0.05,
         duration: float = 60.0,
         on_collision: str = "continue",
-        drivers: Mapping[str, str | Driver] | None = None,
+        drivers: Mapping[str, str | Driver | Behaviour] | None = None,
         seed: int = 0,
         network: str | None = None,
     ) -> None:
         self._common_settings = check_settings(time_step, duration, on_collision, drivers)
         self._time_step, self._duration, self._on_collision = time_step, duration, on_collision
-        self._drivers, self._seed, self._network = dict(drivers or {}), check_seed(seed, "SUMO"), network
+        self._drivers, self._seed, self._network = check_drivers(drivers), check_seed(seed, "SUMO"), network
         self._last_scenario: ScenarioFile | None = None
 
     @cached_property

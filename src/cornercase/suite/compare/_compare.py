@@ -244,7 +244,7 @@ def _decide_whether_changed(
             f"{first.about} differs ({first.method}, p = {first.corrected:.2g} corrected for {len(tests)} tests){rest}"
         )
     if n_ran and runs["the same"] == len(pairs) - runs["in neither"]:
-        return False, f"all {n_ran} scenarios that both ran are the same bytes"
+        return False, f"all {n_ran} scenarios that both ran have identical recordings"
     if deterministic and n_ran:
         return False, f"the {n_ran} scenarios that both ran are the same up to rounding"
     if not tests:
@@ -319,7 +319,7 @@ def _expand_driver_name(driver: Any) -> Any:
 def _format_setting(value: Any) -> str:
     if isinstance(value, Mapping):
         return str(value.get("driver", "others"))
-    return "as the file says" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
+    return "that of the scenario file" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def _count_cluster_changes(

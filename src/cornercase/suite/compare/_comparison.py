@@ -47,7 +47,7 @@ class ScenarioPair:
     point : tuple of float, length d
         Point in the unit cube.
     run : {"the same", "within rounding", "otherwise", "not in one", "in neither"}
-        How the recordings compare: they have the same bytes, differ by at most 1e-6 in the unit of each value, or
+        How the recordings compare: they are identical, differ by at most 1e-6 in the unit of each value, or
         differ by more. The last two values mean that the scenario failed in one study, or in both.
     is_score_independent : bool
         Whether both studies chose the scenario independently of scores.
@@ -431,7 +431,8 @@ class Comparison:
         return render_html_table(repr(self), table[table["run"] != "the same"] if len(table) else table)
 
     def __repr__(self) -> str:
-        return f"<Comparison of {self.names[0]} and {self.names[1]}: {self.headline}>"
+        changes = f"; {', '.join(self.differences)}" if self.differences else ""
+        return f"<Comparison of {self.names[0]} and {self.names[1]}: {self.headline}{changes}>"
 
     @property
     def headline(self) -> str:

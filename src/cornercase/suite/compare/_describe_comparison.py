@@ -91,7 +91,7 @@ def _findings_section(comparison: Comparison) -> ComparisonSection:
 def _pair_sections(comparison: Comparison) -> Iterator[ComparisonSection]:
     old, new = comparison.names
     runs = {
-        "the same bytes": comparison.count_pairs("the same"),
+        "identical": comparison.count_pairs("the same"),
         "the same up to rounding": comparison.count_pairs("within rounding"),
         "different": comparison.count_pairs("otherwise"),
         "with one version only": comparison.count_pairs("not in one"),

@@ -47,12 +47,16 @@ function differs(one, other) {
 function mostCriticalScenario(store) {
   const { scenarios, metrics } = store.contents;
   const metric = metrics.find((one) => one.name === store.options.metric) ?? metrics[0];
+  // A live page knows it only after an analysis.
+  const stored = store.contents.most_critical?.[metric.name];
+  if (store.rows.has(stored)) return stored;
   const scores = scenarios.scores[metric.name];
   let best = null;
   for (let row = 0; row < store.n; row++) {
     const score = scores[row];
     if (score === null || scenarios.failed[row]) continue;
-    const better = best === null || (metric.lower_is_critical ? score < scores[best] : score > scores[best]);
+    const gain = best === null ? 1 : metric.lower_is_critical ? scores[best] - score : score - scores[best];
+    const better = gain > 0 || (gain === 0 && scenarios.collides[row] > scenarios.collides[best]);
     if (better) best = row;
   }
   return best === null ? null : scenarios.id[best];

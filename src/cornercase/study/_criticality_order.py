@@ -1,0 +1,22 @@
+"""Order scenarios from the most critical one, also if many have the same score."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from cornercase._common.typing import FloatArray, IntArray
+from cornercase.metrics._outcome import Impact
+
+
+def order_by_criticality(oriented_scores: FloatArray, impacts: Sequence[Sequence[Impact]]) -> IntArray:
+    """Return indices of scenarios, the most critical first, shape (n,).
+
+    Of scenarios with the same score, those in which the ego collides come first, and the faster its first collision the
+    earlier. `impacts` has the ego's collisions in each scenario.
+    """
+    # NaN where an entity has no speed.
+    speeds = np.array([np.nan_to_num(hits[0].speed) if hits else -1.0 for hits in impacts])
+    order: IntArray = np.lexsort((-speeds, oriented_scores))
+    return order

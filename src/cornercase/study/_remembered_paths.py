@@ -1,0 +1,39 @@
+"""Where scenario files are on this machine whose path a study does not store, since it would reveal folders.
+
+Each is a small file in the user's cache, named after the scenario's fingerprint.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from contextlib import suppress
+from pathlib import Path
+
+from cornercase._common.io.files import atomic_write
+from cornercase._common.platform import user_cache_folder
+from cornercase.study._stored_paths import resolve_stored_path, stored_path
+
+
+def remember_scenario(file: Path, fingerprint: str, study: Path) -> None:
+    """Remember where a scenario file is, unless the path in its study leads there; without a cache, do nothing."""
+    path = Path(os.path.abspath(file))
+    if resolve_stored_path(stored_path(file, study), study) == path or find_remembered_scenario(fingerprint) == path:
+        return
+    with suppress(OSError, RuntimeError, ValueError), atomic_write(_entry(fingerprint)) as temporary:
+        temporary.write_text(str(path), encoding="utf-8")
+
+
+def find_remembered_scenario(fingerprint: str) -> Path | None:
+    """Return the remembered path of the scenario file with this fingerprint; None if there is none."""
+    # A study may come from anyone, and so may its fingerprint.
+    if not re.fullmatch("[0-9a-f]{64}", fingerprint):
+        return None
+    try:
+        return Path(_entry(fingerprint).read_text(encoding="utf-8"))
+    except (OSError, RuntimeError, ValueError):
+        return None
+
+
+def _entry(fingerprint: str) -> Path:
+    return user_cache_folder() / "cornercase" / "scenarios" / f"{fingerprint}.txt"
