@@ -39,6 +39,8 @@ class KernelDispatcher(CPUDispatcher):
         self._estimate_seconds = estimate_seconds
         # Kinds of arguments for which no machine code was on disk.
         self._missing: set[Any] = set()
+        # Types of the arguments with which it is called at its address; None if it is not.
+        self._late_kinds: Any = None
 
     @property
     def is_compiled(self):
@@ -67,10 +69,28 @@ class KernelDispatcher(CPUDispatcher):
         with _paused_garbage_collection():
             return super().compile(sig)
 
+    def is_interpreted(self, *args):
+        """Whether a call with these arguments is interpreted."""
+        estimate = self._estimate_seconds
+        return estimate is not None and can_interpret(estimate(*args)) and not self.is_ready(*args)
+
+    def compile_to_address(self, kinds, result):
+        """Compile the kernel for argument types, or load its machine code; return its address."""
+        self.check_late_kinds(kinds)
+        self.compile(kinds)
+        compiled = self.overloads[kinds]
+        assert compiled.signature.return_type == result, (self, compiled.signature)
+        return compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name)
+
+    def check_late_kinds(self, kinds):
+        """Check that all who call the kernel at its address, and who compiles it, name the same types of arguments."""
+        if self._late_kinds not in (None, kinds):
+            raise TypeError(f"{self} is called with {kinds}, but also with {self._late_kinds}.")
+        self._late_kinds = kinds
+
     def _compile_for_args(self, *args, **kws):
         # What is returned is then called.
-        estimate = self._estimate_seconds
-        if estimate is not None and can_interpret(estimate(*args)) and not self.is_ready(*args):
+        if self.is_interpreted(*args):
             return partial(_interpret_call, self)
         return super()._compile_for_args(*args, **kws)
 

@@ -9,13 +9,15 @@ would take much longer.
 
 from __future__ import annotations
 
+from typing import Any
+
 from llvmlite import ir
-from numba import types
+from numba import typeof, types
 from numba.core import cgutils, imputils
 from numba.core.datamodel import models
 from numba.core.datamodel.registry import register_default
 from numba.core.typing.templates import AttributeTemplate, infer_getattr
-from numba.extending import intrinsic
+from numba.extending import NativeValue, intrinsic, unbox
 
 
 class _Reference(types.Type):
@@ -30,6 +32,23 @@ class _Reference(types.Type):
 class _ReferenceModel(models.PrimitiveModel):
     def __init__(self, manager, reference):
         super().__init__(manager, reference, manager.lookup(reference.table).get_value_type().as_pointer())
+
+
+@unbox(_Reference)
+def _unbox_reference(reference, value, c):
+    """Make a reference of an address; numba asks for it, though Python calls no kernel with references."""
+    return NativeValue(c.builder.bitcast(c.pyapi.long_as_voidptr(value), c.context.get_value_type(reference)))
+
+
+def reference_type(value: Any) -> Any:
+    """Return the numba type of a value that a kernel passes to another: that of a reference, if it is a named tuple.
+
+    A numba type stands for itself.
+    """
+    if isinstance(value, types.Type):
+        return value
+    kind = typeof(value)
+    return _Reference(kind) if isinstance(kind, types.BaseNamedTuple) else kind
 
 
 @intrinsic

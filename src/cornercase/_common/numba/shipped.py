@@ -102,8 +102,11 @@ class ShippedCode:
 
 
 def tuple_fields(numba_type: Any) -> tuple[Any, ...]:
-    """Return the field names of a tuple type and of the tuples in it; machine code accesses fields by position."""
-    inner: Any = numba_type
+    """Return the field names of a tuple type and of the tuples in it; machine code accesses fields by position.
+
+    A reference has those of its tuple.
+    """
+    numba_type = inner = getattr(numba_type, "table", numba_type)
     if not isinstance(numba_type, types.BaseTuple):
         return ()
     named = inner.fields if isinstance(numba_type, types.BaseNamedTuple) else ()
