@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 
 from conftest import at_night, examples
 from cornercase.drivers import DRIVERS, NORMAL, BehaviourDriver, DrivenPath, Driver, SimpleDriver, Situation
-from cornercase.drivers._compiled import build_fleet, set_route
+from cornercase.drivers._compiled import build_fleet, link_drivers, set_route
 from cornercase.drivers._kernels.conflict import contact_interval, find_first_contact_row
-from cornercase.drivers._kernels.decide import compute_accelerations, find_route_row, link_drivers
+from cornercase.drivers._kernels.decide import compute_accelerations, find_route_row
 from cornercase.drivers._kernels.lookahead import MAX_SAMPLES, LookaheadPath, arrival_time, earliest_arrival_time
 from cornercase.drivers._kernels.structs import BEHAVIOUR, NOT_COMPILED, SIMPLE
 from cornercase.drivers._route import plan_route
@@ -68,8 +68,8 @@ def each(fleet, d, told):
     own = told.distance, told.x, told.y, told.heading, told.speed, told.target_speed
     others = told.others_x, told.others_y, told.others_heading, told.others_speed
     link_drivers(fleet)
-    own, others = (np.ascontiguousarray(np.stack(arrays, axis=1)) for arrays in (own, others))
-    return compute_accelerations(fleet, d, 1, told.time, told.time_step, own, others, told.active)
+    inputs = [np.ascontiguousarray(np.stack(arrays, axis=1)) for arrays in (own, others)]
+    return compute_accelerations(fleet, d, 1, told.time, told.time_step, *inputs, told.active)
 
 
 @pytest.mark.parametrize("seed", at_night(range(4), {1, 2, 3}))

@@ -10,7 +10,7 @@ import numpy as np
 
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.drivers._base import DrivenPath, Driver, Situation
-from cornercase.drivers._kernels.decide import DRIVER_KERNELS, compute_accelerations, link_drivers
+from cornercase.drivers._kernels.decide import DECISION_INPUTS, DRIVER_KERNELS, compute_accelerations
 from cornercase.drivers._kernels.structs import (
     AHEAD_FOR,
     BEHAVIOUR,
@@ -111,6 +111,11 @@ class CompiledDriver(Driver):
 def is_compiled(driver: Driver) -> TypeGuard[CompiledDriver]:
     """Check whether compiled code makes a driver's decisions; not so if a derived class overrides `acceleration`."""
     return isinstance(driver, CompiledDriver) and type(driver).acceleration is CompiledDriver.acceleration
+
+
+def link_drivers(fleet: Fleet) -> None:
+    """Compile the kernels of the drivers in a fleet; call it before compiled code makes their decisions."""
+    DRIVER_KERNELS.link(fleet.kind.tolist(), fleet, *DECISION_INPUTS)
 
 
 def limit_driver_acceleration(

@@ -26,6 +26,8 @@ from numba.core.compiler import CompileResult
 from numba.core.runtime.nrt import rtsys
 from numba.core.serialize import dumps
 
+from cornercase._common.numba.references import Reference
+
 FOLDER: Final = Path(__file__).parents[2] / "_compiled"
 """Folder of machine code in the package."""
 
@@ -106,7 +108,9 @@ def tuple_fields(numba_type: Any) -> tuple[Any, ...]:
 
     A reference has those of its tuple.
     """
-    numba_type = inner = getattr(numba_type, "table", numba_type)
+    if isinstance(numba_type, Reference):
+        return tuple_fields(numba_type.table)
+    inner: Any = numba_type
     if not isinstance(numba_type, types.BaseTuple):
         return ()
     named = inner.fields if isinstance(numba_type, types.BaseNamedTuple) else ()

@@ -1,7 +1,7 @@
 """Compiled decision of a driver in a scenario."""
 
 # Compiled functions have no static types.
-# mypy: disable-error-code="no-untyped-def, no-untyped-call, untyped-decorator"
+# mypy: disable-error-code="no-untyped-def, no-untyped-call, untyped-decorator, call-arg, attr-defined"
 
 from __future__ import annotations
 
@@ -24,7 +24,6 @@ from cornercase.drivers._kernels.structs import (
     SIMPLE,
     DrivenState,
     DriverScene,
-    Fleet,
     Workspace,
     inline_kernel,
     plain_kernel,
@@ -111,16 +110,13 @@ def make_workspace(n_others):
 
 DRIVER_KERNELS: Final = LateKernels({SIMPLE: _decide_as_simple_driver, BEHAVIOUR: _decide_by_behaviour}, types.float64)
 """Kernels that decide, by kind of driver."""
-_DRIVEN_STATE: Final = types.NamedUniTuple(types.float64, len(DrivenState._fields), DrivenState)
-_WORKSPACE: Final = reference_type(make_workspace.py_func(1))
-
-
-def link_drivers(fleet: Fleet) -> None:
-    """Compile the kernels of the drivers in a fleet; call it before compiled code makes their decisions."""
-    number, time, others = types.int64, types.float64, types.float64[:, ::1]
-    DRIVER_KERNELS.link(
-        fleet.kind.tolist(), fleet, number, number, number, time, time, _DRIVEN_STATE, others, _WORKSPACE
-    )
+DECISION_INPUTS: Final = (
+    *(types.int64, types.int64, types.int64, types.float64, types.float64),
+    types.NamedUniTuple(types.float64, len(DrivenState._fields), DrivenState),
+    types.float64[:, ::1],
+    reference_type(make_workspace.py_func(1)),
+)
+"""Types of the arguments of these kernels after the fleet."""
 
 
 @kernel(error_model="numpy")

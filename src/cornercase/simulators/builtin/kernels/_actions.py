@@ -1,7 +1,7 @@
 """Kernels that apply actions for one time step, in one scenario at a time."""
 
 # Compiled functions have no static types.
-# mypy: disable-error-code="no-untyped-def, untyped-decorator"
+# mypy: disable-error-code="no-untyped-def, untyped-decorator, call-arg"
 
 from __future__ import annotations
 

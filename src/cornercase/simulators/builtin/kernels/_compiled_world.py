@@ -1,7 +1,7 @@
 """Calls from Python to kernels between the runs of the compiled loop: actions, distances and overlaps."""
 
 # Compiled functions have no static types.
-# mypy: disable-error-code="no-untyped-def, untyped-decorator"
+# mypy: disable-error-code="no-untyped-def, untyped-decorator, attr-defined"
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from cornercase._common.numba.interpret import can_interpret, interpret
-from cornercase.drivers._kernels.decide import link_drivers
+from cornercase.drivers._compiled import link_drivers
 from cornercase.simulators.builtin.kernels._actions import link_actions
 from cornercase.simulators.builtin.kernels._conditions import link_conditions
 from cornercase.simulators.builtin.kernels._loop import IDLE, LoopState, run_until_storyboard
