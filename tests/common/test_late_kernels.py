@@ -35,7 +35,7 @@ def multiply(table, factor):
 
 @kernel(interpreted_seconds=lambda *_: 0.0, error_model="numpy")
 def calculate(table, number, factor):
-    arguments = (reference_to(table), factor)
+    arguments = (reference_to(table), factor)  # type: ignore[call-arg]
     if number == ADD:
         return call_for_float(add, table.kernels[ADD], arguments)
     return call_for_float(multiply, table.kernels[MULTIPLY], arguments)
