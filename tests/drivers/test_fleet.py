@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 
 from conftest import at_night, examples
 from cornercase.drivers import DRIVERS, NORMAL, BehaviourDriver, DrivenPath, Driver, SimpleDriver, Situation
-from cornercase.drivers._compiled import build_fleet, set_route
+from cornercase.drivers._compiled import build_fleet, link_drivers, set_route
 from cornercase.drivers._kernels.conflict import contact_interval, find_first_contact_row
-from cornercase.drivers._kernels.decide import compute_acceleration, find_route_row, make_workspace
+from cornercase.drivers._kernels.decide import compute_accelerations, find_route_row
 from cornercase.drivers._kernels.lookahead import MAX_SAMPLES, LookaheadPath, arrival_time, earliest_arrival_time
-from cornercase.drivers._kernels.structs import BEHAVIOUR, NOT_COMPILED, SIMPLE, DrivenState
+from cornercase.drivers._kernels.structs import BEHAVIOUR, NOT_COMPILED, SIMPLE
 from cornercase.drivers._route import plan_route
 from helpers.closed_loop import BOXES, DT, right_turn, straight
 
@@ -64,16 +64,12 @@ def situation(state, e, time, path, distance):
 
 
 def each(fleet, d, told):
-    """Decisions of a fleet's driver, one scenario after the other."""
-    rows, work = [], make_workspace(len(told.others_object_type))
-    for n in range(SCENARIOS):
-        driven = DrivenState(
-            *(float(one[n]) for one in (told.distance, told.x, told.y, told.heading, told.speed, told.target_speed))
-        )
-        others = np.stack([one[n] for one in (told.others_x, told.others_y, told.others_heading, told.others_speed)])
-        route = find_route_row(fleet, d, 1, n)
-        rows.append(compute_acceleration(fleet, d, n, route, told.time, told.time_step, driven, others, work))
-    return np.array(rows)
+    """Decisions of a fleet's driver in all scenarios."""
+    own = told.distance, told.x, told.y, told.heading, told.speed, told.target_speed
+    others = told.others_x, told.others_y, told.others_heading, told.others_speed
+    link_drivers(fleet)
+    inputs = [np.ascontiguousarray(np.stack(arrays, axis=1)) for arrays in (own, others)]
+    return compute_accelerations(fleet, d, 1, told.time, told.time_step, *inputs, told.active)
 
 
 @pytest.mark.parametrize("seed", at_night(range(4), {1, 2, 3}))

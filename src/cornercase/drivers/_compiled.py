@@ -10,7 +10,7 @@ import numpy as np
 
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.drivers._base import DrivenPath, Driver, Situation
-from cornercase.drivers._kernels.decide import compute_accelerations
+from cornercase.drivers._kernels.decide import DECISION_INPUTS, DRIVER_KERNELS, compute_accelerations
 from cornercase.drivers._kernels.structs import (
     AHEAD_FOR,
     BEHAVIOUR,
@@ -75,6 +75,7 @@ class CompiledDriver(Driver):
             memory=fleet.memory[rows],
             awareness=fleet.awareness[rows],
             routes=own_fleet.routes,
+            kernels=fleet.kernels,
         )
         view.kind[:], view.parameters[:] = own_fleet.kind, own_fleet.parameters
         view.memory[:], view.awareness[:] = own_fleet.memory, own_fleet.awareness
@@ -88,10 +89,13 @@ class CompiledDriver(Driver):
         fleet.boxes[0, CENTER_X] = s.others_center_x
         fleet.boxes[0, VULNERABLE] = _is_vulnerable(s.others_object_type)
         track = self._plan_route_index(s.path)
-        driven = np.stack((s.distance, s.x, s.y, s.heading, s.speed, s.target_speed), axis=1)
-        others = np.stack((s.others_x, s.others_y, s.others_heading, s.others_speed), axis=1)
+        # Contiguous arrays, so that kernels are compiled only once.
+        own = s.distance, s.x, s.y, s.heading, s.speed, s.target_speed
+        driven = np.ascontiguousarray(np.stack(own, axis=1))
+        others = np.ascontiguousarray(np.stack((s.others_x, s.others_y, s.others_heading, s.others_speed), axis=1))
         active = np.ascontiguousarray(s.active)
-        result: FloatArray = compute_accelerations(self._fleet, track, s.time, s.time_step, driven, others, active)
+        link_drivers(self._fleet)
+        result: FloatArray = compute_accelerations(self._fleet, 0, track, s.time, s.time_step, driven, others, active)
         return result
 
     def _plan_route_index(self, path: DrivenPath) -> int:
@@ -107,6 +111,11 @@ class CompiledDriver(Driver):
 def is_compiled(driver: Driver) -> TypeGuard[CompiledDriver]:
     """Check whether compiled code makes a driver's decisions; not so if a derived class overrides `acceleration`."""
     return isinstance(driver, CompiledDriver) and type(driver).acceleration is CompiledDriver.acceleration
+
+
+def link_drivers(fleet: Fleet) -> None:
+    """Compile the kernels of the drivers in a fleet; call it before compiled code makes their decisions."""
+    DRIVER_KERNELS.link(fleet.kind.tolist(), fleet, *DECISION_INPUTS)
 
 
 def limit_driver_acceleration(
@@ -239,6 +248,7 @@ def _empty_fleet(drivers: int, scenarios: int, others: int) -> Fleet:
         memory=memory,
         awareness=np.zeros((drivers, scenarios, 3, others), dtype=np.bool_),
         routes=Routes(unplanned, unplanned + 1, none, none, np.empty((0, 3)), np.empty((0, 6))),
+        kernels=DRIVER_KERNELS.addresses,
     )
 
 

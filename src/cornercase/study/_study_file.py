@@ -20,7 +20,7 @@ from cornercase._common.typing import BoolArray, FloatArray
 from cornercase._common.validation import check_float, check_int
 from cornercase.drivers._description import format_driver
 from cornercase.drivers.references.r157._preventability import ReferenceOutcome
-from cornercase.metrics import METRICS, Metric, compute_features
+from cornercase.metrics import Metric, compute_features
 from cornercase.metrics._outcome import Impact
 from cornercase.recordings import Collision, Recording
 from cornercase.recordings._rounded import encode_rounded
@@ -628,7 +628,7 @@ class StudyFile:
         name = self.meta.metrics[0] if metric is None else metric
         with self.snapshot():
             scores, impacts = self.scores(name), self.impacts()
-        order = order_by_criticality(METRICS.create(name).to_minimize(scores), list(impacts.values()))
+        order = order_by_criticality(self.meta.create_metric(name).to_minimize(scores), list(impacts.values()))
         ids = list(impacts)
         return [ids[k] for k in order]
 
@@ -712,7 +712,7 @@ class StudyFile:
             return rounded
         recording, courses = self.recording_and_courses(scenario)
         return encode_rounded(
-            recording, {name: METRICS.create(name).clip_course(course) for name, course in courses.items()}
+            recording, {name: self.meta.create_metric(name).clip_course(course) for name, course in courses.items()}
         )
 
     def features(self, scenarios: Sequence[int | None]) -> FloatArray:

@@ -25,8 +25,11 @@ def build_aabb_tree(bounds):
     while leaves < len(bounds):
         leaves *= 2
     tree = np.empty((2 * leaves, 4))
-    tree[:, :2], tree[:, 2:] = np.inf, -np.inf
-    tree[leaves : leaves + len(bounds)] = bounds
+    for leaf in range(leaves):
+        for k in range(2):
+            is_box = leaf < len(bounds)
+            tree[leaves + leaf, k] = bounds[leaf, k] if is_box else np.inf
+            tree[leaves + leaf, k + 2] = bounds[leaf, k + 2] if is_box else -np.inf
     for node in range(leaves - 1, 0, -1):
         for k in range(2):
             tree[node, k] = min(tree[2 * node, k], tree[2 * node + 1, k])
@@ -68,7 +71,9 @@ def append_run(runs, count, step, other_step):
     """
     if count == len(runs):
         grown = np.empty((2 * count, 3), dtype=np.int64)
-        grown[:count] = runs
+        for run in range(count):
+            for k in range(3):
+                grown[run, k] = runs[run, k]
         runs = grown
     runs[count, 0], runs[count, 1] = step, other_step
     return runs

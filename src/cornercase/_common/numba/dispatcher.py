@@ -9,12 +9,15 @@ this for the functions that it calls, at each level of calls.
 
 from __future__ import annotations
 
+import gc
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import partial
 from typing import Any
 
 import llvmlite.binding as llvm
 import numpy as np
-from numba.core import compiler, event, typing
+from numba.core import compiler, event, types, typing
 from numba.core.codegen import JITCodeLibrary
 from numba.core.registry import CPUDispatcher
 
@@ -36,6 +39,8 @@ class KernelDispatcher(CPUDispatcher):
         self._estimate_seconds = estimate_seconds
         # Kinds of arguments for which no machine code was on disk.
         self._missing: set[Any] = set()
+        # Types of the arguments with which it is called at its address; None if it is not.
+        self._late_kinds: Any = None
 
     @property
     def is_compiled(self):
@@ -59,17 +64,41 @@ class KernelDispatcher(CPUDispatcher):
         self._missing.add(kinds)
         return False
 
+    def compile(self, sig):
+        """Compile the kernel for argument types, or load its machine code."""
+        with _paused_garbage_collection():
+            return super().compile(sig)
+
+    def is_interpreted(self, *args):
+        """Whether a call with these arguments is interpreted."""
+        estimate = self._estimate_seconds
+        return estimate is not None and can_interpret(estimate(*args)) and not self.is_ready(*args)
+
+    def compile_to_address(self, kinds, result):
+        """Compile the kernel for argument types, or load its machine code; return its address."""
+        self.check_late_kinds(kinds)
+        self.compile(kinds)
+        compiled = self.overloads[kinds]
+        assert compiled.signature.return_type == result, (self, compiled.signature)
+        return compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name)
+
+    def check_late_kinds(self, kinds):
+        """Check that all who call the kernel at its address, and who compiles it, name the same types of arguments."""
+        if self._late_kinds not in (None, kinds):
+            raise TypeError(f"{self} is called with {kinds}, but also with {self._late_kinds}.")
+        self._late_kinds = kinds
+
     def _compile_for_args(self, *args, **kws):
         # What is returned is then called.
-        estimate = self._estimate_seconds
-        if estimate is not None and can_interpret(estimate(*args)) and not self.is_ready(*args):
+        if self.is_interpreted(*args):
             return partial(_interpret_call, self)
         return super()._compile_for_args(*args, **kws)
 
     def get_call_template(self, args, kws):
         """Return the signatures for a call from another kernel."""
         pysig, args = self._compiler.fold_argument_types(args, kws)
-        args = tuple(args)
+        # Not once more for each constant: LLVM knows them, too.
+        args = tuple(map(types.unliteral, args))
         if args not in self._parts:
             with event.trigger_event("numba:compile", {"dispatcher": self, "args": args, "return_type": None}):
                 self._parts[args] = self._compile_part(args)
@@ -79,7 +108,7 @@ class KernelDispatcher(CPUDispatcher):
 
     def get_overload(self, args):
         """Return the key of the code that another kernel calls."""
-        return self._parts[tuple(args)].fndesc
+        return self._parts[tuple(map(types.unliteral, args))].fndesc
 
     def _compile_part(self, args):
         flags = compiler.Flags()
@@ -91,6 +120,18 @@ class KernelDispatcher(CPUDispatcher):
         )
         self.targetctx.insert_user_function(part.fndesc, part.fndesc, [library])
         return part
+
+
+@contextmanager
+def _paused_garbage_collection() -> Iterator[None]:
+    """Within the block, do not look for garbage: the compiler makes millions of objects, nearly all of them needed."""
+    was_enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_enabled:
+            gc.enable()
 
 
 def _kind(value):

@@ -68,6 +68,11 @@ def compile_loops_at_once() -> Iterator[None]:
         _Clock.is_stopped_for_loops = before
 
 
+def are_all_compiled() -> bool:
+    """Whether everything is compiled at once, as in `warm-up`."""
+    return _Clock.is_stopped
+
+
 def must_interpret() -> bool:
     """Whether kernels are interpreted even if they are compiled; see `interpret_always`."""
     return _Clock.is_forced
@@ -218,11 +223,18 @@ def _array_at(kind: Any) -> Callable[[int, int], npt.NDArray[Any]]:
     return array
 
 
+def _call(kernel: Callable[..., Any], _: int, arguments: tuple[Any, ...]) -> Any:
+    return kernel(*arguments)
+
+
 _REPLACED: Final[dict[Any, Any]] = {
     math: _MATH,
     pointers.floats_at_address: _array_at(ctypes.c_double),
     pointers.ints_at_address: _array_at(ctypes.c_int64),
     pointers.bools_at_address: _array_at(ctypes.c_bool),
+    pointers.call_for_int: _call,
+    pointers.call_for_float: _call,
+    pointers.call_for_bool: _call,
     references.reference_to: lambda table: table,
 }
 

@@ -1,4 +1,4 @@
-"""Arrays that kernels access by memory address.
+"""Arrays and other kernels that kernels access by memory address.
 
 A kernel is compiled anew for each number of array arguments. One table of addresses replaces them all.
 """
@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy.typing as npt
 from numba import types
+from numba.core import cgutils
 from numba.extending import intrinsic
 
 
@@ -54,3 +55,39 @@ def ints_at_address(context, address, count):
 def bools_at_address(context, address, count):
     """Array of bool, shape (count,), at an address."""
     return _array_intrinsic(context, address, count, types.boolean)
+
+
+def _late_call(kernel, arguments, result):
+    kinds = tuple(map(types.unliteral, arguments.types))
+    kernel.dispatcher.check_late_kinds(kinds)
+
+    def emit_call(context, builder, signature, values):
+        with cgutils.if_unlikely(builder, cgutils.is_null(builder, values[1])):
+            context.call_conv.return_user_exc(builder, RuntimeError, ("a kernel was called before it was compiled",))
+        pointer = builder.inttoptr(values[1], context.call_conv.get_function_type(result, kinds).as_pointer())
+        status, value = context.call_conv.call_function(
+            builder, pointer, result, kinds, cgutils.unpack_tuple(builder, values[2], len(kinds))
+        )
+        with cgutils.if_unlikely(builder, status.is_error):
+            context.call_conv.return_status_propagate(builder, status)
+        return value
+
+    return result(kernel, types.int64, types.BaseTuple.from_types(kinds)), emit_call
+
+
+@intrinsic
+def call_for_int(context, kernel, address, arguments):
+    """Call a kernel at its address, with a tuple of arguments; it returns an integer."""
+    return _late_call(kernel, arguments, types.int64)
+
+
+@intrinsic
+def call_for_float(context, kernel, address, arguments):
+    """Call a kernel at its address, with a tuple of arguments; it returns a float."""
+    return _late_call(kernel, arguments, types.float64)
+
+
+@intrinsic
+def call_for_bool(context, kernel, address, arguments):
+    """Call a kernel at its address, with a tuple of arguments; it returns whether something holds."""
+    return _late_call(kernel, arguments, types.boolean)

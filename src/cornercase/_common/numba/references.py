@@ -9,16 +9,18 @@ would take much longer.
 
 from __future__ import annotations
 
+from typing import Any
+
 from llvmlite import ir
-from numba import types
+from numba import typeof, types
 from numba.core import cgutils, imputils
 from numba.core.datamodel import models
 from numba.core.datamodel.registry import register_default
 from numba.core.typing.templates import AttributeTemplate, infer_getattr
-from numba.extending import intrinsic
+from numba.extending import NativeValue, intrinsic, unbox
 
 
-class _Reference(types.Type):
+class Reference(types.Type):
     """numba type of a reference to a named tuple."""
 
     def __init__(self, table):
@@ -26,10 +28,27 @@ class _Reference(types.Type):
         super().__init__(f"reference({table})")
 
 
-@register_default(_Reference)
+@register_default(Reference)
 class _ReferenceModel(models.PrimitiveModel):
     def __init__(self, manager, reference):
         super().__init__(manager, reference, manager.lookup(reference.table).get_value_type().as_pointer())
+
+
+@unbox(Reference)
+def _unbox_reference(reference, value, c):
+    """Make a reference of an address; numba asks for it, though Python calls no kernel with references."""
+    return NativeValue(c.builder.bitcast(c.pyapi.long_as_voidptr(value), c.context.get_value_type(reference)))
+
+
+def reference_type(value: Any) -> Any:
+    """Return the numba type of a value that a kernel passes to another: that of a reference, if it is a named tuple.
+
+    A numba type stands for itself.
+    """
+    if isinstance(value, types.Type):
+        return value
+    kind = typeof(value)
+    return Reference(kind) if isinstance(kind, types.BaseNamedTuple) else kind
 
 
 @intrinsic
@@ -49,21 +68,21 @@ def reference_to(context, table):
         function_type = ir.FunctionType(slot.type, [slot.type])
         return builder.asm(function_type, "", "=r,0,~{memory}", [slot], side_effect=True)
 
-    return _Reference(table)(table), emit_reference
+    return Reference(table)(table), emit_reference
 
 
 @infer_getattr
 class _ReferenceAttributes(AttributeTemplate):
-    key = _Reference
+    key = Reference
 
     def generic_resolve(self, reference, name):
         if name not in reference.table.fields:
             return None
         field = reference.table[reference.table.fields.index(name)]
-        return _Reference(field) if isinstance(field, types.BaseNamedTuple) else field
+        return Reference(field) if isinstance(field, types.BaseNamedTuple) else field
 
 
-@imputils.lower_getattr_generic(_Reference)
+@imputils.lower_getattr_generic(Reference)
 def _emit_field(context, builder, reference, value, name):
     index = reference.table.fields.index(name)
     pointer = cgutils.gep_inbounds(builder, value, 0, index)

@@ -26,6 +26,8 @@ from numba.core.compiler import CompileResult
 from numba.core.runtime.nrt import rtsys
 from numba.core.serialize import dumps
 
+from cornercase._common.numba.references import Reference
+
 FOLDER: Final = Path(__file__).parents[2] / "_compiled"
 """Folder of machine code in the package."""
 
@@ -102,7 +104,12 @@ class ShippedCode:
 
 
 def nested_field_names(numba_type: Any) -> tuple[Any, ...]:
-    """Return the field names of a tuple type and of the tuples in it; machine code accesses fields by position."""
+    """Return the field names of a tuple type and of the tuples in it; machine code accesses fields by position.
+
+    A reference has those of its tuple.
+    """
+    if isinstance(numba_type, Reference):
+        return nested_field_names(numba_type.table)
     inner: Any = numba_type
     if not isinstance(numba_type, types.BaseTuple):
         return ()

@@ -1,15 +1,20 @@
 """Compiled decision of a driver in a scenario."""
 
 # Compiled functions have no static types.
-# mypy: disable-error-code="no-untyped-def, no-untyped-call, untyped-decorator"
+# mypy: disable-error-code="no-untyped-def, no-untyped-call, untyped-decorator, call-arg, attr-defined"
 
 from __future__ import annotations
 
 import math
+from typing import Final
 
 import numpy as np
+from numba import types
 
 from cornercase._common.numba.kernel import kernel
+from cornercase._common.numba.late import LateKernels
+from cornercase._common.numba.pointers import call_for_float
+from cornercase._common.numba.references import reference_to, reference_type
 from cornercase.drivers._kernels.follow import follow_with_idm
 from cornercase.drivers._kernels.idm_and_yield import plan_acceleration
 from cornercase.drivers._kernels.lookahead import MAX_SAMPLES
@@ -34,26 +39,26 @@ def compute_acceleration(fleet, driver, scenario, route, time, time_step, driven
     `driver` is the row of a compiled driver; `route` comes from `find_route_row`. `others` (4, A) is x, y, heading and
     speed, NaN if an entity does not exist or is not visible.
     """
-    cos, sin = math.cos(driven.heading), math.sin(driven.heading)
-    scene = DriverScene(
-        time,
-        time_step,
-        driven,
-        cos,
-        sin,
-        fleet.own[driver],
-        fleet.boxes[driver],
-        others,
-        fleet.memory[driver, scenario],
-        fleet.awareness[driver, scenario],
-    )
-    p = fleet.parameters[driver]
+    arguments = (fleet, driver, scenario, route, time, time_step, driven, others, buffers)
     if fleet.kind[driver] == SIMPLE:
-        return follow_with_idm(FollowParameters(p[0], p[1], p[2], p[3], p[4], p[5], p[6]), scene)
+        return call_for_float(_decide_as_simple_driver, fleet.kernels[SIMPLE], arguments)
+    return call_for_float(_decide_by_behaviour, fleet.kernels[BEHAVIOUR], arguments)
+
+
+@plain_kernel
+def _decide_as_simple_driver(fleet, driver, scenario, route, time, time_step, driven, others, buffers):
+    p = fleet.parameters[driver]
+    parameters = FollowParameters(p[0], p[1], p[2], p[3], p[4], p[5], p[6])
+    return follow_with_idm(parameters, _driver_scene(fleet, driver, scenario, time, time_step, driven, others))
+
+
+@plain_kernel
+def _decide_by_behaviour(fleet, driver, scenario, route, time, time_step, driven, others, buffers):
+    scene, p = _driver_scene(fleet, driver, scenario, time, time_step, driven, others), fleet.parameters[driver]
     behaviour = Behaviour(
         p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[8], p[9], p[10], p[11], p[12], p[13], p[14], p[15], p[16]
     )
-    eye = eye_pose(scene.own, driven.x, driven.y, cos, sin)
+    eye = eye_pose(scene.own, driven.x, driven.y, scene.cos, scene.sin)
     update_visible_others(
         behaviour.field_of_view, behaviour.sight_range, eye, scene.boxes, others, buffers.boxes, buffers.seen
     )
@@ -61,6 +66,22 @@ def compute_acceleration(fleet, driver, scenario, route, time, time_step, driven
     a = plan_acceleration(behaviour, fleet.routes, route, scene, buffers)
     a = min(max(a, -behaviour.max_deceleration), behaviour.acceleration)
     return max(a, -driven.speed / time_step)
+
+
+@inline_kernel
+def _driver_scene(fleet, driver, scenario, time, time_step, driven, others):
+    return DriverScene(
+        time,
+        time_step,
+        driven,
+        math.cos(driven.heading),
+        math.sin(driven.heading),
+        fleet.own[driver],
+        fleet.boxes[driver],
+        others,
+        fleet.memory[driver, scenario],
+        fleet.awareness[driver, scenario],
+    )
 
 
 @plain_kernel
@@ -87,18 +108,35 @@ def make_workspace(n_others):
     )
 
 
-@kernel(error_model="numpy")
-def compute_accelerations(fleet, track, time, time_step, driven, others, active):
-    """Return the acceleration in m/s² of the first driver of a fleet in each scenario, shape (N,); 0 if not active.
+DRIVER_KERNELS: Final = LateKernels({SIMPLE: _decide_as_simple_driver, BEHAVIOUR: _decide_by_behaviour}, types.float64)
+"""Kernels that decide, by kind of driver."""
+DECISION_INPUTS: Final = (
+    *(types.int64, types.int64, types.int64, types.float64, types.float64),
+    types.NamedUniTuple(types.float64, len(DrivenState._fields), DrivenState),
+    types.float64[:, ::1],
+    reference_type(make_workspace.py_func(1)),
+)
+"""Types of the arguments of these kernels after the fleet."""
 
-    `driven` (N, 6) has the fields of `DrivenState`. `others` has shape (N, 4, A), as in `compute_acceleration`.
+
+@kernel(error_model="numpy")
+def compute_accelerations(fleet, driver, track, time, time_step, driven, others, active):
+    """Return the acceleration in m/s² of a driver of a fleet in each scenario, shape (N,); 0 if not active.
+
+    `driven` (N, 6) has the fields of `DrivenState`. `others` has shape (N, 4, A), as in `compute_acceleration`. Call
+    `link_drivers` before.
     """
     result, work = np.zeros(len(active)), make_workspace(others.shape[2])
+    _fill_accelerations(
+        reference_to(fleet), driver, track, time, time_step, driven, others, active, reference_to(work), result
+    )
+    return result
+
+
+@plain_kernel
+def _fill_accelerations(fleet, driver, track, time, time_step, driven, others, active, work, result):
     for n in range(len(active)):
         if active[n]:
-            s = driven[n]
+            s, route = driven[n], find_route_row(fleet, driver, track, n)
             state = DrivenState(s[0], s[1], s[2], s[3], s[4], s[5])
-            result[n] = compute_acceleration(
-                fleet, 0, n, find_route_row(fleet, 0, track, n), time, time_step, state, others[n], work
-            )
-    return result
+            result[n] = compute_acceleration(fleet, driver, n, route, time, time_step, state, others[n], work)

@@ -61,7 +61,8 @@ class Fleet(NamedTuple):
 
     `memory` (D, N, 9, A): perceived x, y, heading and speed of the others; running mean of their turn rate in rad/s;
     times in s of the first and the last sighting, and of the start of the conflict; how long in s they have been ahead.
-    `awareness` (D, N, 3, A): whether each other entity is noticed, known, and yielded to.
+    `awareness` (D, N, 3, A): whether each other entity is noticed, known, and yielded to. `kernels` (2,): addresses of
+    the kernels that decide, by kind.
     """
 
     kind: IntArray
@@ -71,6 +72,7 @@ class Fleet(NamedTuple):
     memory: FloatArray
     awareness: BoolArray
     routes: Routes
+    kernels: IntArray
 
 
 class DrivenState(NamedTuple):

@@ -99,9 +99,8 @@ def find_first_crossing(time_a, poses_a, size_a, time_b, poses_b, size_b):
     for root in range(len(runs)):
         if roots[root] != root:
             continue
-        overlap = runs[roots == root]
-        enters, leaves = _contact_times(time_a, poses_a, size_a, poses_b, size_b, overlap, True)
-        other_enters, other_leaves = _contact_times(time_b, poses_b, size_b, poses_a, size_a, overlap, False)
+        enters, leaves = _contact_times(time_a, poses_a, size_a, poses_b, size_b, runs, roots, root, True)
+        other_enters, other_leaves = _contact_times(time_b, poses_b, size_b, poses_a, size_a, runs, roots, root, False)
         if min(enters, other_enters) < earliest or not first[0]:
             earliest, first = min(enters, other_enters), (True, enters, leaves, other_enters, other_leaves)
     return first
@@ -134,7 +133,9 @@ def _bounds_of_centres(poses):
 @kernel(error_model="numpy")
 def _connect_runs(runs):
     """Return for each run the first run of its connected component."""
-    roots = np.arange(len(runs))
+    roots = np.empty(len(runs), dtype=np.int64)
+    for run in range(len(runs)):
+        roots[run] = run
     before, step = 0, 0
     for run in range(len(runs)):
         if runs[run, 0] != runs[step, 0]:
@@ -159,24 +160,30 @@ def _find_root(roots, run):
 
 
 @kernel(error_model="numpy")
-def _contact_times(time, poses, size, other_poses, other_size, runs, is_path_a):
-    """When one of the paths is in an overlap: first and last contact of its boxes with boxes of the other path."""
-    if is_path_a:
-        first, last = runs[0, 0], runs[-1, 0]
-    else:
-        first, last = runs[:, 1].min(), runs[:, 2].max()
+def _contact_times(time, poses, size, other_poses, other_size, runs, roots, root, is_path_a):
+    """When one of the paths is in an overlap: first and last contact of its boxes with boxes of the other path.
+
+    The overlap has the runs whose root is `root`.
+    """
+    begin, end = (0, 0) if is_path_a else (1, 2)
+    first, last = len(time), -1
+    for run in range(len(runs)):
+        if roots[run] == root:
+            first, last = min(first, runs[run, begin]), max(last, runs[run, end])
+    # A step has each box of the other path in one run at most.
+    touched = np.empty(other_poses.shape[1], dtype=np.int64)
     enters, leaves = time[first], time[last]
     for step, neighbour in ((first, first - 1), (last, last + 1)):
         if not 0 <= neighbour < len(time):
             continue
-        is_touched = np.zeros(other_poses.shape[1], dtype=np.bool_)
+        n_touched = 0
         for run in range(len(runs)):
-            if is_path_a and runs[run, 0] == step:
-                is_touched[runs[run, 1] : runs[run, 2] + 1] = True
-            elif not is_path_a and runs[run, 1] <= step <= runs[run, 2]:
-                is_touched[runs[run, 0]] = True
-        touched = np.flatnonzero(is_touched)
-        share = _contact_fraction(poses, size, neighbour, step, other_poses, other_size, touched)
+            if roots[run] == root and runs[run, begin] <= step <= runs[run, end]:
+                low, high = (runs[run, 1], runs[run, 2]) if is_path_a else (runs[run, 0], runs[run, 0])
+                for box in range(low, high + 1):
+                    touched[n_touched] = box
+                    n_touched += 1
+        share = _contact_fraction(poses, size, neighbour, step, other_poses, other_size, touched, n_touched)
         contact = time[neighbour] + share * (time[step] - time[neighbour])
         if neighbour < step:
             enters = contact
@@ -220,8 +227,8 @@ def _find_overlap_runs(poses_a, size_a, poses_b, size_b, tree):
 
 
 @kernel(error_model="numpy", _nrt=False)
-def _contact_fraction(poses_a, size_a, before, after, poses_b, size_b, touched):
-    """Return the fraction of a step of path a at which it first touches a box of path b with an index in `touched`."""
+def _contact_fraction(poses_a, size_a, before, after, poses_b, size_b, touched, n_touched):
+    """Return the fraction of a step of path a at which it first touches one of the `touched` boxes of path b."""
     low, high = 0.0, 1.0
     for _ in range(_N_BISECTIONS):
         share = 0.5 * (low + high)
@@ -231,7 +238,8 @@ def _contact_fraction(poses_a, size_a, before, after, poses_b, size_b, touched):
         sin = poses_a[3, before] + share * (poses_a[3, after] - poses_a[3, before])
         norm = math.hypot(cos, sin)
         touches = False
-        for j in touched:
+        for k in range(n_touched):
+            j = touched[k]
             if _boxes_overlap(
                 poses_b[0, j] - x,
                 poses_b[1, j] - y,

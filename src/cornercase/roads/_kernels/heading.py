@@ -121,7 +121,7 @@ def _cos_and_sin(heading):
     return cos, sin
 
 
-@kernel(error_model="numpy", forceinline=True, _nrt=False)
+@kernel(error_model="numpy", _nrt=False)
 def reference_heading(tables, road, s):
     """Return the heading of a road's reference line at `s`, in rad; only for roads with `heading_known`."""
     piece = _geometry_index(tables, road, s)
@@ -133,7 +133,7 @@ def reference_heading(tables, road, s):
     return tables.heading[piece] + math.atan2(dv, du)
 
 
-@kernel(error_model="numpy", forceinline=True, _nrt=False)
+@kernel(error_model="numpy", _nrt=False)
 def reference_cos_and_sin(tables, road, s):
     """Return cosine and sine of `reference_heading`."""
     piece = _geometry_index(tables, road, s)
@@ -147,7 +147,7 @@ def reference_cos_and_sin(tables, road, s):
     return math.cos(heading), math.sin(heading)
 
 
-@kernel(error_model="numpy", forceinline=True, _nrt=False)
+@kernel(error_model="numpy", _nrt=False)
 def stays_on_road(tables, road, s, x, y):
     """Return whether a moved point is still on its road, or within `OFF_ROAD_TOLERANCE` of it; and its new s.
 
@@ -170,7 +170,7 @@ def stays_on_road(tables, road, s, x, y):
     return t >= right - OFF_ROAD_TOLERANCE and t <= left + OFF_ROAD_TOLERANCE, along
 
 
-@kernel(error_model="numpy", forceinline=True, _nrt=False)
+@kernel(error_model="numpy", _nrt=False)
 def _line_or_arc_pose(tables, geometry, s):
     """Return x, y, cosine and sine of the heading on a line or arc."""
     along, curvature = s - tables.s[geometry], tables.coefficients[geometry, 0]
@@ -185,7 +185,7 @@ def _line_or_arc_pose(tables, geometry, s):
     return x, y, math.cos(heading), math.sin(heading)
 
 
-@kernel(error_model="numpy", forceinline=True, _nrt=False)
+@kernel(error_model="numpy", _nrt=False)
 def _curve_parameter(tables, geometry, distance):
     """Return the curve parameter at a distance, like `ReferenceGeometry.curve_parameter`."""
     length, steps, first = (
@@ -202,7 +202,7 @@ def _curve_parameter(tables, geometry, distance):
     return (1.0 - x) * low + x * high + x * (1.0 - x) * ((1.0 - x) * bend_low + x * bend_high)
 
 
-@kernel(error_model="numpy", forceinline=True, _nrt=False)
+@kernel(error_model="numpy", _nrt=False)
 def _geometry_index(tables, road, s):
     low, high = tables.first_geometry[road], tables.first_geometry[road + 1]
     # The first geometry also covers s below its start.

@@ -76,7 +76,7 @@ def _interval_always_inside(road: Road) -> tuple[float, float]:
     return float(right.max()) + _EDGE_TOLERANCE, float(left.min()) - _EDGE_TOLERANCE
 
 
-@kernel(error_model="numpy", forceinline=True, _nrt=False)
+@kernel(error_model="numpy", _nrt=False)
 def road_edge_offsets(tables, road, s):
     """Return the lateral coordinates of a road's right and left edge at `s`, in m."""
     section = tables.sections[road]
@@ -86,7 +86,7 @@ def road_edge_offsets(tables, road, s):
     return _edge_offset(tables, section, _RIGHT, middle, s), _edge_offset(tables, section, _LEFT, middle, s)
 
 
-@kernel(error_model="numpy", forceinline=True, _nrt=False)
+@kernel(error_model="numpy", _nrt=False)
 def _edge_offset(tables, section, side, lane_offset, s):
     first, last = tables.lanes[2 * section + side], tables.lanes[2 * section + side + 1]
     roads, edge, sign = tables.sections.size - 1, lane_offset, 1.0 if side == _LEFT else -1.0
@@ -99,7 +99,7 @@ def _edge_offset(tables, section, side, lane_offset, s):
     return edge
 
 
-@kernel(error_model="numpy", forceinline=True, _nrt=False)
+@kernel(error_model="numpy", _nrt=False)
 def _evaluate_cubics(tables, curve, s):
     """Evaluate piecewise cubics; 0 if there are none."""
     k, last, table = tables.cubics[curve], tables.cubics[curve + 1], tables.coefficients

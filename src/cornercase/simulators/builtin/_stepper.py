@@ -20,6 +20,7 @@ from cornercase.roads._kernels.heading import build_road_tables
 from cornercase.simulators.builtin._gil import release_gil_lock
 from cornercase.simulators.builtin.actions._controller import DriverControl
 from cornercase.simulators.builtin.kernels._action_table import build_action_table
+from cornercase.simulators.builtin.kernels._actions import ACTION_KERNELS
 from cornercase.simulators.builtin.kernels._compiled_world import CompiledWorld
 from cornercase.simulators.builtin.kernels._conditions import ConditionSpec, build_condition_table
 from cornercase.simulators.builtin.kernels._loop import (
@@ -39,7 +40,7 @@ from cornercase.simulators.builtin.kernels._loop import (
     LoopState,
     run_until_storyboard,
 )
-from cornercase.simulators.builtin.kernels._run import run_scenarios
+from cornercase.simulators.builtin.kernels._run import link_kernels, run_scenarios
 from cornercase.simulators.builtin.kernels._simulation_state import SimulationState, make_state_arrays
 from cornercase.simulators.builtin.storyboard._storyboard import Storyboard
 from cornercase.simulators.builtin.storyboard._triggers import Condition, DelayBuffer
@@ -106,7 +107,9 @@ class Stepper:
         self._options = LoopOptions(time_step, max_frames, stop_at_collision, coupling is not None)
         # Whether the storyboard has to be evaluated in each frame.
         self._python_step = world.needs_road_check
-        self._actions = build_action_table([running.action for running in storyboard.actions], world.scenarios)
+        self._actions = build_action_table(
+            [running.action for running in storyboard.actions], world.scenarios, ACTION_KERNELS.addresses
+        )
         self._read_triggers()
         self._roads = build_road_tables([]) if world.network is None else world.network.road_tables
         self._track_pool, self._planned_routes = TrackPool(), dict[tuple[int, int], int]()
@@ -333,6 +336,7 @@ def _bind_arguments(*arguments: Any) -> tuple[Callable[[int, int], object], bool
     if isinstance(run_until_storyboard, Dispatcher) and run_until_storyboard.overloads:
         types = (*map(typeof, arguments), int64, int64)
         if types in run_until_storyboard.overloads:
+            link_kernels(*arguments[:6])
             compiled: Any = run_until_storyboard.overloads[types]
             return partial(compiled.entry_point, *arguments), True
     return partial(run_scenarios, *arguments), False

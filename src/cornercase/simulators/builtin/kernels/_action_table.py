@@ -44,6 +44,7 @@ class ActionTable(NamedTuple):
     options: IntArray  # (J, 8): type, entity and type-specific integers
     memory: FloatArray  # (N, J, 24): what an action remembers of a scenario
     is_running: BoolArray  # (N, J)
+    kernels: IntArray  # (7,): addresses of the kernels by type of action
 
 
 class CompilableAction(Protocol):
@@ -60,7 +61,7 @@ class CompilableAction(Protocol):
         ...
 
 
-def build_action_table(actions: Sequence[CompilableAction | None], n_scenarios: int) -> ActionTable:
+def build_action_table(actions: Sequence[CompilableAction | None], n_scenarios: int, kernels: IntArray) -> ActionTable:
     """Build the tables of actions; None stands for an action that ends at once.
 
     The arrays in the `memory_attributes` of the actions become views of the tables.
@@ -75,4 +76,4 @@ def build_action_table(actions: Sequence[CompilableAction | None], n_scenarios: 
             for k, name in enumerate(action.memory_attributes):
                 memory[:, j, k] = getattr(action, name)
                 setattr(action, name, memory[:, j, k])
-    return ActionTable(options, memory, np.zeros((n_scenarios, len(actions)), dtype=np.bool_))
+    return ActionTable(options, memory, np.zeros((n_scenarios, len(actions)), dtype=np.bool_), kernels)

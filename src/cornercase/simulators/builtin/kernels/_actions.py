@@ -1,7 +1,7 @@
 """Kernels that apply actions for one time step, in one scenario at a time."""
 
 # Compiled functions have no static types.
-# mypy: disable-error-code="no-untyped-def, untyped-decorator"
+# mypy: disable-error-code="no-untyped-def, untyped-decorator, call-arg"
 
 from __future__ import annotations
 
@@ -9,8 +9,12 @@ import math
 from typing import Final, NamedTuple
 
 import numpy as np
+from numba import types
 
 from cornercase._common.numba.kernel import kernel
+from cornercase._common.numba.late import LateKernels
+from cornercase._common.numba.pointers import call_for_int
+from cornercase._common.numba.references import reference_to
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.simulators.builtin.kernels._action_table import (
     ACTION_APPLIED,
@@ -25,9 +29,15 @@ from cornercase.simulators.builtin.kernels._action_table import (
     SYNCHRONIZE_ACTION,
     TRACK_ENDED,
     TRAJECTORY_ACTION,
+    ActionTable,
 )
 from cornercase.simulators.builtin.kernels._move import advance_along_track, place_on_track, set_speed
-from cornercase.simulators.builtin.kernels._simulation_state import MAX_ACCELERATION, MAX_DECELERATION, MAX_SPEED
+from cornercase.simulators.builtin.kernels._simulation_state import (
+    MAX_ACCELERATION,
+    MAX_DECELERATION,
+    MAX_SPEED,
+    SimulationState,
+)
 from cornercase.simulators.builtin.kernels._synchronize import apply_distance_action, apply_synchronize_action
 from cornercase.simulators.builtin.track_kernels._track_dispatch import (
     pose_on_track,
@@ -37,6 +47,7 @@ from cornercase.simulators.builtin.track_kernels._track_dispatch import (
     trajectory_has_heading,
     trajectory_length,
 )
+from cornercase.simulators.builtin.track_kernels._track_layout import TrackTable
 from cornercase.simulators.builtin.world._state_layout import (
     AT_END_SINCE,
     CHANGES_LANES,
@@ -131,18 +142,20 @@ def apply_actions(scene, tracks, roads, actions, saved, n, dt):
 @_inlined_kernel
 def apply_action(scene, tracks, roads, actions, n, j, dt):
     """Apply an action of a scenario for one time step; return the outcome, such as `ACTION_APPLIED`."""
-    action_type = actions.options[j, 0]
+    action_type, arguments = actions.options[j, 0], (scene, tracks, roads, actions, n, j, dt)
+    if action_type == PYTHON_ACTION:
+        return NEEDS_PYTHON
     if action_type == SPEED_ACTION:
         return _apply_speed_action(scene, actions, n, j, dt)
     if action_type == TRAJECTORY_ACTION:
         return _apply_trajectory_action(scene, tracks, actions, n, j, dt)
     if action_type == LANE_CHANGE_ACTION:
-        return _apply_lane_change(scene, tracks, actions, n, j, dt)
+        return call_for_int(_apply_lane_change, actions.kernels[LANE_CHANGE_ACTION], arguments)
     if action_type == LANE_OFFSET_ACTION:
-        return _apply_lane_offset(scene, tracks, actions, n, j, dt)
+        return call_for_int(_apply_lane_offset, actions.kernels[LANE_OFFSET_ACTION], arguments)
     if action_type == SYNCHRONIZE_ACTION:
-        return apply_synchronize_action(scene, tracks, roads, actions, n, j, dt)
-    return apply_distance_action(scene, actions, n, j, dt) if action_type == DISTANCE_ACTION else NEEDS_PYTHON
+        return call_for_int(apply_synchronize_action, actions.kernels[SYNCHRONIZE_ACTION], arguments)
+    return call_for_int(apply_distance_action, actions.kernels[DISTANCE_ACTION], arguments)
 
 
 @_inlined_kernel
@@ -325,7 +338,7 @@ def _apply_trajectory_action(scene, tracks, actions, n, j, dt):
 
 
 @_kernel
-def _apply_lane_change(scene, tracks, actions, n, j, dt):
+def _apply_lane_change(scene, tracks, roads, actions, n, j, dt):
     """Apply a lane change. Memory: from, to, done, extent."""
     options, memory, state, flags = actions.options[j], actions.memory[n, j], scene.floats[n], scene.flags[n]
     e, shape, dimension = options[1], options[2], options[3]
@@ -377,7 +390,7 @@ def _apply_lane_change(scene, tracks, actions, n, j, dt):
 
 
 @_kernel
-def _apply_lane_offset(scene, tracks, actions, n, j, dt):
+def _apply_lane_offset(scene, tracks, roads, actions, n, j, dt):
     """Apply a lane offset action. Memory: from, to, elapsed, duration."""
     options, memory, state = actions.options[j], actions.memory[n, j], scene.floats[n]
     e, shape = options[1], options[2]
@@ -399,10 +412,29 @@ def _apply_lane_offset(scene, tracks, actions, n, j, dt):
     return ACTION_ENDED if has_arrived else ACTION_APPLIED
 
 
+ACTION_KERNELS: Final = LateKernels(
+    {
+        LANE_CHANGE_ACTION: _apply_lane_change,
+        LANE_OFFSET_ACTION: _apply_lane_offset,
+        SYNCHRONIZE_ACTION: apply_synchronize_action,
+        DISTANCE_ACTION: apply_distance_action,
+    },
+    types.int64,
+)
+"""Kernels of the less frequent actions, by type of action."""
+
+
+def link_actions(scene: SimulationState, tracks: TrackTable, roads: tuple[object, ...], actions: ActionTable) -> None:
+    """Compile the kernels of all actions in a table; call it before compiled code applies them."""
+    kinds = types.int64, types.int64, types.float64
+    ACTION_KERNELS.link(actions.options[:, 0].tolist(), scene, tracks, roads, actions, *kinds)
+
+
 @kernel(interpreted_seconds=lambda *arguments: 5e-5 * arguments[4].size, error_model="numpy")
 def apply_action_in(scene, tracks, roads, actions, scenarios, j, dt):
     """Apply an action for one time step in K scenarios, and return the outcomes, shape (K,)."""
     outcomes = np.empty(scenarios.size, dtype=np.int64)
+    tables = reference_to(scene), reference_to(tracks), reference_to(roads), reference_to(actions)
     for i in range(scenarios.size):
-        outcomes[i] = apply_action(scene, tracks, roads, actions, scenarios[i], j, dt)
+        outcomes[i] = apply_action(tables[0], tables[1], tables[2], tables[3], scenarios[i], j, dt)
     return outcomes

@@ -1,7 +1,7 @@
 """Calls from Python to kernels between the runs of the compiled loop: actions, distances and overlaps."""
 
 # Compiled functions have no static types.
-# mypy: disable-error-code="no-untyped-def, untyped-decorator"
+# mypy: disable-error-code="no-untyped-def, untyped-decorator, attr-defined"
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import numpy.typing as npt
 from cornercase._common.numba.kernel import kernel
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.simulators.builtin.kernels._action_table import ACTION_APPLIED, ActionTable
-from cornercase.simulators.builtin.kernels._actions import apply_action_in
+from cornercase.simulators.builtin.kernels._actions import apply_action_in, link_actions
 from cornercase.simulators.builtin.kernels._box_overlap import entities_overlap
 from cornercase.simulators.builtin.kernels._distances import distance_to_entity, distance_to_point
 from cornercase.simulators.builtin.kernels._simulation_state import SimulationState
@@ -42,9 +42,10 @@ class CompiledWorld:
         """
         outcomes = np.full(where.shape, ACTION_APPLIED)
         tracks, scenarios = self._pool.update(self._world.tracks), np.flatnonzero(where)
-        outcomes[scenarios] = apply_action_in(
-            self._scene, tracks, self._roads, self._actions, scenarios, number, float(dt)
-        )
+        arguments = self._scene, tracks, self._roads, self._actions, scenarios, number, float(dt)
+        if not apply_action_in.is_interpreted(*arguments):
+            link_actions(*arguments[:4])
+        outcomes[scenarios] = apply_action_in(*arguments)
         return outcomes
 
     def measure_to_entity(self, entity: int, other: int, distance_kind: int) -> FloatArray:

@@ -1,7 +1,7 @@
 """Compiled conditions: whether anything has changed that a trigger depends on."""
 
 # Compiled functions have no static types.
-# mypy: disable-error-code="no-untyped-def, untyped-decorator"
+# mypy: disable-error-code="no-untyped-def, untyped-decorator, call-arg"
 
 from __future__ import annotations
 
@@ -9,8 +9,11 @@ import math
 from typing import Final, NamedTuple
 
 import numpy as np
+from numba import types
 
 from cornercase._common.numba.kernel import kernel
+from cornercase._common.numba.late import LateKernels
+from cornercase._common.numba.pointers import call_for_bool
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.simulators.builtin.kernels._box_overlap import entities_overlap
 from cornercase.simulators.builtin.kernels._distances import (
@@ -22,6 +25,7 @@ from cornercase.simulators.builtin.kernels._distances import (
     distance_to_point,
     vector_component,
 )
+from cornercase.simulators.builtin.kernels._simulation_state import SimulationState
 from cornercase.simulators.builtin.world._state_layout import (
     AT_END_SINCE,
     GONE_X,
@@ -104,6 +108,7 @@ class ConditionTable(NamedTuple):
     pending_since: FloatArray  # (N, D): time in s of the oldest change that waits for its delay; inf for none. Last,
     # with a delay of 0, when signal controllers begin their next phases
     delay: FloatArray  # (N, D), s
+    kernels: IntArray  # (1,): address of the kernel for less frequent kinds
 
 
 def build_condition_table(
@@ -146,6 +151,7 @@ def build_condition_table(
         is_watched=np.zeros((n_scenarios, len(triggers)), dtype=np.bool_),
         pending_since=np.full((n_scenarios, len(delays)), np.inf),
         delay=np.array(delays, dtype=np.float64).reshape(len(delays), n_scenarios).T.copy(),
+        kernels=_REMAINING_KERNEL.addresses,
     )
 
 
@@ -268,7 +274,7 @@ def leaf_holds(scene, table, n, leaf):
         # The overlap with the lower row as first entity was computed when the last frame was recorded.
         other = table.codes[leaf, 2]
         return scene.overlaps[n, e, other] if e < other else entities_overlap(scene, n, e, other)
-    return _remaining_leaf_holds(scene, table, n, leaf)
+    return call_for_bool(_remaining_leaf_holds, table.kernels[0], (scene, table, n, leaf))
 
 
 @_kernel
@@ -315,6 +321,23 @@ def _remaining_leaf_holds(scene, table, n, leaf):
     if abs(gap) < TOLERANCE or abs(closing) < TOLERANCE or not scene.flags[n, PRESENT, other]:
         return False
     return gap / closing >= 0.0 and _compare(rule, gap / closing, values[0])
+
+
+_REMAINING_KERNEL: Final = LateKernels({0: _remaining_leaf_holds}, types.boolean)
+_FREQUENT_KINDS: Final = (
+    CONSTANT_CONDITION,
+    TIME_CONDITION,
+    TRAVELED_DISTANCE_CONDITION,
+    STAND_STILL_CONDITION,
+    END_OF_ROAD_CONDITION,
+    COLLISION_CONDITION,
+)
+
+
+def link_conditions(scene: SimulationState, table: ConditionTable) -> None:
+    """Compile the kernel for the less frequent conditions in a table; call it before compiled code evaluates them."""
+    are_needed = not set(table.codes[:, 0].tolist()).issubset(_FREQUENT_KINDS)
+    _REMAINING_KERNEL.link([0] if are_needed else [], scene, table, types.int64, types.int64)
 
 
 @_inlined_kernel

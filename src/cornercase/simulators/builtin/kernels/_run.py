@@ -11,6 +11,9 @@ from typing import Any
 import numpy as np
 
 from cornercase._common.numba.interpret import can_interpret, interpret
+from cornercase.drivers._compiled import link_drivers
+from cornercase.simulators.builtin.kernels._actions import link_actions
+from cornercase.simulators.builtin.kernels._conditions import link_conditions
 from cornercase.simulators.builtin.kernels._loop import IDLE, LoopState, run_until_storyboard
 
 
@@ -29,6 +32,7 @@ def run_scenarios(
     """Call `run_until_storyboard` for scenarios; interpret it one by one while that is faster than compiling it."""
     arguments = (scene, tracks, roads, fleet, actions, conditions, loop, options, first, last)
     if not can_interpret(0.0, is_loop=True) or run_until_storyboard.is_ready(*arguments):
+        link_kernels(*arguments[:6])
         run_until_storyboard(*arguments)
         return
     waiting = first + np.flatnonzero(loop.status[first:last] != IDLE)
@@ -45,5 +49,13 @@ def run_scenarios(
         n_done += 1
     loop.status[waiting[:n_done]], loop.status[waiting[n_done:]] = IDLE, status[n_done:]
     if n_done < len(waiting):
+        link_kernels(*arguments[:6])
         run_until_storyboard(*arguments)
     loop.status[waiting[:n_done]] = status[:n_done]
+
+
+def link_kernels(scene: Any, tracks: Any, roads: Any, fleet: Any, actions: Any, conditions: Any) -> None:
+    """Compile what the loop needs of drivers, actions and conditions; call it before a compiled run."""
+    link_drivers(fleet)
+    link_actions(scene, tracks, roads, actions)
+    link_conditions(scene, conditions)

@@ -85,7 +85,7 @@ _X, _Y, _ROAD, _S, _TRACK, _DISTANCE_ON_TRACK, _TOLERANCE = range(7)
     _LOCATED_DISTANCE,
 ) = range(9)
 
-_kernel = kernel(error_model="numpy", forceinline=True, _nrt=False)
+_kernel = kernel(error_model="numpy", _nrt=False)
 
 
 @kernel(error_model="numpy", _nrt=False)
@@ -156,7 +156,7 @@ def apply_synchronize_action(scene, tracks, roads, actions, n, j, dt):
 
 
 @kernel(error_model="numpy", _nrt=False)
-def apply_distance_action(scene, actions, n, j, dt):
+def apply_distance_action(scene, tracks, roads, actions, n, j, dt):
     """Apply a `LongitudinalDistanceAction` with limits for one time step, and return the outcome.
 
     The action behaves like a critically damped spring. Distances along roads are measured in Python, in each frame.
