@@ -161,7 +161,9 @@ def test_a_study_is_continued_with_the_same_objects_alone(own, problem, explored
 
     in_km_h = type("SpeedNearby", (own["SpeedNearby"],), {"unit": "km/h"})
     other = cc.Problem(problem.scenario, "Ego", "Pedestrian", [in_km_h(), "wttc"], 5.0)
-    with pytest.raises(cc.InputError, match=r"driver of Ego: own_code:Lazy, speed=9.0 there, own_code:Lazy, speed=7.0"):
+    with pytest.raises(
+        cc.InputError, match=r"driver of Ego: own_code:Lazy, speed=9.0 in the study, own_code:Lazy, speed=7.0"
+    ):
         cc.Study.open_or_create(explored.path, problem, Builtin(drivers={"Ego": own["Lazy"](7.0)}), seed=1).explore(
             own["Walk"](step=0.2), budget=6
         )

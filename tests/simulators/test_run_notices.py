@@ -21,7 +21,7 @@ def told(path: Path, **options) -> list[str]:
         warnings.simplefilter("always")
         cc.simulate(path, **options)
     said = [str(one.message) for one in caught if one.category is NoticeWarning]
-    return [one for one in said if not one.startswith("without effect")]
+    return [one for one in said if not re.match(r"without effect|\d+( more)? parts? of the files", one)]
 
 
 def at(x: float, y: float) -> str:

@@ -9,7 +9,7 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, Self
 
-from cornercase._common.errors import InputError
+from cornercase._common.errors import InputError, short_errors
 from cornercase._common.io.files import check_writable_file
 from cornercase._common.memory import DEFAULT_MEMORY
 from cornercase._common.progress import can_show_bar
@@ -940,6 +940,7 @@ class Study(PathLike[str]):
             raise InputError(f"{self.path}: no scenario was run yet; run some with `explore`.")
         return self.path
 
+    @short_errors()
     def _read(self) -> StudyFile:
         """Open the file for reading."""
         return StudyFile.open(self._file)

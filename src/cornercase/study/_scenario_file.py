@@ -43,9 +43,10 @@ def find_explored_scenario(
         file = read_if_fingerprint_matches(stored_file, meta.fingerprint, meta.space)
     if file is None:
         file = find_scenario_file(meta.file_name, meta.fingerprint, (study.path.parent, Path()), meta.space)
+        # A file of that name that has changed is refused below, also where the remembered one has not.
         remembered = find_remembered_scenario(meta.fingerprint) if search_remembered_path else None
-        if remembered is not None and not isinstance(file, ScenarioFile):
-            file = read_if_fingerprint_matches(remembered, meta.fingerprint, meta.space) or file
+        if file is None and remembered is not None:
+            file = read_if_fingerprint_matches(remembered, meta.fingerprint, meta.space)
         file = file or stored_file
     if file is None:
         stored = f", or at {meta.scenario}" if search_stored_path and "/" in meta.scenario else ""
