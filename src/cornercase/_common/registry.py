@@ -262,7 +262,9 @@ class Registry(Generic[T]):
             return name if isinstance(name, type) else type(name)
         loaded, _ = self._load(name.partition(":")[0])
         if not isinstance(loaded, type):
-            raise InputError(f"The {self._kind} '{name}' is registered as a function; register its class.")
+            raise InputError(
+                f"The {self._kind} '{name}' is registered as a function that creates it; register the class itself."
+            )
         return loaded
 
     def _load(self, name: str | type[T]) -> tuple[Callable[..., T], dict[str, Any]]:

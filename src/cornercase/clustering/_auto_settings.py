@@ -246,7 +246,7 @@ class _TreeEdges:
         return max(0.0, 1.0 - float(self._within.max() / max(self._across.min(), 1e-300)))
 
     def candidate_radii(self, method: ClusteringMethod) -> Iterable[float]:
-        """Neighbourhood radii to try, between the edges within clusters and those between them.
+        """Radii of neighbourhoods to try: above most edges within clusters, and below edges that connect them.
 
         The largest radius connects everything.
         """

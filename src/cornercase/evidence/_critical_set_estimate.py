@@ -460,7 +460,7 @@ def _label_components(edges: IntArray, count: int) -> IntArray:
 
 
 def _normal_deviate(probability: FloatArray) -> FloatArray:
-    """Convert a probability of being critical to a normal deviate, which is negative where critical is likely."""
+    """Convert the probability that a scenario is critical to a normal deviate; above 0.5 it is negative."""
     return np.asarray(-ndtri(np.clip(probability, _MIN_PROBABILITY, 1.0 - _MIN_PROBABILITY)))
 
 

@@ -167,7 +167,7 @@ def _bounds_of_both_levels(interval: Callable[[float], tuple[float, float]]) -> 
 
 
 def _log_normal_bounds(value: float, error: float, effective: float) -> Bounds:
-    """Bounds of the 95 % and 90 % intervals from the standard error of the logarithm."""
+    """Bounds of the 95 % and 90 % intervals; `error` is that of the logarithm, `effective` a number of scenarios."""
 
     def interval_for_tail(tail: float) -> tuple[float, float]:
         # Limited, so that the exponential does not overflow.

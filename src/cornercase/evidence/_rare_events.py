@@ -39,13 +39,14 @@ class ImportanceSampling:
     The unit cube is mapped to a space in which the parameters are standard normal. The first scenarios follow this
     normal distribution. Then, round by round, a mixture of t distributions is fitted to weighted scenarios nearest to
     the event, as many as are needed to learn it. The next round is drawn from the mixture and from wide normal
-    distributions. When enough events have occurred, the proposal is frozen. The frozen proposal includes parts of all
-    earlier mixtures, of the wide normal distributions and of the distribution of the parameters. Later scenarios are
-    independent, so the mean of the weights of the events is an unbiased estimate of their probability, whatever was
+    distributions. When events have occurred often enough, the proposal is frozen. The frozen proposal includes parts of
+    all earlier mixtures, of the wide normal distributions and of the distribution of the parameters. Later scenarios
+    are independent, so the mean of the weights of the events is an unbiased estimate of their probability, whatever was
     learned before. The draws depend only on the arguments and the recorded results.
 
-    `n_events` is the number of events, which share each round. `max_learning_scenarios` is the greatest number of
-    scenarios before the proposal is frozen. `initial_proposal` is an optional first guess.
+    `n_events` is the number of kinds of event whose probability is estimated; each round is divided among them.
+    `max_learning_scenarios` is the greatest number of scenarios before the proposal is frozen. `initial_proposal` is an
+    optional first guess.
     """
 
     def __init__(

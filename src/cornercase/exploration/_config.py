@@ -87,7 +87,7 @@ class ExplorationConfig(ExplorationOptions):
         """Raise `InputError` for arguments that contradict `critical_if`."""
         conflicts = {"critical": self.critical is not None, "weights": self.weights, "pareto": self.pareto}
         for name in filter(conflicts.get, conflicts):
-            raise InputError(f"`critical_if` already defines what is critical and searched; leave `{name}` out.")
+            raise InputError(f"`critical_if` defines what is critical and what is searched for; leave `{name}` out.")
         for name, value in {"repeats": self.repeats, "max_repeats": self.max_repeats}.items():
             if value not in (None, 1):
                 raise InputError(f"`critical_if` is evaluated on one run of each scenario; leave `{name}` out.")

@@ -23,11 +23,11 @@ def straddle_gains(mean: FloatArray, deviation: FloatArray) -> FloatArray:
 
 
 class StraddleSelection:
-    """Chooses points of a process one after the other; each choice takes the points chosen before into account.
+    """Chooses candidates one after the other by the straddle heuristic; each takes the earlier ones into account.
 
-    `points` (m, e) are encoded. `mean` and `variance` (m,) are the predictions there; the variance is changed in place.
-    `projections` (m, k) are those of `GaussianProcess.predict_with_projections`, without columns for a process without
-    values.
+    `points` (m, e) are the encoded candidates. `mean` and `variance` (m,) are the predictions of `process` for them;
+    the variance is changed in place. `projections` (m, k) come from `GaussianProcess.predict_with_projections`; k is 0
+    if the process has no values yet.
     """
 
     def __init__(

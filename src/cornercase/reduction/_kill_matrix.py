@@ -155,7 +155,7 @@ class MutationScore:
 
     @property
     def share(self) -> float:
-        """Share of the mutants that can be killed; NaN if there are none."""
+        """Killed mutants, as a share of those that can be killed; NaN if none can."""
         return self.killed / self.killable if self.killable else float("nan")
 
     @property

@@ -107,7 +107,7 @@ def _links_to_missing_lanes(road: Road, roads: Mapping[str, Road]) -> Iterator[t
 
 
 def _lanes_of_linked_end(link: RoadLink | None, roads: Mapping[str, Road]) -> Mapping[int, object] | None:
-    """Return the lanes at the end of a linked road; None if the link leads to a junction or to no end of a road."""
+    """Return the lanes at the linked end of a road; None if it is linked to a junction or the middle of a road."""
     if link is None or link.target_type != "road" or link.s is not None:
         return None
     return roads[link.target_id].sections[-1 if link.contact_point == "end" else 0][1]

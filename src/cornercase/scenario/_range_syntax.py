@@ -40,7 +40,7 @@ def parse_ranges(texts: Sequence[str], option: str = "ranges") -> list[Parameter
 def _parse_range(text: str, location: str) -> Parameter:
     match = _RANGE_PATTERN.fullmatch(text.strip())
     if match is None:
-        raise InputError(f"{location}: write it as NAME=LOW:HIGH or NAME=LOW:HIGH:STEP.")
+        raise InputError(f"{location}: is not a range; write NAME=LOW:HIGH or NAME=LOW:HIGH:STEP.")
     numbers = {}
     for key in ("low", "high", "step"):
         if match[key] is not None:

@@ -194,7 +194,7 @@ def _decode_npy(content: bytes) -> npt.NDArray[Any]:
     if dtype.itemsize == 0 and math.prod(shape):
         raise ValueError(f"an array of {shape} with nothing in it")
     if math.prod(shape) * dtype.itemsize != len(content) - start or min(shape, default=0) < 0:
-        raise ValueError(f"an array of {shape} in {len(content)} bytes")
+        raise ValueError(f"an array of shape {shape} that does not fit its {len(content)} bytes")
     if not math.prod(shape):
         return np.zeros(shape, dtype)
     return np.frombuffer(content, dtype, offset=start).reshape(shape, order="F" if by_columns else "C").copy()

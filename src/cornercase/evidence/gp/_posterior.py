@@ -75,11 +75,11 @@ class SparsePosterior:
     """Approximate posterior for many values, by inducing points.
 
     The variance that inducing points leave unexplained at the other points is treated as independent noise (FITC).
-    `relevance` (n,), above 0, makes points more likely to be inducing points. A posterior `base` provides its inducing
-    points and values.
+    `relevance` (n,), above 0, makes points more likely to be inducing points. If a posterior `base` is given, its
+    inducing points are used, and the new points and values are added to its own.
 
-    `points` (k, e) are the inducing points; `weights` (k,) and `inverse_factor` (k, k) correspond to `ExactPosterior`.
-    `all_points` (n, e) and `values` (n,) are all points and values.
+    The attributes `points` (k, e) are the inducing points; `weights` (k,) and `inverse_factor` (k, k) correspond to
+    `ExactPosterior`. `all_points` (n, e) and `values` (n,) are all points and values.
 
     Source: E. Snelson, Z. Ghahramani, "Sparse Gaussian processes using pseudo-inputs", NIPS (2005). Inducing points are
     chosen as in Y. Chen, E. N. Epperly, J. A. Tropp, R. J. Webber, "Randomly pivoted Cholesky", Communications on Pure

@@ -125,8 +125,7 @@ def compare(
         for name in metric_by_name:
             if before.meta.own_metrics.get(name) != after.meta.own_metrics.get(name):
                 raise InputError(
-                    f"{before.path} and {after.path}: define the metric '{name}' differently; compare by others with"
-                    " `metrics`."
+                    f"{before.path} and {after.path}: define the metric '{name}' differently; explore one again."
                 )
         limits = resolve_tolerances(metric_by_name, tolerances)
         sides = [StudySide.from_study(study, measured, judge_study(study)) for study in (before, after)]

@@ -20,9 +20,9 @@ _DRAW_SEED = 0
 def estimate_space_change(old: StudySide, new: StudySide, pairs: tuple[ScenarioPair, ...]) -> SpaceChange | None:
     """Estimate how the critical part of the space changed; None without a threshold, or if a study was not explored.
 
-    An optimizer chooses scenarios where it expects critical ones, so they say nothing about fractions of the space.
-    Pairs of scenarios from initial designs and audits do. The number of these pairs that are critical with one version
-    only gives the Clopper-Pearson interval of that part of the space. This needs no model.
+    An optimizer prefers critical scenarios, so its choices say nothing about fractions of the space. Only pairs from
+    initial designs and audits are counted. How many of them are critical with just one of the versions gives the
+    Clopper-Pearson interval of that part of the space. This needs no model.
     """
     if not (old.is_critical and new.is_critical and old.is_explored and new.is_explored):
         return None

@@ -117,7 +117,7 @@ def _unwrap_shortest(heading: FloatArray, nudged: FloatArray) -> FloatArray:
 
 
 def _segment_directions(x: FloatArray, y: FloatArray, segment_lengths: FloatArray) -> FloatArray:
-    """Return the directions of segments; without a length, that of the one before, or of the first with a length."""
+    """Return the directions of segments; one of length 0 takes that of the one before, or of the first longer one."""
     dx, dy = np.diff(x), np.diff(y)
     direction = np.arctan2(dy, dx)
     rows, first = np.arange(len(x)), (segment_lengths > VERTEX_TOLERANCE).argmax(axis=1)
