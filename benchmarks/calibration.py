@@ -287,7 +287,7 @@ def hidden(seeds: int, budget: int) -> None:
         optimizer = OPTIMIZERS.create("level-set").start(space, seed, threshold=0.0, budget=budget)
         stopping = StopCriteria([StopCriterion.parse("missed<0.05")], space, Criterion(0.0), seed, "level-set")
         points, scores = np.zeros((0, 3)), np.zeros(0)
-        while len(points) < budget and stopping.describe_reached() is None:
+        while len(points) < budget and stopping.describe_if_all_reached() is None:
             new = optimizer.ask(ROUND)
             values = beside(new)
             optimizer.tell(new, values)

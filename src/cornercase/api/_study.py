@@ -13,7 +13,7 @@ from cornercase._common.errors import InputError, short_errors
 from cornercase._common.io.files import check_writable_file
 from cornercase._common.memory import DEFAULT_MEMORY
 from cornercase._common.progress import can_show_bar
-from cornercase._common.text.html import render_html, render_html_table
+from cornercase._common.text.notebook_html import render_html, render_html_table
 from cornercase._common.typing import FloatArray
 from cornercase._common.validation import check_int, check_path
 from cornercase.api._simulator_fields import simulator_fields

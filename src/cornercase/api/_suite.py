@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
 from cornercase._common.errors import short_errors
-from cornercase._common.text.html import render_html_table
+from cornercase._common.text.notebook_html import render_html_table
 from cornercase._common.validation import check_path
 from cornercase.api._simulator_fields import simulator_fields
 from cornercase.drivers import Behaviour, Driver

@@ -7,7 +7,7 @@ from html import escape
 from pathlib import Path
 from typing import Final
 
-from cornercase._common.text.html import render_html
+from cornercase._common.text.notebook_html import render_html
 
 _FRAME_HEIGHT: Final = 700
 # Larger pages would make notebooks too large.

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from cornercase._common.text.html import render_html_table
+from cornercase._common.text.notebook_html import render_html_table
 from cornercase._common.typing import FloatArray, IntArray
 from cornercase.clustering._agreement import mutual_information_with_critical
 from cornercase.clustering._clustering import Candidate, Clustering

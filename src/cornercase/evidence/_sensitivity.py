@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from cornercase._common.numba.blas import single_threaded_blas
-from cornercase._common.text.html import render_html_table
+from cornercase._common.text.notebook_html import render_html_table
 from cornercase._common.typing import FloatArray
 from cornercase.evidence.gp._blas import multiply_lower_triangular
 from cornercase.evidence.gp._kernel import evenly_spaced_indices

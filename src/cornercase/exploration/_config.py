@@ -21,7 +21,7 @@ from cornercase.exploration._explore_options import (
 )
 from cornercase.metrics import METRICS, CriticalIf, Metric
 from cornercase.metrics._other_entities import ALL_OTHERS, resolve_others
-from cornercase.metrics._own_metrics import StoredMetric, as_items, metric_text, resolve_metrics
+from cornercase.metrics._own_metrics import StoredMetric, as_items, name_or_own_metric, resolve_metrics
 from cornercase.optimizers import OPTIMIZERS, Optimizer
 from cornercase.optimizers._missing import known_optimizer
 from cornercase.scenario import LogicalScenario
@@ -59,7 +59,7 @@ class ExplorationConfig(ExplorationOptions):
         given["simulator"], common = split_common_options(self.simulator, given)
         given |= common
         given["optimizer"] = OPTIMIZERS.resolve(self.optimizer, "optimizer")
-        given["metrics"] = tuple(map(metric_text, as_items(self.metrics)))
+        given["metrics"] = tuple(map(name_or_own_metric, as_items(self.metrics)))
         criteria, max_seconds, patience = resolve_stop_rules(self.stop_when)
         given["stop_when"] = tuple(criteria)
         for name, limit in {"max_seconds": max_seconds, "patience": patience}.items():

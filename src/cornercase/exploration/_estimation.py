@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from cornercase._common.text.html import render_html_table
+from cornercase._common.text.notebook_html import render_html_table
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.evidence import Probability
 from cornercase.evidence._probability import probability_from_counts

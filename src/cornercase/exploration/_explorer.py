@@ -16,7 +16,7 @@ from cornercase._common.plugin_errors import group_failure_messages
 from cornercase._common.process.signals import collect_interrupts
 from cornercase._common.progress import ProgressBar
 from cornercase._common.row_keys import row_keys
-from cornercase._common.text.html import render_html
+from cornercase._common.text.notebook_html import render_html
 from cornercase._common.typing import FloatArray
 from cornercase.exploration._best_scores import BestScores
 from cornercase.exploration._config import ExplorationConfig
@@ -247,7 +247,7 @@ class ScenarioExplorer:
         if not self._stopping.is_ready:
             return None
         with self._clock("judge"):
-            return self._stopping.describe_reached()
+            return self._stopping.describe_if_all_reached()
 
     def _resume_study(self, bar: ProgressBar | None) -> tuple[int, int]:
         """Run pending scenarios and pass all results to the optimizer; return numbers of scenarios and of rounds."""

@@ -12,7 +12,7 @@ from typing import Any, Final, cast
 
 from cornercase._common.errors import InputError, short_errors
 from cornercase._common.option import Function, refuse_unknown
-from cornercase._common.text.html import render_html
+from cornercase._common.text.notebook_html import render_html
 from cornercase._common.validation import repr_short
 from cornercase.exploration._config import ExplorationConfig, metrics_to_continue, read_logical_scenario
 from cornercase.metrics import Metric

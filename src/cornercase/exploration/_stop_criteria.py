@@ -69,7 +69,7 @@ class StopCriteria:
         """Whether there are criteria and enough scenarios to check them."""
         return bool(self._criteria) and len(self._scores) >= _MIN_SCENARIOS
 
-    def describe_reached(self) -> str | None:
+    def describe_if_all_reached(self) -> str | None:
         """Describe how well the critical set is known if all criteria hold, else None."""
         values = self._values()
         if values is None or not all(value < rule.bound for rule, value in values):

@@ -132,7 +132,7 @@ class NearestApproach(FeatureGroup):
         angle = recording.heading[other, k] - recording.heading[ego, k]
         return np.array(
             [
-                clearance, encounter.elapsed_time(k), ahead, left, np.cos(angle), np.sin(angle),
+                clearance, encounter.time_since_start(k), ahead, left, np.cos(angle), np.sin(angle),
                 recording.speed[ego, k], speed, encounter.distance_driven_until(k),
             ]
         )  # fmt: skip
@@ -156,7 +156,7 @@ class Approach(FeatureGroup):
         is_near = distance < _APPROACH
         k = int(both[np.argmax(is_near) if is_near.any() else np.argmin(distance)])
         ahead, _, speed = encounter.other_relative_to_ego(k)
-        return np.array([encounter.elapsed_time(k), ahead, speed])
+        return np.array([encounter.time_since_start(k), ahead, speed])
 
 
 class EgoBraking(FeatureGroup):
@@ -190,7 +190,9 @@ class OtherMotion(FeatureGroup):
         k = int(np.argmax(speeds))
         braking = _instant_of_strongest_braking(encounter.recording.acceleration[encounter.other_row], instants)
         steps = np.diff(encounter.other_center[instants[instants <= braking]], axis=0)
-        return np.array([speeds[k], encounter.elapsed_time(int(instants[k])), np.hypot(steps[:, 0], steps[:, 1]).sum()])
+        return np.array(
+            [speeds[k], encounter.time_since_start(int(instants[k])), np.hypot(steps[:, 0], steps[:, 1]).sum()]
+        )
 
 
 class PathCrossing(FeatureGroup):
@@ -230,7 +232,7 @@ class SlowestInstant(FeatureGroup):
         return np.array(
             [
                 speeds[lowest],
-                encounter.elapsed_time(k),
+                encounter.time_since_start(k),
                 encounter.distance_driven_until(k),
                 *encounter.other_relative_to_ego(k),
             ]
@@ -260,7 +262,7 @@ class EgoTurn(FeatureGroup):
         if not rates[k] > _STRAIGHT:
             return np.array([0.0, 0.0, left, speed])
         fastest = int(instants[k + 1])
-        return np.array([encounter.elapsed_time(fastest), encounter.distance_driven_until(fastest), left, speed])
+        return np.array([encounter.time_since_start(fastest), encounter.distance_driven_until(fastest), left, speed])
 
 
 class WholeRecording(FeatureGroup):

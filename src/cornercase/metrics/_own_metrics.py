@@ -89,7 +89,7 @@ def resolve_metrics(metrics: object, parameter: str = "metrics") -> list[Metric]
     return list(by_name.values())
 
 
-def metric_text(metric: object) -> str | Metric:
+def name_or_own_metric(metric: object) -> str | Metric:
     """Return the text of a metric of cornercase; any other object itself. `InputError` unless it is a metric."""
     if isinstance(metric, str):
         return metric

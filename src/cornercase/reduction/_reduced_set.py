@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from cornercase._common.text.html import render_html_table
+from cornercase._common.text.notebook_html import render_html_table
 from cornercase.reduction._cluster_shapes import ClusterShape
 from cornercase.reduction._coverage import Coverage
 from cornercase.reduction._critical_coverage import CriticalCoverage

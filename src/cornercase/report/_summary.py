@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from cornercase._common.plugin_errors import group_failure_messages
-from cornercase._common.text.html import render_html_table
+from cornercase._common.text.notebook_html import render_html_table
 from cornercase.clustering import Agreement, Analysis, read_analyses
 from cornercase.clustering._agreement import compare_clusterings
 from cornercase.exploration._constant_metrics import describe_constant_metrics

@@ -73,7 +73,7 @@ def add_path_to_damage(path: Path) -> Iterator[None]:
         raise DamageError.from_problem(path, str(error)) if str(path) not in str(error) else error from error
 
 
-def require_study_file(path: Path) -> None:
+def require_nonempty_file(path: Path) -> None:
     """Raise `InputError` unless the path leads to a regular file that is not empty."""
     try:
         status = path.stat()
@@ -200,7 +200,7 @@ def require_single_link(path: Path) -> None:
         )
 
 
-def remove_sqlite_files(path: Path) -> None:
+def remove_leftover_journals(path: Path) -> None:
     """Remove SQLite's log and journal beside a study that no longer exists, left by a process that was killed."""
     # SQLite would apply it to the new file.
     try:

@@ -20,13 +20,13 @@ from cornercase.study._connection import (
     file_identity,
     is_read_only_file,
     open_connection,
-    remove_sqlite_files,
+    remove_leftover_journals,
     require_current_schema,
     require_known_tables,
+    require_nonempty_file,
     require_same_file,
     require_single_link,
     require_sqlite_integrity,
-    require_study_file,
     reraise_sqlite_errors,
 )
 from cornercase.study._file_guard import StudyFileGuard
@@ -74,7 +74,7 @@ class Database:
         with lock_folder(path.parent):
             if path.exists():
                 raise InputError(f"{path}: exists already; choose another name or remove it.")
-            remove_sqlite_files(path)
+            remove_leftover_journals(path)
             # The file gets its name only when it is complete.
             with (
                 atomic_write(path) as temporary,
@@ -89,7 +89,7 @@ class Database:
     @classmethod
     def open(cls, path: Path, readonly: bool) -> Database:
         """Open a file; `InputError` if it is no study of this schema version, or if another process writes to it."""
-        require_study_file(path)
+        require_nonempty_file(path)
         # Open it for reading first: a file that is not a study must not be written.
         reader = cls._open(path, for_writing=False)
         if readonly:

@@ -26,7 +26,7 @@ from cornercase.recordings import Collision, Recording
 from cornercase.recordings._rounded import encode_rounded
 from cornercase.study._arrays import read_arrays
 from cornercase.study._codec import unpack_arrays, unpack_recording
-from cornercase.study._connection import remove_sqlite_files
+from cornercase.study._connection import remove_leftover_journals
 from cornercase.study._criterion import Criterion
 from cornercase.study._criticality_order import order_by_criticality
 from cornercase.study._damage import require_value, reraise_as_damage
@@ -1297,5 +1297,5 @@ def open_or_create_study(path: Path, meta: StudyMeta) -> Iterator[StudyFile]:
                 if not study.finished_rows() and not study.notes():
                     study.close()
                     path.unlink()
-                    remove_sqlite_files(path)
+                    remove_leftover_journals(path)
             raise

@@ -19,7 +19,7 @@ from cornercase.study._connection import (
     read_schema_version,
     require_current_schema,
     require_known_tables,
-    require_study_file,
+    require_nonempty_file,
     reraise_sqlite_errors,
 )
 from cornercase.study._damage import DamageError
@@ -80,7 +80,7 @@ def verify(study: Path | str) -> Verification:
     cornercase._common.errors.InputError: missing.db: there is no such study; make one with `explore`.
     """
     path = validation.check_path("study", study)
-    require_study_file(path)
+    require_nonempty_file(path)
     _require_study(path)
     problems = list(dict.fromkeys(_iter_problems(path)))
     return Verification(path, tuple(problems))

@@ -56,7 +56,7 @@ def choose_centers(points, cells, first, random_numbers):
             candidate = _draw(random_numbers[c - 1, trial] * total, squares, block_sums)
             gain = 0.0
             for cell in range(len(cells)):
-                if _squared_distance_to_cell(points[candidate], middles[cell]) <= reach[cell]:
+                if _squared_distance_to_middle(points[candidate], middles[cell]) <= reach[cell]:
                     for i in cells[cell]:
                         if i >= 0:
                             square = _squared_distance(points[i], points[candidate], squares[i])
@@ -65,7 +65,7 @@ def choose_centers(points, cells, first, random_numbers):
                 best, best_gain = candidate, gain
         chosen[c] = best
         for cell in range(len(cells)):
-            if _squared_distance_to_cell(points[best], middles[cell]) > reach[cell]:
+            if _squared_distance_to_middle(points[best], middles[cell]) > reach[cell]:
                 continue
             is_nearer = False
             for i in cells[cell]:
@@ -112,7 +112,7 @@ def _bounding_balls_of_cells(points, cells):
         middles[cell] /= count
         for i in cells[cell]:
             if i >= 0:
-                square = _squared_distance_to_cell(points[i], middles[cell])
+                square = _squared_distance_to_middle(points[i], middles[cell])
                 radii[cell] = max(radii[cell], math.sqrt(square) * _MARGIN)
     return middles, radii
 
@@ -131,7 +131,7 @@ def _cell_reach(members, radius, squares):
 
 
 @kernel(error_model="numpy", _nrt=False)
-def _squared_distance_to_cell(point, middle):
+def _squared_distance_to_middle(point, middle):
     total = 0.0
     for axis in range(N_CELL_AXES):
         difference = point[axis] - middle[axis]

@@ -73,7 +73,7 @@ class Encounter:
         """Instants at which both exist, shape (n,)."""
         return np.intersect1d(self.ego_instants, self.other_instants, assume_unique=True)
 
-    def elapsed_time(self, instant: int) -> float:
+    def time_since_start(self, instant: int) -> float:
         """Time from the start of the recording to an instant.
 
         Parameters

@@ -62,7 +62,7 @@ def find_outcomes(
     outcomes = []
     for other in main_others:
         encounter = _find_encounter(scene, path, other, extrapolate=True)
-        waits, yields = _find_yielding(recording.time, speed, has_moved, ego, encounter)
+        waits, yields = _find_waiting_and_yielding(recording.time, speed, has_moved, ego, encounter)
         outcome = Outcome(
             ego=ego,
             encounter=encounter,
@@ -174,7 +174,7 @@ def _relative_position(poses: Poses, ego_index: int, other_index: int, instant: 
     return cos * x + sin * y, cos * y - sin * x
 
 
-def _find_yielding(
+def _find_waiting_and_yielding(
     time: FloatArray, speed: FloatArray, has_moved: BoolArray, ego: str, encounter: Encounter
 ) -> tuple[bool, bool]:
     if encounter.relation != "crossing" or encounter.first == ego:

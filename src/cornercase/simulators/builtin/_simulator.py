@@ -190,7 +190,7 @@ class Builtin(Simulator):
         try:
             for part in parts:
                 with run.gil_lock:
-                    batch = self._try_make_batch(run, prepared, part)
+                    batch = self._make_batch_or_store_errors(run, prepared, part)
                 if batch is not None:
                     # A compiled batch already runs while the next one is made; a batch in Python would block it.
                     started.append(run.submit(batch, 1 if batch.has_python_drivers else len(parts)))
@@ -220,7 +220,9 @@ class Builtin(Simulator):
             return [indices]
         return [indices[begin:end] for begin, end in pairwise(len(indices) * k // count for k in range(count + 1))]
 
-    def _try_make_batch(self, run: _PortionRun, prepared: PreparedScenario, indices: list[int]) -> Batch | None:
+    def _make_batch_or_store_errors(
+        self, run: _PortionRun, prepared: PreparedScenario, indices: list[int]
+    ) -> Batch | None:
         """Create a batch of scenarios; None if the file cannot be used with their values."""
         try:
             return self._make_batch(prepared, [run.concretes[i] for i in indices])

@@ -84,7 +84,7 @@ def plan_actors(
             result.sampled.setdefault(name, []).extend(reasons)
         elif reasons and name not in result.sampled:
             result.notes += [f"{name}: {reason}." for reason in dict.fromkeys(reasons)]
-    _sample_waiting_entities(root, parts, result, driven)
+    _plan_dependent_entities(root, parts, result, driven)
     result.notes += [
         f"{name} moves along a trajectory of the builtin simulator, as {'; '.join(dict.fromkeys(reasons))}."
         for name, reasons in result.sampled.items()
@@ -314,7 +314,7 @@ def _referenced_actors(root: etree._Element, state: etree._Element) -> set[str]:
     }
 
 
-def _sample_waiting_entities(
+def _plan_dependent_entities(
     root: etree._Element, parts: dict[str, list[etree._Element]], actor_plan: ActorPlan, driven: Collection[str]
 ) -> None:
     """Plan trajectories also for entities that wait for events which trajectories replace."""

@@ -22,7 +22,7 @@ from cornercase.recordings.formats._carla_log import read_carla_log
 from cornercase.scenario import ConcreteScenario, Value
 from cornercase.scenario._file import ScenarioFile
 from cornercase.simulators._base import Availability, Simulator, check_seed, check_settings
-from cornercase.simulators._ports import worker_address
+from cornercase.simulators._server_addresses import worker_address
 from cornercase.simulators.carla._dialect import BEHAVIORS, DrivingAgents
 from cornercase.simulators.carla._openscenario_1_0 import (
     ConversionOptions,

@@ -16,10 +16,10 @@ from cornercase.recordings.formats._erg import read_erg
 from cornercase.scenario import ConcreteScenario, Value
 from cornercase.scenario._file import ScenarioFile
 from cornercase.simulators._base import Availability, Simulator
-from cornercase.simulators._ports import worker_address
+from cornercase.simulators._server_addresses import worker_address
 from cornercase.simulators.carmaker._cmapi_client import CmapiClient, is_cmapi_installed
+from cornercase.simulators.carmaker._entity_boxes import read_entity_boxes, warn_about_missing_boxes
 from cornercase.simulators.carmaker._tcl_run import START_TIMEOUT, TclClient, TclTestRun
-from cornercase.simulators.carmaker._vehicle_boxes import read_entity_boxes, warn_about_missing_boxes
 
 _DEFAULT_PORT: Final = 16660
 # Time limit in s to connect to a CarMaker on this machine.

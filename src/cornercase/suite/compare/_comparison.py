@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, Final, Literal
 
-from cornercase._common.text.html import render_html_table
+from cornercase._common.text.notebook_html import render_html_table
 from cornercase.evidence import Estimate, SetDifference
 from cornercase.metrics import Metric
 from cornercase.scenario import Value

@@ -95,7 +95,7 @@ class ReferencePerception:
         self._x[active], self._y[active], self._time[active] = x[active], y[active], situation.time
 
 
-class _SampledPath:
+class _ProjectionPath:
     """A finely sampled path, for projecting points onto it."""
 
     def __init__(self, path: DrivenPath) -> None:
@@ -141,12 +141,12 @@ class _SampledPath:
         return nearest
 
 
-_PATH_CACHE: WeakKeyDictionary[DrivenPath, _SampledPath] = WeakKeyDictionary()
+_PATH_CACHE: WeakKeyDictionary[DrivenPath, _ProjectionPath] = WeakKeyDictionary()
 
 
-def _sampled_path(path: DrivenPath) -> _SampledPath:
+def _sampled_path(path: DrivenPath) -> _ProjectionPath:
     if path not in _PATH_CACHE:
-        _PATH_CACHE[path] = _SampledPath(path)
+        _PATH_CACHE[path] = _ProjectionPath(path)
     return _PATH_CACHE[path]
 
 

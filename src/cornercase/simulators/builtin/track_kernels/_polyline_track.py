@@ -55,7 +55,7 @@ def polyline_direction(tracks, row, n, distance):
 
 
 @_kernel
-def polyline_has_heading(tracks, row, n, distance):
+def polyline_heading_is_given(tracks, row, n, distance):
     """Return whether the file defines the heading at a distance."""
     last = tracks.size[row] - 1
     table = floats_at_address(_vertex_array_address(tracks, row, n, track_layout.DISTANCE), last + 1)

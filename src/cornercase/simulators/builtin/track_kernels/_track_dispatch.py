@@ -47,7 +47,7 @@ def trajectory_direction(tracks, row, n, distance):
 @_kernel
 def trajectory_has_heading(tracks, row, n, distance):
     """Return whether the file defines the heading at a distance; never on a spline."""
-    return tracks.kind[row] == track_layout.POLYLINE_TRACK and polyline_track.polyline_has_heading(
+    return tracks.kind[row] == track_layout.POLYLINE_TRACK and polyline_track.polyline_heading_is_given(
         tracks, row, n, distance
     )
 
