@@ -18,6 +18,7 @@ from cornercase.metrics import METRICS
 from cornercase.scenario._file import ScenarioFile
 from cornercase.simulators import SIMULATORS, Builtin
 from cornercase.simulators.pool._simulator import WorkerSimulator
+from cornercase.study import StudyFile
 from helpers.command_line import SPACE, X, cornercase
 
 pytestmark = pytest.mark.filterwarnings("ignore::cornercase.NoticeWarning")
@@ -309,3 +310,33 @@ def test_the_traceback_of_an_error_is_that_of_the_call(problem, explored):
     with pytest.raises(cc.InputError, match="The optimizer 'mine' failed in ask: RuntimeError: no idea") as failed:
         study.explore(optimizer, budget=4)
     assert isinstance(failed.value.__cause__, RuntimeError)
+
+
+class Adjustable(cc.Metric):
+    """A metric that changes what it is given, unless it cannot."""
+
+    name, unit, lower_is_critical, cap = "adjustable", "m/s", False, 0.0
+
+    def __init__(self, weights: object = 1.0) -> None:
+        self.weights = weights
+
+    def course(self, recording, ego, other):
+        speed = recording.speed[recording.entity_index(ego)]
+        speed[:] = 0.0
+        return speed
+
+
+def test_a_metric_cannot_change_a_recording(problem, tmp_path):
+    changed = cc.Study.create(
+        tmp_path / "s.db", cc.Problem(problem.scenario, ego="Ego", other="Pedestrian", metrics=[Adjustable(), "wttc"])
+    )
+    changed.explore("sobol", budget=4)
+    with StudyFile.open(changed.path) as file:
+        errors = [row.error or "" for row in file.failed_rows()]
+    assert len(errors) == 4
+    assert all("assignment destination is read-only" in error for error in errors)
+
+
+def test_an_option_that_a_study_cannot_compare_is_refused(problem):
+    with pytest.raises(cc.InputError, match="Adjustable: its option `weights` is of type list, which a study cannot"):
+        cc.Problem(problem.scenario, ego="Ego", other="Pedestrian", metrics=[Adjustable([1, 2])])

@@ -41,7 +41,7 @@ def test_it_says_what_is_critical(scenario, arguments, criterion):
         ({"metrics": ["wtc"]}, "did you mean 'wttc'"),
         ({"metrics": []}, "metric"),
         ({"threshold": "low"}, "`threshold` 'low'"),
-        ({"condition": "collision", "threshold": 1.0}, "`condition` already defines .* leave `threshold` out"),
+        ({"condition": "collision", "threshold": 1.0}, "`condition` defines .* leave `threshold` out"),
         ({"metrics": ["wttc", "distance"], "pareto": True, "threshold": 1.0}, "a Pareto front has no threshold"),
         ({"weights": {"distance": 1.0}}, "distance"),
         ({"scenario": "x.xosc"}, "give a scenario that `LogicalScenario.read` has read"),

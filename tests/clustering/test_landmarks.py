@@ -189,3 +189,16 @@ def test_k_means_of_identical_points_leaves_clusters_empty():
     labels, centers = find_k_means(np.repeat([[1.0, 2.0], [3.0, 4.0]], 20, axis=0), 5)
     assert len(np.unique(labels)) == 2
     np.testing.assert_allclose(centers[labels], np.repeat([[1.0, 2.0], [3.0, 4.0]], 20, axis=0))
+
+
+def test_a_landmark_far_away_does_not_hide_the_others():
+    rng = np.random.default_rng(2)
+    points = rng.normal(size=(300, 3))
+    points[7] = 5e6
+    squared = squareform(pdist(points, "sqeuclidean")).astype(np.float32).astype(np.float64)
+    completion = DistanceCompletion(squared)
+    new = rng.normal(size=(50, 3))
+    truth = ((new[:, None] - points[None]) ** 2).sum(axis=2)
+    found = completion.complete(truth[:, completion.anchors])
+    near = np.arange(300) != 7
+    assert np.median(np.abs(found - truth)[:, near]) < 0.1 * np.median(truth[:, near])

@@ -10,6 +10,7 @@ import re
 import shlex
 import zlib
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -458,3 +459,21 @@ def test_whether_it_collides_is_answered_with_the_hardest_first(x_intersection, 
     assert answer.text.startswith(f"Yes: Ego collides with Pedestrian in {len(speeds)} of the 60 scenarios.")
     order = [int(re.findall(r"Scenario (\d+): ", point)[0]) for point in answer.points]
     assert order == sorted(speeds, key=lambda scenario: (-speeds[scenario], scenario))[:6]
+
+
+def test_a_set_is_shown_with_the_coverage_of_the_analyses_that_there_are_now(x_intersection, tmp_path):
+    study, charts = tmp_path / "s.db", []
+    explore = partial(
+        cc.explore, x_intersection, study, ego="Ego", other="Pedestrian", metrics=["wttc"], optimizer="sobol"
+    )
+    explore(budget=20)
+    analyze(study, ["wttc"])
+    reduce(study, tmp_path / "reduced", size=5)
+    explore(budget=30)
+    for window in (None, 0.1):
+        analyze(study, ["wttc"], window=window)
+        write_report(study, tmp_path / "r.html")
+        with StudyFile.open(study, readonly=True) as opened:
+            charts.append(read_report_data(opened).coverage_curves["wttc"])
+    assert len(charts[0].to_selected) == len(charts[1].to_selected) == 30
+    assert charts[0].reach[-1] != charts[1].reach[-1]

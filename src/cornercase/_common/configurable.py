@@ -8,6 +8,7 @@ from functools import wraps
 from inspect import Parameter, signature
 from typing import Any, ClassVar, Final, Self
 
+from cornercase._common.errors import InputError
 from cornercase._common.plugin_errors import unwrap_factory
 
 # Where an object keeps the options that it was given.
@@ -86,6 +87,16 @@ def describe_as_text(configured: Configurable) -> str:
     }
     base = cls.name if cls.name and isinstance(cls.name, str) else f"{cls.__module__}:{cls.__qualname__}"
     return f"{base}:{','.join(_format_options(configured, options, format_option_value))}" if options else base
+
+
+def require_storable_options(configured: Configurable) -> None:
+    """Raise `InputError` for an option that the text of an object leaves out, as a study could not compare it."""
+    for name, value in given_options(configured).items():
+        if name not in configured.options_outside_name and not isinstance(value, bool | int | float | str):
+            raise InputError(
+                f"{type(configured).__qualname__}: its option `{name}` is of type {type(value).__name__}, which a study"
+                " cannot store and compare; give numbers, texts, True or False."
+            )
 
 
 def format_option_value(value: object) -> str:

@@ -860,7 +860,11 @@ class Study(PathLike[str]):
         """
         from cornercase.report._estimates import estimate_critical
 
-        with name_arguments_of_objects(), open_study(self._file, readonly=True, critical=threshold) as file:
+        with (
+            name_arguments_of_objects(),
+            open_study(self._file, readonly=True, critical=threshold) as file,
+            file.snapshot(),
+        ):
             estimates = estimate_critical(file)
         if estimates is None:
             raise InputError(f"{self.path}: no scenario was run, or nothing says what is critical; give `threshold`.")
@@ -880,7 +884,7 @@ class Study(PathLike[str]):
         """
         from cornercase.report._estimates import estimate_study_sensitivity
 
-        with self._read() as file:
+        with self._read() as file, file.snapshot():
             if file.meta.pareto:
                 raise InputError(f"{self.path}: a Pareto front was searched; sensitivities need one score.")
             try:

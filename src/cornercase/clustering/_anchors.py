@@ -13,6 +13,8 @@ N_ANCHORS: Final = 100
 """Number of landmarks that each scenario is compared with."""
 # Directions with a smaller share of the largest singular value are rounding errors of single-precision distances.
 _DIRECTION_TOLERANCE: Final = 1e-6
+# Largest median error of the fit, as a share of the median distance, with which anchors stand for all landmarks.
+_MAX_ERROR: Final = 0.1
 
 
 class DistanceCompletion:
@@ -24,8 +26,15 @@ class DistanceCompletion:
     """
 
     def __init__(self, landmark_distances: FloatArray) -> None:
-        self.anchors = _choose_distant(landmark_distances, N_ANCHORS)
-        to_anchors = landmark_distances[:, self.anchors]
+        self._fit(landmark_distances, _choose_distant(landmark_distances, N_ANCHORS))
+        error = np.abs(self.complete(landmark_distances[:, self.anchors]) - landmark_distances)
+        if np.median(error) > _MAX_ERROR * np.median(landmark_distances):
+            # As where one landmark is so far away that its distances hide all others.
+            self._fit(landmark_distances, np.arange(len(landmark_distances)))
+
+    def _fit(self, landmark_distances: FloatArray, anchors: IntArray) -> None:
+        self.anchors = anchors
+        to_anchors = landmark_distances[:, anchors]
         self._means, self._anchor_means = landmark_distances.mean(axis=0), to_anchors.mean(axis=0)
         with single_threaded_blas():
             self._map = np.linalg.lstsq(

@@ -7,7 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
+from cornercase._common.configurable import require_storable_options
 from cornercase._common.errors import InputError
+from cornercase._common.plugin_errors import is_built_in
 from cornercase._common.text.sanitize import remove_folders
 from cornercase._common.validation import check_mapping
 from cornercase.drivers import Driver
@@ -66,6 +68,8 @@ class ExplorationConfig(ExplorationOptions):
             if limit is not None:
                 given[name] = limit if given[name] is None else min(given[name], limit)
         OPTIMIZERS.check_own_name(given["optimizer"])
+        if not is_built_in(given["optimizer"]):
+            require_storable_options(given["optimizer"])
         for name, option in CONFIG_OPTIONS.items():
             object.__setattr__(self, name, option.check(given[name]))
         all_entities = self.logical.scenario_file.entities if ALL_OTHERS in self.other else ()

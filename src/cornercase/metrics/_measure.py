@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from cornercase._common.errors import InputError, PluginError, short_errors
-from cornercase._common.plugin_errors import make_scenario_failure, user_code_error
+from cornercase._common.plugin_errors import is_built_in, make_scenario_failure, user_code_error
 from cornercase._common.process.signals import count_requests
 from cornercase._common.typing import FloatArray
 from cornercase._common.validation import check_path, repr_short
@@ -206,11 +206,20 @@ def _evaluate_against(
     return MetricResult(course, score)
 
 
+def _read_only(recording: Recording) -> Recording:
+    """Return the recording with arrays that a user's metric cannot change for others."""
+    views = {field.name: getattr(recording, field.name) for field in fields(recording)}
+    views = {name: value.view() for name, value in views.items() if isinstance(value, np.ndarray)}
+    for view in views.values():
+        view.flags.writeable = False
+    return replace(recording, **views)
+
+
 def compute_course_and_score(metric: Metric, recording: Recording, ego: str, other: str) -> tuple[FloatArray, float]:
     """Course and score of a metric; both are checked, since the metric may be third-party code."""
     part, interrupts = f"the metric {metric.name}", count_requests()
     try:
-        course = metric.course(recording, ego, other)
+        course = metric.course(recording if is_built_in(metric) else _read_only(recording), ego, other)
         score = metric.score(course)
     except (InputError, PluginError):
         raise
@@ -223,6 +232,8 @@ def compute_course_and_score(metric: Metric, recording: Recording, ego: str, oth
         )
     if not (np.ndim(score) == 0 and _is_numeric(score)) or np.isnan(score):
         raise PluginError(f"{part} gave {repr_short(score)} as its score, which is not a number")
+    if np.isinf(score) and not is_built_in(metric):
+        raise PluginError(f"{part} gave an infinite score; set its attribute `bound` to the most critical value")
     return course, score
 
 

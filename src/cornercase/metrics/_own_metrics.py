@@ -8,6 +8,7 @@ from math import isfinite
 from numbers import Real
 from typing import Any, Final
 
+from cornercase._common.configurable import require_storable_options
 from cornercase._common.errors import InputError
 from cornercase._common.plugin_errors import is_built_in
 from cornercase._common.text.sanitize import escape_control_characters
@@ -70,6 +71,8 @@ def resolve_metric(metric: object, parameter: str = "metrics") -> Metric:
     if not is_built_in(resolved):
         _check_attributes(resolved)
         METRICS.check_own_name(resolved)
+        if not isinstance(resolved, StoredMetric):
+            require_storable_options(resolved)
     return resolved
 
 

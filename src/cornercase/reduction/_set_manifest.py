@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, fields
@@ -9,13 +10,13 @@ from typing import Any, Final, get_args
 
 import numpy as np
 
-from cornercase._common.errors import InputError
 from cornercase._common.text.json_keys import keys_to_identifiers
 from cornercase._common.text.sanitize import escape_control_characters
 from cornercase._common.version import __version__
+from cornercase.clustering import Analysis, read_analyses, read_distances
 from cornercase.evidence import Estimate
 from cornercase.reduction._cluster_shapes import ClusterShape
-from cornercase.reduction._coverage import Coverage, CoverageCurves
+from cornercase.reduction._coverage import Coverage, CoverageCurves, measure_nearest_distances
 from cornercase.reduction._critical_coverage import CriticalCoverage
 from cornercase.reduction._held_out_coverage import HeldOut, HeldOutCritical
 from cornercase.reduction._kill_matrix import MutantSelection, MutationScore
@@ -92,36 +93,48 @@ def save_reduction(study: StudyFile, reduced_set: ReducedSet, curves: Mapping[st
     } | ({} if reduced_set.exposing is None else {"exposing": reduced_set.exposing.to_json()})
     if study.critical != study.meta.critical:
         info["critical_threshold"] = study.critical
+    analyses = read_analyses(study)
+    info["curves of"] = {name: _fingerprint(analyses[name]) for name in curves}
     arrays = {
         f"{field.name} {name}": getattr(curve, field.name) for name, curve in curves.items() for field in fields(curve)
     }
     study.writer.save_analysis("reduction", arrays, info)
 
 
-def read_coverage_curves(study: StudyFile) -> dict[str, CoverageCurves]:
-    """Read the coverage curves of the stored reduced set, by aspect; empty before the study was reduced."""
-    if study.read_reduction() is None:
-        return {}
+def read_coverage_curves(
+    study: StudyFile, analyses: Mapping[str, Analysis], selected_ids: list[int]
+) -> dict[str, CoverageCurves]:
+    """Return the coverage curves of the reduced set by aspect, for the analyses that the study has now.
+
+    They are computed again for an aspect that was analyzed again since `reduce` stored them.
+    """
     arrays, info = study.read_analysis("reduction")
-    if not arrays and info["coverage"]:
-        raise InputError(f"{study.path}: was reduced by an earlier version of cornercase; run `reduce` again.")
+    curves = {}
     with reraise_as_damage(study.path):
-        curves = {
-            name: CoverageCurves(*(arrays[f"{field.name} {name}"] for field in fields(CoverageCurves)))
-            for name in info["coverage"]
-        }
-        for array in arrays.values():
-            require_value(
-                array.ndim == 1 and array.dtype.kind == "f" and bool(np.isfinite(array).all()),
-                "coverage curves without numbers",
-            )
-        for curve in curves.values():
-            require_value(
-                len(curve.to_selected) == len(curve.to_medoids)
-                and len(curve.reach) == len(curve.random_low) == len(curve.random_high),
-                "coverage curves of different lengths",
-            )
-    return curves
+        for name, analysis in analyses.items():
+            if info.get("curves of", {}).get(name) == _fingerprint(analysis):
+                stored = [arrays[f"{field.name} {name}"] for field in fields(CoverageCurves)]
+                for array in stored:
+                    is_finite = array.ndim == 1 and array.dtype.kind == "f" and bool(np.isfinite(array).all())
+                    require_value(is_finite, "coverage curves without numbers")
+                curve = CoverageCurves(*stored)
+                require_value(
+                    len(curve.to_selected) == len(curve.to_medoids) == len(analysis.ids)
+                    and len(curve.reach) == len(curve.random_low) == len(curve.random_high),
+                    "coverage curves of different lengths",
+                )
+                curves[name] = curve
+    for name, analysis in analyses.items():
+        rows = analysis.rows_of(selected_ids)
+        if name not in curves and len(rows):
+            distances = measure_nearest_distances(read_distances(study, name), rows)
+            curves[name] = CoverageCurves.from_nearest_distances(distances)
+    return {name: curves[name] for name in analyses if name in curves}
+
+
+def _fingerprint(analysis: Analysis) -> str:
+    """Return a hash of the scenarios that were analyzed and of where they are in kernel space."""
+    return hashlib.sha256(analysis.ids.tobytes() + analysis.clustering.embedding.tobytes()).hexdigest()
 
 
 def read_reduction(study: StudyFile) -> ReducedSet | None:

@@ -7,6 +7,7 @@ import importlib.resources
 import time
 import zlib
 from collections.abc import Iterator, Mapping
+from contextlib import nullcontext
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -114,7 +115,11 @@ def write_report(
     path = validation.check_path("path", path)
     folder = path.with_name(f"{path.stem}-figures") if figures is True else figures
     limit = MemoryLimit.from_value(memory)
-    with open_study(study, readonly=True, critical=critical) as opened:
+    with (
+        open_study(study, readonly=True, critical=critical) as opened,
+        # Others may be writing.
+        opened.snapshot() if opened.readonly else nullcontext(),
+    ):
         check_output_differs_from_source(path, opened.path)
         if path.suffix.lower() not in _FILE_ENDINGS:
             raise InputError(f"`path` {path}: the report is a page; name a file that ends with .html.")

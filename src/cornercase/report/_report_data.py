@@ -143,7 +143,9 @@ def read_report_data(
         values=values,
         influential_parameters=_order_by_influence(values, scores[metrics[0].name]),
         is_critical=study.critical_mask(),
-        coverage_curves=read_coverage_curves(study),
+        coverage_curves={}
+        if summary.reduced_set is None
+        else read_coverage_curves(study, summary.analyses, summary.reduced_set.ids),
         verdicts=judge_study(study),
         outcomes=study.outcomes(),
         notes=study.notes(),

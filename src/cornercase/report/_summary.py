@@ -211,7 +211,7 @@ def summarize(study: StudyFile | Path | str, *, critical: float | None = None) -
     >>> cc.summarize("study.db").n_collisions  # doctest: +SKIP
     12
     """
-    with open_study(study, readonly=True, critical=critical) as opened:
+    with open_study(study, readonly=True, critical=critical) as opened, opened.snapshot():
         entities_hit = [entities_hit_by_ego(opened.meta, hits) for hits in opened.collisions().values()]
         return summarize_with_collisions(opened, entities_hit)
 

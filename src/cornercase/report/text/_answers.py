@@ -148,11 +148,12 @@ def _answer_collisions(data: ReportData) -> Answer:
         return Answer(
             name, question, f"No: {ego} touches {' or '.join(data.summary.meta.others)} in none of {scenarios}."
         )
-    counts = Counter(impact.entity for _, impact in hardest)
+    others = data.summary.meta.others
+    counts = Counter(name for names in data.entities_hit.values() for name in names if name in others)
     hit = _join_with_and([f"{entity} in {count}" for entity, count in counts.most_common()])
     sentences = [f"Yes: {ego} collides with {hit} of {scenarios}."]
     manners = Counter(impact.manner for _, impact in hardest)
-    for manner, description in _MANNERS.items():
+    for manner, description in _MANNERS.items() if len(others) == 1 else ():
         if count := manners[manner]:
             sentences.append(f"{f'In {count}' if count < len(hardest) else 'Each time'} it {description}.")
     sentences.append(f"The hardest is scenario {hardest[0][0]}, at a relative speed of {hardest[0][1].speed:.2g} m/s.")
