@@ -73,6 +73,13 @@ def given_options(configured: object) -> dict[str, Any]:
     return dict(vars(configured).get(_GIVEN_OPTIONS, {}))
 
 
+def plain_options(configured: object) -> dict[str, bool | int | float | str]:
+    """Return the options of `given_options` that a text or JSON can hold."""
+    return {
+        name: value for name, value in given_options(configured).items() if isinstance(value, bool | int | float | str)
+    }
+
+
 def describe_as_text(configured: Configurable) -> str:
     """Return the text that stands for an object on the command line, such as ``"level-set:filling=0.1"``.
 
@@ -80,19 +87,16 @@ def describe_as_text(configured: Configurable) -> str:
     ``package.module:Class``.
     """
     cls = type(configured)
-    options = {
-        name: value
-        for name, value in given_options(configured).items()
-        if isinstance(value, bool | int | float | str) and name not in cls.options_outside_name
-    }
+    options = {name: value for name, value in plain_options(configured).items() if name not in cls.options_outside_name}
     base = cls.name if cls.name and isinstance(cls.name, str) else f"{cls.__module__}:{cls.__qualname__}"
     return f"{base}:{','.join(_format_options(configured, options, format_option_value))}" if options else base
 
 
 def require_storable_options(configured: Configurable) -> None:
     """Raise `InputError` for an option that the text of an object leaves out, as a study could not compare it."""
+    stored = {*plain_options(configured), *configured.options_outside_name}
     for name, value in given_options(configured).items():
-        if name not in configured.options_outside_name and not isinstance(value, bool | int | float | str):
+        if name not in stored:
             raise InputError(
                 f"{type(configured).__qualname__}: its option `{name}` is of type {type(value).__name__}, which a study"
                 " cannot store and compare; give numbers, texts, True or False."

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Final
 from weakref import WeakKeyDictionary
 
-from cornercase._common.configurable import format_option_value, given_options
+from cornercase._common.configurable import format_option_value, plain_options
 from cornercase._common.errors import InputError
 from cornercase._common.plugin_errors import is_built_in, unwrap_factory
 from cornercase.drivers._base import Driver
@@ -55,7 +55,8 @@ def serialize_driver(driver: str | Driver) -> str | dict[str, Any]:
     spec = getattr(driver, "__dict__", {}).get(_SPEC_ATTRIBUTE)
     if spec is None and cls.__module__.startswith("cornercase."):
         return dict(driver.settings)
-    name, options = (class_path, _plain_options(driver) or None) if spec is None else spec
+    given = dict(sorted(plain_options(driver).items())) if isinstance(driver, Driver) else {}
+    name, options = (class_path, given or None) if spec is None else spec
     description: dict[str, Any] = {"driver": name}
     if options is not None:
         description["options"] = dict(options)
@@ -64,12 +65,6 @@ def serialize_driver(driver: str | Driver) -> str | dict[str, Any]:
     if driver.settings != {"driver": class_path}:
         description["settings"] = dict(driver.settings)
     return description
-
-
-def _plain_options(driver: Driver) -> dict[str, Any]:
-    """Options of the constructor of an object that JSON can store, without those that have their default value."""
-    options = given_options(driver) if isinstance(driver, Driver) else {}
-    return {name: value for name, value in sorted(options.items()) if isinstance(value, bool | int | float | str)}
 
 
 def _source_file_checksum(cls: type) -> str:
