@@ -15,7 +15,7 @@ from cornercase._common.text.sanitize import format_exception
 from cornercase._common.typing import FloatArray
 from cornercase.clustering._aspects import ASPECTS, EGO_TRAJECTORY, Aspect, Bearing, EgoTrajectory, JointPositions
 from cornercase.recordings import Recording
-from cornercase.recordings._recording import MOTION_ARRAYS
+from cornercase.recordings._recording import read_only
 from cornercase.study import StudyFile
 from cornercase.study._digest import ScenarioDigest
 
@@ -95,9 +95,8 @@ def aspect_series(
     `other_entity` is the entity that the aspect looks at besides the ego. It is the same in all scenarios that are
     compared.
     """
-    # Read-only, since all aspects get the same recording.
-    for name in MOTION_ARRAYS:
-        getattr(recording, name).flags.writeable = False
+    # All aspects get the same recording.
+    recording = read_only(recording)
     requests = count_requests()
     try:
         values = aspect.series(recording.with_absent_entities([other_entity]), study.meta.ego, other_entity)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -20,6 +20,7 @@ from cornercase.metrics._own_metrics import resolve_metrics
 from cornercase.metrics._registry import METRICS
 from cornercase.metrics._severity import find_first_contact
 from cornercase.recordings import Recording, read_recording
+from cornercase.recordings._recording import read_only
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -206,20 +207,11 @@ def _evaluate_against(
     return MetricResult(course, score)
 
 
-def _read_only(recording: Recording) -> Recording:
-    """Return the recording with arrays that a user's metric cannot change for others."""
-    views = {field.name: getattr(recording, field.name) for field in fields(recording)}
-    views = {name: value.view() for name, value in views.items() if isinstance(value, np.ndarray)}
-    for view in views.values():
-        view.flags.writeable = False
-    return replace(recording, **views)
-
-
 def compute_course_and_score(metric: Metric, recording: Recording, ego: str, other: str) -> tuple[FloatArray, float]:
     """Course and score of a metric; both are checked, since the metric may be third-party code."""
     part, interrupts = f"the metric {metric.name}", count_requests()
     try:
-        course = metric.course(recording if is_built_in(metric) else _read_only(recording), ego, other)
+        course = metric.course(recording if is_built_in(metric) else read_only(recording), ego, other)
         score = metric.score(course)
     except (InputError, PluginError):
         raise

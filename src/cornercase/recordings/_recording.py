@@ -309,3 +309,11 @@ def _format_csv_cells(*cells: object) -> str:
     # Cells with a line terminator are quoted.
     csv.writer(line, lineterminator="\n").writerow(cells)
     return line.getvalue().removesuffix("\n")
+
+
+def read_only(recording: Recording) -> Recording:
+    """Return the recording with arrays that the code of others cannot change."""
+    views = {name: getattr(recording, name).view() for name in ("time", *MOTION_ARRAYS, *BOX_ARRAYS)}
+    for view in views.values():
+        view.flags.writeable = False
+    return replace(recording, **views)
