@@ -190,7 +190,7 @@ def reduce(
                 reduced, kill_matrix, [int(analysis.ids[entry.index]) for entry in without_mutants]
             )
         cluster_names = {profile.cluster: profile.label for profile in analysis.profiles}
-        _write_files_and_store(opened, explored, reduced, curves, cluster_names, folder)
+        _write_files_and_store(opened, explored, reduced, curves, data.analyses, cluster_names, folder)
         opened.writer.add_elapsed_time("reduce", time.monotonic() - start)
     if size is not None and size_requested and len(reduced) < size:
         _warn_fewer_selected(size, len(reduced), len(analysis.ids))
@@ -291,6 +291,7 @@ def _write_files_and_store(
     scenario: ScenarioFile | None,
     reduced_set: ReducedSet,
     curves: Mapping[str, CoverageCurves],
+    analyses: Mapping[str, Analysis],
     cluster_names: Mapping[int, str],
     folder: Path,
 ) -> None:
@@ -311,7 +312,7 @@ def _write_files_and_store(
             set_folder.add(selected.file, concrete.content)
         set_folder.write_manifest(make_manifest(study, reduced_set, cluster_names, set_folder.digests))
         previous = None if study.read_reduction() is None else study.read_analysis("reduction")
-        save_reduction(study, reduced_set, curves)
+        save_reduction(study, reduced_set, curves, analyses)
         try:
             set_folder.replace()
         except InputError:

@@ -13,7 +13,7 @@ import numpy as np
 from cornercase._common.text.json_keys import keys_to_identifiers
 from cornercase._common.text.sanitize import escape_control_characters
 from cornercase._common.version import __version__
-from cornercase.clustering import Analysis, read_analyses, read_distances
+from cornercase.clustering import Analysis, read_distances
 from cornercase.evidence import Estimate
 from cornercase.reduction._cluster_shapes import ClusterShape
 from cornercase.reduction._coverage import Coverage, CoverageCurves, measure_nearest_distances
@@ -80,7 +80,12 @@ def _other_threshold(study: StudyFile) -> dict[str, float | None]:
     return {} if study.critical == study.meta.critical else {"critical_threshold_of_the_study": study.meta.critical}
 
 
-def save_reduction(study: StudyFile, reduced_set: ReducedSet, curves: Mapping[str, CoverageCurves]) -> None:
+def save_reduction(
+    study: StudyFile,
+    reduced_set: ReducedSet,
+    curves: Mapping[str, CoverageCurves],
+    analyses: Mapping[str, Analysis],
+) -> None:
     """Store a reduced set in a study, with its coverage curves by aspect; it replaces an earlier one."""
     info = {
         "by": reduced_set.by,
@@ -93,7 +98,6 @@ def save_reduction(study: StudyFile, reduced_set: ReducedSet, curves: Mapping[st
     } | ({} if reduced_set.exposing is None else {"exposing": reduced_set.exposing.to_json()})
     if study.critical != study.meta.critical:
         info["critical_threshold"] = study.critical
-    analyses = read_analyses(study)
     info["curves of"] = {name: _fingerprint(analyses[name]) for name in curves}
     arrays = {
         f"{field.name} {name}": getattr(curve, field.name) for name, curve in curves.items() for field in fields(curve)

@@ -26,7 +26,7 @@ _POLICY: Final = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
 
 def render_failure_page(study: StudyFile) -> str:
     """Render the page of an open study all of whose finished scenarios failed, as HTML without scripts."""
-    summary, failed = summarize_with_collisions(study, []), study.failed_rows()
+    summary, failed = summarize_with_collisions(study, [], []), study.failed_rows()
     meta = summary.meta
     return render_template(
         "failures.html.j2",

@@ -49,9 +49,7 @@ class ReportData:
     course_lines: Mapping[str, Mapping[int, FloatArray]]  # resampled courses by metric and id, shape (COURSE_POINTS,)
     courses: Mapping[str, Mapping[int, Float32Array]]  # capped courses by metric and id, shape (T,); only for figures
     entities_hit: Mapping[int, frozenset[str]]  # entities the ego collides with, by id
-    hardest_impacts: Mapping[
-        int, Impact
-    ]  # by id: the ego's collision at the highest relative speed with one of the others
+    hardest_impacts: Mapping[int, Impact]  # by id: the ego's fastest collision with one of the others
     examples: Mapping[int, Recording]  # recordings of the clusters' examples, by id
     values: FloatArray  # parameters, shape (n, d); indices for choices
     influential_parameters: tuple[
@@ -103,7 +101,7 @@ def read_report_data(
     lines: dict[str, dict[int, FloatArray]] = {metric.name: {} for metric in metrics}
     courses: dict[str, dict[int, Float32Array]] = {metric.name: {} for metric in metrics}
     touched: dict[int, frozenset[str]] = {}
-    hardest: dict[int, Impact] = {}
+    impacts: dict[int, tuple[Impact, ...]] = {}
     region: Region | None = None
     for count, (scenario, digest) in enumerate(study.iter_digests()):
         if not count and memory is not None:
@@ -112,8 +110,7 @@ def read_report_data(
         for metric, line in zip(metrics, digest.lines, strict=True):
             lines[metric.name][scenario] = line
         touched[scenario] = entities_hit_by_ego(study.meta, digest.collisions)
-        if impacts := digest.outcomes[0].impacts:
-            hardest[scenario] = max(impacts, key=lambda impact: np.nan_to_num(impact.speed))
+        impacts[scenario] = digest.outcomes[0].impacts
         region = _union_region(region, digest.bounds)
         if on_read is not None:
             on_read(count + 1)
@@ -123,7 +120,7 @@ def read_report_data(
         times[scenario] = shared_times.setdefault(recording.time.tobytes(), recording.time)
         for metric in metrics:
             courses[metric.name][scenario] = metric.clip_course(score_courses[metric.name]).astype(np.float32)
-    summary = summarize_with_collisions(study, list(touched.values()))
+    summary = summarize_with_collisions(study, list(touched.values()), list(impacts.values()))
     return ReportData(
         file_name=study.path.name,
         summary=summary,
@@ -138,7 +135,11 @@ def read_report_data(
         course_lines=lines,
         courses=courses,
         entities_hit=touched,
-        hardest_impacts=hardest,
+        hardest_impacts={
+            scenario: max(hits, key=lambda impact: np.nan_to_num(impact.speed))
+            for scenario, hits in impacts.items()
+            if hits
+        },
         examples=_read_examples(study, summary.analyses),
         values=values,
         influential_parameters=_order_by_influence(values, scores[metrics[0].name]),

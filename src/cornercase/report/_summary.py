@@ -213,7 +213,7 @@ def summarize(study: StudyFile | Path | str, *, critical: float | None = None) -
     """
     with open_study(study, readonly=True, critical=critical) as opened, opened.snapshot():
         entities_hit = [entities_hit_by_ego(opened.meta, hits) for hits in opened.collisions().values()]
-        return summarize_with_collisions(opened, entities_hit)
+        return summarize_with_collisions(opened, entities_hit, list(opened.impacts().values()))
 
 
 def entities_hit_by_ego(meta: StudyMeta, collisions: Iterable[Collision]) -> frozenset[str]:
@@ -222,13 +222,15 @@ def entities_hit_by_ego(meta: StudyMeta, collisions: Iterable[Collision]) -> fro
     return frozenset(name for pair in hits for name in pair if name != meta.ego)
 
 
-def summarize_with_collisions(study: StudyFile, entities_hit: Sequence[frozenset[str]]) -> Summary:
+def summarize_with_collisions(
+    study: StudyFile, entities_hit: Sequence[frozenset[str]], impacts: Sequence[Sequence[Impact]]
+) -> Summary:
     """Summarize a study like `summarize`, with known collisions, so that they need not be read again.
 
-    `entities_hit` has the names of the entities that the ego collides with, for each scenario that ran.
+    For each scenario that ran, `entities_hit` has the names of the entities that the ego collides with, and `impacts`
+    its collisions with the others of the study.
     """
     states = [row.state for row in study.rows()]
-    impacts = list(study.impacts().values())
     others = frozenset(study.meta.others)
     names, constant_notes = study.meta.metrics, describe_constant_metrics(study)
     reduced = read_reduction(study)
