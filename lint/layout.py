@@ -43,6 +43,7 @@ PUBLIC_MODULES = ("simulators/carla/cornercase_driver.py", "simulators/carla/cor
 SHARED_STEMS: dict[str, str] = {"study": "cli has the commands, api the object"}
 SHARED_CLASSES: dict[str, str] = {
     "Encounter": "metrics measure the motion of two entities, an outcome says how their paths met",
+    "Trajectory": "a system under test plans one, a storyboard prescribes one",
     "Comparison": "suite compares studies, api writes the page too; a formula compares numbers",
 }
 

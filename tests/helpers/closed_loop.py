@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -14,7 +15,7 @@ from cornercase.drivers._kernels.visibility import find_visible_others
 
 DT = 0.05
 PRESETS = {"cautious": CAUTIOUS, "normal": NORMAL, "aggressive": AGGRESSIVE}
-EGO = {"length": 4.6, "width": 1.8, "center_x": 1.4}
+EGO: dict[str, Any] = {"length": 4.6, "width": 1.8, "center_x": 1.4}
 FRONT = EGO["center_x"] + EGO["length"] / 2
 
 BOXES = {

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from cornercase._common.configurable import Configurable, describe_as_text
 from cornercase._common.typing import BoolArray, FloatArray
@@ -80,6 +82,10 @@ class Situation:
         Vehicle category of each other entity, ``"pedestrian"`` or ``"misc"``.
     active : ndarray of bool, shape (N,)
         Scenarios in which the entity is driven along this path in this step.
+    others_name : tuple of str, length A
+        Names of the other entities; false objects of a sensor have names of their own.
+    signals : mapping of str to ndarray of str, shape (N,)
+        State of each traffic signal by its name, as the scenario file writes it.
     """
 
     time: float
@@ -104,6 +110,8 @@ class Situation:
     others_center_x: FloatArray
     others_object_type: tuple[str, ...]
     active: BoolArray
+    others_name: tuple[str, ...] = ()
+    signals: Mapping[str, npt.NDArray[np.str_]] = field(default_factory=dict)
 
 
 class Driver(Configurable, ABC):

@@ -11,12 +11,14 @@ from pathlib import Path
 from typing import Any, Final
 from weakref import WeakKeyDictionary
 
-from cornercase._common.configurable import format_option_value, plain_options
+from cornercase._common.configurable import Configurable, format_option_value, plain_options
 from cornercase._common.errors import InputError
 from cornercase._common.plugin_errors import is_built_in, unwrap_factory
 from cornercase.drivers._base import Driver
+from cornercase.drivers._equipment import EquippedDriver
 from cornercase.drivers._mutants import nearest_preset_name
-from cornercase.drivers._registry import DRIVERS
+from cornercase.drivers._registry import DRIVERS, SEPARATOR, split_spec
+from cornercase.drivers._system_under_test import ScalarFunction
 from cornercase.drivers.references.r157._models import REFERENCES
 
 # Attribute in which a driver created by name stores its name and options.
@@ -31,7 +33,7 @@ def record_driver_spec(driver: Driver, name: str, options: Mapping[str, object])
     Raises `InputError` if there are options and the driver has no ``__dict__`` to store them.
     """
     try:
-        vars(driver)[_SPEC_ATTRIBUTE] = (name, dict(sorted(options.items())))
+        vars(_unwrap(driver))[_SPEC_ATTRIBUTE] = (name, dict(sorted(options.items())))
     except TypeError:
         if options:
             raise InputError(
@@ -50,21 +52,33 @@ def serialize_driver(driver: str | Driver) -> str | dict[str, Any]:
     """
     if isinstance(driver, str):
         return driver
-    cls = type(driver)
+    if isinstance(driver, EquippedDriver):
+        inner = serialize_driver(driver.driver)
+        return {
+            **({"driver": inner} if isinstance(inner, str) else inner),
+            "equipment": [str(part) for part in driver.equipment],
+        }
+    own = _unwrap(driver)
+    cls = type(own)
     class_path = f"{cls.__module__}:{cls.__qualname__}"
-    spec = getattr(driver, "__dict__", {}).get(_SPEC_ATTRIBUTE)
+    spec = getattr(own, "__dict__", {}).get(_SPEC_ATTRIBUTE)
     if spec is None and cls.__module__.startswith("cornercase."):
-        return dict(driver.settings)
-    given = dict(sorted(plain_options(driver).items())) if isinstance(driver, Driver) else {}
+        return dict(own.settings)
+    given = dict(sorted(plain_options(own).items())) if isinstance(own, Configurable) else {}
     name, options = (class_path, given or None) if spec is None else spec
     description: dict[str, Any] = {"driver": name}
     if options is not None:
         description["options"] = dict(options)
     if checksum := _source_file_checksum(cls):
         description["sha256"] = checksum
-    if driver.settings != {"driver": class_path}:
-        description["settings"] = dict(driver.settings)
+    if own.settings != {"driver": class_path}:
+        description["settings"] = dict(own.settings)
     return description
+
+
+def _unwrap(driver: Driver) -> Any:
+    """Return the object of the user that a driver hands the scenarios to, or the driver itself."""
+    return driver.prototype if isinstance(driver, ScalarFunction) else driver
 
 
 def _source_file_checksum(cls: type) -> str:
@@ -93,6 +107,10 @@ def driver_command_option(description: object) -> str | None:
         return description
     if not isinstance(description, Mapping):
         return None
+    if isinstance(equipment := description.get("equipment"), list | tuple):
+        inner = {key: value for key, value in description.items() if key != "equipment"}
+        command = driver_command_option(inner["driver"] if [*inner] == ["driver"] else inner)
+        return None if command is None else SEPARATOR.join([command, *map(str, equipment)])
     name, options = description.get("driver"), description.get("options")
     # A class of a script or a notebook cannot be named.
     if isinstance(name, str) and isinstance(options, Mapping) and not name.startswith("__main__:"):
@@ -116,8 +134,12 @@ def user_driver_spec(driver: str | Driver) -> str | None:
     None for cornercase's own drivers and for objects.
     """
     if isinstance(driver, str):
-        factory = DRIVERS.get_factory(driver.partition(":")[0])
+        factory = DRIVERS.get_factory(split_spec(driver)[0].partition(":")[0])
         return None if is_built_in(unwrap_factory(factory)) else driver
+    if isinstance(driver, EquippedDriver):
+        inner = user_driver_spec(driver.driver)
+        return None if inner is None else SEPARATOR.join([inner, *map(str, driver.equipment)])
+    driver = _unwrap(driver)
     spec = getattr(driver, "__dict__", {}).get(_SPEC_ATTRIBUTE)
     if spec is None or is_built_in(type(driver)):
         return None
@@ -131,6 +153,11 @@ def format_driver(description: object) -> str:
         return description
     if not isinstance(description, Mapping):
         return "that of the scenario file" if description is None else str(description)
+    if isinstance(equipment := description.get("equipment"), list | tuple):
+        inner = {key: value for key, value in description.items() if key != "equipment"}
+        return SEPARATOR.join(
+            [format_driver(inner["driver"] if [*inner] == ["driver"] else inner), *map(str, equipment)]
+        )
     checksum, options = description.get("sha256"), description.get("options")
     if checksum is None and options is None and (command := driver_command_option(description)) is not None:
         return command

@@ -19,6 +19,16 @@ for _reference in ("cc-human", "fsm", "rss", "reg157"):
     )
 
 
+SEPARATOR: Final = " + "
+"""What joins a driver, its sensors and its vehicle in a text."""
+
+
+def split_spec(spec: str) -> tuple[str, tuple[str, ...]]:
+    """Return the driver, and the sensors and the vehicle, in a text; each with its options."""
+    driver, *equipment = (part.strip() for part in spec.split(SEPARATOR))
+    return driver, tuple(equipment)
+
+
 def is_registered_driver(name: str) -> bool:
-    """Check whether a name (with or without options) belongs to a registered driver."""
-    return name.partition(":")[0] in DRIVERS
+    """Check whether a name (with or without options and equipment) belongs to a registered driver."""
+    return split_spec(name)[0].partition(":")[0] in DRIVERS

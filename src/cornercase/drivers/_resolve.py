@@ -15,8 +15,10 @@ from cornercase._common.typing import FloatArray
 from cornercase._common.validation import check_mapping, repr_short
 from cornercase.drivers._base import Driver, Situation
 from cornercase.drivers._description import record_driver_spec
+from cornercase.drivers._equipment import equip
 from cornercase.drivers._presets import Behaviour
-from cornercase.drivers._registry import DRIVERS, is_registered_driver
+from cornercase.drivers._registry import DRIVERS, is_registered_driver, split_spec
+from cornercase.drivers._system_under_test import ScalarFunction, SystemUnderTest
 
 
 @runtime_checkable
@@ -52,14 +54,16 @@ def check_drivers(drivers: object) -> dict[str, str | Driver]:
 
 
 def _check_driver(entity: str, driver: object) -> str | Driver:
+    if isinstance(driver, SystemUnderTest):
+        return ScalarFunction(driver)
     if isinstance(driver, Behaviour):
         # Its kernels take long to import.
         from cornercase.drivers._behaviour import BehaviourDriver
 
         return str(BehaviourDriver(driver))
     if driver and isinstance(driver, str):
-        if ":" not in driver or is_registered_driver(driver):
-            DRIVERS.create(driver)
+        if ":" not in split_spec(driver)[0] or is_registered_driver(driver):
+            _create_registered(driver)
         return driver
     if is_driver(driver):
         return driver
@@ -77,7 +81,13 @@ def create_driver_named_in_file(name: str) -> Driver:
         raise InputError(f"asks for the driver '{name}', which does not exist; {hint}")
     if (other := _find_non_numeric_option(name)) is not None:
         raise InputError(f"asks for the driver '{name}' with the option '{other}'; in a file, options are numbers.")
-    return DRIVERS.create(name)
+    return _create_registered(name)
+
+
+def _create_registered(spec: str) -> Driver:
+    """Create a registered driver with its equipment."""
+    name, equipment = split_spec(spec)
+    return equip(DRIVERS.create(name), equipment)
 
 
 def may_be_named_in_file(name: str) -> bool:
@@ -91,13 +101,15 @@ def may_be_named_in_file(name: str) -> bool:
 
 def _find_non_numeric_option(name: str) -> str | None:
     """Return the first option of a driver that is not a number; None if all are numbers."""
-    options = name.partition(":")[2]
-    for option in options.split(",") if options else ():
-        key, _, value = option.partition("=")
-        try:
-            float(value)
-        except ValueError:
-            return key
+    driver, equipment = split_spec(name)
+    for part in (driver, *equipment):
+        options = part.partition(":")[2]
+        for option in options.split(",") if options else ():
+            key, _, value = option.partition("=")
+            try:
+                float(value)
+            except ValueError:
+                return key
     return None
 
 
@@ -105,7 +117,7 @@ def is_compiled_driver_name(name: str) -> bool:
     """Check whether a name (with or without options) belongs to a registered driver with compiled decisions."""
     from cornercase.drivers._compiled import CompiledDriver
 
-    return is_registered_driver(name) and isinstance(DRIVERS.create(name), CompiledDriver)
+    return is_registered_driver(name) and isinstance(_create_registered(name), CompiledDriver)
 
 
 def load_user_driver(name: str) -> Driver:
@@ -114,6 +126,7 @@ def load_user_driver(name: str) -> Driver:
     The module is imported, so the name must come from the user, never from a file. It is searched among the installed
     packages, then in the current folder. Raises `InputError` if the driver cannot be created.
     """
+    name, equipment = split_spec(name)
     module_name, _, class_and_options = name.partition(":")
     class_name, colon, text = class_and_options.partition(":")
     if "=" in class_name:
@@ -150,18 +163,21 @@ def load_user_driver(name: str) -> Driver:
         except BaseException as error:
             reraise_termination_request(error, requests)
             raise InputError(f"The driver '{name}' cannot be created: {format_exception(error)}.") from error
+    if isinstance(driver, SystemUnderTest):
+        driver = ScalarFunction(driver)
     if not is_driver(driver):
         raise InputError(
-            f"The class '{class_path}' is not a driver: it neither derives from cornercase.drivers.Driver nor has"
-            " start(), acceleration() and a dict called settings."
+            f"The class '{class_path}' is not a driver: it derives neither from cornercase.SystemUnderTest nor from"
+            " cornercase.Driver, nor has start(), acceleration() and a dict called settings."
         )
     record_driver_spec(driver, class_path, options)
-    return driver
+    return equip(driver, equipment)
 
 
 def driver_by_name(name: str) -> Driver:
     """Create a driver from the name of a registered driver or ``"package.module:Class"``, with or without options."""
-    return load_user_driver(name) if ":" in name and not is_registered_driver(name) else DRIVERS.create(name)
+    is_own = ":" in split_spec(name)[0] and not is_registered_driver(name)
+    return load_user_driver(name) if is_own else _create_registered(name)
 
 
 def resolve_driver(driver: str | Driver) -> str | Driver:

@@ -15,6 +15,7 @@ from cornercase._common.plugin_errors import format_time_of_failure
 from cornercase._common.text.source_lines import locate_input_errors
 from cornercase._common.typing import BoolArray
 from cornercase.drivers import Driver
+from cornercase.drivers._attachment import DriverError
 from cornercase.recordings import Collision, Recording
 from cornercase.scenario import Value
 from cornercase.scenario._other_formats import later_minor_version
@@ -22,7 +23,7 @@ from cornercase.scenario._scope import Scope
 from cornercase.simulators.builtin._entities import read_entities
 from cornercase.simulators.builtin._prepared_file import PreparedScenario, UnusableValuesError
 from cornercase.simulators.builtin._stepper import Coupling, Stepper
-from cornercase.simulators.builtin.actions._controller import DriverControl, DriverError, create_file_driver
+from cornercase.simulators.builtin.actions._controller import DriverControl, create_file_driver
 from cornercase.simulators.builtin.kernels._recording_pages import copy_motion
 from cornercase.simulators.builtin.kernels._simulation_state import CENTER_X, LENGTH, WIDTH
 from cornercase.simulators.builtin.paths._positions import read_entity_refs
@@ -86,7 +87,7 @@ class Batch:
                     f"has {len(objects)} entities; the builtin simulator supports at most {_MAX_ENTITIES}."
                 )
         entities, tows = read_entities(objects, scope)
-        self._world = World(entities, scope.n_scenarios, network, tows)
+        self._world = World(entities, scope.n_scenarios, network, tows, self._time_step)
         self._world.signal_controllers = read_signal_controllers(scenario.root, scope)
         self._world.selections = _read_entity_selections(scenario.root, self._world, scope)
         self._world.parameters = {
@@ -145,6 +146,9 @@ class Batch:
                 self.failure = failure
                 if self._world.scenarios == 1:
                     self._world.errors[0] = failure.error
+            finally:
+                for driving in self._driver_actions:
+                    driving.release_driver()
 
     def cancel(self) -> None:
         """Make `run` in another thread end soon; its results cannot be used."""

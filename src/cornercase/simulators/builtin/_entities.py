@@ -25,6 +25,9 @@ _HEADING_INTERPOLATIONS: Final = {
 # m; larger than any vehicle or object beside a road.
 _MAX_SIZE: Final = 10_000.0
 # Length, width and longitudinal centre in m, if a file gives none: those of esmini's entities, or of common vehicles.
+# Wheelbase as a share of the length, and largest angle of the front wheels in rad, of vehicles without axles.
+_DEFAULT_WHEELBASE: Final = 0.6
+_DEFAULT_MAX_STEERING: Final = 0.6
 _DEFAULT_SIZES: Final = {
     "car": (5.04, 2.0, 1.4),
     "van": (4.5, 1.8, 1.3),
@@ -91,10 +94,13 @@ def _read_entity(body: etree._Element, name: str, scope: Scope) -> Entity:
         body, "vehicleCategory", "car"
     )
     # A misc object cannot move by itself.
-    limits = [0.0 if body.tag == "MiscObject" else np.inf, np.inf, np.inf]
+    limits = (0.0 if body.tag == "MiscObject" else np.inf, np.inf, np.inf)
     performance = body.find("Performance")
     if performance is not None:
-        limits = [scope.read_number(performance, a, np.inf) for a in _LIMIT_ATTRIBUTES]
+        max_speed, max_acceleration, max_deceleration = (
+            scope.read_number(performance, a, np.inf) for a in _LIMIT_ATTRIBUTES
+        )
+        limits = (max_speed, max_acceleration, max_deceleration)
         for attribute, limit in zip(_LIMIT_ATTRIBUTES, limits, strict=True):
             if limit < 0.0:
                 raise scope.error_at(
@@ -114,7 +120,23 @@ def _read_entity(body: etree._Element, name: str, scope: Scope) -> Entity:
     slides = properties["ignoreHeadingForTrajMotion"] == "true"
     turning = _HEADING_INTERPOLATIONS.get(properties["plineInterpolation"])
     body_and_scope = body, scope
-    return Entity(name, kind, length, width, center_x, limits[0], limits[1], limits[2], slides, turning, body_and_scope)
+    wheelbase, max_steering = _read_axles(body, length, scope)
+    return Entity(
+        name, kind, length, width, center_x, *limits, wheelbase, max_steering, slides, turning, body_and_scope
+    )
+
+
+def _read_axles(body: etree._Element, length: float, scope: Scope) -> tuple[float, float]:
+    """Return the distance of the axles in m, and the largest angle of the front wheels in rad; defaults for none."""
+    # Only a vehicle model uses them, so they do not count as read.
+    front, rear = (next(iter(find_untracked(body, "Axles", tag)), None) for tag in ("FrontAxle", "RearAxle"))
+    positions = [0.0 if axle is None else scope.read_number(axle, "positionX", 0.0) for axle in (front, rear)]
+    max_steering = 0.0 if front is None else scope.read_number(front, "maxSteering", 0.0)
+    wheelbase = positions[0] - positions[1]
+    return (
+        wheelbase if wheelbase > 0.0 else _DEFAULT_WHEELBASE * length,
+        max_steering if max_steering > 0.0 else _DEFAULT_MAX_STEERING,
+    )
 
 
 def _read_bounding_box(body: etree._Element, object_type: str, scope: Scope) -> tuple[float, float, float]:

@@ -7,21 +7,15 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from lxml import etree
 
-from cornercase._common.errors import InputError, PluginError, SimulationError
+from cornercase._common.errors import InputError
 from cornercase._common.io.tracked_xml import find_by_name, find_untracked
 from cornercase._common.masks import any_true
-from cornercase._common.plugin_errors import (
-    format_time_of_failure,
-    is_built_in,
-    make_scenario_failure,
-    reraise_termination_request,
-)
-from cornercase._common.process.signals import count_requests
-from cornercase._common.text.sanitize import quote_name
-from cornercase._common.typing import BoolArray, FloatArray
-from cornercase._common.validation import repr_short
+from cornercase._common.plugin_errors import is_built_in
+from cornercase._common.typing import BoolArray
 from cornercase.drivers import DrivenPath, Driver, Situation
+from cornercase.drivers._attachment import Attachment, Decision, DriverError
 from cornercase.drivers._compiled import is_compiled, limit_driver_acceleration
+from cornercase.drivers._function import Body, Start
 from cornercase.drivers._resolve import create_driver_named_in_file
 from cornercase.roads._lane_path import LanePath
 from cornercase.scenario._file import DRIVER_PROPERTY
@@ -37,80 +31,88 @@ _SAMPLE_SPACING, _EXTENSION_LENGTH, _MAX_LENGTH = 0.5, 200.0, 2000.0
 # Number of points of trajectories that are computed at once.
 _MAX_POINTS = 10_000
 
-# Excess in m/s² that may come from rounding.
-_ROUNDING = 1e-9
-
 _LANE_PATH_CACHE: WeakKeyDictionary[LanePath, DrivenPath] = WeakKeyDictionary()
-
-
-class DriverError(Exception):
-    """A driver raised an exception or returned no acceleration, for several scenarios at once.
-
-    `error` is the error of the scenario at fault. `can_bisect`: whether runs of half of the scenarios can find that
-    scenario; otherwise only single runs can.
-    """
-
-    def __init__(self, error: SimulationError, splits: bool) -> None:
-        super().__init__(str(error))
-        self.error, self.can_bisect = error, splits
 
 
 class DriverControl:
     """An entity of a batch, and the driver that decides its speed on lanes and trajectories while it is active.
 
     On a trajectory with times there is nothing to decide. `number` is the index in `World.drivers`. `in_fleet` says
-    whether kernels make the decisions. `limit_notices` has a sentence without full stop for each vehicle limit that the
-    driver exceeded; a semicolon precedes what differs between notices about the same limit.
+    whether kernels make the decisions.
     """
 
     def __init__(self, world: World, entity: int, driver: Driver) -> None:
-        self._world, self.entity, self.driver = world, entity, driver
+        self._world, self.entity = world, entity
+        self._attachment = Attachment(driver, world.names[entity])
+        self.driver = self._attachment.driver
         self.number = len(world.drivers)
         world.drivers.append(self)
         self._others = [other for e, other in enumerate(world.entities) if e != entity]
         boxes = [(other.length, other.width, other.center_x) for other in self._others]
         self._others_boxes = np.array(boxes, dtype=np.float64).reshape(-1, 3).T.copy()
         self._others_object_type = tuple(other.kind for other in self._others)
+        self._others_name = tuple(other.name for other in self._others)
         self._paths: dict[int, DrivenPath] = {}
         self._sampled_versions: dict[int, int] = {}
-        self.limit_notices: dict[str, str] = {}
         self.in_fleet = is_compiled(driver)
         self._failure: DriverError | None = None
         if self.in_fleet:
             self._join_fleet()
 
+    @property
+    def limit_notices(self) -> dict[str, str]:
+        """A sentence without full stop for each limit of the vehicle that the driver exceeded."""
+        return self._attachment.limit_notices
+
     def _join_fleet(self) -> None:
         driver, entity = self.driver, self._world.entities[self.entity]
         assert is_compiled(driver)
         try:
-            self._start_driver()
+            self._attachment.start(self._make_start())
         except DriverError as failure:
             # The fleet needs a started driver.
             self._failure = failure
             built_in = next(base for base in type(driver).__mro__ if is_built_in(base) and issubclass(base, Driver))
             built_in.start(driver, self._world.scenarios, len(self._others))
-        for limit, value in limit_driver_acceleration(driver, entity.max_acceleration, entity.max_deceleration).items():
-            self._record_exceeded_limit(limit, f"it would go up to {value:.6g} m/s²")
+        bounds = {"acceleration": entity.max_acceleration, "deceleration": entity.max_deceleration}
+        for limit, value in limit_driver_acceleration(driver, *bounds.values()).items():
+            self._attachment.note_exceeded_limit(limit, bounds[limit], f"it would go up to {value:.6g} m/s²")
 
     def reset_driver(self) -> None:
         """Reset the driver when the batch starts; this may be user code, which may fail."""
         if self._failure is not None:
             raise self._failure
         if not self.in_fleet:
-            self._start_driver()
+            self._attachment.start(self._make_start())
 
-    def _start_driver(self) -> None:
-        requests = count_requests()
-        try:
-            self.driver.start(self._world.scenarios, len(self._others))
-        except BaseException as error:
-            raise DriverError(make_scenario_failure(self._display_name, error, requests, 0.0), splits=True) from error
+    def release_driver(self) -> None:
+        """Release what the driver holds when the batch has ended."""
+        self._attachment.release()
 
-    @property
-    def _display_name(self) -> str:
-        driver_class, entity = type(self.driver), quote_name(self._world.names[self.entity])
-        return f"the driver of {entity}" + (
-            "" if is_built_in(driver_class) else f" ({driver_class.__module__}:{driver_class.__qualname__})"
+    def _make_start(self) -> Start:
+        world, entity = self._world, self._world.entities[self.entity]
+        n = world.scenarios
+        body = Body(
+            entity.name,
+            entity.kind,
+            entity.length,
+            entity.width,
+            entity.center_x,
+            entity.wheelbase,
+            entity.max_steering,
+            entity.max_speed,
+            entity.max_acceleration,
+            entity.max_deceleration,
+        )
+        return Start(
+            body=body,
+            time_step=world.time_step,
+            parameters={},
+            values=({},) * n,
+            seeds=(0,) * n,
+            others=self._others_name,
+            network=world.network,
+            friction=np.ones(n),
         )
 
     def step(self, dt: float) -> None:
@@ -121,67 +123,14 @@ class DriverControl:
         for k, track in enumerate(world.tracks[e]):
             rows = active & (track_numbers == k)
             if any_true(rows) and not (isinstance(track, Trajectory) and track.times is not None):
-                self._set_speed(self._make_situation(k, track, dt, rows), rows)
+                self._apply(self._attachment.step(self._make_situation(k, track, dt, rows)), rows)
 
-    def _set_speed(self, situation: Situation, rows: BoolArray) -> None:
-        """Set the speed that the driver decides in the scenarios of a mask; those without a valid acceleration fail."""
-        world, speed = self._world, self._world.speed[self.entity]
-        acceleration = self._call_driver(situation)
-        is_missing = rows & ~np.isfinite(acceleration)
-        if any_true(is_missing):
-            for i in np.flatnonzero(is_missing).tolist():
-                instant = format_time_of_failure(situation.time)
-                returned = f"{self._display_name} returned {acceleration[i]:g}{instant}"
-                is_failing = np.arange(world.scenarios) == i
-                world.fail(is_failing, PluginError(f"{returned}, which is not an acceleration in m/s²"))
-            rows = rows & ~is_missing
-        acceleration = self._clip_acceleration(acceleration, rows, situation.time)
-        next_speed = np.maximum(speed + acceleration * situation.time_step, 0.0)
-        np.copyto(speed, np.minimum(next_speed, world.entities[self.entity].max_speed), where=rows)
-
-    def _call_driver(self, situation: Situation) -> FloatArray:
-        """Call the driver, which may be user code, and check its accelerations."""
-        expected, requests = self._world.scenarios, count_requests()
-        try:
-            returned = self.driver.acceleration(situation)
-        except BaseException as error:
-            raise DriverError(
-                make_scenario_failure(self._display_name, error, requests, situation.time), splits=True
-            ) from error
-        try:
-            acceleration: FloatArray = np.asarray(returned).astype(np.float64, casting="same_kind")
-            # A single number would be broadcast to all scenarios.
-            if acceleration.shape != (expected,):
-                raise ValueError
-            return acceleration
-        except BaseException as error:
-            reraise_termination_request(error, requests)
-            expectation = "for the scenario" if expected == 1 else f"for each of {expected} scenarios"
-            instant = format_time_of_failure(situation.time)
-            why = f"{self._display_name} returned no acceleration {expectation}{instant}, but {_safe_repr(returned)}"
-            raise DriverError(PluginError(why), splits=False) from error
-
-    def _clip_acceleration(self, acceleration: FloatArray, rows: BoolArray, time: float) -> FloatArray:
-        entity = self._world.entities[self.entity]
-        highest, lowest = entity.max_acceleration, -entity.max_deceleration
-        if highest == np.inf == -lowest:
-            return acceleration
-        clipped = acceleration.clip(lowest, highest)
-        if len(self.limit_notices) < 2 and any_true(rows & (clipped != acceleration)):
-            for limit, excess in (("acceleration", acceleration - highest), ("deceleration", lowest - acceleration)):
-                worst = float(excess[rows].max())
-                if limit not in self.limit_notices and worst > _ROUNDING:
-                    requested = worst + (highest if limit == "acceleration" else -lowest)
-                    self._record_exceeded_limit(limit, f"first {requested:.6g} m/s²{format_time_of_failure(time)}")
-        return clipped
-
-    def _record_exceeded_limit(self, limit: str, requested: str) -> None:
-        entity = self._world.entities[self.entity]
-        bound = entity.max_acceleration if limit == "acceleration" else entity.max_deceleration
-        self.limit_notices[limit] = (
-            f"{self._display_name} exceeds the {limit} of {bound:.6g} m/s² in <Performance>, and is"
-            f" limited to it; {requested}"
-        )
+    def _apply(self, decision: Decision, rows: BoolArray) -> None:
+        """Do what the driver decides in the scenarios of a mask."""
+        world, e = self._world, self.entity
+        for n, failure in decision.failures.items():
+            world.fail(np.arange(world.scenarios) == n, failure)
+        np.copyto(world.speed[e], decision.speed, where=rows & world.running)
 
     def _make_situation(self, track_number: int, track: Track, dt: float, rows: BoolArray) -> Situation:
         world, e, box = self._world, self.entity, self._world.entities[self.entity]
@@ -215,6 +164,8 @@ class DriverControl:
             others_center_x=others_center_x,
             others_object_type=self._others_object_type,
             active=rows.copy(),
+            others_name=self._others_name,
+            signals=world.signals,
         )
 
     def path_of_track(self, track_number: int, track: Track) -> DrivenPath:
@@ -226,13 +177,6 @@ class DriverControl:
             # A restarted trajectory may have another shape.
             self._paths[track_number], self._sampled_versions[track_number] = _sample_trajectory(track), track.version
         return self._paths[track_number]
-
-
-def _safe_repr(value: object) -> str:
-    try:
-        return repr_short(value)
-    except Exception:
-        return f"a {type(value).__name__}"
 
 
 def _lane_path(lane_path: LanePath) -> DrivenPath:

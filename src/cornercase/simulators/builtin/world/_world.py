@@ -54,8 +54,9 @@ class Entity:
     """Constant properties of an entity.
 
     `kind`: vehicle category, ``"pedestrian"`` or ``"misc"``. The box is in m; limits are in m/s and m/s², infinite if
-    not set. `slides`: whether it follows trajectories with any heading that they define. `polyline_turning`: where its
-    heading turns along a polyline (`ALONG_SEGMENTS`, `AT_CORNERS`, `AT_VERTICES`); None if the following mode decides.
+    not set. `wheelbase` in m and `max_steering` in rad have defaults if the file has no axles. `slides`: whether it
+    follows trajectories with any heading that they define. `polyline_turning`: where its heading turns along a polyline
+    (`ALONG_SEGMENTS`, `AT_CORNERS`, `AT_VERTICES`); None if the following mode decides.
     `body`: its element in the file, and the scope to read it in.
     """
 
@@ -67,6 +68,8 @@ class Entity:
     max_speed: float
     max_acceleration: float
     max_deceleration: float
+    wheelbase: float
+    max_steering: float
     slides: bool = False
     polyline_turning: int | None = None
     body: tuple[etree._Element, Scope] | None = field(default=None, repr=False, compare=False)
@@ -92,8 +95,9 @@ class World:
     The arrays (E, N) are views of `floats`, `flags` and `numbers` (N, K, E): write into them, and never replace them.
     `overlapping` (E, E, N) is a view of `overlaps` (N, E, E).
 
-    Time: `time` and `last_step` (N,) in s. `running` (N,): scenarios in the current frame. `changed` (N,): scenarios
-    whose storyboard has changed in this frame. `started`: whether the first frame is over, in which nothing moves.
+    Time: `time`, `last_step` (N,) and `time_step` in s. `running` (N,): scenarios in the current frame. `changed` (N,):
+    scenarios whose storyboard has changed in this frame. `started`: whether the first frame is over, in which nothing
+    moves.
 
     Motion: `step_velocity` in m/s and `step_acceleration` in m/s² of the last step, as x and y. `needs_road_check`:
     whether a condition asks for entities off the road. `tracks`: all tracks that each entity has followed. `routes`:
@@ -151,9 +155,15 @@ class World:
     compiled: CompiledWorld
 
     def __init__(
-        self, entities: tuple[Entity, ...], scenarios: int, network: RoadNetwork | None, tows: tuple[Tow, ...] = ()
+        self,
+        entities: tuple[Entity, ...],
+        scenarios: int,
+        network: RoadNetwork | None,
+        tows: tuple[Tow, ...] = (),
+        time_step: float = 0.05,
     ) -> None:
         self.entities, self.tows = entities, tows
+        self.time_step = time_step
         self.names = [entity.name for entity in entities]
         self.scenarios = scenarios
         self.network = network

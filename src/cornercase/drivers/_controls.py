@@ -1,0 +1,226 @@
+"""What a driving function decides: for one scenario as `Control`, for a batch as `Controls`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final, Literal, Self
+
+import numpy as np
+
+from cornercase._common.errors import SimulationError
+from cornercase._common.typing import FloatArray, IntArray
+from cornercase._common.validation import repr_short
+
+LANE_CHANGES: Final = {None: 0, "left": 1, "right": -1}
+"""Number of lanes to the left, by request."""
+_NUMBERS: Final = ("acceleration", "steering", "throttle", "brake")
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """Where the reference point of the ego is to be, from now on.
+
+    Attributes
+    ----------
+    time : ndarray of float64, shape (P,)
+        Time since the start of the scenario in s, increasing.
+    x, y : ndarray of float64, shape (P,)
+        Position in m, in the axes of the map.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than two points, shapes differ, a number is not finite, or times do not increase.
+    """
+
+    time: FloatArray
+    x: FloatArray
+    y: FloatArray
+
+    def __post_init__(self) -> None:
+        for name in ("time", "x", "y"):
+            object.__setattr__(self, name, np.array(getattr(self, name), dtype=np.float64))
+        if self.time.ndim != 1 or len(self.time) < 2 or not self.time.shape == self.x.shape == self.y.shape:
+            raise ValueError("a trajectory needs time, x and y of one shape (P,), with at least two points")
+        if not np.isfinite(np.stack((self.time, self.x, self.y))).all():
+            raise ValueError("a trajectory needs finite numbers")
+        if not (np.diff(self.time) > 0.0).all():
+            raise ValueError("the times of a trajectory must increase")
+
+
+@dataclass(frozen=True)
+class Control:
+    """What a system under test decides in one time step, for one scenario.
+
+    Give one of: an acceleration; throttle and brake; a trajectory. A steering angle may be given with an acceleration
+    or with throttle and brake; without one, the ego follows its path. A request for a lane change may be given with an
+    acceleration; the ego then changes to that lane while it keeps the acceleration.
+
+    Attributes
+    ----------
+    acceleration : float, optional
+        Along the ego's heading, in m/s².
+    steering : float, optional
+        Angle of the front wheels in rad, positive to the left.
+    throttle, brake : float, optional
+        Pedals from 0 to 1.
+    trajectory : Trajectory, optional
+        Where the ego is to be from now on; it is followed until another one is given.
+    lane_change : {"left", "right"}, optional
+        Change to the neighbouring lane. Only the step in which a request begins counts: the change goes on by itself,
+        and requests during a change are ignored.
+
+    Raises
+    ------
+    ValueError
+        If the combination is not one of these, or a number is not finite or out of range.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> cc.Control(acceleration=-3.0).acceleration
+    -3.0
+    """
+
+    acceleration: float | None = None
+    steering: float | None = None
+    throttle: float | None = None
+    brake: float | None = None
+    trajectory: Trajectory | None = None
+    lane_change: Literal["left", "right"] | None = None
+
+    def __post_init__(self) -> None:
+        for name in _NUMBERS:
+            value = getattr(self, name)
+            if value is not None:
+                object.__setattr__(self, name, float(value))
+                if not math.isfinite(getattr(self, name)):
+                    raise ValueError(f"{name} is {value}, which is not a finite number")
+        for name in ("throttle", "brake"):
+            value = getattr(self, name)
+            if value is not None and not 0.0 <= value <= 1.0:
+                raise ValueError(f"{name} is {value:g}; it goes from 0 to 1")
+        if self.lane_change not in LANE_CHANGES:
+            raise ValueError(f"lane_change is {self.lane_change!r}; it is 'left' or 'right'")
+        pedals = self.throttle is not None or self.brake is not None
+        if (self.acceleration is not None) + pedals + (self.trajectory is not None) != 1:
+            raise ValueError("a control needs one of: acceleration; throttle and brake; trajectory")
+        if self.trajectory is not None and (self.steering is not None or self.lane_change is not None):
+            raise ValueError("a trajectory needs neither steering nor a lane change")
+        if self.lane_change is not None and self.steering is not None:
+            raise ValueError("a lane change steers by itself; leave out the steering")
+
+    @classmethod
+    def from_returned(cls, returned: object) -> Self:
+        """Return what a function returned as a control.
+
+        Parameters
+        ----------
+        returned : object
+            A control, or a number, which is an acceleration in m/s².
+
+        Returns
+        -------
+        Control
+
+        Raises
+        ------
+        ValueError
+            It is something else, or not finite.
+        """
+        if isinstance(returned, cls):
+            return returned
+        if isinstance(returned, int | float | np.floating | np.integer) and not isinstance(returned, bool):
+            return cls(acceleration=float(returned))
+        raise ValueError(f"{repr_short(returned)} is neither a Control nor an acceleration in m/s²")
+
+
+@dataclass(frozen=True, eq=False)
+class Controls:
+    """What a driving function decides in one time step, for the N scenarios of a batch.
+
+    Attributes
+    ----------
+    acceleration, steering, throttle, brake : ndarray of float64, shape (N,)
+        As in `Control`; NaN where not given.
+    lane_change : ndarray of int64, shape (N,)
+        Lanes to the left by which to change; 0 for none.
+    trajectories : mapping of int to Trajectory
+        By scenario.
+    failures : mapping of int to SimulationError
+        By scenario; these scenarios end.
+    """
+
+    acceleration: FloatArray
+    steering: FloatArray
+    throttle: FloatArray
+    brake: FloatArray
+    lane_change: IntArray
+    trajectories: Mapping[int, Trajectory] = field(default_factory=dict)
+    failures: Mapping[int, SimulationError] = field(default_factory=dict)
+
+    @classmethod
+    def empty(cls, scenarios: int) -> Controls:
+        """Return controls that decide nothing yet, to be filled.
+
+        Parameters
+        ----------
+        scenarios : int
+            Number N of scenarios.
+
+        Returns
+        -------
+        Controls
+        """
+        acceleration, steering, throttle, brake = np.full((4, scenarios), np.nan)
+        return cls(acceleration, steering, throttle, brake, np.zeros(scenarios, dtype=np.int64))
+
+    @classmethod
+    def from_acceleration(cls, acceleration: FloatArray) -> Controls:
+        """Return controls that accelerate along the path.
+
+        Parameters
+        ----------
+        acceleration : ndarray of float64, shape (N,)
+            In m/s².
+
+        Returns
+        -------
+        Controls
+        """
+        controls = cls.empty(len(acceleration))
+        controls.acceleration[:] = acceleration
+        return controls
+
+    @classmethod
+    def from_scalar(cls, controls: Sequence[Control | None], failures: Mapping[int, SimulationError]) -> Controls:
+        """Return the controls of a batch from one per scenario.
+
+        Parameters
+        ----------
+        controls : sequence of Control, length N
+            None where there is none.
+        failures : mapping of int to SimulationError
+            By scenario.
+
+        Returns
+        -------
+        Controls
+        """
+        batch = cls.empty(len(controls))
+        trajectories: dict[int, Trajectory] = {}
+        for n, control in enumerate(controls):
+            if control is None:
+                continue
+            for name in _NUMBERS:
+                value: Any = getattr(control, name)
+                if value is not None:
+                    getattr(batch, name)[n] = value
+            batch.lane_change[n] = LANE_CHANGES[control.lane_change]
+            if control.trajectory is not None:
+                trajectories[n] = control.trajectory
+        return cls(
+            batch.acceleration, batch.steering, batch.throttle, batch.brake, batch.lane_change, trajectories, failures
+        )

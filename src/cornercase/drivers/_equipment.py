@@ -1,0 +1,92 @@
+"""Drivers with sensors and a vehicle model, such as ``"normal + radar:range=120 + single-track:mass=1500"``."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from cornercase._common.errors import InputError, suggest_name
+from cornercase._common.typing import FloatArray
+from cornercase.drivers._base import Driver, Situation
+from cornercase.drivers._registry import SEPARATOR
+from cornercase.drivers.sensors._sensor import SENSORS, Sensor
+from cornercase.drivers.vehicles._vehicle_model import VEHICLES, VehicleModel
+
+
+class EquippedDriver(Driver):
+    """A driver that is given what sensors measure, and moves a vehicle model.
+
+    Parameters
+    ----------
+    driver : Driver
+        Who decides.
+    sensors : sequence of Sensor, optional
+        Stand between the true traffic and the driver; without any, it is given the true traffic.
+    vehicle : VehicleModel, optional
+        Without one, the vehicle does at once what the driver decides.
+
+    Examples
+    --------
+    >>> from cornercase.drivers import DRIVERS, EquippedDriver
+    >>> str(EquippedDriver(DRIVERS.create("normal")))
+    'normal'
+    """
+
+    def __init__(self, driver: Driver, sensors: Sequence[Sensor] = (), vehicle: VehicleModel | None = None) -> None:
+        self.driver, self.sensors, self.vehicle = driver, tuple(sensors), vehicle
+        self.settings = {
+            "driver": dict(driver.settings),
+            "sensors": [str(sensor) for sensor in self.sensors],
+            "vehicle": None if vehicle is None else str(vehicle),
+        }
+
+    @property
+    def equipment(self) -> tuple[Sensor | VehicleModel, ...]:
+        """The sensors and the vehicle."""
+        return (*self.sensors, *(() if self.vehicle is None else (self.vehicle,)))
+
+    def __str__(self) -> str:
+        return SEPARATOR.join(map(str, (self.driver, *self.equipment)))
+
+    def start(self, scenarios: int, others: int) -> None:
+        """Reset the driver; sensors and vehicle start with the batch.
+
+        Parameters
+        ----------
+        scenarios, others : int
+            As in `Driver.start`.
+        """
+        self.driver.start(scenarios, others)
+
+    def acceleration(self, situation: Situation) -> FloatArray:
+        """Return what the driver decides, without sensors and vehicle.
+
+        Parameters
+        ----------
+        situation : Situation
+            As in `Driver.acceleration`.
+
+        Returns
+        -------
+        ndarray of float64, shape (N,)
+            In m/s².
+        """
+        return self.driver.acceleration(situation)
+
+
+def equip(driver: Driver, equipment: Sequence[str]) -> Driver:
+    """Give a driver the sensors and the vehicle of these names; `InputError` for an unknown one."""
+    if not equipment:
+        return driver
+    sensors, vehicle = list[Sensor](), None
+    for spec in equipment:
+        name = spec.partition(":")[0]
+        if name in SENSORS:
+            sensors.append(SENSORS.create(spec))
+        elif name not in VEHICLES:
+            hint = suggest_name(name, (*SENSORS.names(), *VEHICLES.names()))
+            raise InputError(f"There is no sensor or vehicle '{name}'; {hint}")
+        elif vehicle is not None:
+            raise InputError(f"A driver moves one vehicle, not both '{vehicle}' and '{spec}'; give one.")
+        else:
+            vehicle = VEHICLES.create(spec)
+    return EquippedDriver(driver, sensors, vehicle)

@@ -1,0 +1,183 @@
+"""Systems under test of users: one object per scenario, one plain call per step."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cornercase._common.configurable import Configurable, describe_as_text
+from cornercase._common.errors import PluginError, SimulationError
+from cornercase._common.plugin_errors import format_time_of_failure, make_scenario_failure
+from cornercase._common.process.signals import count_requests
+from cornercase._common.text.sanitize import quote_name
+from cornercase.drivers._base import Situation
+from cornercase.drivers._controls import Control, Controls
+from cornercase.drivers._function import DrivingFunction, Start
+from cornercase.drivers._view import SharedView, View
+
+if TYPE_CHECKING:
+    from cornercase.roads._network import RoadNetwork
+
+
+@dataclass(frozen=True, eq=False)
+class Ego:
+    """The vehicle that a system under test is given when a scenario starts.
+
+    Attributes
+    ----------
+    name, object_type : str
+        Name of the entity, and vehicle category as in a recording.
+    length, width, center_x, wheelbase : float
+        Bounding box as in a recording, and distance of the axles, in m.
+    max_steering : float
+        Largest angle of the front wheels in rad.
+    max_speed, max_acceleration, max_deceleration : float
+        Limits in m/s and m/s²; infinite if the scenario file has none.
+    values : mapping of str to object
+        The scenario's parameter values that differ from the file.
+    """
+
+    name: str
+    object_type: str
+    length: float
+    width: float
+    center_x: float
+    wheelbase: float
+    max_steering: float
+    max_speed: float
+    max_acceleration: float
+    max_deceleration: float
+    values: Mapping[str, object]
+
+
+class SystemUnderTest(Configurable, ABC):
+    """A driving function of your own: sees one scenario, decides one step.
+
+    Derive from it, and implement `step`; if it has state, also `start`. An object is made for each concrete scenario
+    from the options of the constructor. An exception ends only the scenario in which it is raised.
+
+    A decision may only depend on what the function is given: no clock, no random numbers but those of `rng`.
+
+    Attributes
+    ----------
+    settings : dict
+        Everything that decisions depend on, as plain JSON values; by default the class. Options of the constructor that
+        are numbers, texts or booleans are stored with a study in any case.
+
+    See Also
+    --------
+    Driver : The same for all scenarios at once, as arrays.
+    Control : What a step may return.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> class Aeb(cc.SystemUnderTest):
+    ...     def __init__(self, time_to_brake=1.5):
+    ...         self.time_to_brake = time_to_brake
+    ...
+    ...     def step(self, view, dt):
+    ...         leader = view.leader
+    ...         if leader is not None and leader.gap < self.time_to_brake * leader.closing:
+    ...             return cc.Control(acceleration=-8.0)
+    ...         return 0.0
+    >>> scenario = "examples/x_intersection/x_intersection.xosc"
+    >>> cc.simulate(scenario, drivers={"Ego": Aeb(time_to_brake=2.0)}, duration=2.0).names[0]
+    'Ego'
+    """
+
+    settings: dict[str, object]
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        if not any("settings" in vars(base) for base in cls.__mro__):
+            cls.settings = {"driver": f"{cls.__module__}:{cls.__qualname__}"}
+
+    def __str__(self) -> str:
+        return describe_as_text(self)
+
+    def start(self, ego: Ego, road: RoadNetwork | None, rng: np.random.Generator) -> None:
+        """Begin a scenario; does nothing by default.
+
+        Parameters
+        ----------
+        ego : Ego
+            The vehicle to drive.
+        road : RoadNetwork or None
+            The roads.
+        rng : numpy.random.Generator
+            Source of all random numbers: the same scenario in the same study has the same ones.
+        """
+
+    @abstractmethod
+    def step(self, view: View, dt: float) -> Control | float:
+        """Decide the coming time step.
+
+        Parameters
+        ----------
+        view : View
+            What the ego is given: its own state, and the traffic around it.
+        dt : float
+            Duration of the step in s.
+
+        Returns
+        -------
+        Control or float
+            A number is an acceleration in m/s².
+        """
+
+
+class ScalarFunction(DrivingFunction):
+    """Drives each scenario of a batch by an object of its own, made from a prototype."""
+
+    def __init__(self, prototype: SystemUnderTest) -> None:
+        self.prototype = prototype
+        self.settings = prototype.settings
+        self._objects: list[SystemUnderTest] = []
+
+    def __str__(self) -> str:
+        return str(self.prototype)
+
+    def prepare(self, start: Start) -> None:
+        """Make one object per scenario."""
+        body, cls = start.body, type(self.prototype)
+        self._name = f"the driver of {quote_name(body.name)} ({cls.__module__}:{cls.__qualname__})"
+        self._objects, self._failures = [], dict[int, SimulationError]()
+        for n in range(start.scenarios):
+            requests = count_requests()
+            try:
+                made = self.prototype.with_options(
+                    **{name: float(values[n]) for name, values in start.parameters.items()}
+                )
+                ego = Ego(**vars(body), values=start.values[n])
+                made.start(ego, start.network, start.generator(n, "driver"))
+            except BaseException as error:
+                self._failures[n] = make_scenario_failure(self._name, error, requests, 0.0)
+                made = self.prototype
+            self._objects.append(made)
+
+    def decide(self, situation: Situation) -> Controls:
+        """Let each active object decide."""
+        shared = SharedView(situation)
+        controls: list[Control | None] = [None] * len(situation.active)
+        failures = dict[int, SimulationError]()
+        for n in np.flatnonzero(situation.active).tolist():
+            if n in self._failures:
+                failures[n] = self._failures[n]
+                continue
+            requests = count_requests()
+            try:
+                returned: object = self._objects[n].step(View(shared, n), situation.time_step)
+            except BaseException as error:
+                failures[n] = make_scenario_failure(self._name, error, requests, situation.time)
+                continue
+            try:
+                controls[n] = Control.from_returned(returned)
+            except ValueError as error:
+                instant = format_time_of_failure(situation.time)
+                failures[n] = PluginError(f"{self._name} returned no control{instant}: {error}")
+        return Controls.from_scalar(controls, failures)

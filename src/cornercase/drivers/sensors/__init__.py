@@ -1,0 +1,1 @@
+"""Sensors, which stand between the true traffic and a driver."""

@@ -1,0 +1,92 @@
+"""Base class of vehicle models, which turn controls into motion."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Final
+
+from cornercase._common.configurable import Configurable
+from cornercase._common.registry import Registry
+from cornercase._common.typing import BoolArray, FloatArray
+from cornercase.drivers._function import Start
+
+
+@dataclass(frozen=True, eq=False)
+class PlanarMotion:
+    """Pose and speed of the reference point (middle of the rear axle) in N scenarios.
+
+    Attributes
+    ----------
+    x, y, heading, speed, acceleration : ndarray of float64, shape (N,)
+        In m, rad, m/s and m/s²; heading unwrapped, acceleration along the heading.
+    """
+
+    x: FloatArray
+    y: FloatArray
+    heading: FloatArray
+    speed: FloatArray
+    acceleration: FloatArray
+
+
+class VehicleModel(Configurable, ABC):
+    """Moves a vehicle by its controls, for all concrete scenarios of a batch at the same time.
+
+    All numeric options of the constructor can be dimensions of a search: `start.parameters` then has one value for each
+    scenario. Scenarios do not depend on each other.
+
+    Attributes
+    ----------
+    name : str
+        As registered.
+    steers : bool
+        Whether the model has a pose of its own. If not, only its speed counts, and the vehicle stays on its path.
+    """
+
+    steers: bool = True
+
+    @abstractmethod
+    def start(self, start: Start) -> None:
+        """Reset all state for a batch.
+
+        Parameters
+        ----------
+        start : Start
+            What is known then.
+        """
+
+    @abstractmethod
+    def step(
+        self,
+        motion: PlanarMotion,
+        acceleration: FloatArray,
+        steering: FloatArray,
+        friction: FloatArray,
+        time_step: float,
+        active: BoolArray,
+    ) -> PlanarMotion:
+        """Return the motion at the end of a time step.
+
+        Parameters
+        ----------
+        motion : PlanarMotion
+            At the start of the step; the state of scenarios that are not active must not change.
+        acceleration : ndarray of float64, shape (N,)
+            Requested acceleration in m/s².
+        steering : ndarray of float64, shape (N,)
+            Requested angle of the front wheels in rad, positive to the left; ignored by a model that does not steer.
+        friction : ndarray of float64, shape (N,)
+            Friction coefficient of the road.
+        time_step : float
+            In s.
+        active : ndarray of bool, shape (N,)
+            Scenarios that take the step.
+
+        Returns
+        -------
+        PlanarMotion
+        """
+
+
+VEHICLES: Final[Registry[VehicleModel]] = Registry("vehicle", "cornercase.vehicles", VehicleModel)
+"""Vehicle models by name."""
