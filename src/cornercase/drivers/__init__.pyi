@@ -11,6 +11,7 @@ from ._function import DrivingFunction as DrivingFunction
 from ._function import Start as Start
 from ._mutants import Mutant as Mutant
 from ._mutants import generate_mutants as generate_mutants
+from ._mutation import Mutation as Mutation
 from ._presets import AGGRESSIVE as AGGRESSIVE
 from ._presets import CAUTIOUS as CAUTIOUS
 from ._presets import NORMAL as NORMAL
