@@ -43,7 +43,7 @@ class DriverControl:
     def __init__(self, world: World, entity: int, driver: Driver) -> None:
         self._world, self.entity = world, entity
         self._attachment = Attachment(driver, world.names[entity])
-        self.driver = self._attachment.driver
+        self.driver = driver
         self.number = len(world.drivers)
         world.drivers.append(self)
         self._others = [other for e, other in enumerate(world.entities) if e != entity]
@@ -118,8 +118,9 @@ class DriverControl:
         """Let the driver decide the entity's speed at the end of the coming time step."""
         world, e = self._world, self.entity
         active = world.running & world.present[e] & world.driven[e] & (world.driver[e] == self.number)
-        track_numbers = world.track[e]
-        for k, track in enumerate(world.tracks[e]):
+        # A steered entity may follow another track afterwards.
+        track_numbers = world.track[e].copy()
+        for k, track in enumerate([*world.tracks[e]]):
             rows = active & (track_numbers == k)
             if any_true(rows) and not (isinstance(track, Trajectory) and track.times is not None):
                 situation = self._make_situation(k, track, dt, rows)
