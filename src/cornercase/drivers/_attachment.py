@@ -20,9 +20,13 @@ from cornercase._common.text.sanitize import quote_name
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase._common.validation import repr_short
 from cornercase.drivers._base import Driver, Situation
+from cornercase.drivers._compiled import is_compiled
 from cornercase.drivers._controls import Controls
 from cornercase.drivers._equipment import EquippedDriver
 from cornercase.drivers._function import DrivingFunction, Start
+from cornercase.drivers.vehicles._actuated import Actuators
+from cornercase.drivers.vehicles._kernels.actuators import Vehicles
+from cornercase.drivers.vehicles._vehicle_model import PlanarMotion
 
 # Excess in m/s² that may come from rounding.
 _ROUNDING: Final = 1e-9
@@ -61,9 +65,19 @@ class Attachment:
     def __init__(self, driver: Driver, entity: str) -> None:
         self.driver = driver.driver if isinstance(driver, EquippedDriver) else driver
         self._sensors = driver.sensors if isinstance(driver, EquippedDriver) else ()
-        self._vehicle = driver.vehicle if isinstance(driver, EquippedDriver) else None
+        self.vehicle = driver.vehicle if isinstance(driver, EquippedDriver) else None
         self._entity = entity
         self.limit_notices: dict[str, str] = {}
+
+    @property
+    def is_compiled(self) -> bool:
+        """Whether kernels can make all its decisions, and move its vehicle."""
+        return is_compiled(self.driver) and not self._sensors and isinstance(self.vehicle, Actuators | None)
+
+    @property
+    def vehicle_tables(self) -> Vehicles | None:
+        """The started actuators of its vehicle, for kernels; None if kernels do not move it."""
+        return self.vehicle.tables if self.is_compiled and isinstance(self.vehicle, Actuators) else None
 
     @property
     def display_name(self) -> str:
@@ -85,8 +99,8 @@ class Attachment:
             raise DriverError(make_scenario_failure(self.display_name, error, requests, 0.0), splits=True) from error
         for sensor in self._sensors:
             sensor.start(start)
-        if self._vehicle is not None:
-            self._vehicle.start(start)
+        if self.vehicle is not None:
+            self.vehicle.start(start)
 
     def release(self) -> None:
         """Release what the driver holds, at the end of a batch."""
@@ -97,6 +111,7 @@ class Attachment:
         """Decide the coming time step in the active scenarios; raises `DriverError`."""
         # The driver may change the arrays that it is given.
         active, speed, time = situation.active.copy(), situation.speed.copy(), situation.time
+        before = PlanarMotion(situation.x, situation.y, situation.heading, speed, situation.acceleration.copy())
         sensed = situation
         for sensor in self._sensors:
             sensed = sensor.perceive(sensed)
@@ -109,6 +124,10 @@ class Attachment:
                 returned = f"{self.display_name} returned {acceleration[n]:g}{format_time_of_failure(time)}"
                 failures[n] = PluginError(f"{returned}, which is not an acceleration in m/s²")
         acceleration = self._clip_acceleration(acceleration, active & ~is_missing, time)
+        if self.vehicle is not None and not self.vehicle.steers:
+            friction, dt, steering = self._start.friction, self._start.time_step, np.zeros_like(speed)
+            moved = self.vehicle.step(before, acceleration, steering, friction, dt, active & ~is_missing)
+            return Decision(moved.speed, failures)
         speed = np.maximum(speed + acceleration * self._start.time_step, 0.0)
         return Decision(np.minimum(speed, self._start.body.max_speed), failures)
 

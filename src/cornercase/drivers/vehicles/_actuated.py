@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any, ClassVar, Final
 
 import numpy as np
@@ -11,7 +12,7 @@ from cornercase._common.errors import InputError
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase._common.validation import check_float
 from cornercase.drivers._function import Body, Start
-from cornercase.drivers.vehicles._kernels.actuators import N_STATE, SPEED, Vehicles, count_requests
+from cornercase.drivers.vehicles._kernels.actuators import N_STATE, SPEED, Vehicles, change_speeds, count_requests
 from cornercase.drivers.vehicles._vehicle_model import PlanarMotion, VehicleModel
 
 # Parameters in the order of the columns of `Vehicles.parameters`.
@@ -23,23 +24,7 @@ _POSITIVE: Final = frozenset({"max_jerk", "mu", "max_steering_rate", "wheelbase"
 
 
 class ActuatedVehicle(VehicleModel):
-    """Base class of vehicles with actuators; `parameter_names` are the options of a model's own.
-
-    Parameters
-    ----------
-    delay, lag : float
-        Dead time in s after which the vehicle begins to do what is requested, and time constant in s with which its
-        acceleration then approaches the request.
-    max_jerk : float
-        Highest change of the acceleration in m/s³, such as that of brakes that build up pressure.
-    mu : float
-        Friction coefficient of the tyres on a dry road, by which that of the road is multiplied.
-
-    Raises
-    ------
-    InputError
-        If an option is out of range.
-    """
+    """Base class of vehicles with actuators; `parameter_names` are the options of a model's own."""
 
     parameter_names: ClassVar[tuple[str, ...]] = ()
     _vehicles: Vehicles
@@ -73,6 +58,51 @@ class ActuatedVehicle(VehicleModel):
 
     def _body_parameters(self, body: Body) -> dict[str, float]:
         return {"max_speed": body.max_speed, "max_steering": body.max_steering, "wheelbase": body.wheelbase}
+
+
+class Actuators(ActuatedVehicle):
+    """A vehicle that stays on its path, with actuators for its speed.
+
+    Curves need none of the friction. See ``docs/vehicles.md``.
+
+    Parameters
+    ----------
+    delay, lag : float, default 0
+        Dead time in s after which the vehicle begins to do what is requested, and time constant in s with which its
+        acceleration then approaches the request.
+    max_jerk : float, optional
+        Highest change of the acceleration in m/s³, such as that of brakes that build up pressure; infinite by default.
+    mu : float, default 1
+        Friction coefficient of the tyres on a dry road, by which that of the road is multiplied.
+
+    Raises
+    ------
+    InputError
+        If an option is out of range.
+    """
+
+    name = "actuators"
+    steers = False
+
+    @property
+    def tables(self) -> Vehicles:
+        """Parameters and state of a started vehicle, for kernels."""
+        return self._vehicles
+
+    def step(
+        self,
+        motion: PlanarMotion,
+        acceleration: FloatArray,
+        steering: FloatArray,
+        friction: FloatArray,
+        time_step: float,
+        active: BoolArray,
+    ) -> PlanarMotion:
+        """Return the motion at the end of a time step; the pose is that at its start."""
+        speed, reached = np.array(motion.speed), np.array(motion.acceleration)
+        inputs = np.ascontiguousarray(acceleration), np.ascontiguousarray(friction)
+        change_speeds(self._vehicles, speed, reached, *inputs, time_step, np.ascontiguousarray(active))
+        return replace(motion, speed=speed, acceleration=reached)
 
 
 class SteeredVehicle(ActuatedVehicle):

@@ -1,7 +1,7 @@
 """Compiled actuators of a vehicle: dead time, lag, highest rate and friction limit, integrated exactly."""
 
 # Compiled functions have no static types.
-# mypy: disable-error-code="no-untyped-def, untyped-decorator"
+# mypy: disable-error-code="no-untyped-def, no-untyped-call, untyped-decorator, call-arg"
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from cornercase._common.numba.kernel import kernel
+from cornercase._common.numba.references import reference_to
 from cornercase._common.typing import FloatArray
 
 plain_kernel = kernel(error_model="numpy", _nrt=False)
-inline_kernel = kernel(error_model="numpy", _nrt=False, forceinline=True)
 
 GRAVITY: Final = 9.81
 """In m/s²."""
@@ -44,7 +44,7 @@ _ROUNDING: Final = 1e-9
 
 
 class Vehicles(NamedTuple):
-    """Parameters and state of a vehicle in N scenarios, for kernels."""
+    """Parameters and state of a vehicle in N scenarios, or of several one after another, for kernels."""
 
     parameters: FloatArray  # (N, P): columns as above, in m, s and rad
     state: FloatArray  # (N, 6): columns as above
@@ -121,6 +121,34 @@ def speed_after(speed, gain, max_speed):
     if speed + gain < 0.0:
         return 0.0, speed / -gain
     return min(speed + gain, max_speed), 1.0
+
+
+@plain_kernel
+def change_speed(vehicles, n, speed, acceleration, request, friction, time_step):
+    """Return the speed after a time step of a vehicle that stays on its path.
+
+    `acceleration` is that of the last step, `request` the requested one, in m/s².
+    """
+    begin_step(vehicles, n, speed, acceleration, request, 0.0)
+    grip = vehicles.parameters[n, MU] * friction * GRAVITY
+    gain = advance(vehicles, n, ACCELERATION, grip, 0.0, time_step, time_step)
+    speed, _ = speed_after(speed, gain, vehicles.parameters[n, MAX_SPEED])
+    end_step(vehicles, n, speed)
+    return speed
+
+
+@kernel(interpreted_seconds=lambda vehicles, speed, *_: 2e-5 * speed.size, error_model="numpy")
+def change_speeds(vehicles, speed, acceleration, request, friction, time_step, active):
+    """Change the speeds (N,) of the active vehicles by one time step, and their accelerations to those at its end."""
+    _change_all(reference_to(vehicles), speed, acceleration, request, friction, time_step, active)
+
+
+@plain_kernel
+def _change_all(vehicles, speed, acceleration, request, friction, time_step, active):
+    for n in range(active.size):
+        if active[n]:
+            speed[n] = change_speed(vehicles, n, speed[n], acceleration[n], request[n], friction[n], time_step)
+            acceleration[n] = vehicles.state[n, ACCELERATION] if speed[n] > 0.0 else 0.0
 
 
 @plain_kernel

@@ -43,8 +43,8 @@ class DriverControl:
 
     def __init__(self, world: World, entity: int, driver: Driver) -> None:
         self._world, self.entity = world, entity
-        self._attachment = Attachment(driver, world.names[entity])
-        self.driver = self._attachment.driver
+        self.attachment = Attachment(driver, world.names[entity])
+        self.driver = self.attachment.driver
         self.number = len(world.drivers)
         world.drivers.append(self)
         self._others = [other for e, other in enumerate(world.entities) if e != entity]
@@ -54,7 +54,7 @@ class DriverControl:
         self._others_name = tuple(other.name for other in self._others)
         self._paths: dict[int, DrivenPath] = {}
         self._sampled_versions: dict[int, int] = {}
-        self.in_fleet = is_compiled(driver)
+        self.in_fleet = self.attachment.is_compiled
         self._failure: DriverError | None = None
         if self.in_fleet:
             self._join_fleet()
@@ -62,13 +62,13 @@ class DriverControl:
     @property
     def limit_notices(self) -> dict[str, str]:
         """A sentence without full stop for each limit of the vehicle that the driver exceeded."""
-        return self._attachment.limit_notices
+        return self.attachment.limit_notices
 
     def _join_fleet(self) -> None:
         driver, entity = self.driver, self._world.entities[self.entity]
         assert is_compiled(driver)
         try:
-            self._attachment.start(self._make_start())
+            self.attachment.start(self._make_start())
         except DriverError as failure:
             # The fleet needs a started driver.
             self._failure = failure
@@ -76,18 +76,18 @@ class DriverControl:
             built_in.start(driver, self._world.scenarios, len(self._others))
         bounds = {"acceleration": entity.max_acceleration, "deceleration": entity.max_deceleration}
         for limit, value in limit_driver_acceleration(driver, *bounds.values()).items():
-            self._attachment.note_exceeded_limit(limit, bounds[limit], f"it would go up to {value:.6g} m/s²")
+            self.attachment.note_exceeded_limit(limit, bounds[limit], f"it would go up to {value:.6g} m/s²")
 
     def reset_driver(self) -> None:
         """Reset the driver when the batch starts; this may be user code, which may fail."""
         if self._failure is not None:
             raise self._failure
         if not self.in_fleet:
-            self._attachment.start(self._make_start())
+            self.attachment.start(self._make_start())
 
     def release_driver(self) -> None:
         """Release what the driver holds when the batch has ended."""
-        self._attachment.release()
+        self.attachment.release()
 
     def _make_start(self) -> Start:
         world, entity = self._world, self._world.entities[self.entity]
@@ -112,7 +112,7 @@ class DriverControl:
             seeds=(0,) * n,
             others=self._others_name,
             network=world.network,
-            friction=np.ones(n),
+            friction=world.friction,
         )
 
     def step(self, dt: float) -> None:
@@ -123,14 +123,17 @@ class DriverControl:
         for k, track in enumerate(world.tracks[e]):
             rows = active & (track_numbers == k)
             if any_true(rows) and not (isinstance(track, Trajectory) and track.times is not None):
-                self._apply(self._attachment.step(self._make_situation(k, track, dt, rows)), rows)
+                self._apply(self.attachment.step(self._make_situation(k, track, dt, rows)), rows)
 
     def _apply(self, decision: Decision, rows: BoolArray) -> None:
         """Do what the driver decides in the scenarios of a mask."""
         world, e = self._world, self.entity
         for n, failure in decision.failures.items():
             world.fail(np.arange(world.scenarios) == n, failure)
-        np.copyto(world.speed[e], decision.speed, where=rows & world.running)
+        deciding = rows & world.running
+        if self.attachment.vehicle is not None:
+            world.pace[e][deciding] = 0.5 * (world.speed[e] + decision.speed)[deciding]
+        np.copyto(world.speed[e], decision.speed, where=deciding)
 
     def _make_situation(self, track_number: int, track: Track, dt: float, rows: BoolArray) -> Situation:
         world, e, box = self._world, self.entity, self._world.entities[self.entity]
