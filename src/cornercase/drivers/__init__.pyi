@@ -32,6 +32,7 @@ from .sensors._sensor import SENSORS as SENSORS
 from .sensors._sensor import Sensor as Sensor
 from .vehicles._actuated import Actuators as Actuators
 from .vehicles._kinematic import Kinematic as Kinematic
+from .vehicles._single_track import SingleTrack as SingleTrack
 from .vehicles._vehicle_model import VEHICLES as VEHICLES
 from .vehicles._vehicle_model import PlanarMotion as PlanarMotion
 from .vehicles._vehicle_model import VehicleModel as VehicleModel

@@ -11,7 +11,7 @@ import numpy as np
 from cornercase._common.errors import InputError
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase._common.validation import check_float
-from cornercase.drivers._function import Body, Start
+from cornercase.drivers._function import Start
 from cornercase.drivers.vehicles._kernels.actuators import N_STATE, SPEED, Vehicles, change_speeds, count_requests
 from cornercase.drivers.vehicles._vehicle_model import PlanarMotion, VehicleModel
 
@@ -48,16 +48,20 @@ class ActuatedVehicle(VehicleModel):
     def start(self, start: Start) -> None:
         """Reset all state for a batch."""
         names, n = (*_PARAMETERS, *self.parameter_names), start.scenarios
+        body = start.body
         values: dict[str, Any] = {"steering_delay": 0.0, "steering_lag": 0.0, "max_steering_rate": math.inf}
-        values |= self._body_parameters(start.body) | self._parameters | dict(start.parameters)
+        values |= {"max_speed": body.max_speed, "max_steering": body.max_steering, "wheelbase": body.wheelbase}
+        values |= self._parameters | dict(start.parameters)
+        values |= self._derived_parameters(values)
         parameters = np.stack([np.broadcast_to(values[name], n) for name in names], axis=1).astype(np.float64)
         size = count_requests(parameters[:, [names.index("delay"), names.index("steering_delay")]], start.time_step)
         state = np.zeros((n, N_STATE))
         state[:, SPEED] = np.nan
         self._vehicles = Vehicles(np.ascontiguousarray(parameters), state, np.zeros((n, 2, size)))
 
-    def _body_parameters(self, body: Body) -> dict[str, float]:
-        return {"max_speed": body.max_speed, "max_steering": body.max_steering, "wheelbase": body.wheelbase}
+    def _derived_parameters(self, values: dict[str, Any]) -> dict[str, Any]:
+        """Return parameters that follow from others."""
+        return {}
 
 
 class Actuators(ActuatedVehicle):

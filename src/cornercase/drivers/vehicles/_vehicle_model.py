@@ -93,3 +93,4 @@ VEHICLES: Final[Registry[VehicleModel]] = Registry("vehicle", "cornercase.vehicl
 
 VEHICLES.register("actuators", "cornercase.drivers.vehicles._actuated:Actuators")
 VEHICLES.register("kinematic", "cornercase.drivers.vehicles._kinematic:Kinematic")
+VEHICLES.register("single-track", "cornercase.drivers.vehicles._single_track:SingleTrack")

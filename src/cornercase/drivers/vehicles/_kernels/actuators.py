@@ -33,9 +33,10 @@ GRAVITY: Final = 9.81
 ) = range(10)
 """Columns of `Vehicles.parameters`; those of a model's own follow."""
 
-ACCELERATION, STEERING, SPEED, STEPS, YAW_RATE, SLIP = range(6)
-"""Columns of `Vehicles.state`. The speed is the last one that the model returned; NaN before."""
-N_STATE: Final = 6
+ACCELERATION, STEERING, SPEED, STEPS, YAW_RATE, SLIP, VELOCITY = range(7)
+"""Columns of `Vehicles.state`. The speed is the last one that the model returned; NaN before. Yaw rate, slip angle and
+velocity are those of the centre of gravity, of a model in which tyres slip."""
+N_STATE: Final = 7
 
 # A speed in m/s that differs by more from what the model returned was set by something else.
 _TOLERANCE: Final = 1e-6
@@ -47,7 +48,7 @@ class Vehicles(NamedTuple):
     """Parameters and state of a vehicle in N scenarios, or of several one after another, for kernels."""
 
     parameters: FloatArray  # (N, P): columns as above, in m, s and rad
-    state: FloatArray  # (N, 6): columns as above
+    state: FloatArray  # (N, 7): columns as above
     requests: FloatArray  # (N, 2, R): the last requests of acceleration and steering, as rings
 
 
@@ -63,10 +64,24 @@ def begin_step(vehicles, n, speed, acceleration, request, steering):
     if not abs(speed - state[SPEED]) <= _TOLERANCE:
         state[ACCELERATION] = acceleration if math.isfinite(acceleration) and speed > 0.0 else 0.0
         state[STEERING] = state[STEPS] = state[YAW_RATE] = state[SLIP] = 0.0
+        state[VELOCITY] = speed
         for k in range(requests.shape[1]):
             requests[0, k], requests[1, k] = state[ACCELERATION], 0.0
     index = int(state[STEPS]) % requests.shape[1]
     requests[0, index], requests[1, index] = request, steering
+
+
+@plain_kernel
+def longitudinal_grip(vehicles, n, grip, lateral, time_step):
+    """Return the highest acceleration in m/s² that tyres with this grip allow beside the lateral one that is wanted.
+
+    Of the requested and the lateral acceleration, the tyres do the same share.
+    """
+    delay, requests = vehicles.parameters[n, DELAY], vehicles.requests[n, 0]
+    index = int(vehicles.state[n, STEPS]) - math.floor(delay / time_step + _ROUNDING)
+    request, lateral = min(abs(requests[index % requests.size]), grip), min(abs(lateral), grip)
+    wanted = math.hypot(request, lateral)
+    return grip if wanted <= grip else grip * request / wanted
 
 
 @plain_kernel
