@@ -245,7 +245,9 @@ class Mixed(cc.SystemUnderTest):
             return cc.Control(acceleration=-1.0, steering=0.02 * np.sin(view.time))
         if self.kind == 2:
             time = view.time + np.array([0.0, 1.0, 2.0])
-            return cc.Control(trajectory=Trajectory(time, ego.x + np.array([0.0, 20.0, 38.0]), ego.y + np.array([0, 0, 1])))
+            return cc.Control(
+                trajectory=Trajectory(time, ego.x + np.array([0.0, 20.0, 38.0]), ego.y + np.array([0, 0, 1]))
+            )
         return cc.Control(throttle=0.2, steering=0.01 if view.time < 1.0 else None)
 
 

@@ -240,10 +240,17 @@ class World:
                 self.errors[i] = SimulationError(f"{acting}{reason}{instant}")
         self.running &= ~where
 
-    def add_notice(self, location: str, subject: str, reason: str, where: BoolArray) -> None:
+    def add_notice(
+        self,
+        location: str,
+        subject: str,
+        reason: str,
+        where: BoolArray,
+        label: NoticeLabel = NoticeLabel.ADAPTED,
+    ) -> None:
         """Note that `subject` at `location` (file and line) is not run as written, but as `reason` says."""
         first = np.flatnonzero(where & self.running)
-        sentence = f"{NoticeLabel.ADAPTED}: {subject} ({location}): {reason}"
+        sentence = f"{label}: {subject} ({location}): {reason}"
         if first.size and not any(notice.startswith(f"{sentence}; ") for notice in self.notices):
             self.notices[f"{sentence}; first at {self.time[first[0]]:.6g} s"] = None
 
