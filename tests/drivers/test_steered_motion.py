@@ -86,7 +86,7 @@ class Pedals(cc.SystemUnderTest):
 def test_pedals_ask_for_a_part_of_what_the_vehicle_can_do():
     _, ego = drive(Pedals())
     assert ego["acceleration"][10] == pytest.approx(4.0)
-    assert ego["acceleration"][40] == pytest.approx(-4.5)
+    assert ego["acceleration"][40] == pytest.approx(-5.0)
 
 
 def test_who_steers_off_the_road_is_asked_on():

@@ -41,8 +41,9 @@ class DriverControl:
 
     def __init__(self, world: World, entity: int, driver: Driver) -> None:
         self._world, self.entity = world, entity
-        self._attachment = Attachment(driver, world.names[entity])
-        self.driver = driver
+        self.attachment = Attachment(driver, world.names[entity])
+        self.in_fleet = self.attachment.is_compiled
+        self.driver = self.attachment.driver if self.in_fleet else driver
         self.number = len(world.drivers)
         world.drivers.append(self)
         self._others = [other for e, other in enumerate(world.entities) if e != entity]
@@ -52,7 +53,6 @@ class DriverControl:
         self._others_name = tuple(other.name for other in self._others)
         self._paths: dict[int, DrivenPath] = {}
         self._sampled_versions: dict[int, int] = {}
-        self.in_fleet = is_compiled(driver)
         self._failure: DriverError | None = None
         if self.in_fleet:
             self._join_fleet()
@@ -60,13 +60,13 @@ class DriverControl:
     @property
     def limit_notices(self) -> dict[str, str]:
         """A sentence without full stop for each limit of the vehicle that the driver exceeded."""
-        return self._attachment.limit_notices
+        return self.attachment.limit_notices
 
     def _join_fleet(self) -> None:
         driver, entity = self.driver, self._world.entities[self.entity]
         assert is_compiled(driver)
         try:
-            self._attachment.start(self._make_start())
+            self.attachment.start(self._make_start())
         except DriverError as failure:
             # The fleet needs a started driver.
             self._failure = failure
@@ -74,18 +74,18 @@ class DriverControl:
             built_in.start(driver, self._world.scenarios, len(self._others))
         bounds = {"acceleration": entity.max_acceleration, "deceleration": entity.max_deceleration}
         for limit, value in limit_driver_acceleration(driver, *bounds.values()).items():
-            self._attachment.note_exceeded_limit(limit, bounds[limit], f"it would go up to {value:.6g} m/s²")
+            self.attachment.note_exceeded_limit(limit, bounds[limit], f"it would go up to {value:.6g} m/s²")
 
     def reset_driver(self) -> None:
         """Reset the driver when the batch starts; this may be user code, which may fail."""
         if self._failure is not None:
             raise self._failure
         if not self.in_fleet:
-            self._attachment.start(self._make_start())
+            self.attachment.start(self._make_start())
 
     def release_driver(self) -> None:
         """Release what the driver holds when the batch has ended."""
-        self._attachment.release()
+        self.attachment.release()
 
     def _make_start(self) -> Start:
         world, entity = self._world, self._world.entities[self.entity]
@@ -110,7 +110,7 @@ class DriverControl:
             seeds=(0,) * n,
             others=self._others_name,
             network=world.network,
-            friction=np.ones(n),
+            friction=world.friction,
         )
 
     def step(self, dt: float) -> None:
@@ -123,7 +123,7 @@ class DriverControl:
             rows = active & (track_numbers == k)
             if any_true(rows) and not (isinstance(track, Trajectory) and track.times is not None):
                 situation = self._make_situation(k, track, dt, rows)
-                self._apply(self._attachment.step(situation, self._motion_at_start()), rows)
+                self._apply(self.attachment.step(situation, self._motion_at_start()), rows)
 
     def _motion_at_start(self) -> PlanarMotion:
         """Return the motion at the start of the step, in which an action may have moved the entity already."""
@@ -141,6 +141,8 @@ class DriverControl:
             world.fail(np.arange(world.scenarios) == n, failure)
         rows = rows & world.running
         world.steered[e][rows] = motion.is_steered[rows]
+        if self.attachment.vehicle is not None:
+            world.pace[e][rows] = 0.5 * (world.speed[e] + motion.state.speed)[rows]
         np.copyto(world.speed[e], motion.state.speed, where=rows)
         if any_true(steered := rows & motion.is_steered):
             move_to_pose(world, e, motion.state.x, motion.state.y, motion.state.heading, steered)
