@@ -99,9 +99,10 @@ class World:
     scenarios whose storyboard has changed in this frame. `started`: whether the first frame is over, in which nothing
     moves.
 
-    Motion: `step_velocity` in m/s and `step_acceleration` in m/s² of the last step, as x and y. `needs_road_check`:
-    whether a condition asks for entities off the road. `tracks`: all tracks that each entity has followed. `routes`:
-    all assigned routes, as (road, lane, s). `lane_tracks`: cache of tracks along lanes.
+    Motion: `friction` (N,): coefficient of the road, for vehicle models. `step_velocity` in m/s and `step_acceleration`
+    in m/s² of the last step, as x and y. `needs_road_check`: whether a condition asks for entities off the road.
+    `tracks`: all tracks that each entity has followed. `routes`: all assigned routes, as (road, lane, s).
+    `lane_tracks`: cache of tracks along lanes.
 
     Storyboard: `variables` and `parameters`: values (N,), numbers or texts. `signals`: states (N,), texts.
     `selections`: rows of entities. `positioned_entity`: row of the entity whose position is being resolved.
@@ -147,6 +148,7 @@ class World:
     driven: BoolArray
     visible: BoolArray
     jumped: BoolArray
+    steered: BoolArray
     track: IntArray
     route: IntArray
     last_road: IntArray
@@ -182,6 +184,7 @@ class World:
         self.step_acceleration = (self.floats[:, PULL_X].T, self.floats[:, PULL_Y].T)
         self.overlaps = np.zeros((scenarios, len(entities), len(entities)), dtype=np.bool_)
         self.overlapping = self.overlaps.transpose(1, 2, 0)
+        self.friction = np.ones(scenarios)
         self.signals: dict[str, npt.NDArray[np.str_]] = {}
         self.signal_controllers: dict[str, SignalController] = {}
         self.drivers: list[SpeedController] = []
@@ -237,10 +240,17 @@ class World:
                 self.errors[i] = SimulationError(f"{acting}{reason}{instant}")
         self.running &= ~where
 
-    def add_notice(self, location: str, subject: str, reason: str, where: BoolArray) -> None:
+    def add_notice(
+        self,
+        location: str,
+        subject: str,
+        reason: str,
+        where: BoolArray,
+        label: NoticeLabel = NoticeLabel.ADAPTED,
+    ) -> None:
         """Note that `subject` at `location` (file and line) is not run as written, but as `reason` says."""
         first = np.flatnonzero(where & self.running)
-        sentence = f"{NoticeLabel.ADAPTED}: {subject} ({location}): {reason}"
+        sentence = f"{label}: {subject} ({location}): {reason}"
         if first.size and not any(notice.startswith(f"{sentence}; ") for notice in self.notices):
             self.notices[f"{sentence}; first at {self.time[first[0]]:.6g} s"] = None
 
