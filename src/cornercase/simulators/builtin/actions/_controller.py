@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from weakref import WeakKeyDictionary
-
 import numpy as np
 from lxml import etree
 
@@ -14,10 +12,9 @@ from cornercase._common.plugin_errors import is_built_in
 from cornercase._common.typing import BoolArray
 from cornercase.drivers import DrivenPath, Driver, Situation
 from cornercase.drivers._attachment import Attachment, Decision, DriverError
-from cornercase.drivers._compiled import is_compiled, limit_driver_acceleration
-from cornercase.drivers._function import Body, Start
+from cornercase.drivers._compiled import is_compiled
+from cornercase.drivers._function import Start
 from cornercase.drivers._resolve import create_driver_named_in_file
-from cornercase.roads._lane_path import LanePath
 from cornercase.scenario._file import DRIVER_PROPERTY
 from cornercase.scenario._scope import Scope
 from cornercase.simulators.builtin.actions._action import Action
@@ -30,8 +27,6 @@ from cornercase.simulators.builtin.world._world import World
 _SAMPLE_SPACING, _EXTENSION_LENGTH, _MAX_LENGTH = 0.5, 200.0, 2000.0
 # Number of points of trajectories that are computed at once.
 _MAX_POINTS = 10_000
-
-_LANE_PATH_CACHE: WeakKeyDictionary[LanePath, DrivenPath] = WeakKeyDictionary()
 
 
 class DriverControl:
@@ -65,8 +60,7 @@ class DriverControl:
         return self._attachment.limit_notices
 
     def _join_fleet(self) -> None:
-        driver, entity = self.driver, self._world.entities[self.entity]
-        assert is_compiled(driver)
+        driver = self.driver
         try:
             self._attachment.start(self._make_start())
         except DriverError as failure:
@@ -74,9 +68,6 @@ class DriverControl:
             self._failure = failure
             built_in = next(base for base in type(driver).__mro__ if is_built_in(base) and issubclass(base, Driver))
             built_in.start(driver, self._world.scenarios, len(self._others))
-        bounds = {"acceleration": entity.max_acceleration, "deceleration": entity.max_deceleration}
-        for limit, value in limit_driver_acceleration(driver, *bounds.values()).items():
-            self._attachment.note_exceeded_limit(limit, bounds[limit], f"it would go up to {value:.6g} m/s²")
 
     def reset_driver(self) -> None:
         """Reset the driver when the batch starts; this may be user code, which may fail."""
@@ -92,20 +83,8 @@ class DriverControl:
     def _make_start(self) -> Start:
         world, entity = self._world, self._world.entities[self.entity]
         n = world.scenarios
-        body = Body(
-            entity.name,
-            entity.kind,
-            entity.length,
-            entity.width,
-            entity.center_x,
-            entity.wheelbase,
-            entity.max_steering,
-            entity.max_speed,
-            entity.max_acceleration,
-            entity.max_deceleration,
-        )
         return Start(
-            body=body,
+            body=entity.driven_body,
             time_step=world.time_step,
             parameters={},
             values=({},) * n,
@@ -172,23 +151,14 @@ class DriverControl:
         """Return the path along one of the entity's tracks, in the form that drivers get."""
         if isinstance(track, LaneTrack):
             if track_number not in self._paths:
-                self._paths[track_number] = _lane_path(track.path)
+                self._paths[track_number] = track.driven_path
         elif isinstance(track, Trajectory) and self._sampled_versions.get(track_number) != track.version:
             # A restarted trajectory may have another shape.
-            self._paths[track_number], self._sampled_versions[track_number] = _sample_trajectory(track), track.version
+            self._paths[track_number], self._sampled_versions[track_number] = sample_trajectory(track), track.version
         return self._paths[track_number]
 
 
-def _lane_path(lane_path: LanePath) -> DrivenPath:
-    """Return the path along a lane for drivers; it is cached, so that plans along it serve all batches."""
-    if lane_path not in _LANE_PATH_CACHE:
-        _LANE_PATH_CACHE[lane_path] = DrivenPath(
-            lane_path.distance, lane_path.x, lane_path.y, lane_path.heading, lane_path.curvature
-        )
-    return _LANE_PATH_CACHE[lane_path]
-
-
-def _sample_trajectory(track: Trajectory) -> DrivenPath:
+def sample_trajectory(track: Trajectory) -> DrivenPath:
     """Return samples of a trajectory, which may differ between scenarios, as a path for drivers.
 
     Distances are the same in all scenarios, and extend further than a driver looks. So what the driver sees in a
