@@ -104,7 +104,9 @@ def _read_trajectory(
 
 
 class DrivenEntity:
-    """An entity in a run of esmini whose speed a driver decides, while esmini keeps it on its lane or trajectory.
+    """An entity in a run of esmini whose speed a driver decides, and whose pose, where it is steered.
+
+    Otherwise esmini keeps it on its lane or trajectory.
 
     In each time step esmini is first told the speed at the end of the step, with which it moves the entity. If an
     action of the storyboard then sets another speed, this is the new target speed, and the entity is moved on, or back,
@@ -129,6 +131,7 @@ class DrivenEntity:
         self._previous_speed: float | None = None
         # What the driver has decided for this step, and what esmini is told until it has moved the entity.
         self._speed: float | None = None
+        self._pose: tuple[float, float, float] | None = None
         self._marked_speed = math.nan
         self._error: BaseException | None = None
         # Keep a reference: esmini only stores the address.
@@ -154,7 +157,7 @@ class DrivenEntity:
 
         `speeds` has the speeds that drivers have already decided for this step.
         """
-        state, self._speed = states.get(self._entity.name), None
+        state, self._speed, self._pose = states.get(self._entity.name), None, None
         if state is None:
             return None
         if self._previous_speed is None:
@@ -173,7 +176,11 @@ class DrivenEntity:
             return error.error
         if 0 in decision.failures:
             return decision.failures[0]
-        self._speed = speeds[self._entity.name] = float(decision.speed[0])
+        motion = decision.motion.state
+        self._speed = speeds[self._entity.name] = float(motion.speed[0])
+        if decision.motion.is_steered[0]:
+            self._pose = float(motion.x[0]), float(motion.y[0]), float(motion.heading[0])
+            self._lib.SE_ReportObjectPosXYH(state.id, *self._pose)
         # No action sets exactly this speed, not even one that stops an entity that stands.
         self._marked_speed = math.nextafter(self._speed, math.inf)
         self._lib.SE_ReportObjectSpeed(state.id, self._marked_speed)
@@ -195,6 +202,9 @@ class DrivenEntity:
             self._error = error
 
     def _correct_motion(self, state: ObjectState, speed: float) -> None:
+        if self._pose is not None:
+            # A lateral action may have moved it.
+            self._lib.SE_ReportObjectPosXYH(state.id, *self._pose)
         if state.speed == self._marked_speed:
             return
         self._path.update(state)
@@ -203,7 +213,8 @@ class DrivenEntity:
             self._speed = 0.0
             return
         self._target_speed = state.speed
-        self._path.move(state, (speed - state.speed) * self._time_step)
+        if self._pose is None:
+            self._path.move(state, (speed - state.speed) * self._time_step)
 
     def _make_situation(
         self,

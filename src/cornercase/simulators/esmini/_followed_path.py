@@ -10,6 +10,7 @@ import numpy as np
 
 from cornercase._common.geometry.boxes import is_facing_forward
 from cornercase.drivers import DrivenPath
+from cornercase.drivers._lanes import driven_path
 from cornercase.roads._network import RoadNetwork
 from cornercase.simulators.builtin.actions._controller import sample_trajectory
 from cornercase.simulators.builtin.tracks._lane import LaneTrack
@@ -90,7 +91,7 @@ class FollowedPath:
         along = bool(is_facing_forward(state.h - network.roads[road].reference_pose(s)[2])[0])
         track = LaneTrack.from_lane(network, road, state.lane, state.s, along, tuple(points[passed:]))
         if track is not None:
-            self._track, self._route, self.path = track, route, track.driven_path
+            self._track, self._route, self.path = track, route, driven_path(track.path)
             self.distance = float(track.distance_at_s(s)[0])
 
     def _find_on(self, track: Track, state: ObjectState) -> None:

@@ -87,6 +87,7 @@ def load_library(path: Path) -> ctypes.CDLL:
         "SE_SetParameterBool": (number, [text, ctypes.c_bool]),
         "SE_RegisterObjectCallback": (None, [number, OBJECT_CALLBACK, ctypes.c_void_p]),
         "SE_ReportObjectSpeed": (number, [number, ctypes.c_double]),
+        "SE_ReportObjectPosXYH": (number, [number, ctypes.c_double, ctypes.c_double, ctypes.c_double]),
         "SE_ReportObjectRoadPos": (number, [number, ctypes.c_uint32, number, ctypes.c_double, ctypes.c_double]),
         "SE_GetRoadIdString": (text, [ctypes.c_uint32]),
         "SE_GetRoadIdFromString": (ctypes.c_uint32, [text]),

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 from typing import Final
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from cornercase._common.typing import FloatArray, IntArray
-from cornercase.drivers import DrivenPath
 from cornercase.roads._lane_path import LanePath
 from cornercase.roads._network import RoadNetwork
 from cornercase.simulators.builtin.track_kernels._lane_track import advance_on_lane_path
@@ -20,8 +18,6 @@ from cornercase.simulators.builtin.tracks._track import Pose, Track
 # m; largest margin before the cut end of a path at which an entity changes to the next path.
 _MAX_MARGIN_AHEAD: Final = 1000.0
 _MAX_MARGIN_BEHIND: Final = 250.0
-
-_DRIVEN_PATHS: WeakKeyDictionary[LanePath, DrivenPath] = WeakKeyDictionary()
 
 
 class LaneTrack(Track):
@@ -56,14 +52,6 @@ class LaneTrack(Track):
         table.size[0], table.n_curvatures[0] = path.x.size, path.curvature_distance.size
         table.max_sample_gap[0], table.length[0], table.span[0] = path.max_chord, self.length, self.span
         return table
-
-    @property
-    def driven_path(self) -> DrivenPath:
-        """The path for drivers, cached by lane path, so that plans along it serve all batches."""
-        path = self.path
-        if path not in _DRIVEN_PATHS:
-            _DRIVEN_PATHS[path] = DrivenPath(path.distance, path.x, path.y, path.heading, path.curvature)
-        return _DRIVEN_PATHS[path]
 
     def distance_at_s(self, s: FloatArray) -> FloatArray:
         """Return the distance along the track for an s on the road for which it was created."""
