@@ -25,10 +25,12 @@ from cornercase.simulators.builtin.tracks._track import Trajectory
 from cornercase.simulators.builtin.world._world import Entity, World
 from cornercase.simulators.esmini._drivable import find_initial_trajectory, has_initial_speed
 from cornercase.simulators.esmini._followed_path import FollowedPath
-from cornercase.simulators.esmini._library import OBJECT_CALLBACK, ObjectState
+from cornercase.simulators.esmini._library import ObjectState, call_after_moves
 
 # Bit of `ObjectState.visible`: others see the entity.
 _SEEN_BY_TRAFFIC: Final = 2
+# Distance in m that a driver's pose may be from where esmini moves the entity, besides what it goes in the step.
+_MAX_DEVIATION: Final = 1.0
 
 
 def start_drivers(
@@ -111,6 +113,7 @@ class DrivenEntity:
     In each time step esmini is first told the speed at the end of the step, with which it moves the entity. If an
     action of the storyboard then sets another speed, this is the new target speed, and the entity is moved on, or back,
     to where it is with the speed that the driver has decided. `sets_speed`: whether an initial action sets the speed.
+    `was_moved`: whether the last step ended at another pose than the one for which esmini has looked for collisions.
     """
 
     def __init__(
@@ -124,6 +127,7 @@ class DrivenEntity:
         time_step: float,
     ) -> None:
         self._lib, self._entity, self._others, self._path = lib, entity, others, path
+        self.name = entity.name
         self._attachment = Attachment(driver, entity.name)
         self._time_step = time_step
         self._sets_speed = sets_speed
@@ -132,10 +136,10 @@ class DrivenEntity:
         # What the driver has decided for this step, and what esmini is told until it has moved the entity.
         self._speed: float | None = None
         self._pose: tuple[float, float, float] | None = None
+        self.was_moved = False
+        self._has_moved = False
         self._marked_speed = math.nan
         self._error: BaseException | None = None
-        # Keep a reference: esmini only stores the address.
-        self._callback = OBJECT_CALLBACK(self._after_move)
 
     @property
     def limit_notices(self) -> Mapping[str, str]:
@@ -157,11 +161,13 @@ class DrivenEntity:
 
         `speeds` has the speeds that drivers have already decided for this step.
         """
-        state, self._speed, self._pose = states.get(self._entity.name), None, None
+        state = states.get(self.name)
+        self._speed = self._pose = None
+        self.was_moved = self._has_moved = False
         if state is None:
             return None
         if self._previous_speed is None:
-            self._lib.SE_RegisterObjectCallback(state.id, self._callback, None)
+            call_after_moves(self._lib, state.id, self._after_move)
             self._previous_speed = state.speed
             if self._sets_speed:
                 self._target_speed = state.speed
@@ -177,10 +183,9 @@ class DrivenEntity:
         if 0 in decision.failures:
             return decision.failures[0]
         motion = decision.motion.state
-        self._speed = speeds[self._entity.name] = float(motion.speed[0])
+        self._speed = speeds[self.name] = float(motion.speed[0])
         if decision.motion.is_steered[0]:
             self._pose = float(motion.x[0]), float(motion.y[0]), float(motion.heading[0])
-            self._lib.SE_ReportObjectPosXYH(state.id, *self._pose)
         # No action sets exactly this speed, not even one that stops an entity that stands.
         self._marked_speed = math.nextafter(self._speed, math.inf)
         self._lib.SE_ReportObjectSpeed(state.id, self._marked_speed)
@@ -190,21 +195,30 @@ class DrivenEntity:
         """Raise the exception that occurred while esmini made the step, if any."""
         if self._error is not None:
             raise self._error
+        if self._speed is not None and not self._has_moved:
+            raise InputError(
+                f"esmini's library does not say when it has moved '{self.name}', so that no driver can drive it; use"
+                " esmini 3.6."
+            )
 
-    def _after_move(self, state: ctypes._Pointer[ObjectState], _: object) -> None:
+    def _after_move(self, state: ObjectState) -> None:
         """Correct the motion that esmini has just computed, before it derives velocities from it."""
         try:
+            self._has_moved = True
             if self._speed is not None:
-                self._correct_motion(state.contents, self._speed)
-                self._lib.SE_ReportObjectSpeed(state.contents.id, self._speed)
+                self._correct_motion(state, self._speed)
+                self._lib.SE_ReportObjectSpeed(state.id, self._speed)
         except BaseException as error:
             # An exception must not pass through esmini.
             self._error = error
 
     def _correct_motion(self, state: ObjectState, speed: float) -> None:
         if self._pose is not None:
-            # A lateral action may have moved it.
-            self._lib.SE_ReportObjectPosXYH(state.id, *self._pose)
+            x, y, heading = self._pose
+            # Otherwise an action has placed it elsewhere.
+            if math.hypot(state.x - x, state.y - y) <= (speed + abs(state.speed)) * self._time_step + _MAX_DEVIATION:
+                self.was_moved = True
+                self._lib.SE_ReportObjectPosXYH(state.id, x, y, heading)
         if state.speed == self._marked_speed:
             return
         self._path.update(state)
@@ -214,6 +228,7 @@ class DrivenEntity:
             return
         self._target_speed = state.speed
         if self._pose is None:
+            self.was_moved = True
             self._path.move(state, (speed - state.speed) * self._time_step)
 
     def _make_situation(

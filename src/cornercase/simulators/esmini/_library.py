@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
@@ -45,7 +46,26 @@ class RoutePoint(ctypes.Structure):
 
 
 PARAMETER_CALLBACK: Final = ctypes.CFUNCTYPE(None, ctypes.c_void_p)
-OBJECT_CALLBACK: Final = ctypes.CFUNCTYPE(None, ctypes.POINTER(ObjectState), ctypes.c_void_p)
+_OBJECT_CALLBACK: Final = ctypes.CFUNCTYPE(None, ctypes.POINTER(ObjectState), ctypes.c_void_p)
+# What to call when an object has been moved, by its id.
+_RECEIVERS: Final = dict[int, Callable[[ObjectState], None]]()
+# Loaded libraries and ids of objects for which esmini has `_call_receiver`, which it never forgets.
+_REGISTERED: Final = set[tuple[int, int]]()
+
+
+@_OBJECT_CALLBACK
+def _call_receiver(state: ctypes._Pointer[ObjectState], _: object) -> None:
+    _RECEIVERS[state.contents.id](state.contents)
+
+
+def call_after_moves(lib: ctypes.CDLL, object_id: int, receiver: Callable[[ObjectState], None]) -> None:
+    """Let esmini call `receiver` in each step of this run, once it has moved an object; it must not raise."""
+    _RECEIVERS[object_id] = receiver
+    # esmini wants a function in each run, and calls all functions of earlier runs, too: let the later ones do nothing.
+    key = lib._handle, object_id
+    nothing = ctypes.cast(lib.SE_GetQuitFlag, _OBJECT_CALLBACK)
+    lib.SE_RegisterObjectCallback(object_id, nothing if key in _REGISTERED else _call_receiver, None)
+    _REGISTERED.add(key)
 
 
 def find_library_path(library: str | None) -> Path:
@@ -85,7 +105,7 @@ def load_library(path: Path) -> ctypes.CDLL:
         "SE_SetParameterDouble": (number, [text, ctypes.c_double]),
         "SE_SetParameterInt": (number, [text, number]),
         "SE_SetParameterBool": (number, [text, ctypes.c_bool]),
-        "SE_RegisterObjectCallback": (None, [number, OBJECT_CALLBACK, ctypes.c_void_p]),
+        "SE_RegisterObjectCallback": (None, [number, _OBJECT_CALLBACK, ctypes.c_void_p]),
         "SE_ReportObjectSpeed": (number, [number, ctypes.c_double]),
         "SE_ReportObjectPosXYH": (number, [number, ctypes.c_double, ctypes.c_double, ctypes.c_double]),
         "SE_ReportObjectRoadPos": (number, [number, ctypes.c_uint32, number, ctypes.c_double, ctypes.c_double]),

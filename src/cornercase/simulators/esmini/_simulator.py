@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Iterator, Mapping, Sequence
+import math
+from collections.abc import Iterator, Mapping, Sequence, Set
 from functools import cached_property
+from itertools import combinations
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
 from cornercase._common.errors import InputError, SimulationError
+from cornercase._common.geometry.boxes import box_corners, boxes_overlap
 from cornercase.drivers import Behaviour, Driver
 from cornercase.drivers._attachment import DriverError
 from cornercase.drivers._resolve import check_drivers
@@ -139,8 +142,7 @@ class Esmini(Simulator):
             )
         reference = scenario.road_reference_for()
         road = scenario.road_path(reference) if reference else None
-        if road not in (
-            None,
+        if road is not None and road not in (
             scenario.resolve_path(reference, "road file"),
             scenario.path.with_name(Path(reference).name),
         ):
@@ -203,7 +205,8 @@ class Esmini(Simulator):
         cut_off = False
         for step in range(steps + 1):
             time = step * self._time_step
-            collides = log.record_state(time) if step else collides
+            if step:
+                collides = log.record_state(time, {entity.name for entity in driven if entity.was_moved})
             if step == steps or (collides and self._stop_on_collision):
                 cut_off = step == steps and scenario.root.find("Storyboard/StopTrigger//Condition") is not None
                 break
@@ -212,11 +215,11 @@ class Esmini(Simulator):
                 if (failure := entity.decide(log.states, speeds, time)) is not None:
                     return failure
             lib.SE_StepDT(self._time_step)
-            for entity in driven:
-                entity.check_step()
             # The step in which the storyboard stops is not recorded.
             if lib.SE_GetQuitFlag() != 0:
                 break
+            for entity in driven:
+                entity.check_step()
         return log.make_recording(self._time_step, cut_off)
 
 
@@ -231,8 +234,11 @@ class _StateLog:
         self._colliding_pairs: set[tuple[str, str]] = set()
         self._collisions: dict[tuple[str, str], float] = {}
 
-    def record_state(self, time: float) -> bool:
-        """Record the current state; return whether a collision has begun."""
+    def record_state(self, time: float, moved: Set[str] = frozenset()) -> bool:
+        """Record the current state; return whether a collision has begun.
+
+        `moved`: entities that have been moved since esmini has looked for collisions.
+        """
         lib, row, names = self._lib, {}, {}
         ids = [lib.SE_GetId(k) for k in range(lib.SE_GetNumberOfObjects())]
         self.states = {}
@@ -249,11 +255,23 @@ class _StateLog:
                 if (other := lib.SE_GetObjectCollision(object_id, k)) in names:
                     first, second = sorted((names[object_id], names[other]), key=list(self._boxes).index)
                     touching.add((first, second))
+        if moved:
+            touching = {pair for pair in touching if not moved & {*pair}} | self._find_overlaps(moved)
         new_pairs = touching - self._colliding_pairs
         self._colliding_pairs = touching
         for pair in sorted(new_pairs):
             self._collisions.setdefault(pair, time)
         return bool(new_pairs)
+
+    def _find_overlaps(self, moved: Set[str]) -> set[tuple[str, str]]:
+        """Return the pairs whose boxes overlap now, with at least one of the `moved` entities."""
+        corners = {}
+        for name, state in self.states.items():
+            x = state.x + state.center_x * math.cos(state.h) - state.center_y * math.sin(state.h)
+            y = state.y + state.center_x * math.sin(state.h) + state.center_y * math.cos(state.h)
+            corners[name] = box_corners(x, y, state.h, state.length, state.width)
+        pairs = combinations([name for name in self._boxes if name in corners], 2)
+        return {(a, b) for a, b in pairs if moved & {a, b} and boxes_overlap(corners[a], corners[b])}
 
     def make_recording(self, time_step: float, cut_off: bool) -> Recording | SimulationError:
         """Create a recording of the recorded states; an error if no entity was ever present."""
