@@ -111,7 +111,7 @@ class SumoCoupling:
                 if name in self._types:
                     self._move_from_sumo(world, e, name)
         except self._sumo.TraCIException as error:
-            self.error = SimulationError(f"SUMO fails at {world.time:g} s ({error})")
+            self.error = SimulationError(f"SUMO fails at {world.time[0]:g} s ({error})")
             world.running[:] = False
 
     def _add_entity(self, world: World, e: int) -> None:
@@ -123,7 +123,7 @@ class SumoCoupling:
         sumo.route.add(f"route {name}", route)
         sumo.vehicle.add(
             name, f"route {name}", typeID=vehicle_type, departLane=str(start[2]), departPos=f"{start[1]:.6f}",
-            departSpeed=f"{max(float(world.speed[e, 0]), 0.0):.6f}",
+            departSpeed=f"{min(max(float(world.speed[e, 0]), 0.0), self._speed_limit(name, start)):.6f}",
         )  # fmt: skip
         # Insert it at once, even if another vehicle is there.
         sumo.vehicle.moveTo(name, f"{start[0]}_{start[2]}", start[1])
@@ -134,6 +134,11 @@ class SumoCoupling:
             sumo.vehicle.setSpeedMode(name, 32)
             sumo.vehicle.setLaneChangeMode(name, 0)
         self._added[e] = name
+
+    def _speed_limit(self, name: str, start: tuple[str, float, int]) -> float:
+        """Return the highest speed in m/s at which SUMO lets an entity start."""
+        factor = VEHICLE_TYPES.get(self._types.get(name, ""), {}).get("speedFactor", 1.0)
+        return factor * float(self._sumo.lane.getMaxSpeed(f"{start[0]}_{start[2]}"))
 
     def _make_vehicle_type(self, entity: Entity) -> str:
         sumo, name, temper = self._sumo, f"type {entity.name}", self._types.get(entity.name)
