@@ -8,6 +8,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -209,9 +210,13 @@ class Slowing(cc.SystemUnderTest):
 TARGETS: list[float] = []
 
 
+def of_ego(driver: Any) -> Any:
+    return {"Ego": driver}
+
+
 def test_a_driver_against_a_stand_in(stub, tmp_path):
     concrete = ConcreteScenario(scenario_file(tmp_path, init=moving(speed="5")), {})
-    simulator = Esmini(library=stub("ACTION"), drivers={"Ego": Slowing()})
+    simulator = Esmini(library=stub("ACTION"), drivers=of_ego(Slowing()))
     TARGETS.clear()
     first, again = ran(simulator, [concrete] * 2)
     speeds = 5.0 - 0.05 * np.arange(11)
@@ -220,10 +225,10 @@ def test_a_driver_against_a_stand_in(stub, tmp_path):
         # Each step is made with the speed at its end.
         np.testing.assert_allclose(recording.x[0], 50.0 + 0.05 * np.cumsum([0.0, *speeds[1:]]), atol=1e-9)
     np.testing.assert_array_equal(TARGETS[:11], [5.0] * 4 + [7.0] * 7)
-    (steered,) = ran(Esmini(library=stub("ACTION"), drivers={"Ego": Slowing(steers=True)}), [concrete])
+    (steered,) = ran(Esmini(library=stub("ACTION"), drivers=of_ego(Slowing(steers=True))), [concrete])
     assert steered.y[0, -1] > -1.95
     with pytest.raises(InputError, match="does not say when it has moved 'Ego'"):
-        list(Esmini(library=stub("SILENT"), drivers={"Ego": Slowing()}).run([concrete]))
+        list(Esmini(library=stub("SILENT"), drivers=of_ego(Slowing())).run([concrete]))
 
 
 def test_another_layout_and_missing_functions_are_refused(stub, tmp_path):

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 import os
+import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -95,10 +97,14 @@ class Failing(cc.SystemUnderTest):
         return math.nan
 
 
+def of_ego(driver: Any) -> Any:
+    return {"Ego": driver}
+
+
 def both(path, driver, values=(), **options):
     """Recordings by esmini and by the builtin simulator of the ego with a driver."""
     concretes = [ConcreteScenario(path, dict(values))]
-    options = {"duration": 20.0, "drivers": {"Ego": driver}} | options
+    options = {"duration": 20.0, "drivers": of_ego(driver), **options}
     return ran(Esmini(**options), concretes)[0], ran(Builtin(**options), concretes)[0]
 
 
@@ -107,11 +113,10 @@ def ego(recording):
     return {name: getattr(recording, name)[k] for name in ("x", "y", "heading", "speed")}
 
 
-def distance(esmini, builtin, shift=0):
-    """Largest distance of the ego's positions; that of the builtin simulator `shift` steps ago."""
-    here, there = ego(esmini), ego(builtin)
-    n = min(esmini.time.size, builtin.time.size) - shift
-    return float(np.hypot(here["x"][shift:][:n] - there["x"][:n], here["y"][shift:][:n] - there["y"][:n]).max())
+def distance(esmini, builtin):
+    """Largest distance of the ego's positions."""
+    here, there, n = ego(esmini), ego(builtin), min(esmini.time.size, builtin.time.size)
+    return float(np.hypot(here["x"][:n] - there["x"][:n], here["y"][:n] - there["y"][:n]).max())
 
 
 def straight(folder, *actions, other=""):
@@ -162,7 +167,6 @@ def test_a_speed_action_sets_the_target_and_moves_nobody(tmp_path):
     np.testing.assert_allclose(ego(esmini)["speed"], ego(builtin)["speed"], atol=1e-12)
     np.testing.assert_allclose(ego(esmini)["heading"], 0.0, atol=1e-9)
     path = straight(tmp_path, (1.0, speed_action("20")))
-    assert distance(*both(path, Obedient()), shift=1) == pytest.approx(0.5, abs=0.06)
     esmini, builtin = both(path, Obedient())
     # One step later.
     np.testing.assert_allclose(ego(esmini)["speed"][1:], ego(builtin)["speed"][:-1], atol=1e-9)
@@ -207,22 +211,21 @@ def test_a_failure_ends_one_scenario_only():
         ("nan", "returned no control at t = 1 s: acceleration is nan"),
     ):
         driver = Failing(way=way, above=35.0)
-        found = list(Esmini(duration=3.0, drivers={"Ego": driver}).run(concretes))
+        found = list(Esmini(duration=3.0, drivers=of_ego(driver)).run(concretes))
         assert [isinstance(one, Exception) for one in found] == [False, False, True]
-        with pytest.raises(type(found[2]), match=says):
-            raise found[2]
-    (alone,) = ran(Esmini(duration=3.0, drivers={"Ego": driver}), concretes[1:2])
+        assert re.search(says, str(found[2]))
+    (alone,) = ran(Esmini(duration=3.0, drivers=of_ego(driver)), concretes[1:2])
     assert same_recording(alone, found[1])
 
 
 def test_a_crash_costs_one_scenario_and_workers_change_nothing():
     concretes = [ConcreteScenario(X, {"ego_start": start}) for start in (20.0, 30.0, 40.0)]
     for workers in (1, 2):
-        options = {"duration": 3.0, "drivers": {"Ego": Failing(way="exit", above=35.0)}}
+        options = {"duration": 3.0, "drivers": of_ego(Failing(way="exit", above=35.0))}
         with create_simulator("esmini", options, workers=workers, retries=0) as simulator:
             found = list(simulator.run(concretes))
         assert [isinstance(one, Exception) for one in found] == [False, False, True]
-        expected = ran(Esmini(duration=3.0, drivers={"Ego": Failing(above=50.0)}), concretes[:2])
+        expected = ran(Esmini(duration=3.0, drivers=of_ego(Failing(above=50.0))), concretes[:2])
         assert all(same_recording(a, b) for a, b in zip(found[:2], expected, strict=True))
 
 
@@ -230,7 +233,7 @@ def test_limits_of_the_vehicle_hold(tmp_path):
     path = straight(tmp_path)
     path.write_text(path.read_text().replace('maxDeceleration="200"', 'maxDeceleration="0.2"'))
     with pytest.warns(NoticeWarning, match=r"exceeds the deceleration of 0.2 m/s² in <Performance>"):
-        (found,) = ran(Esmini(duration=5.0, drivers={"Ego": Deaf()}), [ConcreteScenario(path, {})])
+        (found,) = ran(Esmini(duration=5.0, drivers=of_ego(Deaf())), [ConcreteScenario(path, {})])
     assert ego(found)["speed"][-1] == pytest.approx(9.0)
 
 

@@ -101,7 +101,7 @@ class CarMaker(Simulator):
     ) -> None:
         if drivers:
             raise InputError(
-                f"`drivers` {', '.join(drivers)}: no driver of cornercase drives in CarMaker; the TestRun names its own."
+                f"`drivers` {', '.join(drivers)}: no driver of cornercase drives in CarMaker; the TestRun has its own."
             )
         if on_collision != "continue":
             raise InputError("`on_collision` stop: in CarMaker a collision ends a run only if the TestRun says so.")

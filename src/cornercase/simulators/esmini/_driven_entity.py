@@ -215,7 +215,7 @@ class DrivenEntity:
     def _correct_motion(self, state: ObjectState, speed: float) -> None:
         if self._pose is not None:
             x, y, heading = self._pose
-            # Otherwise an action has placed it elsewhere.
+            # If it is further away, an action has just placed it there.
             if math.hypot(state.x - x, state.y - y) <= (speed + abs(state.speed)) * self._time_step + _MAX_DEVIATION:
                 self.was_moved = True
                 self._lib.SE_ReportObjectPosXYH(state.id, x, y, heading)

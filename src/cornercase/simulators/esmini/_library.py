@@ -49,13 +49,15 @@ PARAMETER_CALLBACK: Final = ctypes.CFUNCTYPE(None, ctypes.c_void_p)
 _OBJECT_CALLBACK: Final = ctypes.CFUNCTYPE(None, ctypes.POINTER(ObjectState), ctypes.c_void_p)
 # What to call when an object has been moved, by its id.
 _RECEIVERS: Final = dict[int, Callable[[ObjectState], None]]()
-# Loaded libraries and ids of objects for which esmini has `_call_receiver`, which it never forgets.
+# Loaded libraries and ids of objects for which esmini has `_RECEIVER_CALLBACK`, which it never forgets.
 _REGISTERED: Final = set[tuple[int, int]]()
 
 
-@_OBJECT_CALLBACK
 def _call_receiver(state: ctypes._Pointer[ObjectState], _: object) -> None:
     _RECEIVERS[state.contents.id](state.contents)
+
+
+_RECEIVER_CALLBACK: Final = _OBJECT_CALLBACK(_call_receiver)
 
 
 def call_after_moves(lib: ctypes.CDLL, object_id: int, receiver: Callable[[ObjectState], None]) -> None:
@@ -64,7 +66,7 @@ def call_after_moves(lib: ctypes.CDLL, object_id: int, receiver: Callable[[Objec
     # esmini wants a function in each run, and calls all functions of earlier runs, too: let the later ones do nothing.
     key = lib._handle, object_id
     nothing = ctypes.cast(lib.SE_GetQuitFlag, _OBJECT_CALLBACK)
-    lib.SE_RegisterObjectCallback(object_id, nothing if key in _REGISTERED else _call_receiver, None)
+    lib.SE_RegisterObjectCallback(object_id, nothing if key in _REGISTERED else _RECEIVER_CALLBACK, None)
     _REGISTERED.add(key)
 
 
