@@ -20,7 +20,7 @@ from cornercase._common.text.sanitize import quote_name
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase._common.validation import repr_short
 from cornercase.drivers._base import Driver, Situation
-from cornercase.drivers._compiled import is_compiled
+from cornercase.drivers._compiled import is_compiled, limit_driver_acceleration
 from cornercase.drivers._controls import Controls
 from cornercase.drivers._equipment import EquippedDriver
 from cornercase.drivers._function import DrivingFunction, Start
@@ -103,6 +103,11 @@ class Attachment:
             self.driver.start(start.scenarios, len(start.others))
         except BaseException as error:
             raise DriverError(make_scenario_failure(self.display_name, error, requests, 0.0), splits=True) from error
+        if is_compiled(self.driver):
+            # It plans with the limits.
+            bounds = {"acceleration": start.body.max_acceleration, "deceleration": start.body.max_deceleration}
+            for limit, value in limit_driver_acceleration(self.driver, *bounds.values()).items():
+                self.note_exceeded_limit(limit, bounds[limit], f"it would go up to {value:.6g} m/s²")
         for sensor in self._sensors:
             sensor.start(start)
         self._mover.start(start)

@@ -19,6 +19,7 @@ from cornercase._common.geometry.boxes import box_corners
 from cornercase._common.io.support_table import NoticeLabel
 from cornercase._common.plugin_errors import format_time_of_failure
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
+from cornercase.drivers._function import Body
 from cornercase.roads._network import RoadNetwork
 from cornercase.scenario._scope import Scope
 from cornercase.simulators.builtin.tracks._lane import LaneTrack
@@ -73,6 +74,22 @@ class Entity:
     slides: bool = False
     polyline_turning: int | None = None
     body: tuple[etree._Element, Scope] | None = field(default=None, repr=False, compare=False)
+
+    @property
+    def driven_body(self) -> Body:
+        """The entity as its driver knows it."""
+        return Body(
+            self.name,
+            self.kind,
+            self.length,
+            self.width,
+            self.center_x,
+            self.wheelbase,
+            self.max_steering,
+            self.max_speed,
+            self.max_acceleration,
+            self.max_deceleration,
+        )
 
 
 @dataclass(frozen=True)
