@@ -23,6 +23,7 @@ from cornercase.drivers._base import Driver, Situation
 from cornercase.drivers._controls import Controls
 from cornercase.drivers._equipment import EquippedDriver
 from cornercase.drivers._function import DrivingFunction, Start
+from cornercase.drivers.sensors._fusion import SensorFusion
 
 # Excess in m/s² that may come from rounding.
 _ROUNDING: Final = 1e-9
@@ -60,7 +61,7 @@ class Attachment:
 
     def __init__(self, driver: Driver, entity: str) -> None:
         self.driver = driver.driver if isinstance(driver, EquippedDriver) else driver
-        self._sensors = driver.sensors if isinstance(driver, EquippedDriver) else ()
+        self._sensors = SensorFusion(driver.sensors if isinstance(driver, EquippedDriver) else ())
         self._vehicle = driver.vehicle if isinstance(driver, EquippedDriver) else None
         self._entity = entity
         self.limit_notices: dict[str, str] = {}
@@ -78,13 +79,12 @@ class Attachment:
         self._start = start
         requests = count_requests()
         try:
+            sensed = self._sensors.start(start)
             if isinstance(self.driver, DrivingFunction):
-                self.driver.prepare(start)
-            self.driver.start(start.scenarios, len(start.others))
+                self.driver.prepare(sensed)
+            self.driver.start(sensed.scenarios, len(sensed.others))
         except BaseException as error:
             raise DriverError(make_scenario_failure(self.display_name, error, requests, 0.0), splits=True) from error
-        for sensor in self._sensors:
-            sensor.start(start)
         if self._vehicle is not None:
             self._vehicle.start(start)
 
@@ -97,10 +97,7 @@ class Attachment:
         """Decide the coming time step in the active scenarios; raises `DriverError`."""
         # The driver may change the arrays that it is given.
         active, speed, time = situation.active.copy(), situation.speed.copy(), situation.time
-        sensed = situation
-        for sensor in self._sensors:
-            sensed = sensor.perceive(sensed)
-        controls = self._decide(sensed)
+        controls = self._decide(situation)
         failures = {n: failure for n, failure in controls.failures.items() if active[n]}
         acceleration = controls.acceleration
         is_missing = active & ~np.isfinite(acceleration)
@@ -113,13 +110,14 @@ class Attachment:
         return Decision(np.minimum(speed, self._start.body.max_speed), failures)
 
     def _decide(self, situation: Situation) -> Controls:
-        """Call the driver, which may be user code, and check what it returns."""
+        """Call the sensors and the driver, which may be user code, and check what it returns."""
         expected, requests = self._start.scenarios, count_requests()
         try:
+            sensed = self._sensors.perceive(situation)
             returned: object = (
-                self.driver.decide(situation)
+                self.driver.decide(sensed)
                 if isinstance(self.driver, DrivingFunction)
-                else self.driver.acceleration(situation)
+                else self.driver.acceleration(sensed)
             )
         except BaseException as error:
             raise DriverError(

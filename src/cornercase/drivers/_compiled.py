@@ -141,7 +141,7 @@ def limit_driver_acceleration(
 
 
 def build_fleet(
-    drivers: Sequence[Driver],
+    drivers: Sequence[Driver | None],
     driven_rows: Sequence[int],
     scenarios: int,
     length: FloatArray,
@@ -151,16 +151,16 @@ def build_fleet(
 ) -> Fleet:
     """Create a fleet of started drivers, so that kernels and `Driver.acceleration` use the same state.
 
-    The state of the drivers moves into the arrays of the fleet, and the drivers keep views. `driven_rows` has, for each
-    driver, the row of its entity. `length`, `width` and `center_x` are the boxes of all E entities in m. The new fleet
-    has no routes.
+    The state of the drivers moves into the arrays of the fleet, and the drivers keep views; None stands for a driver
+    that decides elsewhere. `driven_rows` has, for each driver, the row of its entity. `length`, `width` and `center_x`
+    are the boxes of all E entities in m. The new fleet has no routes.
     """
     fleet = _empty_fleet(len(drivers), scenarios, max(len(object_types) - 1, 0))
     boxes = np.stack((0.5 * length, 0.5 * width, center_x, _is_vulnerable(object_types)))
     for d, (driver, e) in enumerate(zip(drivers, driven_rows, strict=True)):
         fleet.own[d] = boxes[:VULNERABLE, e]
         fleet.boxes[d] = np.delete(boxes, e, axis=1)
-        if is_compiled(driver):
+        if driver is not None and is_compiled(driver):
             driver.attach_to_fleet(fleet, d)
     return fleet
 
