@@ -109,7 +109,7 @@ class DriverControl:
             time_step=world.time_step,
             parameters={},
             values=({},) * n,
-            seeds=(0,) * n,
+            seeds=world.seeds,
             others=self._others_name,
             network=world.network,
             friction=np.ones(n),
