@@ -152,7 +152,7 @@ def build_fleet(
     """Create a fleet of started drivers, so that kernels and `Driver.acceleration` use the same state.
 
     The state of the drivers moves into the arrays of the fleet, and the drivers keep views; None stands for a driver
-    that decides elsewhere. `driven_rows` has, for each driver, the row of its entity. `length`, `width` and `center_x`
+    without kernels. `driven_rows` has, for each driver, the row of its entity. `length`, `width` and `center_x`
     are the boxes of all E entities in m. The new fleet has no routes.
     """
     fleet = _empty_fleet(len(drivers), scenarios, max(len(object_types) - 1, 0))
