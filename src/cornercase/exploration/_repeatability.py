@@ -16,12 +16,12 @@ def check_repeatability(
     study: StudyFile,
     run_again: Callable[[ScenarioRecord], Iterable[Recording | SimulationError]],
     advice: str,
-    is_random: bool = False,
+    is_random: Callable[[], bool],
 ) -> bool:
     """Run the first finished scenario again by `run_again`, and store whether a recording is identical.
 
-    `run_again` repeats the runs of a scenario, each with its seed; the study holds the recording of one of them. With
-    `is_random`, sensors are random, so that runs with other seeds differ.
+    `run_again` repeats the runs of a scenario, each with its seed; the study holds the recording of one of them.
+    `is_random` tells whether sensors are random, so that runs with other seeds differ.
 
     It is done once per study, and only for simulators that claim to be deterministic. One check proves nothing, but
     finds random numbers without a seed and state that persists between runs. If runs differ, a warning ends with
@@ -31,15 +31,15 @@ def check_repeatability(
     if row is None:
         return False
     if not study.meta.repeatability and _is_declared_deterministic(study.meta.simulator):
-        first, outcomes = study.recording(row.id), list[Recording | SimulationError]()
+        random, first, outcomes = is_random(), study.recording(row.id), list[Recording | SimulationError]()
         for outcome in run_again(row):
             outcomes.append(outcome)
             if isinstance(outcome, Recording) and are_bitwise_equal(first, outcome):
-                study.writer.save_repeatability(row.id, True, None, is_random)
+                study.writer.save_repeatability(row.id, True, None, random)
                 return True
         outcome = outcomes[0]
         if isinstance(outcome, PluginError):
-            study.writer.save_repeatability(row.id, False, None, is_random)
+            study.writer.save_repeatability(row.id, False, None, random)
         elif isinstance(outcome, SimulationError):
             # The cause may be external, such as a time-out on a busy machine.
             issue_notice_warning(
@@ -47,7 +47,7 @@ def check_repeatability(
                 " deterministic; run the same command again to retry"
             )
         else:
-            study.writer.save_repeatability(row.id, False, max_position_difference(first, outcome), is_random)
+            study.writer.save_repeatability(row.id, False, max_position_difference(first, outcome), random)
     if advice and study.meta.nondeterminism_text:
         issue_notice_warning(f"runs differ: {study.meta.nondeterminism_text}; {advice}")
     return True

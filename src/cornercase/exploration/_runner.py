@@ -117,16 +117,18 @@ class ScenarioRunner:
         """Run the first finished scenario of the study a second time, to check if runs are deterministic."""
         if self._repeatability_checked:
             return
-        config, logical = self._config, self._config.logical
-        random = find_random_sensors(self._simulator, [logical.scenario_file], logical.space.names)
         advice = (
             "a driver or the simulator draws random numbers or keeps state between runs: fix it, or run each scenario"
             " several times with `repeats`"
         )
         with self._clock("simulate"):
             self._repeatability_checked = check_repeatability(
-                self._study, self._run_again, advice if config.repeats == 1 else "", bool(random)
+                self._study, self._run_again, advice if self._config.repeats == 1 else "", self._is_random
             )
+
+    def _is_random(self) -> bool:
+        logical = self._config.logical
+        return bool(find_random_sensors(self._simulator, [logical.scenario_file], logical.space.names))
 
     def _run_again(self, row: ScenarioRecord) -> Iterator[Recording | SimulationError]:
         """Repeat the runs of a scenario one after another."""

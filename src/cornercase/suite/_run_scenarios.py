@@ -70,8 +70,8 @@ def run_pending_scenarios(
                 for n_done in _run_pending(study, rows, suite.scenarios, simulator, metrics, workers, notices):
                     raise_interrupt()
                     bar.update(n_done, "")
-                random = find_random_sensors(simulator, (item.scenario for item in suite.runnable_scenarios))
-                check_repeatability(study, partial(_run_again, suite, simulator), _NONDETERMINISM_ADVICE, bool(random))
+                run_again, is_random = (partial(call, suite, simulator) for call in (_run_again, _is_random))
+                check_repeatability(study, run_again, _NONDETERMINISM_ADVICE, is_random)
         finally:
             bar.stop()
             notices.issue_warnings()
@@ -88,6 +88,10 @@ def _run_again(
     suite: SuiteContents, simulator: Simulator, row: ScenarioRecord
 ) -> Iterator[Recording | SimulationError]:
     return run_scenarios(simulator, [suite.scenarios[row.id - 1].concrete_scenario])
+
+
+def _is_random(suite: SuiteContents, simulator: Simulator) -> bool:
+    return bool(find_random_sensors(simulator, (item.scenario for item in suite.runnable_scenarios)))
 
 
 def _warn_about_files(suite: SuiteContents, simulator: Simulator, ego: str) -> None:
