@@ -57,7 +57,7 @@ def situation(time, others, *, kinds=None, scenarios=1, heading=0.0, speed=10.0,
 def known(sensor: Sensor, others, kinds=None, **options) -> list[bool]:
     """Who is known after the first measurement of a sensor without delays."""
     sensor.start(start_of(kinds or ("car",) * len(others)), "one")
-    return (~np.isnan(sensor.perceive(situation(0.0, others, kinds=kinds, **options)).x[0])).tolist()
+    return [not math.isnan(x) for x in sensor.perceive(situation(0.0, others, kinds=kinds, **options)).x[0]]
 
 
 def track(sensor, position, steps, *, scenarios=1, **parameters):
@@ -228,11 +228,10 @@ def test_false_objects_are_others_with_names_of_their_own():
 
 
 def test_scenarios_do_not_depend_on_each_other():
-    options = {"miss": 0.3, "noise": 0.5, "speed_noise": 0.1, "false_rate": 2.0, "latency": 0.1, "birth": 2}
     seeds = [11, 5, 7]
 
     def sense(chosen, is_active):
-        sensor = Camera(**options)
+        sensor = Camera(miss=0.3, noise=0.5, speed_noise=0.1, false_rate=2.0, latency=0.1, birth=2)
         sensor.start(start_of(("car", "truck"), len(chosen), chosen), "one")
         rows = []
         for step in range(60):

@@ -70,7 +70,7 @@ def run_pending_scenarios(
                 for n_done in _run_pending(study, rows, suite.scenarios, simulator, metrics, workers, notices):
                     raise_interrupt()
                     bar.update(n_done, "")
-                run_again, is_random = (partial(call, suite, simulator) for call in (_run_again, _is_random))
+                run_again, is_random = partial(_run_again, suite, simulator), partial(_is_random, suite, simulator)
                 check_repeatability(study, run_again, _NONDETERMINISM_ADVICE, is_random)
         finally:
             bar.stop()
