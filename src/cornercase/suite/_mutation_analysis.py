@@ -115,7 +115,7 @@ def analyze_mutants(
         if len(rows) > MAX_CANDIDATES:
             indices = np.linspace(0, len(rows) - 1, MAX_CANDIDATES).round().astype(int)
             rows = [rows[i] for i in indices.tolist()]
-        concretes = [ConcreteScenario(logical.path, dict(row.values), logical) for row in rows]
+        concretes = [ConcreteScenario(logical.path, dict(row.values), logical, meta.seed) for row in rows]
         ids, settings, entities = [row.id for row in rows], dict(meta.settings), (meta.ego, meta.others)
     assigned: dict[str, Any] = {**settings.get("drivers", {}), **_check_own_drivers(drivers, settings)}
     driver = find_ego_driver(entities[0], assigned, [logical])

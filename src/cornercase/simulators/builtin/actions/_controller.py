@@ -12,7 +12,6 @@ from cornercase._common.plugin_errors import is_built_in
 from cornercase._common.typing import BoolArray
 from cornercase.drivers import DrivenPath, Driver, PlanarMotion, Situation
 from cornercase.drivers._attachment import Attachment, Decision, DriverError
-from cornercase.drivers._compiled import is_compiled
 from cornercase.drivers._function import Start
 from cornercase.drivers._lanes import driven_path
 from cornercase.drivers._resolve import create_driver_named_in_file
@@ -91,7 +90,7 @@ class DriverControl:
             time_step=world.time_step,
             parameters={},
             values=({},) * n,
-            seeds=(0,) * n,
+            seeds=world.seeds,
             others=self._others_name,
             network=world.network,
             friction=world.friction,

@@ -5,7 +5,7 @@ Arrays are indexed (entity, scenario), so that the values of an entity are conti
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
 from typing import TYPE_CHECKING, Any, Protocol
@@ -128,7 +128,7 @@ class World:
     state.
 
     Drivers: `drivers`: all that may control entities. `has_fixed_driver` (E): whether the user chose the driver, so
-    that the file cannot change it.
+    that the file cannot change it. `seeds`: of random numbers, by scenario.
 
     Results: `errors`: by scenario. `notices`: sentences on deviations from the file, without full stop, each once.
     `compiled`: the calls to kernels, once the run is prepared.
@@ -203,6 +203,7 @@ class World:
         self.overlapping = self.overlaps.transpose(1, 2, 0)
         self.friction = np.ones(scenarios)
         self.signals: dict[str, npt.NDArray[np.str_]] = {}
+        self.seeds: Sequence[int] = (0,) * scenarios
         self.signal_controllers: dict[str, SignalController] = {}
         self.drivers: list[SpeedController] = []
         self.has_fixed_driver = [False] * len(entities)
