@@ -8,6 +8,7 @@ from typing import Final
 
 import numpy as np
 
+from cornercase._common.configurable import with_numbers
 from cornercase._common.errors import PluginError, SimulationError
 from cornercase._common.plugin_errors import (
     format_time_of_failure,
@@ -23,6 +24,15 @@ from cornercase.drivers._base import Driver, Situation
 from cornercase.drivers._controls import Controls
 from cornercase.drivers._equipment import EquippedDriver
 from cornercase.drivers._function import DrivingFunction, Start
+from cornercase.drivers._parameters import (
+    DRIVER,
+    VEHICLE,
+    VariedDriver,
+    is_same_in_batch,
+    name_parts,
+    rows_of,
+    split_parameters,
+)
 
 # Excess in m/s² that may come from rounding.
 _ROUNDING: Final = 1e-9
@@ -60,6 +70,7 @@ class Attachment:
 
     def __init__(self, driver: Driver, entity: str) -> None:
         self.driver = driver.driver if isinstance(driver, EquippedDriver) else driver
+        self._given = driver
         self._sensors = driver.sensors if isinstance(driver, EquippedDriver) else ()
         self._vehicle = driver.vehicle if isinstance(driver, EquippedDriver) else None
         self._entity = entity
@@ -74,19 +85,32 @@ class Attachment:
         )
 
     def start(self, start: Start) -> None:
-        """Reset driver, sensors and vehicle for a batch; raises `DriverError`."""
+        """Reset driver, sensors and vehicle for a batch; raises `DriverError`.
+
+        The parameters of a driver that cannot vary within a batch have to be the same in all scenarios.
+        """
         self._start = start
+        parameters = split_parameters(self._entity, self._given, start.parameters)
+        starts = {part: replace(start, parameters=own) for part, own in parameters.items()}
         requests = count_requests()
         try:
-            if isinstance(self.driver, DrivingFunction):
-                self.driver.prepare(start)
-            self.driver.start(start.scenarios, len(start.others))
+            self._start_driver(starts.pop(DRIVER))
         except BaseException as error:
             raise DriverError(make_scenario_failure(self.display_name, error, requests, 0.0), splits=True) from error
-        for sensor in self._sensors:
-            sensor.start(start)
         if self._vehicle is not None:
-            self._vehicle.start(start)
+            self._vehicle.start(starts.pop(VEHICLE))
+        for sensor, of_sensor in zip(self._sensors, starts.values(), strict=True):
+            sensor.start(of_sensor)
+
+    def _start_driver(self, start: Start) -> None:
+        options = rows_of(start.parameters, start.scenarios) if start.parameters else []
+        if options and is_same_in_batch(self._given, DRIVER):
+            self.driver = with_numbers(name_parts(self._given)[DRIVER], options[0])
+        if isinstance(self.driver, DrivingFunction):
+            self.driver.prepare(start)
+        self.driver.start(start.scenarios, len(start.others))
+        if options and isinstance(self.driver, VariedDriver) and not is_same_in_batch(self._given, DRIVER):
+            self.driver.vary(options)
 
     def release(self) -> None:
         """Release what the driver holds, at the end of a batch."""

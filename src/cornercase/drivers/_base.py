@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from cornercase._common.configurable import Configurable, describe_as_text
+from cornercase._common.configurable import Configurable, describe_as_text, numeric_options
 from cornercase._common.typing import BoolArray, FloatArray
 
 
@@ -151,6 +151,11 @@ class Driver(Configurable, ABC):
     """
 
     settings: dict[str, object]
+
+    @property
+    def searchable_options(self) -> tuple[str, ...]:
+        """Names of the options that can be dimensions of a search: those of the constructor that take numbers."""
+        return tuple(numeric_options(type(self)))
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)

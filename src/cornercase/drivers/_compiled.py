@@ -26,6 +26,7 @@ from cornercase.drivers._kernels.structs import (
     Fleet,
     Routes,
 )
+from cornercase.drivers._parameters import VariedDriver
 from cornercase.drivers._presets import Behaviour, FollowParameters
 from cornercase.drivers._route import count_route_samples, plan_route
 
@@ -41,7 +42,7 @@ _ROUTE_LIMITS: Final = [Behaviour._fields.index(name) for name in ("lateral_acce
 """Columns of `Fleet.parameters` on which routes depend."""
 
 
-class CompiledDriver(Driver):
+class CompiledDriver(VariedDriver):
     """A driver with compiled decisions; its state is a fleet of one, or a row of a larger fleet."""
 
     kind: ClassVar[int]
@@ -59,7 +60,7 @@ class CompiledDriver(Driver):
         self._routes: dict[int, tuple[DrivenPath, int]] = {}
 
     def vary(self, options: Sequence[Mapping[str, float]]) -> None:
-        """Give a started driver options of its own in each of the N scenarios of its batch."""
+        """Give the started driver its options in each of the N scenarios."""
         for n, changed in enumerate(options):
             self._fleet.parameters[0, n, : len(self.parameters)] = self.with_options(**changed).parameters
 
@@ -130,8 +131,8 @@ def limit_driver_acceleration(
 ) -> dict[str, float]:
     """Limit a started driver to the accelerations in m/s² that its vehicle can reach, until it is started again.
 
-    Returns the driver's highest value of each limit that it exceeded, as ``"acceleration"`` and ``"deceleration"``. Call it
-    before the driver joins a fleet.
+    Returns the driver's highest value of each limit that it exceeded, as ``"acceleration"`` and ``"deceleration"``.
+    Call it before the driver joins a fleet.
     """
     fields = Behaviour._fields if driver.kind == BEHAVIOUR else FollowParameters._fields
     parameters, exceeded = driver._fleet.parameters[0], dict[str, float]()

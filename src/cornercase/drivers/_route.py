@@ -59,8 +59,8 @@ def plan_route(
         arrays = [array[rows if path.distance.ndim > 1 else np.zeros_like(rows)] for array in arrays]
     limits = [np.broadcast_to(limit, len(arrays[0])).tolist() for limit in (lateral_acceleration, deceleration)]
     planned = [
-        _plan_path_row(row, *of_row, count_route_samples(path))
-        for *row, of_row in zip(*arrays, zip(*limits, strict=True), strict=True)
+        _plan_path_row(row, lateral, braking, count_route_samples(path))
+        for *row, lateral, braking in zip(*arrays, *limits, strict=True)
     ]
     step, *curves = (np.array(column) for column in zip(*planned, strict=True))
     x, y, cos, sin, squared_speed = curves

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -11,7 +12,7 @@ from cornercase._common.errors import InputError
 from cornercase._common.io.tracked_xml import find_by_name, find_untracked
 from cornercase._common.masks import any_true
 from cornercase._common.plugin_errors import is_built_in
-from cornercase._common.typing import BoolArray
+from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.drivers import DrivenPath, Driver, Situation
 from cornercase.drivers._attachment import Attachment, Decision, DriverError
 from cornercase.drivers._compiled import is_compiled, limit_driver_acceleration
@@ -37,12 +38,14 @@ _LANE_PATH_CACHE: WeakKeyDictionary[LanePath, DrivenPath] = WeakKeyDictionary()
 class DriverControl:
     """An entity of a batch, and the driver that decides its speed on lanes and trajectories while it is active.
 
-    On a trajectory with times there is nothing to decide. `number` is the index in `World.drivers`. `in_fleet` says
-    whether kernels make the decisions.
+    On a trajectory with times there is nothing to decide. `parameters` are those of `Start`. `number` is the index in
+    `World.drivers`. `in_fleet` says whether kernels make the decisions.
     """
 
-    def __init__(self, world: World, entity: int, driver: Driver) -> None:
-        self._world, self.entity = world, entity
+    def __init__(
+        self, world: World, entity: int, driver: Driver, parameters: Mapping[str, FloatArray] | None = None
+    ) -> None:
+        self._world, self.entity, self._parameters = world, entity, parameters or {}
         self._attachment = Attachment(driver, world.names[entity])
         self.driver = self._attachment.driver
         self.number = len(world.drivers)
@@ -69,11 +72,14 @@ class DriverControl:
         assert is_compiled(driver)
         try:
             self._attachment.start(self._make_start())
+            self.driver = self._attachment.driver
         except DriverError as failure:
             # The fleet needs a started driver.
             self._failure = failure
             built_in = next(base for base in type(driver).__mro__ if is_built_in(base) and issubclass(base, Driver))
             built_in.start(driver, self._world.scenarios, len(self._others))
+        driver = self.driver
+        assert is_compiled(driver)
         bounds = {"acceleration": entity.max_acceleration, "deceleration": entity.max_deceleration}
         for limit, value in limit_driver_acceleration(driver, *bounds.values()).items():
             self._attachment.note_exceeded_limit(limit, bounds[limit], f"it would go up to {value:.6g} m/s²")
@@ -107,8 +113,8 @@ class DriverControl:
         return Start(
             body=body,
             time_step=world.time_step,
-            parameters={},
-            values=({},) * n,
+            parameters=self._parameters,
+            values=tuple(world.values),
             seeds=(0,) * n,
             others=self._others_name,
             network=world.network,

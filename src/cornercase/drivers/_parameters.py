@@ -1,0 +1,194 @@
+"""Parameters of drivers, sensors and vehicles that differ between scenarios: ``Ego.reaction``, ``Ego.radar.range``."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+
+from cornercase._common.configurable import Configurable, given_options, numeric_options, with_numbers
+from cornercase._common.errors import InputError, suggest_name
+from cornercase._common.plugin_errors import is_built_in
+from cornercase._common.text.sanitize import format_exception
+from cornercase._common.typing import FloatArray
+from cornercase.drivers._base import Driver
+from cornercase.drivers._equipment import EquippedDriver
+from cornercase.drivers._function import DrivingFunction
+from cornercase.drivers._system_under_test import ScalarFunction
+from cornercase.drivers.sensors._sensor import Sensor
+from cornercase.drivers.vehicles._vehicle_model import VehicleModel
+
+DRIVER: Final = "driver"
+VEHICLE: Final = "vehicle"
+Part = Driver | Sensor | VehicleModel
+
+
+class VariedDriver(Driver):
+    """A driver of cornercase that can have other options in each scenario of a batch."""
+
+    @abstractmethod
+    def vary(self, options: Sequence[Mapping[str, float]]) -> None:
+        """Give the started driver its options in each of the N scenarios."""
+
+
+def name_parts(driver: Driver) -> dict[str, Part]:
+    """Return a driver, its sensors and its vehicle by the name that comes before an option, as in ``radar.range``.
+
+    The driver is ``driver``, the vehicle ``vehicle``, and a sensor has its name; equal ones are numbered from 1 on.
+    """
+    if not isinstance(driver, EquippedDriver):
+        return {DRIVER: driver}
+    names = [sensor.name.partition(":")[0] or type(sensor).__qualname__ for sensor in driver.sensors]
+    seen, total = Counter[str](), Counter(names)
+    parts: dict[str, Part] = {DRIVER: driver.driver}
+    for name, sensor in zip(names, driver.sensors, strict=True):
+        seen[name] += 1
+        parts[f"{name}{seen[name]}" if total[name] > 1 else name] = sensor
+    return parts if driver.vehicle is None else parts | {VEHICLE: driver.vehicle}
+
+
+def find_parameter(entity: str, driver: Driver, name: str) -> tuple[str, str]:
+    """Return the part and the option that a parameter of an entity means; `InputError` if it is none, or one of two.
+
+    `name` is without the entity: an option that only one part has, or one with its part as in ``radar.range``.
+    """
+    options = {part: _searchable_options(made) for part, made in name_parts(driver).items()}
+    found = [(part, option) for part in options for option in options[part] if name in (option, f"{part}.{option}")]
+    if len(found) > 1:
+        owners, names = " and of ".join(part for part, _ in found), " or ".join(f"{entity}.{p}.{o}" for p, o in found)
+        raise InputError(f"{entity}.{name}: is an option of {owners}; write {names}.")
+    if not found:
+        counts = Counter(option for own in options.values() for option in own)
+        known = [
+            f"{part}.{option}" if counts[option] > 1 or name.startswith(f"{part}.") else option
+            for part in options
+            for option in options[part]
+        ]
+        raise InputError(
+            f"{entity}.{name}: the driver of {entity} ({driver}) has no option '{name}' that takes numbers;"
+            f" {suggest_name(name, known)}"
+        )
+    return found[0]
+
+
+def check_parameters(entity: str, driver: Driver, names: Iterable[str]) -> None:
+    """Raise `InputError` if a parameter is unknown, ambiguous, given twice, or fixed as an option of the driver."""
+    meant: dict[tuple[str, str], str] = {}
+    for name in names:
+        part, option = find_parameter(entity, driver, name)
+        if (other := meant.setdefault((part, option), name)) != name:
+            raise InputError(f"{entity}.{name}: is the same option as {entity}.{other}; keep one of them.")
+        if option in fixed_options(name_parts(driver)[part]):
+            raise InputError(
+                f"{entity}.{name}: the driver of {entity} ({driver}) is given with a fixed '{option}'; leave it out"
+                " there."
+            )
+
+
+def fixed_options(part: Part) -> set[str]:
+    """Return the names of the options that a part was given."""
+    made = part.prototype if isinstance(part, ScalarFunction) else part
+    _, given_by_name = getattr(made, "__dict__", {}).get("_cornercase_name", ("", {}))
+    text = getattr(made, "name", "") or (str(made) if isinstance(made, VariedDriver) else "")
+    in_text = str(text).partition(":")[2].split(",")
+    in_python = given_options(made) if isinstance(made, Configurable) else {}
+    return {*given_by_name, *in_python, *(option.partition("=")[0].strip() for option in in_text)}
+
+
+def is_same_in_batch(driver: Driver, part: str) -> bool:
+    """Whether the options of a part have to be the same in all scenarios of a batch: those of an array driver."""
+    made = name_parts(driver)[part]
+    can_vary = isinstance(made, DrivingFunction) or (isinstance(made, VariedDriver) and is_built_in(type(made)))
+    return isinstance(made, Driver) and not can_vary
+
+
+def read_parameters(
+    entity: str, driver: Driver, values: Sequence[Mapping[str, object]], *, may_run_code: bool = False
+) -> tuple[dict[str, FloatArray], dict[int, str]]:
+    """Return `Start.parameters` for N scenarios, and why scenarios have invalid values, by index.
+
+    `values` are by name without the entity, the same names in each scenario. With `may_run_code`, constructors of users
+    check them, too. Arrays have shape (N,); invalid scenarios have the values of another one.
+    """
+    names = list(values[0]) if values else []
+    parts, problems, usable = name_parts(driver), dict[int, str](), dict[tuple[float, ...], str]()
+    targets = {name: find_parameter(entity, driver, name) for name in names}
+    table = np.zeros((len(values), len(names)))
+    for n, scenario in enumerate(values):
+        for k, name in enumerate(names):
+            try:
+                table[n, k] = float(str(scenario[name]))
+            except ValueError:
+                table[n, k] = np.nan
+            if not np.isfinite(table[n, k]):
+                problems[n] = f"the parameter {entity}.{name} is '{scenario[name]}', which is not a number"
+        if n not in problems:
+            row = tuple(table[n].tolist())
+            if row not in usable:
+                usable[row] = _find_problem(parts, dict(zip(targets.values(), row, strict=True)), may_run_code)
+            if usable[row]:
+                given = ", ".join(f"{entity}.{name}={value:g}" for name, value in zip(names, row, strict=True))
+                problems[n] = f"{given}: {usable[row]}"
+    if problems:
+        valid = next((n for n in range(len(values)) if n not in problems), None)
+        table[list(problems)] = 0.0 if valid is None else table[valid]
+    return {name: table[:, k].copy() for k, name in enumerate(names)}, problems
+
+
+def split_parameters(
+    entity: str, driver: Driver, parameters: Mapping[str, FloatArray]
+) -> dict[str, dict[str, FloatArray]]:
+    """Return the parameters of each part by option."""
+    own: dict[str, dict[str, FloatArray]] = {part: {} for part in name_parts(driver)}
+    for name, array in parameters.items():
+        part, option = find_parameter(entity, driver, name)
+        own[part][option] = array
+    return own
+
+
+def rows_of(parameters: Mapping[str, FloatArray], scenarios: int) -> list[dict[str, float]]:
+    """Return the options of each scenario."""
+    return [{name: float(values[n]) for name, values in parameters.items()} for n in range(scenarios)]
+
+
+def with_values(entity: str, driver: Driver, values: Mapping[str, float]) -> Driver:
+    """Return a driver with other options; the names in `values` are without the entity."""
+    parts = name_parts(driver)
+    by_part: dict[str, dict[str, float]] = {part: {} for part in parts}
+    for name, value in values.items():
+        part, option = find_parameter(entity, driver, name)
+        by_part[part][option] = value
+    changed: dict[str, Any] = {
+        part: with_numbers(made, by_part[part]) if by_part[part] else made for part, made in parts.items()
+    }
+    inner, vehicle = changed.pop(DRIVER), changed.pop(VEHICLE, None)
+    return EquippedDriver(inner, list(changed.values()), vehicle) if isinstance(driver, EquippedDriver) else inner
+
+
+def _searchable_options(part: Part) -> tuple[str, ...]:
+    if isinstance(part, Driver):
+        return part.searchable_options
+    return tuple(numeric_options(type(part)))
+
+
+def _find_problem(parts: Mapping[str, Part], values: Mapping[tuple[str, str], float], may_run_code: bool) -> str:
+    """Return why the constructor of a part refuses its values; empty if all take them."""
+    for name, part in parts.items():
+        numbers = {option: value for (of_part, option), value in values.items() if of_part == name}
+        is_adapter = isinstance(part, DrivingFunction) and not isinstance(part, ScalarFunction)
+        if not numbers or is_adapter or (_is_code_of_user(part) and not may_run_code):
+            continue
+        try:
+            with_numbers(part, numbers)
+        except (InputError, ValueError) as error:
+            return str(error).removesuffix(".")
+        except Exception as error:
+            return format_exception(error)
+    return ""
+
+
+def _is_code_of_user(part: Part) -> bool:
+    return not is_built_in(type(part.prototype if isinstance(part, ScalarFunction) else part))
