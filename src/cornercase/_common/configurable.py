@@ -157,7 +157,7 @@ def with_numbers(configured: Any, numbers: Mapping[str, float]) -> Any:
         options[name] = number
         if annotation in (int, "int"):
             if not float(number).is_integer():
-                raise ValueError(f"'{name}' takes a whole number, not {number:g}")
+                raise ValueError(f"'{name}' takes a whole number, not {number:g}; give a range a step of 1")
             options[name] = int(number)
     return configured.with_options(**options)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from cornercase._common.typing import FloatArray
 from cornercase.drivers._base import Driver
 from cornercase.drivers._equipment import EquippedDriver
 from cornercase.drivers._function import DrivingFunction
+from cornercase.drivers._registry import SEPARATOR
 from cornercase.drivers._system_under_test import ScalarFunction
 from cornercase.drivers.sensors._sensor import Sensor
 from cornercase.drivers.vehicles._vehicle_model import VehicleModel
@@ -154,24 +155,23 @@ def rows_of(parameters: Mapping[str, FloatArray], scenarios: int) -> list[dict[s
     return [{name: float(values[n]) for name, values in parameters.items()} for n in range(scenarios)]
 
 
-def with_values(entity: str, driver: Driver, values: Mapping[str, float]) -> Driver:
-    """Return a driver with other options; the names in `values` are without the entity."""
-    parts = name_parts(driver)
-    by_part: dict[str, dict[str, float]] = {part: {} for part in parts}
+def spec_with_values(entity: str, driver: Driver, values: Mapping[str, object]) -> str:
+    """Return the text that stands for a driver with further options; the names in `values` are without the entity."""
+    options: dict[str, list[str]] = {}
     for name, value in values.items():
         part, option = find_parameter(entity, driver, name)
-        by_part[part][option] = value
-    changed: dict[str, Any] = {
-        part: with_numbers(made, by_part[part]) if by_part[part] else made for part, made in parts.items()
-    }
-    inner, vehicle = changed.pop(DRIVER), changed.pop(VEHICLE, None)
-    return EquippedDriver(inner, list(changed.values()), vehicle) if isinstance(driver, EquippedDriver) else inner
+        options.setdefault(part, []).append(f"{option}={value}")
+    texts = []
+    for part, made in name_parts(driver).items():
+        text, own = str(made), ",".join(options.get(part, ()))
+        texts.append(f"{text}{',' if ':' in text else ':'}{own}" if own else text)
+    return SEPARATOR.join(texts)
 
 
 def _searchable_options(part: Part) -> tuple[str, ...]:
     if isinstance(part, Driver):
         return part.searchable_options
-    return tuple(numeric_options(type(part)))
+    return tuple(numeric_options(type(part))) if isinstance(part, Configurable) else ()
 
 
 def _find_problem(parts: Mapping[str, Part], values: Mapping[tuple[str, str], float], may_run_code: bool) -> str:

@@ -31,6 +31,7 @@ from cornercase.study import StudyFile, StudyMeta
 from cornercase.study._meta import metric_fields
 from cornercase.study._stored_paths import stored_path
 from cornercase.suite._baseline import compare_with_baseline, find_baseline_study
+from cornercase.suite._driver_values import with_values_of_drivers
 from cornercase.suite._judge import judge_scenario
 from cornercase.suite._junit import JUNIT_START, write_junit
 from cornercase.suite._markdown import HEADING_START, write_markdown_summary
@@ -157,6 +158,7 @@ def run_suite(
     }
     name = _choose_simulator(contents, given["simulator"])
     settings["drivers"] = _resolve_drivers(contents, given["drivers"])
+    contents = with_values_of_drivers(contents, name, settings["drivers"])
     if mutants is not None:
         # Check before anything is run.
         require_builtin_simulator(str(name))
