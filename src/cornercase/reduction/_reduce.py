@@ -306,6 +306,8 @@ def _write_files_and_store(
         for selected in reduced_set.scenarios if scenario is not None else ():
             assert scenario is not None
             comment = f"Scenario {selected.id} of the logical scenario {study.meta.title}: {selected.why}"
+            if of_drivers := scenario.driver_parameters(selected.values):
+                comment += f"; {', '.join(f'{name}={selected.values[name]}' for name in of_drivers)}"
             own_drivers = drivers | _drivers_with_values(scenario, chosen_drivers, selected.values)
             concrete = build_concrete_file(scenario, selected.values, folder / selected.file, own_drivers, comment)
             for source, path, root in concrete.companions:

@@ -9,7 +9,7 @@ import numpy as np
 from cornercase._common.errors import InputError
 from cornercase.drivers import Driver
 from cornercase.drivers._parameters import check_parameters, read_parameters
-from cornercase.drivers._resolve import check_drivers, driver_by_name
+from cornercase.drivers._resolve import check_drivers, create_driver_named_in_file, driver_by_name
 from cornercase.scenario import ParameterSpace, Value
 from cornercase.scenario._file import ScenarioFile
 from cornercase.simulators._base import Simulator
@@ -28,14 +28,20 @@ def find_parameters_of_drivers(
         by_entity.setdefault(entity, {})[name] = full_name
     found = []
     for entity, own in by_entity.items():
-        given = drivers.get(entity, scenario.drivers.get(entity))
-        if given is None:
+        if entity in drivers:
+            driver = check_drivers(drivers)[entity]
+            made = driver_by_name(driver) if isinstance(driver, str) else driver
+        elif entity in scenario.drivers:
+            # A file must not name code that runs.
+            try:
+                made = create_driver_named_in_file(scenario.drivers[entity])
+            except InputError as error:
+                raise InputError(f"{scenario.path}: {error}") from None
+        else:
             raise InputError(
                 f"{scenario.path}: {next(iter(own.values()))} is a parameter of the driver of {entity}, but nobody"
                 f" drives it; give `drivers`, as in {entity}=normal."
             )
-        driver = check_drivers({entity: given})[entity]
-        made = driver_by_name(driver) if isinstance(driver, str) else driver
         check_parameters(entity, made, own)
         found.append((entity, made, own))
     return found
