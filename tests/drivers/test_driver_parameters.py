@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -23,6 +26,9 @@ class Brake(cc.SystemUnderTest):
 
     def step(self, view, dt):
         return -self.deceleration if view.time >= self.after else 0.0
+
+
+BRAKE: Any = Brake()
 
 
 class BrakeArrays(Driver):
@@ -67,12 +73,12 @@ class Heavy(VehicleModel):
         raise AssertionError("not called for a vehicle that only follows its path")
 
 
-def concretes(name: str, values: list[float]) -> list[cc.ConcreteScenario]:
+def concretes(name: str, values: Sequence[float | str]) -> list[cc.ConcreteScenario]:
     file = cc.LogicalScenario.read(X)
     return [file.concrete_scenario({**VALUES, name: value}) for value in values]
 
 
-def recordings(name: str, values: list[float], driver: object) -> list[cc.Recording]:
+def recordings(name: str, values: Sequence[float], driver: Any) -> list[cc.Recording]:
     return ran(Builtin(drivers={"Ego": driver}, duration=8.0), concretes(name, values))
 
 
@@ -97,7 +103,7 @@ def test_a_value_of_a_scenario_is_the_same_as_the_option_in_it_alone(driver, opt
         assert not np.array_equal(together[0].speed, together[1].speed)
 
 
-@pytest.mark.parametrize("driver", [Brake(), BrakeArrays(), BehaviourDriver(NORMAL)])
+@pytest.mark.parametrize("driver", [BRAKE, BrakeArrays(), BehaviourDriver(NORMAL)])
 def test_objects_of_users_take_values_too(driver):
     option, values = ("reaction_time", [0.2, 0.9]) if isinstance(driver, BehaviourDriver) else ("deceleration", [1, 4])
     together = recordings(f"Ego.{option}", values, driver)
@@ -114,9 +120,9 @@ def test_a_driver_of_arrays_runs_in_a_batch_for_each_value():
 
 def test_scenarios_without_a_value_have_the_option_of_the_driver():
     with_value, without = concretes("Ego.deceleration", [4.0])[0], cc.ConcreteScenario(X, VALUES)
-    results = ran(Builtin(drivers={"Ego": Brake()}, duration=3.0), [with_value, without, with_value])
+    results = ran(Builtin(drivers={"Ego": BRAKE}, duration=3.0), [with_value, without, with_value])
     assert same_recording(results[0], results[2])
-    assert same_recording(results[1], cc.simulate(X, VALUES, drivers={"Ego": Brake()}, duration=3.0))
+    assert same_recording(results[1], cc.simulate(X, VALUES, drivers={"Ego": BRAKE}, duration=3.0))
 
 
 def test_a_value_that_a_driver_refuses_fails_its_scenario_only():
@@ -127,7 +133,7 @@ def test_a_value_that_a_driver_refuses_fails_its_scenario_only():
     assert str(text) == "the parameter Ego.reaction_time is 'much', which is not a number"
     (only,) = simulator.run(concretes("Ego.reaction_time", [-1.0]))
     assert isinstance(only, cc.SimulationError)
-    good, bad = Builtin(drivers={"Ego": Brake()}, duration=2.0).run(concretes("Ego.deceleration", [1.0, -1.0]))
+    good, bad = Builtin(drivers={"Ego": BRAKE}, duration=2.0).run(concretes("Ego.deceleration", [1.0, -1.0]))
     assert isinstance(good, cc.Recording)
     assert "deceleration has to be 0 or more" in str(bad)
 
@@ -185,8 +191,8 @@ def test_an_option_that_is_fixed_is_not_varied_too(driver):
 
 def test_a_whole_number_stays_one():
     with pytest.raises(cc.InputError, match=r"'steps' takes a whole number, not 1\.5; give a range a step of 1\."):
-        cc.simulate(X, {"Ego.steps": 1.5}, drivers={"Ego": Brake()})
-    cc.simulate(X, {"Ego.steps": 2.0}, drivers={"Ego": Brake()}, duration=0.5)
+        cc.simulate(X, {"Ego.steps": 1.5}, drivers={"Ego": BRAKE})
+    cc.simulate(X, {"Ego.steps": 2.0}, drivers={"Ego": BRAKE}, duration=0.5)
 
 
 def test_the_text_of_a_driver_with_values_makes_the_same_driver():

@@ -210,7 +210,7 @@ def test_a_damaged_study_is_repaired_with_the_values(folder, tmp_path):
 def test_parameters_in_a_table_and_on_the_command_line(folder, tmp_path):
     table = tmp_path / "values.csv"
     table.write_text("ego_start,Ego.reaction\n40,0.3\n40,1.2\n")
-    words = ("simulate", X, "--driver", "Ego=own_aeb:Aeb", "--duration", 8)
+    words: tuple[object, ...] = ("simulate", X, "--driver", "Ego=own_aeb:Aeb", "--duration", 8)
     ended = cornercase(*words, "--parameters", table, "-o", tmp_path / "runs", cwd=folder)
     assert ended.returncode == 0, ended.stderr
     words = (*words, "--set", "ego_start=40")

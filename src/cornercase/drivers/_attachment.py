@@ -27,12 +27,12 @@ from cornercase.drivers._function import DrivingFunction, Start
 from cornercase.drivers._parameters import (
     DRIVER,
     VEHICLE,
-    VariedDriver,
     is_same_in_batch,
     name_parts,
     rows_of,
     split_parameters,
 )
+from cornercase.drivers._varied_driver import VariedDriver
 
 # Excess in m/s² that may come from rounding.
 _ROUNDING: Final = 1e-9

@@ -26,9 +26,9 @@ from cornercase.drivers._kernels.structs import (
     Fleet,
     Routes,
 )
-from cornercase.drivers._parameters import VariedDriver
 from cornercase.drivers._presets import Behaviour, FollowParameters
 from cornercase.drivers._route import count_route_samples, plan_route
+from cornercase.drivers._varied_driver import VariedDriver
 
 _MIN_LIMIT = 1e-3
 """Lowest limit in m/s², whatever the vehicle can do."""

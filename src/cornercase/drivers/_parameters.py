@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Final
@@ -15,24 +14,18 @@ from cornercase._common.plugin_errors import is_built_in
 from cornercase._common.text.sanitize import format_exception
 from cornercase._common.typing import FloatArray
 from cornercase.drivers._base import Driver
+from cornercase.drivers._description import recorded_options
 from cornercase.drivers._equipment import EquippedDriver
 from cornercase.drivers._function import DrivingFunction
 from cornercase.drivers._registry import SEPARATOR
 from cornercase.drivers._system_under_test import ScalarFunction
+from cornercase.drivers._varied_driver import VariedDriver
 from cornercase.drivers.sensors._sensor import Sensor
 from cornercase.drivers.vehicles._vehicle_model import VehicleModel
 
 DRIVER: Final = "driver"
 VEHICLE: Final = "vehicle"
 Part = Driver | Sensor | VehicleModel
-
-
-class VariedDriver(Driver):
-    """A driver of cornercase that can have other options in each scenario of a batch."""
-
-    @abstractmethod
-    def vary(self, options: Sequence[Mapping[str, float]]) -> None:
-        """Give the started driver its options in each of the N scenarios."""
 
 
 def name_parts(driver: Driver) -> dict[str, Part]:
@@ -57,22 +50,25 @@ def find_parameter(entity: str, driver: Driver, name: str) -> tuple[str, str]:
     `name` is without the entity: an option that only one part has, or one with its part as in ``radar.range``.
     """
     options = {part: _searchable_options(made) for part, made in name_parts(driver).items()}
-    found = [(part, option) for part in options for option in options[part] if name in (option, f"{part}.{option}")]
-    if len(found) > 1:
-        owners, names = " and of ".join(part for part, _ in found), " or ".join(f"{entity}.{p}.{o}" for p, o in found)
-        raise InputError(f"{entity}.{name}: is an option of {owners}; write {names}.")
-    if not found:
+    matches = [(part, option) for part in options for option in options[part] if name in (option, f"{part}.{option}")]
+    if len(matches) > 1:
+        owners = " and of ".join(part for part, _ in matches)
+        full_names = " or ".join(f"{entity}.{part}.{option}" for part, option in matches)
+        raise InputError(f"{entity}.{name}: is an option of {owners}; write {full_names}.")
+    if not matches:
         counts = Counter(option for own in options.values() for option in own)
-        known = [
+        candidates = [
             f"{part}.{option}" if counts[option] > 1 or name.startswith(f"{part}.") else option
             for part in options
             for option in options[part]
         ]
+        hint = suggest_name(name, candidates)
+        if "." in name and name.partition(".")[0] not in options:
+            hint = "numbers of the scenario file are varied by `vary`."
         raise InputError(
-            f"{entity}.{name}: the driver of {entity} ({driver}) has no option '{name}' that takes numbers;"
-            f" {suggest_name(name, known)}"
+            f"{entity}.{name}: the driver of {entity} ({driver}) has no option '{name}' that takes numbers; {hint}"
         )
-    return found[0]
+    return matches[0]
 
 
 def check_parameters(entity: str, driver: Driver, names: Iterable[str]) -> None:
@@ -91,12 +87,14 @@ def check_parameters(entity: str, driver: Driver, names: Iterable[str]) -> None:
 
 def fixed_options(part: Part) -> set[str]:
     """Return the names of the options that a part was given."""
-    made = part.prototype if isinstance(part, ScalarFunction) else part
-    _, given_by_name = getattr(made, "__dict__", {}).get("_cornercase_name", ("", {}))
-    text = getattr(made, "name", "") or (str(made) if isinstance(made, VariedDriver) else "")
-    in_text = str(text).partition(":")[2].split(",")
-    in_python = given_options(made) if isinstance(made, Configurable) else {}
-    return {*given_by_name, *in_python, *(option.partition("=")[0].strip() for option in in_text)}
+    made: object = part.prototype if isinstance(part, ScalarFunction) else part
+    given_by_name = recorded_options(made)
+    if not isinstance(made, Configurable):
+        return {*given_by_name}
+    # The name of a driver of a user need not be a text.
+    text = str(made if isinstance(made, VariedDriver) else made.name)
+    in_text = [option.partition("=")[0].strip() for option in text.partition(":")[2].split(",")]
+    return {*given_by_name, *given_options(made), *in_text}
 
 
 def is_same_in_batch(driver: Driver, part: str) -> bool:

@@ -337,7 +337,7 @@ def _drivers_with_values(
         by_entity.setdefault(entity, {})[name] = values[full_name]
     named: dict[str, str] = {}
     for entity, own in by_entity.items():
-        name = drivers.get(entity, scenario.drivers.get(entity))
-        if isinstance(name, str) and may_be_named_in_file(name):
-            named[entity] = spec_with_values(entity, create_driver_named_in_file(name), own)
+        driver = drivers.get(entity, scenario.drivers.get(entity))
+        if isinstance(driver, str) and may_be_named_in_file(driver):
+            named[entity] = spec_with_values(entity, create_driver_named_in_file(driver), own)
     return named

@@ -270,22 +270,22 @@ class ScenarioFile:
             if name in self.parameters or self.driver_parameters([name]):
                 continue
             entity, dot, option = name.partition(".")
-            known = {*self.parameters, *(f"{known}.{option}" for known in self.entities if dot)}
+            possible = {*self.parameters, *(f"{other}.{option}" for other in self.entities if dot)}
             also = f", and has no entity '{entity}' with a driver" if dot else ""
-            raise InputError(f"{self.path}: declares no parameter '{name}'{also}; {suggest_name(name, known)}")
+            raise InputError(f"{self.path}: declares no parameter '{name}'{also}; {suggest_name(name, possible)}")
 
     def driver_parameters(self, names: Iterable[str]) -> dict[str, tuple[str, str]]:
         """Return entity and option of the names that mean a parameter of an entity's driver, such as ``Ego.reaction``.
 
         A name that the file declares is none of them.
         """
-        found = {}
+        targets = {}
         for name in names:
             if "." in name and name not in self.parameters:
                 entities = [entity for entity in self.entities if name.startswith(f"{entity}.")]
                 if entities and (option := name.removeprefix(f"{max(entities, key=len)}.")):
-                    found[name] = max(entities, key=len), option
-        return found
+                    targets[name] = max(entities, key=len), option
+        return targets
 
     def resolve_path(self, reference: str, description: str) -> Path:
         """Return a path that the file contains, resolved from the folder of the file.

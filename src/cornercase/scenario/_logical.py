@@ -105,8 +105,8 @@ class ConcreteScenario:
             The file cannot be used.
         """
         own = self.load_file().driver_parameters(self.values)
-        kept = {name: value for name, value in self.values.items() if own.get(name, ("",))[0] != entity}
-        return replace(self, values=kept)
+        values = {name: value for name, value in self.values.items() if own.get(name, ("",))[0] != entity}
+        return replace(self, values=values)
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ def find_parameters_of_drivers(
     by_entity: dict[str, dict[str, str]] = {}
     for full_name, (entity, name) in scenario.driver_parameters(dict.fromkeys(names)).items():
         by_entity.setdefault(entity, {})[name] = full_name
-    found = []
+    parameters = []
     for entity, own in by_entity.items():
         if entity in drivers:
             driver = check_drivers(drivers)[entity]
@@ -43,8 +43,8 @@ def find_parameters_of_drivers(
                 f" drives it; give `drivers`, as in {entity}=normal."
             )
         check_parameters(entity, made, own)
-        found.append((entity, made, own))
-    return found
+        parameters.append((entity, made, own))
+    return parameters
 
 
 def check_driver_parameters(

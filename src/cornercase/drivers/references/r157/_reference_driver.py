@@ -10,7 +10,7 @@ import numpy as np
 from cornercase._common.errors import InputError, suggest_name
 from cornercase._common.typing import FloatArray
 from cornercase.drivers._base import Situation
-from cornercase.drivers._parameters import VariedDriver
+from cornercase.drivers._varied_driver import VariedDriver
 from cornercase.drivers.references.r157._models import REFERENCES, BrakingReaction
 from cornercase.drivers.references.r157._perception import ReferencePerception
 
