@@ -60,7 +60,7 @@ class Batch:
         drivers: Mapping[str, Driver | str],
         coupling: Coupling | None = None,
     ) -> None:
-        self._parameters, self._values = _split_off_driver_parameters(prepared.scenario, values)
+        self._parameters, self._values = split_off_driver_parameters(prepared.scenario, values)
         scope, self._file_name = prepared.scenario.scope(self._values), prepared.scenario.path.name
         self._time_step = time_step
         self.failure: DriverError | None = None
@@ -245,7 +245,7 @@ class Batch:
         return {i: tuple(of_scenario) for i, of_scenario in collisions.items()}
 
 
-def _split_off_driver_parameters(
+def split_off_driver_parameters(
     scenario: ScenarioFile, values: Sequence[Mapping[str, Value]]
 ) -> tuple[dict[str, tuple[dict[str, str], list[dict[str, Value]]]], Sequence[Mapping[str, Value]]]:
     """Return the values of drivers and those of the file's parameters.
