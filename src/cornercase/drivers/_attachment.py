@@ -24,7 +24,7 @@ from cornercase.drivers._compiled import is_compiled
 from cornercase.drivers._controls import Controls
 from cornercase.drivers._equipment import EquippedDriver
 from cornercase.drivers._function import DrivingFunction, Start
-from cornercase.drivers._motion import Motion, Mover
+from cornercase.drivers._motion import DrivenMotion, Mover
 from cornercase.drivers.vehicles._actuated import Actuators
 from cornercase.drivers.vehicles._kernels.actuators import Vehicles
 from cornercase.drivers.vehicles._pedals import pedals_to_acceleration
@@ -56,7 +56,7 @@ class Decision:
     scenario, which end.
     """
 
-    motion: Motion
+    motion: DrivenMotion
     failures: Mapping[int, SimulationError] = field(default_factory=dict)
 
 
@@ -118,8 +118,8 @@ class Attachment:
         `begin` is the motion at the start of the step, where the simulator has moved the entity in this step already.
         """
         # The driver may change the arrays that it is given.
-        kept = {name: getattr(situation, name).copy() for name in ("active", "distance", *_STATE)}
-        truth = replace(situation, **kept)
+        copies = {name: getattr(situation, name).copy() for name in ("active", "distance", *_STATE)}
+        truth = replace(situation, **copies)
         for sensor in self._sensors:
             situation = sensor.perceive(situation)
         controls = self._decide(situation)
@@ -132,7 +132,7 @@ class Attachment:
         self._fail(active & ~(is_decided | goes_on), acceleration, "an acceleration in m/s²", time, failures)
         self._fail(active & np.isinf(controls.steering), controls.steering, "an angle in rad", time, failures)
         acceleration = self._clip_acceleration(acceleration, active & is_decided, time)
-        start = PlanarMotion(**{name: kept[name] for name in _STATE}) if begin is None else begin
+        start = PlanarMotion(**{name: copies[name] for name in _STATE}) if begin is None else begin
         return Decision(self._mover.step(truth, start, controls, acceleration, active), failures)
 
     def _fail(
@@ -146,8 +146,8 @@ class Attachment:
     def _note_missing_lane(self, time: float, side: str) -> None:
         self.limit_notices.setdefault(
             f"lane {side}",
-            f"{self.display_name} asks for a lane on the {side} that does not exist or is not for traffic in its direction,"
-            f" and stays in its lane; first{format_time_of_failure(time)}",
+            f"{self.display_name} asks for a lane on the {side} that is not there or not for its direction, and stays"
+            f" in its lane; first{format_time_of_failure(time)}",
         )
 
     def _decide(self, situation: Situation) -> Controls:

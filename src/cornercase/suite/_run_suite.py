@@ -16,7 +16,7 @@ from cornercase._common.process.dask import open_connection
 from cornercase._common.text.sanitize import escape_control_characters, remove_folders
 from cornercase._common.validation import check_bool, check_mapping, check_str, check_str_sequence, repr_short
 from cornercase._common.validation import check_path as path_argument
-from cornercase.drivers import Driver
+from cornercase.drivers import Driver, SystemUnderTest
 from cornercase.drivers._resolve import is_driver, resolve_driver
 from cornercase.exploration._explore_options import OPTIONS
 from cornercase.metrics import METRICS, Metric
@@ -321,10 +321,13 @@ def _choose_metrics(
         )
     required = [name for requirement in requirements for name in requirement.expression.metrics]
     instances = resolve_metrics(requested or names or required or "clearance")
+    needed = [METRICS.create(name) for name in dict.fromkeys(required)]
     # Check before the study is created.
-    for metric in [*instances, *map(METRICS.create, required)]:
+    for metric in [*instances, *needed]:
         metric.check_installed()
-    return instances
+    # A stored recording does not know its roads, so these are measured when it runs.
+    names = [metric.name for metric in instances]
+    return [*instances, *(metric for metric in needed if metric.ego_only and metric.name not in names)]
 
 
 def _choose_simulator(suite: SuiteContents, requested: str | Simulator | None) -> str | Simulator:
@@ -343,7 +346,7 @@ def _choose_simulator(suite: SuiteContents, requested: str | Simulator | None) -
 def _resolve_drivers(suite: SuiteContents, requested: Mapping[str, str | Driver] | None) -> dict[str, str | Driver]:
     drivers: dict[str, str | Driver] = {}
     for entity, driver in check_mapping("drivers", requested or {}).items():
-        if (isinstance(driver, str) and driver) or is_driver(driver):
+        if (isinstance(driver, str) and driver) or isinstance(driver, SystemUnderTest) or is_driver(driver):
             drivers[entity] = resolve_driver(driver)
         else:
             raise InputError(f"`drivers` {entity}={repr_short(driver)}: give the name of a driver, or an instance.")

@@ -10,13 +10,12 @@ from cornercase._common.io.tracked_xml import find_by_name, find_untracked
 from cornercase._common.masks import any_true
 from cornercase._common.plugin_errors import is_built_in
 from cornercase._common.typing import BoolArray
-from cornercase.drivers import DrivenPath, Driver, Situation
+from cornercase.drivers import DrivenPath, Driver, PlanarMotion, Situation
 from cornercase.drivers._attachment import Attachment, Decision, DriverError
 from cornercase.drivers._compiled import is_compiled, limit_driver_acceleration
 from cornercase.drivers._function import Body, Start
 from cornercase.drivers._lanes import driven_path
 from cornercase.drivers._resolve import create_driver_named_in_file
-from cornercase.drivers.vehicles._vehicle_model import PlanarMotion
 from cornercase.scenario._file import DRIVER_PROPERTY
 from cornercase.scenario._scope import Scope
 from cornercase.simulators.builtin.actions._action import Action
@@ -34,7 +33,7 @@ _MAX_POINTS = 10_000
 
 
 class DriverControl:
-    """An entity of a batch, and the driver that moves it along a path, or steers it, while it is active.
+    """An entity of a batch, and the driver that moves it along lanes and trajectories, or steers it.
 
     On a trajectory with times there is nothing to decide. `number` is the index in `World.drivers`. `in_fleet` says
     whether kernels make the decisions.
