@@ -37,7 +37,9 @@ simulator = cc.simulators.Builtin(drivers={"Ego": car})
 impact_speeds = {}
 for friction in (1.0, 0.5):
     rows = [{"ego_kmh": float(speed), "friction": friction} for speed in speeds]
-    runs = list(simulator.run([cc.ConcreteScenario(scenario.file.path, row, scenario.file) for row in rows]))
+    runs = list(
+        simulator.run([cc.ConcreteScenario(scenario.scenario_file.path, row, scenario.scenario_file) for row in rows])
+    )
     impact_speeds[friction] = [3.6 * run.speed[0, -1] if run.collisions else 0.0 for run in runs]
     print(f"friction {friction:g}: {sum(bool(run.collisions) for run in runs)} of {len(runs)} collide")
 
