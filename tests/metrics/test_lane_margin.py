@@ -159,7 +159,12 @@ class Asleep(cc.SystemUnderTest):
 @pytest.mark.filterwarnings("ignore::cornercase.NoticeWarning")
 def test_a_suite_judges_by_the_roads_of_its_scenarios(tmp_path):
     shutil.copytree(EXAMPLES / "r157", tmp_path / "set", ignore=shutil.ignore_patterns("*.py", "deceleration*"))
-    options: Any = {"ego": "Ego", "other": ["Other"], "drivers": {"Ego": example("PassSlowLeader")}, "duration": 15.0}
+    options: Any = {
+        "ego": "Ego",
+        "other": ["Other"],
+        "drivers": {"Ego": ScalarFunction(example("PassSlowLeader"))},
+        "duration": 15.0,
+    }
     for others in (["Other"], "*"):
         options["other"], path = others, tmp_path / f"{len(others)}{others[0]}.db"
         require = ["ego leaves its lane", "ego stays on the road"]

@@ -20,11 +20,12 @@ from cornercase._common.text.sanitize import quote_name
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase._common.validation import repr_short
 from cornercase.drivers._base import Driver, Situation
-from cornercase.drivers._compiled import is_compiled
+from cornercase.drivers._compiled import is_compiled, limit_driver_acceleration
 from cornercase.drivers._controls import Controls
 from cornercase.drivers._equipment import EquippedDriver
 from cornercase.drivers._function import DrivingFunction, Start
 from cornercase.drivers._motion import DrivenMotion, Mover
+from cornercase.drivers.sensors._fusion import SensorFusion
 from cornercase.drivers.vehicles._actuated import Actuators
 from cornercase.drivers.vehicles._kernels.actuators import Vehicles
 from cornercase.drivers.vehicles._pedals import pedals_to_acceleration
@@ -69,7 +70,7 @@ class Attachment:
 
     def __init__(self, driver: Driver, entity: str) -> None:
         self.driver = driver.driver if isinstance(driver, EquippedDriver) else driver
-        self._sensors = driver.sensors if isinstance(driver, EquippedDriver) else ()
+        self._sensors = SensorFusion(driver.sensors if isinstance(driver, EquippedDriver) else ())
         self.vehicle = driver.vehicle if isinstance(driver, EquippedDriver) else None
         self._mover = Mover(self.vehicle, self._note_missing_lane)
         self._entity = entity
@@ -98,13 +99,17 @@ class Attachment:
         self._start = start
         requests = count_requests()
         try:
+            sensed = self._sensors.start(start)
             if isinstance(self.driver, DrivingFunction):
-                self.driver.prepare(start)
-            self.driver.start(start.scenarios, len(start.others))
+                self.driver.prepare(sensed)
+            self.driver.start(sensed.scenarios, len(sensed.others))
         except BaseException as error:
             raise DriverError(make_scenario_failure(self.display_name, error, requests, 0.0), splits=True) from error
-        for sensor in self._sensors:
-            sensor.start(start)
+        if is_compiled(self.driver):
+            # It plans with the limits.
+            bounds = {"acceleration": start.body.max_acceleration, "deceleration": start.body.max_deceleration}
+            for limit, value in limit_driver_acceleration(self.driver, *bounds.values()).items():
+                self.note_exceeded_limit(limit, bounds[limit], f"it would go up to {value:.6g} m/s²")
         self._mover.start(start)
 
     def release(self) -> None:
@@ -120,8 +125,6 @@ class Attachment:
         # The driver may change the arrays that it is given.
         copies = {name: getattr(situation, name).copy() for name in ("active", "distance", *_STATE)}
         truth = replace(situation, **copies)
-        for sensor in self._sensors:
-            situation = sensor.perceive(situation)
         controls = self._decide(situation)
         active, time = truth.active, truth.time
         failures = {n: failure for n, failure in controls.failures.items() if active[n]}
@@ -151,13 +154,14 @@ class Attachment:
         )
 
     def _decide(self, situation: Situation) -> Controls:
-        """Call the driver, which may be user code, and check what it returns."""
+        """Call the sensors and the driver, which may be user code, and check what it returns."""
         expected, requests = self._start.scenarios, count_requests()
         try:
+            sensed = self._sensors.perceive(situation)
             returned: object = (
-                self.driver.decide(situation)
+                self.driver.decide(sensed)
                 if isinstance(self.driver, DrivingFunction)
-                else self.driver.acceleration(situation)
+                else self.driver.acceleration(sensed)
             )
         except BaseException as error:
             raise DriverError(

@@ -145,7 +145,7 @@ def limit_driver_acceleration(
 
 
 def build_fleet(
-    drivers: Sequence[Driver],
+    drivers: Sequence[Driver | None],
     driven_rows: Sequence[int],
     scenarios: int,
     length: FloatArray,
@@ -157,10 +157,10 @@ def build_fleet(
 ) -> Fleet:
     """Create a fleet of started drivers, so that kernels and `Driver.acceleration` use the same state.
 
-    The state of the drivers moves into the arrays of the fleet, and the drivers keep views. `driven_rows` has, for each
-    driver, the row of its entity. `length`, `width` and `center_x` are the boxes of all E entities in m. `vehicles` are
-    the started actuators of each driver's entity, if it has some; `friction` (N,) is that of the road, and may change.
-    The new fleet has no routes.
+    The state of the drivers moves into the arrays of the fleet, and the drivers keep views; None stands for a driver
+    without kernels. `driven_rows` has, for each driver, the row of its entity. `length`, `width` and `center_x` are the
+    boxes of all E entities in m. `vehicles` are the started actuators of each driver's entity, if it has some;
+    `friction` (N,) is that of the road, and may change. The new fleet has no routes.
     """
     fleet = _empty_fleet(len(drivers), scenarios, max(len(object_types) - 1, 0))
     fleet = _add_vehicles(fleet, vehicles, np.ones(scenarios) if friction is None else friction)
@@ -168,7 +168,7 @@ def build_fleet(
     for d, (driver, e) in enumerate(zip(drivers, driven_rows, strict=True)):
         fleet.own[d] = boxes[:VULNERABLE, e]
         fleet.boxes[d] = np.delete(boxes, e, axis=1)
-        if is_compiled(driver):
+        if driver is not None and is_compiled(driver):
             driver.attach_to_fleet(fleet, d)
     return fleet
 

@@ -87,7 +87,9 @@ class ReferenceRuns:
             remaining = [item for item in remaining if item.next_reference is not None]
 
     def _run_reference(self, reference: str, scenarios: Sequence[PendingCondition]) -> None:
-        concretes = [self._config.logical.concrete_scenario(scenario.row.values) for scenario in scenarios]
+        concretes = [
+            self._config.logical.concrete_scenario(scenario.row.values, self._config.seed) for scenario in scenarios
+        ]
         # Exhaust the iterator, so that the simulator cleans up.
         for scenario, run in zip(scenarios, list(self._simulate(self._references[reference], concretes)), strict=True):
             self.record_reference_run(scenario, reference, run)

@@ -25,8 +25,8 @@ class SuiteScenario:
     """A scenario of a suite; `values` distinguish it from the other scenarios.
 
     `cluster_name`, `role` and `selection_reason` come from the manifest; they are empty if unknown. `source_id` is the
-    id in the study that the scenario was selected from. `error` says why the file cannot be run; it is empty if the
-    file can be run.
+    id in the study that the scenario was selected from, and `seed` that study's seed. `error` says why the file cannot
+    be run; it is empty if the file can be run.
     """
 
     file_name: str
@@ -37,11 +37,12 @@ class SuiteScenario:
     selection_reason: str = ""
     source_id: int | None = None
     error: str = ""
+    seed: int = 0
 
     @property
     def concrete_scenario(self) -> ConcreteScenario:
         """The scenario as a simulator takes it: the file without changes."""
-        return ConcreteScenario(self.scenario.path, {}, self.scenario)
+        return ConcreteScenario(self.scenario.path, {}, self.scenario, self.seed)
 
     @property
     def files(self) -> tuple[Path, ...]:

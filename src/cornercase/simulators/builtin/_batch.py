@@ -20,6 +20,7 @@ from cornercase.recordings import Collision, Recording
 from cornercase.scenario import Value
 from cornercase.scenario._other_formats import later_minor_version
 from cornercase.scenario._scope import Scope
+from cornercase.scenario._seeds import ScenarioSeeds
 from cornercase.simulators.builtin._entities import read_entities
 from cornercase.simulators.builtin._prepared_file import PreparedScenario, UnusableValuesError
 from cornercase.simulators.builtin._stepper import Coupling, Stepper
@@ -37,9 +38,9 @@ _MAX_ENTITIES: Final = 500
 class Batch:
     """Concrete scenarios of one file that run together, since they have the same storyboard.
 
-    `drivers` maps entities to drivers, and overrides the controllers in the file. `coupling` is another simulator that
-    moves some of the entities. Raises `UnusableValuesError` if the file cannot be used with these parameter values, and
-    `BatchSplitError` if the scenarios must be split into smaller batches.
+    `seeds` are those of the runs. `drivers` maps entities to drivers, and overrides the controllers in the file.
+    `coupling` is another simulator that moves some of the entities. Raises `UnusableValuesError` if the file cannot be
+    used with these parameter values, and `BatchSplitError` if the scenarios must be split into smaller batches.
 
     `failure` is the error of a driver that ended the run early. In a batch of one scenario, it is the result. In a
     larger batch, the scenario at fault is unknown, and no result can be used.
@@ -49,6 +50,7 @@ class Batch:
         self,
         prepared: PreparedScenario,
         values: Sequence[Mapping[str, Value]],
+        seeds: Sequence[int],
         time_step: float,
         duration: float,
         stop_at_collision: bool,
@@ -59,7 +61,7 @@ class Batch:
         self._time_step = time_step
         self.failure: DriverError | None = None
         try:
-            self._read_file(prepared, scope, drivers)
+            self._read_file(prepared, scope, seeds, drivers)
         except InputError as error:
             minor, message = later_minor_version(prepared.scenario.root), str(error)
             if minor is not None and "not supported" in message:
@@ -67,7 +69,9 @@ class Batch:
             raise UnusableValuesError(message, scope.split_parameters) from None
         self._stepper = Stepper(self._world, self._storyboard, time_step, duration, stop_at_collision, coupling)
 
-    def _read_file(self, prepared: PreparedScenario, scope: Scope, drivers: Mapping[str, Driver | str]) -> None:
+    def _read_file(
+        self, prepared: PreparedScenario, scope: Scope, seeds: Sequence[int], drivers: Mapping[str, Driver | str]
+    ) -> None:
         scenario = prepared.scenario
         prepared.check_elements_supported()
         storyboard = scenario.root.find("Storyboard")
@@ -90,6 +94,9 @@ class Batch:
         self._world = World(entities, scope.n_scenarios, network, tows, self._time_step)
         self._world.signal_controllers = read_signal_controllers(scenario.root, scope)
         self._world.selections = _read_entity_selections(scenario.root, self._world, scope)
+        # A copied file names other paths.
+        names = scope.parameter_values.keys() - scenario.path_parameters
+        self._world.seeds = ScenarioSeeds(seeds, {name: scope.parameter_values[name] for name in names})
         self._world.parameters = {
             name: _to_parameter_array(value, scope.n_scenarios) for name, value in scope.parameter_values.items()
         }

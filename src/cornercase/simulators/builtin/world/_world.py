@@ -5,7 +5,7 @@ Arrays are indexed (entity, scenario), so that the values of an entity are conti
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
 from typing import TYPE_CHECKING, Any, Protocol
@@ -19,6 +19,7 @@ from cornercase._common.geometry.boxes import box_corners
 from cornercase._common.io.support_table import NoticeLabel
 from cornercase._common.plugin_errors import format_time_of_failure
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
+from cornercase.drivers._function import Body
 from cornercase.roads._network import RoadNetwork
 from cornercase.scenario._scope import Scope
 from cornercase.simulators.builtin.tracks._lane import LaneTrack
@@ -74,6 +75,22 @@ class Entity:
     polyline_turning: int | None = None
     body: tuple[etree._Element, Scope] | None = field(default=None, repr=False, compare=False)
 
+    @property
+    def driven_body(self) -> Body:
+        """The entity as its driver knows it."""
+        return Body(
+            self.name,
+            self.kind,
+            self.length,
+            self.width,
+            self.center_x,
+            self.wheelbase,
+            self.max_steering,
+            self.max_speed,
+            self.max_acceleration,
+            self.max_deceleration,
+        )
+
 
 @dataclass(frozen=True)
 class Tow:
@@ -111,7 +128,7 @@ class World:
     state.
 
     Drivers: `drivers`: all that may control entities. `has_fixed_driver` (E): whether the user chose the driver, so
-    that the file cannot change it.
+    that the file cannot change it. `seeds`: of random numbers, by scenario.
 
     Results: `errors`: by scenario. `notices`: sentences on deviations from the file, without full stop, each once.
     `compiled`: the calls to kernels, once the run is prepared.
@@ -186,6 +203,7 @@ class World:
         self.overlapping = self.overlaps.transpose(1, 2, 0)
         self.friction = np.ones(scenarios)
         self.signals: dict[str, npt.NDArray[np.str_]] = {}
+        self.seeds: Sequence[int] = (0,) * scenarios
         self.signal_controllers: dict[str, SignalController] = {}
         self.drivers: list[SpeedController] = []
         self.has_fixed_driver = [False] * len(entities)
