@@ -160,6 +160,9 @@ def _runs_by_room(folder: Path) -> Iterator[tuple[str, Callable[[], Any]]]:
     simulate = partial(simulators.simulate, scenario, duration=_DURATION)
     for plugin in drivers.DRIVERS.names():
         yield "drivers", partial(simulate, drivers={"Ego": plugin})
+    for plugin in drivers.VEHICLES.names():
+        # Its driver is not compiled, so that the vehicle's own kernels are.
+        yield "drivers", partial(simulate, drivers={"Ego": f"cc-human + {plugin}"})
     yield "metrics", partial(metrics.measure, simulate(), config.ego, config.other)
     for plugin in optimizers.OPTIMIZERS.names():
         changed = replace(config, optimizer=plugin, critical=1.0, metrics=as_items(config.metrics)[:1])
