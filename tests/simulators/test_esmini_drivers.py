@@ -57,6 +57,16 @@ class Deaf(cc.SystemUnderTest):
         return -0.5
 
 
+class Slowing(cc.SystemUnderTest):
+    """Brakes evenly at some rate."""
+
+    def __init__(self, rate: float = 0.2) -> None:
+        self.rate = rate
+
+    def step(self, view, dt):
+        return -self.rate
+
+
 class Obedient(cc.SystemUnderTest):
     """Has the target speed within a second."""
 
@@ -305,3 +315,28 @@ def test_the_command_line_takes_a_function_of_the_user(tmp_path, monkeypatch):
     assert done.returncode == 0, done.stderr
     assert "4 scenarios" in done.stdout
     assert "my_function:Brake" in cornercase("show", "s.db").stdout
+
+
+def test_a_parameter_of_the_function_differs_between_scenarios():
+    scenarios = [ConcreteScenario(X, {"ego_start": 30.0, "Ego.rate": rate}) for rate in (0.5, 1.0, 0.5)]
+    options: dict[str, Any] = {"duration": 5.0, "drivers": of_ego(Slowing())}
+    here, there = ran(Esmini(**options), scenarios), ran(Builtin(**options), scenarios)
+    assert max(distance(*pair) for pair in zip(here, there, strict=True)) < 1e-4
+    assert same_recording(here[0], here[2])
+    assert ego(here[1])["speed"][-1] == pytest.approx(5.0)
+    with pytest.raises(
+        InputError, match=r"Ego\.horizon is a parameter of Ego's driver in the file, which .*undriven=true"
+    ):
+        list(Esmini(undriven=True).run([ConcreteScenario(X, {"Ego.horizon": 4.0})]))
+    with pytest.raises(InputError, match="rates"):
+        list(Esmini(**options).run([ConcreteScenario(X, {"Ego.rates": 4.0})]))
+
+
+def test_a_random_sensor_measures_the_same_as_in_the_builtin_simulator():
+    spec = "simple + radar:noise=0.5,miss=0.2"
+    for seed in (0, 7):
+        (here,), (there,) = (
+            ran(kind(duration=8.0, drivers={"Ego": spec}), [ConcreteScenario(CUT_IN, {}, seed=seed)])
+            for kind in (Esmini, Builtin)
+        )
+        assert distance(here, there) < 1e-6

@@ -168,17 +168,19 @@ def export(
     parquet: Annotated[
         bool, Option("--parquet", help="Also write tables of scenarios, recordings and courses as Parquet.")
     ] = False,
+    osi: Annotated[bool, Option("--osi", help="Also write each recording as a trace of ASAM OSI.")] = False,
 ) -> None:
     """Write everything in a study as tables.
 
     \b
     Example:
       cornercase export study.db -o tables
+      cornercase export study.db --osi -o traces
     """
     from cornercase.study import StudyFile
 
     with StudyFile.open(study, readonly=True) as opened:
-        opened.export(output, parquet=parquet)
+        opened.export(output, parquet=parquet, osi=osi)
     out.print(f"Written to {output}")
 
 

@@ -26,7 +26,12 @@ def simulate(
     *,
     output: Annotated[
         Path,
-        Option("--output", "-o", metavar="FILE.csv|DIR", help="Recording to write; a folder for several scenarios."),
+        Option(
+            "--output",
+            "-o",
+            metavar="FILE.csv|FILE.osi|DIR",
+            help="Recording to write, as CSV or OSI; a folder for several scenarios.",
+        ),
     ],
     table: Annotated[
         Path | None,
@@ -58,6 +63,7 @@ def simulate(
           --parameters values.csv -o recordings
     """
     from cornercase import simulators
+    from cornercase.recordings import write_osi
 
     parameters = parsing.parse_pairs(values or (), "--set")
     if table is not None or len(scenarios) > 1:
@@ -73,7 +79,10 @@ def simulate(
     check_output_differs_from_source(output, scenario)
     names = ("time_step", "duration", "on_collision", "drivers", "simulator", "timeout")
     recording = simulators.simulate(scenario, parameters, ego=ego, seed=seed, **{name: options[name] for name in names})
-    recording.to_csv(output)
+    if output.suffix.lower() == ".osi":
+        write_osi(output, recording, ego if ego in recording.names else None)
+    else:
+        recording.to_csv(output)
     out.print(f"{len(recording.names)} entities, {recording.time[-1]:g} s, written to {output}")
     for collision in recording.collisions:
         out.print(f"{' and '.join(collision.entities)} collide at {collision.time:g} s")

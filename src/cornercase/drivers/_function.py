@@ -58,7 +58,8 @@ class Start:
     time_step : float
         In s.
     parameters : mapping of str to ndarray of float64, shape (N,)
-        Own parameters that differ between scenarios, such as ``"reaction"`` for a dimension ``Ego.reaction``.
+        Own parameters that differ between scenarios, such as ``"reaction"`` for a dimension ``Ego.reaction``. An
+        `Attachment` is given those of all its parts; driver, sensors and vehicle are given their own.
     values : tuple of mapping, length N
         Values of the scenario file's parameters that differ from those in the file, by scenario.
     seeds : sequence of int, length N
@@ -107,7 +108,8 @@ class Start:
 class DrivingFunction(Driver):
     """A driver that decides controls for a batch: adapters of what users attach derive from it.
 
-    `prepare` is called once per batch, before the first step. `decide` is called in each step once per path, with the
+    `prepare` is called once per batch, before the first step; `Start.parameters` has a value for each scenario of those
+    `searchable_options` that are dimensions of a search. `decide` is called in each step once per path, with the
     mask ``active`` as in `Driver.acceleration`. `release` is called when the batch has ended, also after a failure.
     """
 

@@ -36,7 +36,7 @@ class ConcreteScenario:
     path : Path
         OpenSCENARIO file.
     values : mapping of str to float or str
-        Parameters that differ from the defaults of the file.
+        Parameters that differ from the defaults of the file, and options of drivers as ``"Ego.reaction"``.
     file : ScenarioFile, optional
         The parsed file; by default it is read when the scenario runs.
     seed : int, default 0
@@ -92,6 +92,26 @@ class ConcreteScenario:
         """
         return self if self.file is None else replace(self, values=_evaluate_all_parameters(self.file, self.values))
 
+    def without_driver_parameters(self, entity: str) -> ConcreteScenario:
+        """Return the scenario without the parameters of an entity's driver, so that another driver can drive it.
+
+        Parameters
+        ----------
+        entity : str
+
+        Returns
+        -------
+        ConcreteScenario
+
+        Raises
+        ------
+        InputError
+            The file cannot be used.
+        """
+        own = self.load_file().driver_parameters(self.values)
+        values = {name: value for name, value in self.values.items() if own.get(name, ("",))[0] != entity}
+        return replace(self, values=values)
+
 
 @dataclass(frozen=True)
 class LogicalScenario:
@@ -140,7 +160,8 @@ class LogicalScenario:
         space : path, optional
             ParameterValueDistribution file. Without it and `ranges` nothing is varied, until `vary` says what.
         ranges : sequence of str or mapping
-            ``["NAME=LOW:HIGH[:STEP]"]`` or ``{"NAME": (LOW, HIGH)}``; they extend the space or replace its ranges.
+            ``["NAME=LOW:HIGH[:STEP]"]`` or ``{"NAME": (LOW, HIGH)}``; they extend the space or replace its ranges. A
+            name is that of a declared parameter, or an option of an entity's driver: ``Ego.reaction=0.1:0.6``.
         continuous : bool, default False
             Treat ranges with steps as continuous.
 
@@ -151,7 +172,7 @@ class LogicalScenario:
         Raises
         ------
         InputError
-            A file cannot be used, or a varied parameter is not declared in the scenario.
+            A file cannot be used, or a varied parameter is neither declared in the scenario nor one of an entity.
 
         Examples
         --------
@@ -191,7 +212,8 @@ class LogicalScenario:
         Parameters
         ----------
         name : str
-            A parameter that the scenario file declares. It is added to the space, or its range is replaced.
+            A parameter that the scenario file declares, or an option of an entity's driver, as in ``"Ego.reaction"``.
+            It is added to the space, or its range is replaced.
         low, high : float
             Bounds of the range, in the parameter's unit.
         step : float, optional

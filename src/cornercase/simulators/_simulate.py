@@ -19,6 +19,7 @@ from cornercase.scenario._file import ScenarioFile
 from cornercase.simulators._base import Simulator
 from cornercase.simulators._common_options import split_common_options
 from cornercase.simulators._create import create_simulator
+from cornercase.simulators._driver_parameters import check_driver_parameters
 from cornercase.simulators._results import check_simulator_accepts, list_ignored_content, run_scenarios
 from cornercase.simulators._run_notices import RunNotices
 
@@ -97,6 +98,7 @@ def simulate(
     }
     simulator, options = split_common_options(simulator, options)
     options["drivers"] = {entity: resolve_driver(driver) for entity, driver in options["drivers"].items()}
+    check_driver_parameters(simulator, file, options["drivers"], [checked_values])
     with collect_interrupts(), create_simulator(simulator, options, ego=ego, timeout=timeout) as started:
         check_simulator_accepts(started, [file])
         (result,) = run_scenarios(started, [ConcreteScenario(file.path, checked_values, file, seed)])

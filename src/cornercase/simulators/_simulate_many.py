@@ -23,6 +23,7 @@ from cornercase.scenario._value_table import FILE_COLUMN, read_value_table
 from cornercase.simulators._base import COMMON_OPTIONS, Simulator
 from cornercase.simulators._common_options import split_common_options
 from cornercase.simulators._create import create_simulator
+from cornercase.simulators._driver_parameters import check_driver_parameters
 from cornercase.simulators._output_folder import NOTES_FILE, TABLE_FILE, PlannedRecording, RecordingsFolder
 from cornercase.simulators._results import (
     check_simulator_accepts,
@@ -172,6 +173,9 @@ def simulate_many(
         checked.pop("simulator"), {name: checked.pop(name) for name in COMMON_OPTIONS}
     )
     settings["drivers"] = {entity: resolve_driver(driver) for entity, driver in settings["drivers"].items()}
+    for scenario in scenario_files:
+        values_of_file = [plan.concrete_scenario.values for plan in planned if plan.concrete_scenario.file is scenario]
+        check_driver_parameters(simulator, scenario, settings["drivers"], values_of_file)
     with create_simulator(simulator, settings, ego=ego, **checked) as started:
         if table is None:
             refused = find_refusals(started, [plan.concrete_scenario for plan in planned])

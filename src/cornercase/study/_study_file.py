@@ -22,7 +22,7 @@ from cornercase.drivers._description import format_driver
 from cornercase.drivers.references.r157._preventability import ReferenceOutcome
 from cornercase.metrics import Metric, compute_features
 from cornercase.metrics._outcome import Impact
-from cornercase.recordings import Collision, Recording
+from cornercase.recordings import Collision, Recording, write_osi
 from cornercase.recordings._rounded import encode_rounded
 from cornercase.study._arrays import read_arrays
 from cornercase.study._codec import unpack_arrays, unpack_recording
@@ -1129,7 +1129,7 @@ class StudyFile:
         runs = self._read_run_scores(self.meta.metrics[0]) or []
         return {row.id: len(scores) for row, scores in zip(self.finished_rows(), runs, strict=True)}
 
-    def export(self, folder: Path | str, parquet: bool = False) -> None:
+    def export(self, folder: Path | str, parquet: bool = False, osi: bool = False) -> None:
         """Write the study as CSV: a table of scenarios, and the recording and metric courses of each scenario.
 
         Parameters
@@ -1140,12 +1140,14 @@ class StudyFile:
         parquet : bool, default False
             Also write ``scenarios.parquet``, ``recordings.parquet`` and ``courses.parquet`` of all scenarios. The
             column ``scenario`` of the last two is the scenario id.
+        osi : bool, default False
+            Also write ``osi/ID.osi``, a trace of ASAM OSI with the ego as host vehicle, for each scenario.
 
         Raises
         ------
         InputError
-            The folder cannot be written, or the package that writes Parquet is not installed. In both cases no file has
-            changed.
+            The folder cannot be written, or the package that writes Parquet or OSI is not installed. In both cases no
+            file has changed.
         """
         folder = check_folder("folder", folder)
         table = self.table()
@@ -1153,6 +1155,9 @@ class StudyFile:
         with atomic_write_group():
             write_table(folder, table, parquet)
             write_scenarios(folder, self.iter_recordings(), parquet)
+            if osi:
+                for number, recording, _ in self.iter_recordings():
+                    write_osi(folder / "osi" / f"{number:05}.osi", recording, self.meta.ego)
 
     def read_recording_pair(self, scenario: int, other: StudyFile, other_scenario: int) -> tuple[Recording, Recording]:
         """Read the recording of a scenario, and the recording of a scenario in another study.

@@ -174,8 +174,10 @@ def _require_values_of_file(path: Path, scenario: SuiteScenario) -> None:
     # Paths in the copied file differ from those in the logical scenario.
     path_names = scenario.scenario.path_parameters
     for name, value in scenario.values.items():
-        if name not in path_names and as_declared(value, declared[name]) != as_declared(
-            declared[name].value, declared[name]
+        if (
+            name in declared
+            and name not in path_names
+            and as_declared(value, declared[name]) != as_declared(declared[name].value, declared[name])
         ):
             raise InputError(
                 f"{path}: gives {scenario.file_name[:100]} the value {escape_control_characters(str(value))[:60]} for"

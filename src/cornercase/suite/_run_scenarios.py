@@ -162,7 +162,8 @@ def run_reference_drivers(
     for name, simulator in simulators_by_driver.items():
         applicable = [item for item in requirements if name in item.expression.reference_drivers]
         rows = [row for row in study.finished_rows() if _needs_reference_run(suite, study, row, name, applicable)]
-        outcomes = run_scenarios(simulator, [suite.scenarios[row.id - 1].concrete_scenario for row in rows])
+        concretes = [suite.scenarios[row.id - 1].concrete_scenario.without_driver_parameters(ego) for row in rows]
+        outcomes = run_scenarios(simulator, concretes)
         for row, run in zip(rows, outcomes, strict=False):
             if not isinstance(run, SimulationError):
                 outcome = assess_preventability(name, run, study.recording(row.id), ego, others)

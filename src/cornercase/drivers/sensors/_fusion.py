@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -32,11 +32,15 @@ class SensorFusion:
     def __len__(self) -> int:
         return len(self._sensors)
 
-    def start(self, start: Start) -> Start:
-        """Reset the sensors for a batch; return what the driver is told of it, with the names of false objects."""
+    def start(self, start: Start, parameters: Sequence[Mapping[str, FloatArray]] = ()) -> Start:
+        """Reset the sensors for a batch; return what the driver is told of it, with the names of false objects.
+
+        `parameters` are those of each sensor, as in `Start`; by default none.
+        """
+        given = parameters or ({},) * len(self._sensors)
         self._false_names: tuple[str, ...] = ()
-        for sensor, label in zip(self._sensors, _label_sensors(self._sensors), strict=True):
-            sensor.start(start, label)
+        for sensor, label, own in zip(self._sensors, _label_sensors(self._sensors), given, strict=True):
+            sensor.start(replace(start, parameters=own), label)
             self._false_names += tuple(f"false object {k + 1} of {label}" for k in range(sensor.false_objects))
         return replace(start, others=start.others + self._false_names)
 

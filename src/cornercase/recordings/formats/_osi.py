@@ -11,6 +11,7 @@ from typing import Any, Final
 from cornercase._common.errors import InputError
 from cornercase._common.text.sanitize import format_exception
 from cornercase.recordings._from_samples import EntitySamples, recording_from_samples
+from cornercase.recordings._osi_messages import NAME_PREFIX, REFERENCE_TYPE
 from cornercase.recordings._recording import Recording
 
 # Largest unpacked message and file in bytes, against decompression bombs.
@@ -23,7 +24,9 @@ _MAGIC_SIZE, _RECORD_HEADER_SIZE, _CHUNK_OPCODE = 8, 9, 6
 
 
 def read_osi(path: Path | str) -> Recording:
-    """Read the moving objects of an ASAM OSI trace, named by their ids; requires the extra ``osi``.
+    """Read the moving objects of an ASAM OSI trace; requires the extra ``osi``.
+
+    They are named as in the scenario where the trace says so, else by their ids.
 
     The trace has one channel (``.osi``, ``.xz``, ``.lzma``) or several (``.mcap``). Its messages are GroundTruth or
     SensorView.
@@ -53,10 +56,15 @@ def read_osi(path: Path | str) -> Recording:
     }
 
     tracks: dict[str, EntitySamples] = {}
+    names: dict[int, str] = {}
     for truth in _iter_ground_truths(path):
         time = truth.timestamp.seconds + truth.timestamp.nanos * 1e-9
         for moving_object in truth.moving_object:
-            name, base = str(moving_object.id.value), moving_object.base
+            number, base = moving_object.id.value, moving_object.base
+            if number not in names:
+                entity = _find_entity_name(moving_object)
+                names[number] = entity if entity and entity not in names.values() else str(number)
+            name = names[number]
             kind = kinds.get(moving_object.type) or vehicles.get(moving_object.vehicle_classification.type, "car")
             if moving_object.type == moving.TYPE_OTHER:
                 kind = "misc"
@@ -74,6 +82,15 @@ def read_osi(path: Path | str) -> Recording:
                 cos * base.acceleration.x + sin * base.acceleration.y if base.HasField("acceleration") else math.nan,
             )
     return recording_from_samples(path, tracks)
+
+
+def _find_entity_name(moving_object: Any) -> str:
+    """Return the name of an object in its OpenSCENARIO file; empty if unknown."""
+    for reference in moving_object.source_reference:
+        for identifier in reference.identifier if reference.type == REFERENCE_TYPE else ():
+            if identifier.startswith(NAME_PREFIX):
+                return str(identifier.removeprefix(NAME_PREFIX))
+    return ""
 
 
 def _iter_ground_truths(path: Path) -> Iterator[Any]:

@@ -14,8 +14,11 @@ from cornercase._common.typing import FloatArray
 from cornercase.drivers import DrivenPath, Driver, Situation
 from cornercase.drivers._attachment import Attachment, DriverError
 from cornercase.drivers._function import Start
+from cornercase.drivers._parameters import read_parameters
 from cornercase.scenario import Value
 from cornercase.scenario._file import ScenarioFile
+from cornercase.scenario._seeds import ScenarioSeeds
+from cornercase.simulators.builtin._batch import split_off_driver_parameters
 from cornercase.simulators.builtin._entities import read_entities
 from cornercase.simulators.builtin._prepared_file import PreparedScenario
 from cornercase.simulators.builtin.actions._controller import create_file_driver
@@ -38,16 +41,20 @@ def start_drivers(
     drivers: Mapping[str, str | Driver],
     scenario: ScenarioFile,
     values: Mapping[str, Value],
+    seed: int,
     states: Mapping[str, ObjectState],
     time_step: float,
 ) -> list[DrivenEntity]:
     """Start the drivers of a scenario that esmini has loaded, in the order of the file; raises `DriverError`."""
     if not drivers:
         return []
+    parameters, (values,) = split_off_driver_parameters(scenario, [values])
     prepared, scope = PreparedScenario.from_scenario(scenario), scenario.scope([values])
     network = prepared.road_network(scenario.road_reference_for(values))
     entities, tows = read_entities(list(scenario.root.iterfind("Entities/ScenarioObject")), scope)
     world = World(entities, 1, network, tows, time_step)
+    names = scope.parameter_values.keys() - scenario.path_parameters
+    seeds = ScenarioSeeds([seed], {name: scope.parameter_values[name] for name in names})
     driven = list[DrivenEntity]()
     try:
         for e, entity in enumerate(entities):
@@ -61,6 +68,9 @@ def start_drivers(
                     )
                 world.speed[e] = states[entity.name].speed
             created = create_file_driver(driver, str(scenario.path)) if isinstance(driver, str) else driver
+            own, problems = read_parameters(entity.name, created, parameters.get(entity.name, ({}, []))[1])
+            if problems:
+                raise DriverError(SimulationError(problems[0]), splits=False)
             others = [other for other in entities if other is not entity]
             path = FollowedPath(lib, network, _read_trajectory(scenario, values, world, e))
             driven.append(
@@ -70,9 +80,9 @@ def start_drivers(
                 Start(
                     body=entity.driven_body,
                     time_step=time_step,
-                    parameters={},
+                    parameters=own,
                     values=(values,),
-                    seeds=(0,),
+                    seeds=seeds,
                     others=tuple(other.name for other in others),
                     network=network,
                     friction=np.ones(1),

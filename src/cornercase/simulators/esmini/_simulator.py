@@ -21,6 +21,7 @@ from cornercase.recordings import Collision, Recording
 from cornercase.scenario import ConcreteScenario, Value
 from cornercase.scenario._file import ScenarioFile
 from cornercase.simulators._base import Availability, Simulator, check_seed, check_settings
+from cornercase.simulators._driver_parameters import find_parameters_of_drivers
 from cornercase.simulators.builtin.actions._controller import create_file_driver
 from cornercase.simulators.esmini._drivable import check_drivable
 from cornercase.simulators.esmini._driven_entity import DrivenEntity, start_drivers
@@ -71,6 +72,7 @@ class Esmini(Simulator):
 
     name = "esmini"
     deterministic = True
+    takes_driver_parameters = True
     parameter_passing = "file"
 
     def __init__(
@@ -128,8 +130,9 @@ class Esmini(Simulator):
             self.check_supported(scenario)
             for entity in self._drivers:
                 scenario.require_entity(entity, "driven entity")
+            self._require_known_parameters(scenario, concrete.values)
             try:
-                yield self._run_scenario(self._library, scenario, concrete.values)
+                yield self._run_scenario(self._library, scenario, concrete)
             finally:
                 self._library.SE_Close()
 
@@ -155,12 +158,29 @@ class Esmini(Simulator):
                 create_file_driver(driver, str(scenario.path))
             check_drivable(scenario, entity)
 
+    def check_runnable(self, concretes: Sequence[ConcreteScenario]) -> None:
+        """Refuse parameters of drivers that do not drive here."""
+        for concrete in concretes:
+            self._require_known_parameters(concrete.load_file(), concrete.values)
+
+    def _require_known_parameters(self, scenario: ScenarioFile, values: Mapping[str, Value]) -> None:
+        driving = self._drivers_of(scenario)
+        for entity, _, names in find_parameters_of_drivers(scenario, driving, values):
+            if entity not in driving:
+                raise InputError(
+                    f"{scenario.path}: {next(iter(names.values()))} is a parameter of {entity}'s driver in the file,"
+                    " which esmini:undriven=true leaves out; leave out one of them."
+                )
+
     def _drivers_of(self, scenario: ScenarioFile) -> dict[str, str | Driver]:
         return {**({} if self._undriven else scenario.drivers), **self._drivers}
 
     def _run_scenario(
-        self, lib: ctypes.CDLL, scenario: ScenarioFile, values: Mapping[str, Value]
+        self, lib: ctypes.CDLL, scenario: ScenarioFile, concrete: ConcreteScenario
     ) -> Recording | SimulationError:
+        values = concrete.values
+        # Those of drivers are none of esmini's.
+        own = {name: value for name, value in values.items() if name not in scenario.driver_parameters(values)}
         parameter_types = {
             e.get("name", ""): e.get("parameterType", "")
             for e in scenario.root.iterfind("ParameterDeclarations/ParameterDeclaration")
@@ -168,7 +188,7 @@ class Esmini(Simulator):
         rejected: list[str] = []
 
         def set_parameters(_: object) -> None:
-            for name, value in values.items():
+            for name, value in own.items():
                 if set_parameter(lib, name, value, parameter_types.get(name, "")) != 0:
                     rejected.append(name)
 
@@ -187,7 +207,9 @@ class Esmini(Simulator):
         log = _StateLog(lib)
         collides = log.record_state(0.0)
         try:
-            driven = start_drivers(lib, self._drivers_of(scenario), scenario, values, log.states, self._time_step)
+            driven = start_drivers(
+                lib, self._drivers_of(scenario), scenario, values, concrete.seed, log.states, self._time_step
+            )
         except DriverError as failure:
             return failure.error
         try:

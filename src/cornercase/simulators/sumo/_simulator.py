@@ -20,6 +20,7 @@ from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario, Value
 from cornercase.scenario._file import ScenarioFile
 from cornercase.simulators._base import Availability, Simulator, check_seed, check_settings
+from cornercase.simulators._driver_parameters import find_parameters_of_drivers
 from cornercase.simulators.builtin._batch import Batch
 from cornercase.simulators.builtin._prepared_file import PreparedScenario, UnusableValuesError
 from cornercase.simulators.builtin._unsupported import read_and_collect_notices
@@ -60,6 +61,7 @@ class Sumo(Simulator):
 
     name = "sumo"
     deterministic = True
+    takes_driver_parameters = True
     parameter_passing = "file"
 
     def __init__(
@@ -117,6 +119,7 @@ class Sumo(Simulator):
             for entity in self._drivers:
                 scenario.require_entity(entity, "driven entity")
             types = self._types_of_sumo_driven(scenario)
+            self._require_known_parameters(scenario, types, concrete.values)
             try:
                 yield self._run_scenario(prepared, concrete, types)
             except UnusableValuesError as error:
@@ -161,6 +164,22 @@ class Sumo(Simulator):
     def check_supported(self, scenario: ScenarioFile) -> None:
         """Refuse a scenario with an unknown driver, or with equipment that SUMO's own models lack."""
         self._types_of_sumo_driven(scenario)
+
+    def check_runnable(self, concretes: Sequence[ConcreteScenario]) -> None:
+        """Refuse parameters of drivers that do not drive here."""
+        for concrete in concretes:
+            scenario = concrete.load_file()
+            self._require_known_parameters(scenario, self._types_of_sumo_driven(scenario), concrete.values)
+
+    def _require_known_parameters(
+        self, scenario: ScenarioFile, types: Mapping[str, str], values: Mapping[str, Value]
+    ) -> None:
+        for entity, _, names in find_parameters_of_drivers(scenario, self._drivers, values):
+            if entity in types:
+                raise InputError(
+                    f"{scenario.path}: {next(iter(names.values()))} is a parameter of a driver of cornercase, but SUMO"
+                    f" itself drives {entity} as '{types[entity]}'; leave it out, or give another driver."
+                )
 
     def _types_of_sumo_driven(self, scenario: ScenarioFile) -> dict[str, str]:
         """Return the vehicle types of the entities that SUMO drives."""
