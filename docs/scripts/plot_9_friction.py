@@ -27,8 +27,8 @@ class Aeb(Driver):
 
 
 # %%
-# The vehicle model ``actuators`` builds up the brakes after a dead time, and brakes no harder than the tyres can. Without
-# one, the friction of the road would have no effect.
+# The vehicle model ``actuators`` builds up the brakes after a dead time, and brakes no harder than the tyres can.
+# Without one, the friction of the road would have no effect.
 
 car = EquippedDriver(Aeb(), vehicle=Actuators(delay=0.1, lag=0.1, max_jerk=60.0))
 scenario = cc.LogicalScenario.read(examples_folder() / "ccrs" / "ccrs.xosc", ranges=["ego_kmh=10:80"])
