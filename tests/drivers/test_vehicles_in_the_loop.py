@@ -70,3 +70,14 @@ def test_acceleration_changes_slowly_and_within_friction() -> None:
     acceleration = recording.acceleration[recording.entity_index("Ego")]
     assert np.abs(acceleration).max() == pytest.approx(0.15 * 9.81, rel=1e-6)
     assert np.abs(np.diff(acceleration[1:])).max() <= 5.0 * 0.05 + 1e-9
+
+
+@pytest.mark.parametrize("options", ["", ":steering_delay=0.1,steering_lag=0.2"])
+def test_slow_steering_follows_the_turn_of_an_intersection(options: str) -> None:
+    chosen = concretes(4)
+    for exact, steered in zip(run(chosen, "normal"), run(chosen, f"normal + single-track{options}"), strict=True):
+        e = exact.entity_index("Ego")
+        line, ends = np.stack((exact.x[e], exact.y[e]), 1), len(steered.x[e]) // 2
+        ways = np.stack((steered.x[e], steered.y[e]), 1)[: -ends // 4]
+        deviation = np.hypot(*(ways[:, None] - line).T).min(axis=0)
+        assert deviation.max() < 1.0

@@ -161,6 +161,9 @@ def _runs_by_room(folder: Path) -> Iterator[tuple[str, Callable[[], Any]]]:
     # An FMU is a file of the user.
     for plugin in (name for name in drivers.DRIVERS.names() if name != "fmu"):
         yield "drivers", partial(simulate, drivers={"Ego": plugin})
+    for plugin in drivers.VEHICLES.names():
+        # Its driver is not compiled, so that the vehicle's own kernels are.
+        yield "drivers", partial(simulate, drivers={"Ego": f"cc-human + {plugin}"})
     yield "metrics", partial(metrics.measure, simulate(), config.ego, config.other)
     for plugin in optimizers.OPTIMIZERS.names():
         changed = replace(config, optimizer=plugin, critical=1.0, metrics=as_items(config.metrics)[:1])

@@ -59,6 +59,7 @@ class Mover:
         """Reset all state for a batch."""
         self._start = start
         self._steered = self._vehicle if self._vehicle is not None and self._vehicle.steers else None
+        self._steering_time = 0.0 if self._steered is None else self._steered.steering_time
         self._memory = _Memory(np.full(start.scenarios, self._steered is not None), np.zeros(start.scenarios))
         if self._vehicle is not None:
             self._vehicle.start(start)
@@ -85,7 +86,7 @@ class Mover:
                 is_exact[n] = True
                 x[n], y[n], heading[n], speed[n] = trajectory.move(*here)
             else:
-                acceleration[n], steering[n] = trajectory.track(*here, self._start.body.wheelbase)
+                acceleration[n], steering[n] = trajectory.track(*here, self._start.body.wheelbase, self._steering_time)
         acceleration = self._limit(acceleration)
         goes = active & ~is_exact
         requested = np.minimum(np.maximum(begin.speed + acceleration * dt, 0.0), self._start.body.max_speed)
@@ -161,7 +162,8 @@ class Mover:
                 del self._memory.changes[n]
             return pose
         at = change.locate(x, y, float(begin.heading[n]), float(begin.speed[n]), dt)
-        steering[n] = float(steer_along_path(at, begin.speed[n : n + 1], self._start.body.wheelbase)[0])
+        wheelbase, slowness = self._start.body.wheelbase, self._steering_time
+        steering[n] = float(steer_along_path(at, begin.speed[n : n + 1], wheelbase, slowness)[0])
         if change.has_arrived(float(at.offset[0])):
             del self._memory.changes[n]
         return None
@@ -172,9 +174,10 @@ class Mover:
         """Steer along the path in the driven scenarios without a steering angle."""
         rows = is_driven & np.isnan(steering)
         if rows.any():
-            ahead = 0.5 * begin.speed * situation.time_step
+            ahead = begin.speed * (0.5 * situation.time_step + self._steering_time)
             poses = locate_on_path(situation.path, situation.distance, begin.x, begin.y, begin.heading, ahead)
-            steering[rows] = steer_along_path(poses, begin.speed, self._start.body.wheelbase)[rows]
+            wheelbase, slowness = self._start.body.wheelbase, self._steering_time
+            steering[rows] = steer_along_path(poses, begin.speed, wheelbase, slowness)[rows]
 
     def _limit(self, acceleration: FloatArray) -> FloatArray:
         body = self._start.body

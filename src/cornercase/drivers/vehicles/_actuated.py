@@ -122,6 +122,8 @@ class SteeredVehicle(ActuatedVehicle):
         Those of `ActuatedVehicle`.
     """
 
+    # rad; a usual change of the angle of the front wheels.
+    _USUAL_ANGLE: ClassVar = 0.1
     # Compiled step, which changes the motion (N, 5).
     _step_kernel: ClassVar[Any]
 
@@ -135,6 +137,7 @@ class SteeredVehicle(ActuatedVehicle):
     ) -> None:
         super().__init__(**options)
         self._set(steering_delay=steering_delay, steering_lag=steering_lag, max_steering_rate=max_steering_rate)
+        self.steering_time = steering_delay + steering_lag + self._USUAL_ANGLE / max_steering_rate
 
     def step(
         self,

@@ -41,9 +41,12 @@ class VehicleModel(Configurable, ABC):
         As registered.
     steers : bool
         Whether the model has a pose of its own. If not, only its speed counts, and the vehicle stays on its path.
+    steering_time : float
+        About how long in s its steering takes: who steers it along a path looks so far ahead.
     """
 
     steers: bool = True
+    steering_time: float = 0.0
 
     @abstractmethod
     def start(self, start: Start) -> None:

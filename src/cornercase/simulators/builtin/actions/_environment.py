@@ -1,4 +1,4 @@
-"""The action that changes the environment, of which the friction of the road is simulated."""
+"""The action that changes the environment; only the friction of the road is simulated."""
 
 from __future__ import annotations
 
