@@ -45,6 +45,17 @@ class VehicleModel(Configurable, ABC):
 
     steers: bool = True
 
+    @property
+    def steering_response(self) -> FloatArray | float:
+        """Time in s by which the wheels are late; a tracker steers that much earlier.
+
+        Returns
+        -------
+        ndarray of float64, shape (N,), or float
+            One for all scenarios if it is a float.
+        """
+        return 0.0
+
     @abstractmethod
     def start(self, start: Start) -> None:
         """Reset all state for a batch.
