@@ -16,7 +16,7 @@ from cornercase._common.errors import InputError
 from cornercase._common.plugin_errors import is_built_in, unwrap_factory
 from cornercase.drivers._base import Driver
 from cornercase.drivers._equipment import EquippedDriver
-from cornercase.drivers._mutants import nearest_preset_name
+from cornercase.drivers._preset_name import nearest_preset_name
 from cornercase.drivers._registry import DRIVERS, SEPARATOR, split_spec
 from cornercase.drivers._system_under_test import ScalarFunction
 from cornercase.drivers.references.r157._models import REFERENCES
@@ -40,6 +40,12 @@ def record_driver_spec(driver: Driver, name: str, options: Mapping[str, object])
                 f"The driver '{name}' takes no options, since its class has __slots__ and no __dict__ to keep them;"
                 " derive it from cornercase.drivers.Driver."
             ) from None
+
+
+def recorded_options(driver: object) -> Mapping[str, object]:
+    """Return the options that a driver was created with by name."""
+    _, options = getattr(driver, "__dict__", {}).get(_SPEC_ATTRIBUTE, ("", {}))
+    return dict(options)
 
 
 def serialize_driver(driver: str | Driver) -> str | dict[str, Any]:

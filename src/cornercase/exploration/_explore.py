@@ -29,6 +29,8 @@ from cornercase.optimizers import Optimizer
 from cornercase.scenario import LogicalScenario
 from cornercase.simulators import Simulator
 from cornercase.simulators._create import create_simulator
+from cornercase.simulators._driver_parameters import bounds_of_parameters, check_driver_parameters
+from cornercase.simulators._random_sensors import find_random_sensors, warn_if_runs_are_random
 from cornercase.simulators._results import check_simulator_accepts, list_ignored_content
 from cornercase.simulators._run_notices import warn_if_ego_has_no_driver
 from cornercase.study import StudyFile
@@ -185,6 +187,10 @@ def _run_exploration(
         if notices:
             warn_notices(_notices_at_center(config, simulator))
             warn_if_ego_has_no_driver(simulator, [config.logical.scenario_file], config.ego)
+            if config.repeats == 1:
+                names = config.logical.space.names
+                random = find_random_sensors(simulator, [config.logical.scenario_file], names)
+                warn_if_runs_are_random(random, "`repeats` runs each scenario several times, each with other numbers")
         meta = config.make_study_meta(
             objective, simulator.settings, None if warm_start is None else warm_start.study_info, study=study_path
         )
@@ -219,6 +225,8 @@ def _notices_at_center(config: ExplorationConfig, simulator: Simulator) -> tuple
 def simulator_from_config(config: ExplorationConfig) -> Simulator:
     """Create the configured simulator; the caller has to close it. `InputError` if the code of a metric is missing."""
     config.require_own_code()
+    bounds = bounds_of_parameters(config.logical.space)
+    check_driver_parameters(config.simulator, config.logical.scenario_file, _resolve_drivers(config.drivers), bounds)
     return _create_simulator(config, config.drivers)
 
 
@@ -249,12 +257,16 @@ def reference_simulators(config: ExplorationConfig) -> Iterator[dict[str, Simula
         yield simulators
 
 
+def _resolve_drivers(drivers: Mapping[str, str | Driver]) -> dict[str, str | Driver]:
+    return {entity: resolve_driver(driver) for entity, driver in drivers.items()}
+
+
 def _create_simulator(config: ExplorationConfig, drivers: Mapping[str, str | Driver]) -> Simulator:
     options: dict[str, Any] = {
         "time_step": config.time_step,
         "duration": config.duration,
         "on_collision": config.on_collision,
-        "drivers": {entity: resolve_driver(driver) for entity, driver in drivers.items()},
+        "drivers": _resolve_drivers(drivers),
     }
     return create_simulator(
         config.simulator,

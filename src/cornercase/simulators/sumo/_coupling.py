@@ -124,10 +124,11 @@ class SumoCoupling:
         sumo.route.add(f"route {name}", route)
         sumo.vehicle.add(
             name, f"route {name}", typeID=vehicle_type, departLane=str(start[2]), departPos=f"{start[1]:.6f}",
-            departSpeed=f"{max(float(world.speed[e, 0]), 0.0):.6f}",
         )  # fmt: skip
         # Insert it at once, even if another vehicle is there.
         sumo.vehicle.moveTo(name, f"{start[0]}_{start[2]}", start[1])
+        # As a departure speed, SUMO would refuse what is above the limit of the road.
+        sumo.vehicle.setPreviousSpeed(name, max(float(world.speed[e, 0]), 0.0))
         if name in self._types:
             sumo.vehicle.setSpeed(name, max(float(world.speed[e, 0]), 0.0))
         else:

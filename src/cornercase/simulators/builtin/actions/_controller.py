@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from lxml import etree
 
@@ -9,11 +11,10 @@ from cornercase._common.errors import InputError
 from cornercase._common.io.tracked_xml import find_by_name, find_untracked
 from cornercase._common.masks import any_true
 from cornercase._common.plugin_errors import is_built_in
-from cornercase._common.typing import BoolArray
+from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.drivers import DrivenPath, Driver, PlanarMotion, Situation
 from cornercase.drivers._attachment import Attachment, Decision, DriverError
-from cornercase.drivers._compiled import is_compiled, limit_driver_acceleration
-from cornercase.drivers._function import Body, Start
+from cornercase.drivers._function import Start
 from cornercase.drivers._lanes import driven_path
 from cornercase.drivers._resolve import create_driver_named_in_file
 from cornercase.scenario._file import DRIVER_PROPERTY
@@ -35,12 +36,14 @@ _MAX_POINTS = 10_000
 class DriverControl:
     """An entity of a batch, and the driver that moves it along lanes and trajectories, or steers it.
 
-    On a trajectory with times there is nothing to decide. `number` is the index in `World.drivers`. `in_fleet` says
-    whether kernels make the decisions.
+    On a trajectory with times there is nothing to decide. `parameters` are those of `Start`. `number` is the index in
+    `World.drivers`. `in_fleet` says whether kernels make the decisions.
     """
 
-    def __init__(self, world: World, entity: int, driver: Driver) -> None:
-        self._world, self.entity = world, entity
+    def __init__(
+        self, world: World, entity: int, driver: Driver, parameters: Mapping[str, FloatArray] | None = None
+    ) -> None:
+        self._world, self.entity, self._parameters = world, entity, parameters or {}
         self.attachment = Attachment(driver, world.names[entity])
         self.in_fleet = self.attachment.is_compiled
         self.driver = self.attachment.driver if self.in_fleet else driver
@@ -63,18 +66,15 @@ class DriverControl:
         return self.attachment.limit_notices
 
     def _join_fleet(self) -> None:
-        driver, entity = self.driver, self._world.entities[self.entity]
-        assert is_compiled(driver)
+        driver = self.driver
         try:
             self.attachment.start(self._make_start())
+            self.driver = self.attachment.driver
         except DriverError as failure:
             # The fleet needs a started driver.
             self._failure = failure
             built_in = next(base for base in type(driver).__mro__ if is_built_in(base) and issubclass(base, Driver))
             built_in.start(driver, self._world.scenarios, len(self._others))
-        bounds = {"acceleration": entity.max_acceleration, "deceleration": entity.max_deceleration}
-        for limit, value in limit_driver_acceleration(driver, *bounds.values()).items():
-            self.attachment.note_exceeded_limit(limit, bounds[limit], f"it would go up to {value:.6g} m/s²")
 
     def reset_driver(self) -> None:
         """Reset the driver when the batch starts; this may be user code, which may fail."""
@@ -89,25 +89,12 @@ class DriverControl:
 
     def _make_start(self) -> Start:
         world, entity = self._world, self._world.entities[self.entity]
-        n = world.scenarios
-        body = Body(
-            entity.name,
-            entity.kind,
-            entity.length,
-            entity.width,
-            entity.center_x,
-            entity.wheelbase,
-            entity.max_steering,
-            entity.max_speed,
-            entity.max_acceleration,
-            entity.max_deceleration,
-        )
         return Start(
-            body=body,
+            body=entity.driven_body,
             time_step=world.time_step,
-            parameters={},
-            values=({},) * n,
-            seeds=(0,) * n,
+            parameters=self._parameters,
+            values=tuple(world.values),
+            seeds=world.seeds,
             others=self._others_name,
             network=world.network,
             friction=world.friction,
@@ -191,11 +178,11 @@ class DriverControl:
                 self._paths[track_number] = driven_path(track.path)
         elif isinstance(track, Trajectory) and self._sampled_versions.get(track_number) != track.version:
             # A restarted trajectory may have another shape.
-            self._paths[track_number], self._sampled_versions[track_number] = _sample_trajectory(track), track.version
+            self._paths[track_number], self._sampled_versions[track_number] = sample_trajectory(track), track.version
         return self._paths[track_number]
 
 
-def _sample_trajectory(track: Trajectory) -> DrivenPath:
+def sample_trajectory(track: Trajectory) -> DrivenPath:
     """Return samples of a trajectory, which may differ between scenarios, as a path for drivers.
 
     Distances are the same in all scenarios, and extend further than a driver looks. So what the driver sees in a
