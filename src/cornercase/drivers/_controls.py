@@ -58,6 +58,11 @@ class Control:
     or with throttle and brake; without one, the ego follows its path. A request for a lane change may be given with an
     acceleration; the ego then changes to that lane while it keeps the acceleration.
 
+    Without a vehicle model the ego follows its path, a trajectory or a lane change exactly, and the model
+    ``kinematic`` does what it is steered. With one, and once the ego was steered, a tracker steers where the function
+    does not. The ego's path is that of the lane in which its reference point is, if traffic runs its way there; off the
+    road it is the last one.
+
     Attributes
     ----------
     acceleration : float, optional
@@ -67,10 +72,12 @@ class Control:
     throttle, brake : float, optional
         Pedals from 0 to 1.
     trajectory : Trajectory, optional
-        Where the ego is to be from now on; it is followed until another one is given.
+        Where the ego is to be from now on; it is followed until another control is given. Before its first time the ego
+        goes straight to its first point. After its last it keeps its heading, and brakes with 3 m/s² to a stop.
     lane_change : {"left", "right"}, optional
         Change to the neighbouring lane. Only the step in which a request begins counts: the change goes on by itself,
-        and requests during a change are ignored.
+        and requests during a change are ignored. It takes 4 s, and longer below 5 m/s. A request for a lane that is not
+        there, or not for the ego's direction, is ignored with a notice.
 
     Raises
     ------

@@ -64,13 +64,18 @@ class LaneChange:
         heading = direction + math.asin(min(max(slope, -1.0), 1.0))
         return on_x - offset * math.sin(direction), on_y + offset * math.cos(direction), heading
 
-    def locate(self, x: float, y: float, heading: float, speed: float, dt: float) -> PosesOnPath:
-        """Return a pose relative to the profile at the end of a time step, for a tracker that steers along it."""
-        pose = self._locate(x, y, heading, 0.5 * speed * dt)
+    def locate(self, x: float, y: float, heading: float, speed: float, dt: float, response: float) -> PosesOnPath:
+        """Return a pose relative to the profile at the end of a time step, for a tracker that steers along it.
+
+        `response` is the time in s by which the wheels are late.
+        """
+        pose = self._locate(x, y, heading, speed * (0.5 * dt + response))
         self.distance = float(pose.along[0])
         self.advance(speed, dt)
         turn = math.asin(min(max(self._slope(speed), -1.0), 1.0))
-        bend = self._bend(speed)
+        later = LaneChange(self.path, self.distance, self.start_offset, self.progress)
+        later.advance(speed, response)
+        bend = later._bend(speed)
         return PosesOnPath(pose.along, pose.offset - self._offset(), pose.turn - turn, pose.curvature + bend)
 
     def has_arrived(self, offset: float) -> bool:

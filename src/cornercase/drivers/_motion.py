@@ -59,10 +59,11 @@ class Mover:
         """Reset all state for a batch."""
         self._start = start
         self._steered = self._vehicle if self._vehicle is not None and self._vehicle.steers else None
-        self._steering_time = 0.0 if self._steered is None else self._steered.steering_time
         self._memory = _Memory(np.full(start.scenarios, self._steered is not None), np.zeros(start.scenarios))
         if self._vehicle is not None:
             self._vehicle.start(start)
+        late = 0.0 if self._vehicle is None else self._vehicle.steering_response
+        self._response = np.broadcast_to(late, start.scenarios)
 
     def step(
         self, situation: Situation, begin: PlanarMotion, controls: Controls, acceleration: FloatArray, active: BoolArray
@@ -86,7 +87,9 @@ class Mover:
                 is_exact[n] = True
                 x[n], y[n], heading[n], speed[n] = trajectory.move(*here)
             else:
-                acceleration[n], steering[n] = trajectory.track(*here, self._start.body.wheelbase, self._steering_time)
+                acceleration[n], steering[n] = trajectory.track(
+                    *here, self._start.body.wheelbase, float(self._response[n])
+                )
         acceleration = self._limit(acceleration)
         goes = active & ~is_exact
         requested = np.minimum(np.maximum(begin.speed + acceleration * dt, 0.0), self._start.body.max_speed)
@@ -161,9 +164,9 @@ class Mover:
             if change.progress >= 1.0:
                 del self._memory.changes[n]
             return pose
-        at = change.locate(x, y, float(begin.heading[n]), float(begin.speed[n]), dt)
-        wheelbase, slowness = self._start.body.wheelbase, self._steering_time
-        steering[n] = float(steer_along_path(at, begin.speed[n : n + 1], wheelbase, slowness)[0])
+        response = float(self._response[n])
+        at = change.locate(x, y, float(begin.heading[n]), float(begin.speed[n]), dt, response)
+        steering[n] = float(steer_along_path(at, begin.speed[n : n + 1], self._start.body.wheelbase, response)[0])
         if change.has_arrived(float(at.offset[0])):
             del self._memory.changes[n]
         return None
@@ -174,10 +177,9 @@ class Mover:
         """Steer along the path in the driven scenarios without a steering angle."""
         rows = is_driven & np.isnan(steering)
         if rows.any():
-            ahead = begin.speed * (0.5 * situation.time_step + self._steering_time)
+            ahead = begin.speed * (0.5 * situation.time_step + self._response)
             poses = locate_on_path(situation.path, situation.distance, begin.x, begin.y, begin.heading, ahead)
-            wheelbase, slowness = self._start.body.wheelbase, self._steering_time
-            steering[rows] = steer_along_path(poses, begin.speed, wheelbase, slowness)[rows]
+            steering[rows] = steer_along_path(poses, begin.speed, self._start.body.wheelbase, self._response)[rows]
 
     def _limit(self, acceleration: FloatArray) -> FloatArray:
         body = self._start.body

@@ -10,11 +10,11 @@ from cornercase._common.geometry.boxes import wrap_angle
 from cornercase._common.typing import FloatArray
 from cornercase.drivers._base import DrivenPath
 
-# A deviation decays to 1/e within this distance in m, or this time in s if that is longer.
+# A deviation decays to 1/e within this distance in m, or this time in s if that is longer; wheels that are late add to
+# the time.
 _DECAY_DISTANCE: Final = 2.0
 _DECAY_TIME: Final = 0.4
-# Part of how long the steering takes by which that time is longer.
-_STEERING_SHARE: Final = 2.0
+_DECAY_PER_RESPONSE: Final = 2.0
 # rad; steepest approach to the path.
 _MAX_APPROACH: Final = 0.5
 # Nearest approach to the centre of a bend, as a part of its radius.
@@ -51,10 +51,12 @@ def locate_on_path(
     return PosesOnPath(along, offset, wrap_angle(heading - direction), curvature)
 
 
-def steer_along_path(poses: PosesOnPath, speed: FloatArray, wheelbase: float, steering_time: float = 0.0) -> FloatArray:
+def steer_along_path(
+    poses: PosesOnPath, speed: FloatArray, wheelbase: float, response: FloatArray | float = 0.0
+) -> FloatArray:
     """Return angles of the front wheels in rad, (N,), that lead the middle of the rear axle to the path and along it.
 
-    `steering_time` is how long the steering takes in s: the slower, the gentler it has to be.
+    `response` is the time in s by which the wheels are late.
 
     Deviations decay without oscillation, in distance rather than time, so that the speed does not matter.
 
@@ -62,7 +64,7 @@ def steer_along_path(poses: PosesOnPath, speed: FloatArray, wheelbase: float, st
     a wheeled mobile robot", ICARCV 1992, as in B. Paden et al., "A survey of motion planning and control techniques for
     self-driving urban vehicles", IEEE Transactions on Intelligent Vehicles 1 (2016), section V.A.2.
     """
-    decay = np.maximum(_DECAY_DISTANCE, (_DECAY_TIME + _STEERING_SHARE * steering_time) * np.abs(speed))
+    decay = np.maximum(_DECAY_DISTANCE, (_DECAY_TIME + _DECAY_PER_RESPONSE * response) * np.abs(speed))
     # With the heading at its limit, the offset shrinks along a straight line.
     offset = np.clip(poses.offset, -2.0 * decay * _MAX_APPROACH, 2.0 * decay * _MAX_APPROACH)
     share = np.maximum(1.0 - poses.curvature * poses.offset, _MIN_RADIUS_SHARE)

@@ -61,19 +61,20 @@ class FollowedTrajectory:
         speed: float,
         dt: float,
         wheelbase: float,
-        steering_time: float,
+        response: float,
     ) -> tuple[float, float]:
-        """Return the acceleration and the angle of the front wheels with which a vehicle follows it."""
+        """Return the acceleration and the angle of the front wheels with which a vehicle follows it.
+
+        `response` is the time in s by which the wheels are late.
+        """
         if self._path is None or self._is_over(time + dt):
             return -min(FINAL_DECELERATION, speed / dt), 0.0
-        pose = locate_on_path(
-            self._path,
-            *(np.array([value]) for value in (self._distance, x, y, heading, speed * (0.5 * dt + steering_time))),
-        )
+        ahead = speed * (0.5 * dt + response)
+        pose = locate_on_path(self._path, *(np.array([value]) for value in (self._distance, x, y, heading, ahead)))
         self._distance = float(pose.along[0])
         now, then = np.interp([time, time + dt], self._time, self._travelled).tolist()
         acceleration = 2.0 * ((then - now) / dt - speed) / _CATCH_UP + (now - self._distance) / _CATCH_UP**2
-        return acceleration, float(steer_along_path(pose, np.array([speed]), wheelbase, steering_time)[0])
+        return acceleration, float(steer_along_path(pose, np.array([speed]), wheelbase, response)[0])
 
     def _is_over(self, time: float) -> bool:
         return time > float(self._time[-1]) + _CLOCK

@@ -20,6 +20,8 @@ _PARAMETERS: Final = (
     *("delay", "lag", "max_jerk", "mu", "steering_delay", "steering_lag", "max_steering_rate"),
     *("max_speed", "max_steering", "wheelbase"),
 )
+# rad; the change of the angle of the wheels for which the time is counted that it takes.
+_USUAL_STEERING: Final = 0.1
 _POSITIVE: Final = frozenset({"max_jerk", "mu", "max_steering_rate", "wheelbase"})
 
 
@@ -122,8 +124,6 @@ class SteeredVehicle(ActuatedVehicle):
         Those of `ActuatedVehicle`.
     """
 
-    # rad; a usual change of the angle of the front wheels.
-    _USUAL_ANGLE: ClassVar = 0.1
     # Compiled step, which changes the motion (N, 5).
     _step_kernel: ClassVar[Any]
 
@@ -137,7 +137,18 @@ class SteeredVehicle(ActuatedVehicle):
     ) -> None:
         super().__init__(**options)
         self._set(steering_delay=steering_delay, steering_lag=steering_lag, max_steering_rate=max_steering_rate)
-        self.steering_time = steering_delay + steering_lag + self._USUAL_ANGLE / max_steering_rate
+
+    @property
+    def steering_response(self) -> FloatArray:
+        """Time in s by which the wheels are late.
+
+        Returns
+        -------
+        ndarray of float64, shape (N,)
+        """
+        columns = [_PARAMETERS.index(name) for name in ("steering_delay", "steering_lag", "max_steering_rate")]
+        delay, lag, rate = self._vehicles.parameters[:, columns].T
+        return np.asarray(delay + lag + _USUAL_STEERING / rate)
 
     def step(
         self,

@@ -41,12 +41,20 @@ class VehicleModel(Configurable, ABC):
         As registered.
     steers : bool
         Whether the model has a pose of its own. If not, only its speed counts, and the vehicle stays on its path.
-    steering_time : float
-        About how long in s its steering takes: who steers it along a path looks so far ahead.
     """
 
     steers: bool = True
-    steering_time: float = 0.0
+
+    @property
+    def steering_response(self) -> FloatArray | float:
+        """Time in s by which the wheels are late; a tracker steers that much earlier.
+
+        Returns
+        -------
+        ndarray of float64, shape (N,), or float
+            One for all scenarios if it is a float.
+        """
+        return 0.0
 
     @abstractmethod
     def start(self, start: Start) -> None:

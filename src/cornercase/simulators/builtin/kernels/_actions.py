@@ -298,7 +298,7 @@ def _apply_trajectory_action(scene, tracks, actions, n, j, dt):
     e, is_timed = options[1], options[2]
     row = tracks.rows[e, int(memory[3])]
     before, beyond = state[DISTANCE, e], 0.0
-    if scene.flags[n, STEERED, e]:
+    if scene.flags[n, STEERED, e] and scene.flags[n, DRIVEN, e]:
         # Its driver has taken it off the trajectory, or steers it to the end.
         if scene.integers[n, TRACK, e] != int(memory[3]):
             return ACTION_ENDED

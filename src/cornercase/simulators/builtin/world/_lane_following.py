@@ -84,13 +84,14 @@ def attach_to_lane(world: World, entity: int, where: BoolArray, pose: Pose | Non
 def follow_lane_at_position(world: World, entity: int, where: BoolArray) -> None:
     """Make a steered entity follow the lane in which it is, once it has left its own.
 
-    It keeps following its track off the road, and where traffic runs against its heading.
+    It keeps following its track off the road, where traffic runs against its heading, and while the storyboard leads it
+    to another lane.
     """
     network = world.network
     if network is None:
         return
     left = np.zeros_like(where)
-    for _, track, at in world.iter_followed_tracks(entity, where):
+    for _, track, at in world.iter_followed_tracks(entity, where & ~world.changes_lanes[entity]):
         far = at[np.abs(world.offset[entity][at]) > _half_lane_width(world, entity, track, at) + _LANE_HYSTERESIS]
         left[far] = True
     at = np.flatnonzero(left)
@@ -125,12 +126,11 @@ def _half_lane_width(world: World, entity: int, track: Track, scenarios: IntArra
         road, lane, s, _ = network.locate(x, y)
     width = np.empty(len(scenarios))
     for number, which in sorted({*zip(road.tolist(), lane.tolist(), strict=True)}):
-        current = network.roads[number]
-        rows = (road == number) & (lane == which)
+        current, rows = network.roads[number], np.flatnonzero((road == number) & (lane == which))
         section = current.section_at(s[rows])
-        width[rows] = [
-            current.lane_width(k, which, at[None])[0] for k, at in zip(section.tolist(), s[rows], strict=True)
-        ]
+        for k in sorted(set(section.tolist())):
+            inside = rows[section == k]
+            width[inside] = current.lane_width(k, which, s[inside])
     return 0.5 * width
 
 
