@@ -31,7 +31,7 @@ from cornercase.exploration._paper_examples import paper_experiment_config
 from cornercase.scenario import ConcreteScenario, LogicalScenario
 from cornercase.scenario._bundle import ScenarioBundle
 from cornercase.scenario._file import ScenarioFile
-from cornercase.simulators import SIMULATORS
+from cornercase.simulators import SIMULATORS, Builtin
 from cornercase.simulators._create import create_simulator
 from cornercase.simulators.dask._simulator import ClusterSimulator
 from cornercase.simulators.dask._worker import SimulatorSetup, TaskId, run_scenarios_of_job
@@ -76,6 +76,17 @@ def test_recordings_are_those_of_one_process(on_cluster):
     with SIMULATORS.create("builtin", duration=10.0) as here, on_cluster("builtin", {"duration": 10.0}) as there:
         for one, other in zip(here.run(concretes), there.run(concretes), strict=True):
             assert same_recording(one, other)
+
+
+def test_random_sensors_have_the_numbers_of_one_process(on_cluster):
+    options: dict[str, Any] = {"duration": 8.0, "drivers": {"Ego": "normal + lidar:noise=2,miss=0.3"}}
+    concretes = [ConcreteScenario(X, seed=seed) for seed in (0, 1, 1)]
+    with on_cluster("builtin", options) as simulator:
+        results = list(simulator.run(concretes))
+    for one, other in zip(results, Builtin(**options).run(concretes), strict=True):
+        assert same_recording(one, other)
+    assert same_recording(results[1], results[2])
+    assert not same_recording(results[0], results[1])
 
 
 def test_who_crashes_costs_itself_alone(on_cluster, tmp_path):

@@ -102,8 +102,7 @@ def _simulate_options(meta: StudyMeta) -> list[str]:
     ]
     if meta.simulator != _BUILTIN:
         options += [f"--simulator={meta.simulator}", f"--ego={meta.ego}"]
-    is_random = meta.repeatability.get("random", False) or any(isinstance(item, dict) for item in meta.drivers.values())
-    if meta.seed and is_random:
+    if meta.seed and meta.may_draw_random_numbers:
         options.append(f"--seed={meta.seed}")
     return [
         *options,

@@ -255,6 +255,12 @@ class StudyMeta:
         return f"scenario {self.repeatability['scenario']} was run twice, and {difference}"
 
     @property
+    def may_draw_random_numbers(self) -> bool:
+        """Whether recordings may depend on the seed: sensors are random, or a driver is the user's own class."""
+        given = (driver.get("driver") for driver in self.drivers.values() if isinstance(driver, Mapping))
+        return bool(self.repeatability.get("random")) or any(":" in str(name) for name in given)
+
+    @property
     def drivers(self) -> dict[str, Any]:
         """Drivers that were given, by entity: each as text, or as dict of its settings."""
         return dict(self.settings.get(_DRIVERS_KEY, {}))
