@@ -21,9 +21,11 @@ from cornercase._common.text.sanitize import quote_name
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase._common.validation import repr_short
 from cornercase.drivers._base import Driver, Situation
+from cornercase.drivers._compiled import is_compiled, limit_driver_acceleration
 from cornercase.drivers._controls import Controls
 from cornercase.drivers._equipment import EquippedDriver
 from cornercase.drivers._function import DrivingFunction, Start
+from cornercase.drivers._motion import DrivenMotion, Mover
 from cornercase.drivers._parameters import (
     DRIVER,
     VEHICLE,
@@ -33,9 +35,16 @@ from cornercase.drivers._parameters import (
     split_parameters,
 )
 from cornercase.drivers._varied_driver import VariedDriver
+from cornercase.drivers.sensors._fusion import SensorFusion
+from cornercase.drivers.vehicles._actuated import Actuators
+from cornercase.drivers.vehicles._kernels.actuators import Vehicles
+from cornercase.drivers.vehicles._pedals import pedals_to_acceleration
+from cornercase.drivers.vehicles._vehicle_model import PlanarMotion
 
 # Excess in m/s² that may come from rounding.
 _ROUNDING: Final = 1e-9
+_LIMITS: Final = {"acceleration", "deceleration"}
+_STATE: Final = ("x", "y", "heading", "speed", "acceleration")
 
 
 class DriverError(Exception):
@@ -54,27 +63,39 @@ class DriverError(Exception):
 class Decision:
     """What an attached driver does in one time step, for N scenarios.
 
-    `speed` (N,) is the speed in m/s at the end of the step. `failures` are by scenario, which end.
+    `motion` is that at the end of the step; where the entity is not steered, only its speed counts. `failures` are by
+    scenario, which end.
     """
 
-    speed: FloatArray
+    motion: DrivenMotion
     failures: Mapping[int, SimulationError] = field(default_factory=dict)
 
 
 class Attachment:
     """A driver that is attached to an entity of a simulator.
 
-    `limit_notices` has a sentence without full stop for each limit of the vehicle that the driver exceeded; a semicolon
-    precedes what differs between notices about the same limit.
+    `limit_notices` has a sentence without full stop for each limit that the driver exceeded: of the vehicle, or of the
+    lanes beside it; a semicolon precedes what differs between notices about the same limit.
     """
 
     def __init__(self, driver: Driver, entity: str) -> None:
         self.driver = driver.driver if isinstance(driver, EquippedDriver) else driver
         self._given = driver
-        self._sensors = driver.sensors if isinstance(driver, EquippedDriver) else ()
-        self._vehicle = driver.vehicle if isinstance(driver, EquippedDriver) else None
+        self._sensors = SensorFusion(driver.sensors if isinstance(driver, EquippedDriver) else ())
+        self.vehicle = driver.vehicle if isinstance(driver, EquippedDriver) else None
+        self._mover = Mover(self.vehicle, self._note_missing_lane)
         self._entity = entity
         self.limit_notices: dict[str, str] = {}
+
+    @property
+    def is_compiled(self) -> bool:
+        """Whether kernels can make all its decisions, and move its vehicle."""
+        return is_compiled(self.driver) and not self._sensors and isinstance(self.vehicle, Actuators | None)
+
+    @property
+    def vehicle_tables(self) -> Vehicles | None:
+        """The started actuators of its vehicle, for kernels; None if kernels do not move it."""
+        return self.vehicle.tables if self.is_compiled and isinstance(self.vehicle, Actuators) else None
 
     @property
     def display_name(self) -> str:
@@ -94,13 +115,16 @@ class Attachment:
         starts = {part: replace(start, parameters=own) for part, own in parameters.items()}
         requests = count_requests()
         try:
-            self._start_driver(starts.pop(DRIVER))
+            sensors = [own for part, own in parameters.items() if part not in (DRIVER, VEHICLE)]
+            self._start_driver(replace(self._sensors.start(start, sensors), parameters=parameters[DRIVER]))
         except BaseException as error:
             raise DriverError(make_scenario_failure(self.display_name, error, requests, 0.0), splits=True) from error
-        if self._vehicle is not None:
-            self._vehicle.start(starts.pop(VEHICLE))
-        for sensor, of_sensor in zip(self._sensors, starts.values(), strict=True):
-            sensor.start(of_sensor)
+        if is_compiled(self.driver):
+            # It plans with the limits.
+            bounds = {"acceleration": start.body.max_acceleration, "deceleration": start.body.max_deceleration}
+            for limit, value in limit_driver_acceleration(self.driver, *bounds.values()).items():
+                self.note_exceeded_limit(limit, bounds[limit], f"it would go up to {value:.6g} m/s²")
+        self._mover.start(replace(start, parameters=parameters.get(VEHICLE, {})))
 
     def _start_driver(self, start: Start) -> None:
         options = rows_of(start.parameters, start.scenarios) if start.parameters else []
@@ -117,33 +141,51 @@ class Attachment:
         if isinstance(self.driver, DrivingFunction):
             self.driver.release()
 
-    def step(self, situation: Situation) -> Decision:
-        """Decide the coming time step in the active scenarios; raises `DriverError`."""
+    def step(self, situation: Situation, begin: PlanarMotion | None = None) -> Decision:
+        """Decide the coming time step in the active scenarios; raises `DriverError`.
+
+        `begin` is the motion at the start of the step, where the simulator has moved the entity in this step already.
+        """
         # The driver may change the arrays that it is given.
-        active, speed, time = situation.active.copy(), situation.speed.copy(), situation.time
-        sensed = situation
-        for sensor in self._sensors:
-            sensed = sensor.perceive(sensed)
-        controls = self._decide(sensed)
+        copies = {name: getattr(situation, name).copy() for name in ("active", "distance", *_STATE)}
+        truth = replace(situation, **copies)
+        controls = self._decide(situation)
+        active, time = truth.active, truth.time
         failures = {n: failure for n, failure in controls.failures.items() if active[n]}
-        acceleration = controls.acceleration
-        is_missing = active & ~np.isfinite(acceleration)
-        for n in np.flatnonzero(is_missing).tolist():
-            if n not in failures:
-                returned = f"{self.display_name} returned {acceleration[n]:g}{format_time_of_failure(time)}"
-                failures[n] = PluginError(f"{returned}, which is not an acceleration in m/s²")
-        acceleration = self._clip_acceleration(acceleration, active & ~is_missing, time)
-        speed = np.maximum(speed + acceleration * self._start.time_step, 0.0)
-        return Decision(np.minimum(speed, self._start.body.max_speed), failures)
+        pressed = pedals_to_acceleration(controls.throttle, controls.brake, self._start.body)
+        acceleration = np.where(np.isnan(controls.acceleration), pressed, controls.acceleration)
+        is_decided = np.isfinite(acceleration)
+        goes_on = np.isnan(acceleration) & self._mover.follows_trajectory(controls)
+        self._fail(active & ~(is_decided | goes_on), acceleration, "an acceleration in m/s²", time, failures)
+        self._fail(active & np.isinf(controls.steering), controls.steering, "an angle in rad", time, failures)
+        acceleration = self._clip_acceleration(acceleration, active & is_decided, time)
+        start = PlanarMotion(**{name: copies[name] for name in _STATE}) if begin is None else begin
+        return Decision(self._mover.step(truth, start, controls, acceleration, active), failures)
+
+    def _fail(
+        self, rows: BoolArray, values: FloatArray, what: str, time: float, failures: dict[int, SimulationError]
+    ) -> None:
+        """Add a failure for each scenario of a mask, as its value is not what it is to be."""
+        for n in np.flatnonzero(rows).tolist():
+            returned = f"{self.display_name} returned {values[n]:g}{format_time_of_failure(time)}"
+            failures.setdefault(n, PluginError(f"{returned}, which is not {what}"))
+
+    def _note_missing_lane(self, time: float, side: str) -> None:
+        self.limit_notices.setdefault(
+            f"lane {side}",
+            f"{self.display_name} asks for a lane on the {side} that is not there or not for its direction, and stays"
+            f" in its lane; first{format_time_of_failure(time)}",
+        )
 
     def _decide(self, situation: Situation) -> Controls:
-        """Call the driver, which may be user code, and check what it returns."""
+        """Call the sensors and the driver, which may be user code, and check what it returns."""
         expected, requests = self._start.scenarios, count_requests()
         try:
+            sensed = self._sensors.perceive(situation)
             returned: object = (
-                self.driver.decide(situation)
+                self.driver.decide(sensed)
                 if isinstance(self.driver, DrivingFunction)
-                else self.driver.acceleration(situation)
+                else self.driver.acceleration(sensed)
             )
         except BaseException as error:
             raise DriverError(
@@ -169,7 +211,7 @@ class Attachment:
         if highest == np.inf == -lowest:
             return acceleration
         clipped = acceleration.clip(lowest, highest)
-        if len(self.limit_notices) < 2 and bool((rows & (clipped != acceleration)).any()):
+        if not self.limit_notices.keys() >= _LIMITS and bool((rows & (clipped != acceleration)).any()):
             for limit, excess in (("acceleration", acceleration - highest), ("deceleration", lowest - acceleration)):
                 worst = float(excess[rows].max())
                 if limit not in self.limit_notices and worst > _ROUNDING:

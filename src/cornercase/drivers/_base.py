@@ -5,13 +5,14 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
 from cornercase._common.configurable import Configurable, describe_as_text, numeric_options
 from cornercase._common.typing import BoolArray, FloatArray
+from cornercase.drivers._mutation import Mutation
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,6 +128,8 @@ class Driver(Configurable, ABC):
         Everything that decisions depend on, as plain JSON values. It is stored with a study, which can only be resumed
         with the same settings. The default is the name of the class. Options of the constructor that are numbers, texts
         or booleans are stored, too.
+    mutations : tuple of Mutation, default empty
+        What can be wrong in it, for `cornercase reduce --kill-mutants` and `cornercase test --mutants`.
 
     See Also
     --------
@@ -151,11 +154,7 @@ class Driver(Configurable, ABC):
     """
 
     settings: dict[str, object]
-
-    @property
-    def searchable_options(self) -> tuple[str, ...]:
-        """Names of the options that can be dimensions of a search: those of the constructor that take numbers."""
-        return tuple(numeric_options(type(self)))
+    mutations: ClassVar[tuple[Mutation, ...]] = ()
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
@@ -165,6 +164,15 @@ class Driver(Configurable, ABC):
     def __str__(self) -> str:
         # A class of a user may have a `name` of its own.
         return describe_as_text(self)
+
+    def numeric_parameters(self) -> dict[str, float]:
+        """Return the options of the constructor that are numbers; they can be dimensions of a search.
+
+        Returns
+        -------
+        dict of str to float
+        """
+        return numeric_options(self)
 
     def start(self, scenarios: int, others: int) -> None:
         """Reset all state at the start of a batch; does nothing by default.

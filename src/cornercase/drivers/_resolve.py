@@ -100,24 +100,24 @@ def may_be_named_in_file(name: str) -> bool:
 
 
 def _find_non_numeric_option(name: str) -> str | None:
-    """Return the first option of a driver that is not a number; None if all are numbers."""
+    """Return the first option of a driver that is no number, true or false; None if there is none."""
     driver, equipment = split_spec(name)
     for part in (driver, *equipment):
         options = part.partition(":")[2]
         for option in options.split(",") if options else ():
             key, _, value = option.partition("=")
             try:
-                float(value)
+                float({"true": 1, "false": 0}.get(value.lower(), value))
             except ValueError:
                 return key
     return None
 
 
 def is_compiled_driver_name(name: str) -> bool:
-    """Check whether a name (with or without options) belongs to a registered driver with compiled decisions."""
-    from cornercase.drivers._compiled import CompiledDriver
+    """Check whether a name (with or without options and equipment) makes a registered driver that kernels can run."""
+    from cornercase.drivers._attachment import Attachment
 
-    return is_registered_driver(name) and isinstance(_create_registered(name), CompiledDriver)
+    return is_registered_driver(name) and Attachment(_create_registered(name), "").is_compiled
 
 
 def load_user_driver(name: str) -> Driver:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from cornercase._common.text.sanitize import quote_name
 from cornercase.drivers._base import Situation
 from cornercase.drivers._controls import Control, Controls
 from cornercase.drivers._function import DrivingFunction, Start
+from cornercase.drivers._mutation import Mutation
 from cornercase.drivers._view import SharedView, View
 
 if TYPE_CHECKING:
@@ -67,6 +68,8 @@ class SystemUnderTest(Configurable, ABC):
     settings : dict
         Everything that decisions depend on, as plain JSON values; by default the class. Options of the constructor that
         are numbers, texts or booleans are stored with a study in any case.
+    mutations : tuple of Mutation, default empty
+        What can be wrong in it, for `cornercase reduce --kill-mutants` and `cornercase test --mutants`.
 
     See Also
     --------
@@ -91,6 +94,7 @@ class SystemUnderTest(Configurable, ABC):
     """
 
     settings: dict[str, object]
+    mutations: ClassVar[tuple[Mutation, ...]] = ()
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
@@ -136,20 +140,19 @@ class ScalarFunction(DrivingFunction):
 
     def __init__(self, prototype: SystemUnderTest) -> None:
         self.prototype = prototype
-        self.settings = prototype.settings
+        self.settings, self.mutations = prototype.settings, prototype.mutations  # type: ignore[misc]
         self._objects: list[SystemUnderTest] = []
 
     def __str__(self) -> str:
         return str(self.prototype)
 
-    @property
-    def searchable_options(self) -> tuple[str, ...]:
-        """Those of the prototype."""
-        return tuple(numeric_options(type(self.prototype)))
-
-    def with_options(self, **changes: Any) -> ScalarFunction:
+    def with_options(self, **changes: Any) -> Self:
         """Return a function whose prototype has other options."""
-        return ScalarFunction(with_numbers(self.prototype, changes))
+        return type(self)(with_numbers(self.prototype, changes))
+
+    def numeric_parameters(self) -> dict[str, float]:
+        """Return the options of the prototype that are numbers."""
+        return numeric_options(self.prototype)
 
     def prepare(self, start: Start) -> None:
         """Make one object per scenario."""

@@ -30,6 +30,7 @@ from cornercase.scenario import LogicalScenario
 from cornercase.simulators import Simulator
 from cornercase.simulators._create import create_simulator
 from cornercase.simulators._driver_parameters import bounds_of_parameters, check_driver_parameters
+from cornercase.simulators._random_sensors import find_random_sensors, warn_if_runs_are_random
 from cornercase.simulators._results import check_simulator_accepts, list_ignored_content
 from cornercase.simulators._run_notices import warn_if_ego_has_no_driver
 from cornercase.study import StudyFile
@@ -186,6 +187,10 @@ def _run_exploration(
         if notices:
             warn_notices(_notices_at_center(config, simulator))
             warn_if_ego_has_no_driver(simulator, [config.logical.scenario_file], config.ego)
+            if config.repeats == 1:
+                names = config.logical.space.names
+                random = find_random_sensors(simulator, [config.logical.scenario_file], names)
+                warn_if_runs_are_random(random, "`repeats` runs each scenario several times, each with other numbers")
         meta = config.make_study_meta(
             objective, simulator.settings, None if warm_start is None else warm_start.study_info, study=study_path
         )

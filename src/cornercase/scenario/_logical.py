@@ -39,11 +39,15 @@ class ConcreteScenario:
         Parameters that differ from the defaults of the file, and options of drivers as ``"Ego.reaction"``.
     file : ScenarioFile, optional
         The parsed file; by default it is read when the scenario runs.
+    seed : int, default 0
+        Seed of the random numbers in this run. Together with the parameter values it gives the random numbers of
+        sensors and systems under test.
     """
 
     path: Path
     values: Mapping[str, Value] = field(default_factory=dict)
     file: ScenarioFile | None = field(default=None, repr=False, compare=False)
+    seed: int = 0
 
     def load_file(self, reusable: ScenarioFile | None = None) -> ScenarioFile:
         """Return the parsed scenario file, reading it if necessary.
@@ -241,19 +245,21 @@ class LogicalScenario:
         text = f"{check_str('name', name)}={':'.join(map(repr, bounds))}"
         return self._from_space(self.scenario_file, self.space.with_ranges([text]))
 
-    def concrete_scenario(self, values: Mapping[str, Value]) -> ConcreteScenario:
+    def concrete_scenario(self, values: Mapping[str, Value], seed: int = 0) -> ConcreteScenario:
         """Return a concrete scenario.
 
         Parameters
         ----------
         values : mapping of str to float or str
             Parameter values; the others keep the defaults of the file.
+        seed : int, default 0
+            Seed of the random numbers in this run.
 
         Returns
         -------
         ConcreteScenario
         """
-        return ConcreteScenario(self.path, dict(values), self.file)
+        return ConcreteScenario(self.path, dict(values), self.file, seed)
 
 
 def _evaluate_all_parameters(scenario: ScenarioFile, assigned: Mapping[str, Value]) -> dict[str, Value]:

@@ -103,6 +103,7 @@ def _build_suite(path: Path, manifest: Mapping[str, Any]) -> SuiteContents:
                 role=_require_text(entry["role"]),
                 selection_reason=_require_text(entry["why"]),
                 source_id=int(entry["id"]),
+                seed=int(manifest.get("seed", 0)),
             )
         )
     if not scenarios:

@@ -23,6 +23,7 @@ from cornercase.scenario._batch_split import BatchSplitError
 from cornercase.scenario._file import ScenarioFile
 from cornercase.scenario._other_formats import later_minor_version
 from cornercase.scenario._scope import Scope
+from cornercase.scenario._seeds import ScenarioSeeds
 from cornercase.simulators.builtin._entities import read_entities
 from cornercase.simulators.builtin._prepared_file import PreparedScenario, UnusableValuesError
 from cornercase.simulators.builtin._stepper import Coupling, Stepper
@@ -40,9 +41,9 @@ _MAX_ENTITIES: Final = 500
 class Batch:
     """Concrete scenarios of one file that run together, since they have the same storyboard.
 
-    `drivers` maps entities to drivers, and overrides the controllers in the file. `coupling` is another simulator that
-    moves some of the entities. Raises `UnusableValuesError` if the file cannot be used with these parameter values, and
-    `BatchSplitError` if the scenarios must be split into smaller batches.
+    `seeds` are those of the runs. `drivers` maps entities to drivers, and overrides the controllers in the file.
+    `coupling` is another simulator that moves some of the entities. Raises `UnusableValuesError` if the file cannot be
+    used with these parameter values, and `BatchSplitError` if the scenarios must be split into smaller batches.
 
     `failure` is the error of a driver that ended the run early. In a batch of one scenario, it is the result. In a
     larger batch, the scenario at fault is unknown, and no result can be used.
@@ -52,6 +53,7 @@ class Batch:
         self,
         prepared: PreparedScenario,
         values: Sequence[Mapping[str, Value]],
+        seeds: Sequence[int],
         time_step: float,
         duration: float,
         stop_at_collision: bool,
@@ -63,7 +65,7 @@ class Batch:
         self._time_step = time_step
         self.failure: DriverError | None = None
         try:
-            self._read_file(prepared, scope, drivers)
+            self._read_file(prepared, scope, seeds, drivers)
         except InputError as error:
             minor, message = later_minor_version(prepared.scenario.root), str(error)
             if minor is not None and "not supported" in message:
@@ -71,7 +73,9 @@ class Batch:
             raise UnusableValuesError(message, scope.split_parameters) from None
         self._stepper = Stepper(self._world, self._storyboard, time_step, duration, stop_at_collision, coupling)
 
-    def _read_file(self, prepared: PreparedScenario, scope: Scope, drivers: Mapping[str, Driver | str]) -> None:
+    def _read_file(
+        self, prepared: PreparedScenario, scope: Scope, seeds: Sequence[int], drivers: Mapping[str, Driver | str]
+    ) -> None:
         scenario = prepared.scenario
         prepared.check_elements_supported()
         storyboard = scenario.root.find("Storyboard")
@@ -95,6 +99,9 @@ class Batch:
         self._world.values = self._values
         self._world.signal_controllers = read_signal_controllers(scenario.root, scope)
         self._world.selections = _read_entity_selections(scenario.root, self._world, scope)
+        # A copied file names other paths.
+        names = scope.parameter_values.keys() - scenario.path_parameters
+        self._world.seeds = ScenarioSeeds(seeds, {name: scope.parameter_values[name] for name in names})
         self._world.parameters = {
             name: _to_parameter_array(value, scope.n_scenarios) for name, value in scope.parameter_values.items()
         }

@@ -182,6 +182,7 @@ class Builtin(Simulator):
         return Batch(
             prepared,
             [concrete.values for concrete in concretes],
+            [concrete.seed for concrete in concretes],
             self._time_step,
             self._duration,
             self._on_collision == "stop",

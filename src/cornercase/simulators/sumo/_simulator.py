@@ -14,7 +14,7 @@ from cornercase._common.io.support_table import Notice
 from cornercase._common.text.sanitize import remove_folders
 from cornercase._common.typing import FloatArray
 from cornercase.drivers import DRIVERS, Behaviour, Driver, Situation
-from cornercase.drivers._registry import is_registered_driver
+from cornercase.drivers._registry import is_registered_driver, split_spec
 from cornercase.drivers._resolve import check_drivers
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario, Value
@@ -121,23 +121,23 @@ class Sumo(Simulator):
             types = self._types_of_sumo_driven(scenario)
             self._require_known_parameters(scenario, types, concrete.values)
             try:
-                yield self._run_scenario(prepared, concrete.values, types)
+                yield self._run_scenario(prepared, concrete, types)
             except UnusableValuesError as error:
-                make_batch = partial(self._make_batch, prepared, {}, self._drivers, None)
+                make_batch = partial(self._make_batch, prepared, ConcreteScenario(scenario.path), self._drivers, None)
                 yield SimulationError(prepared.describe_value_error(error, concrete.values, make_batch))
 
     def _run_scenario(
-        self, prepared: PreparedScenario, values: Mapping[str, Value], types: Mapping[str, str]
+        self, prepared: PreparedScenario, concrete: ConcreteScenario, types: Mapping[str, str]
     ) -> Recording | SimulationError:
-        if problem := prepared.find_invalid_values([values]).get(0):
+        if problem := prepared.find_invalid_values([concrete.values]).get(0):
             return SimulationError(problem)
-        roads = prepared.scenario.road_path_for(values)
+        roads = prepared.scenario.road_path_for(concrete.values)
         if roads is not None and not roads.is_file():
-            self._make_batch(prepared, values, self._drivers, None)  # raises an error that names the parameter
-        network = find_or_convert_network(prepared.scenario, self._network, values)
+            self._make_batch(prepared, concrete, self._drivers, None)  # raises an error that names the parameter
+        network = find_or_convert_network(prepared.scenario, self._network, concrete.values)
         with SumoCoupling(network, types, self._time_step, self._seed) as coupling:
             batch = self._make_batch(
-                prepared, values, {**self._drivers, **dict.fromkeys(types, _SumoDriver())}, coupling
+                prepared, concrete, {**self._drivers, **dict.fromkeys(types, _SumoDriver())}, coupling
             )
             batch.run()
         self.notify(batch.remarks)
@@ -146,16 +146,23 @@ class Sumo(Simulator):
     def _make_batch(
         self,
         prepared: PreparedScenario,
-        values: Mapping[str, Value],
+        concrete: ConcreteScenario,
         drivers: Mapping[str, str | Driver],
         coupling: SumoCoupling | None,
     ) -> Batch:
         return Batch(
-            prepared, [values], self._time_step, self._duration, self._on_collision == "stop", drivers, coupling
+            prepared,
+            [concrete.values],
+            [concrete.seed],
+            self._time_step,
+            self._duration,
+            self._on_collision == "stop",
+            drivers,
+            coupling,
         )
 
     def check_supported(self, scenario: ScenarioFile) -> None:
-        """Refuse a scenario with an unknown driver."""
+        """Refuse a scenario with an unknown driver, or with equipment that SUMO's own models lack."""
         self._types_of_sumo_driven(scenario)
 
     def check_runnable(self, concretes: Sequence[ConcreteScenario]) -> None:
@@ -178,7 +185,15 @@ class Sumo(Simulator):
         """Return the vehicle types of the entities that SUMO drives."""
         all_drivers = {**scenario.drivers, **self._drivers}
         for name, driver in all_drivers.items():
-            if isinstance(driver, str) and driver not in VEHICLE_TYPES and not is_registered_driver(driver):
+            if not isinstance(driver, str):
+                continue
+            model, equipment = split_spec(driver)
+            if equipment and model in VEHICLE_TYPES:
+                raise InputError(
+                    f"{scenario.path}: '{name}' asks for the driver '{driver}', but '{model}' is a model of SUMO here,"
+                    f" which takes neither sensors nor a vehicle; leave out '{equipment[0]}', or give another driver."
+                )
+            if driver not in VEHICLE_TYPES and not is_registered_driver(driver):
                 hint = suggest_name(driver.partition(":")[0], (*VEHICLE_TYPES, *DRIVERS.names()))
                 raise InputError(f"{scenario.path}: '{name}' asks for the driver '{driver}'; {hint}")
         return {

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from lxml import etree
@@ -13,18 +12,19 @@ from cornercase._common.io.tracked_xml import find_by_name, find_untracked
 from cornercase._common.masks import any_true
 from cornercase._common.plugin_errors import is_built_in
 from cornercase._common.typing import BoolArray, FloatArray
-from cornercase.drivers import DrivenPath, Driver, Situation
+from cornercase.drivers import DrivenPath, Driver, PlanarMotion, Situation
 from cornercase.drivers._attachment import Attachment, Decision, DriverError
-from cornercase.drivers._compiled import is_compiled, limit_driver_acceleration
-from cornercase.drivers._function import Body, Start
+from cornercase.drivers._function import Start
+from cornercase.drivers._lanes import driven_path
 from cornercase.drivers._resolve import create_driver_named_in_file
-from cornercase.roads._lane_path import LanePath
 from cornercase.scenario._file import DRIVER_PROPERTY
 from cornercase.scenario._scope import Scope
 from cornercase.simulators.builtin.actions._action import Action
 from cornercase.simulators.builtin.kernels._driver_inputs import OTHERS_ROWS, OWN_ROWS, copy_driver_inputs
 from cornercase.simulators.builtin.tracks._lane import LaneTrack
 from cornercase.simulators.builtin.tracks._track import Track, Trajectory
+from cornercase.simulators.builtin.world._lane_following import follow_lane_at_position
+from cornercase.simulators.builtin.world._track_motion import move_to_pose
 from cornercase.simulators.builtin.world._world import World
 
 # Trajectories for drivers, in m: sample spacing, straight extension beyond the end, and longest length.
@@ -32,11 +32,9 @@ _SAMPLE_SPACING, _EXTENSION_LENGTH, _MAX_LENGTH = 0.5, 200.0, 2000.0
 # Number of points of trajectories that are computed at once.
 _MAX_POINTS = 10_000
 
-_LANE_PATH_CACHE: WeakKeyDictionary[LanePath, DrivenPath] = WeakKeyDictionary()
-
 
 class DriverControl:
-    """An entity of a batch, and the driver that decides its speed on lanes and trajectories while it is active.
+    """An entity of a batch, and the driver that moves it along lanes and trajectories, or steers it.
 
     On a trajectory with times there is nothing to decide. `parameters` are those of `Start`. `number` is the index in
     `World.drivers`. `in_fleet` says whether kernels make the decisions.
@@ -46,8 +44,9 @@ class DriverControl:
         self, world: World, entity: int, driver: Driver, parameters: Mapping[str, FloatArray] | None = None
     ) -> None:
         self._world, self.entity, self._parameters = world, entity, parameters or {}
-        self._attachment = Attachment(driver, world.names[entity])
-        self.driver = self._attachment.driver
+        self.attachment = Attachment(driver, world.names[entity])
+        self.in_fleet = self.attachment.is_compiled
+        self.driver = self.attachment.driver if self.in_fleet else driver
         self.number = len(world.drivers)
         world.drivers.append(self)
         self._others = [other for e, other in enumerate(world.entities) if e != entity]
@@ -57,7 +56,6 @@ class DriverControl:
         self._others_name = tuple(other.name for other in self._others)
         self._paths: dict[int, DrivenPath] = {}
         self._sampled_versions: dict[int, int] = {}
-        self.in_fleet = is_compiled(driver)
         self._failure: DriverError | None = None
         if self.in_fleet:
             self._join_fleet()
@@ -65,78 +63,78 @@ class DriverControl:
     @property
     def limit_notices(self) -> dict[str, str]:
         """A sentence without full stop for each limit of the vehicle that the driver exceeded."""
-        return self._attachment.limit_notices
+        return self.attachment.limit_notices
 
     def _join_fleet(self) -> None:
-        driver, entity = self.driver, self._world.entities[self.entity]
-        assert is_compiled(driver)
+        driver = self.driver
         try:
-            self._attachment.start(self._make_start())
-            self.driver = self._attachment.driver
+            self.attachment.start(self._make_start())
+            self.driver = self.attachment.driver
         except DriverError as failure:
             # The fleet needs a started driver.
             self._failure = failure
             built_in = next(base for base in type(driver).__mro__ if is_built_in(base) and issubclass(base, Driver))
             built_in.start(driver, self._world.scenarios, len(self._others))
-        driver = self.driver
-        assert is_compiled(driver)
-        bounds = {"acceleration": entity.max_acceleration, "deceleration": entity.max_deceleration}
-        for limit, value in limit_driver_acceleration(driver, *bounds.values()).items():
-            self._attachment.note_exceeded_limit(limit, bounds[limit], f"it would go up to {value:.6g} m/s²")
 
     def reset_driver(self) -> None:
         """Reset the driver when the batch starts; this may be user code, which may fail."""
         if self._failure is not None:
             raise self._failure
         if not self.in_fleet:
-            self._attachment.start(self._make_start())
+            self.attachment.start(self._make_start())
 
     def release_driver(self) -> None:
         """Release what the driver holds when the batch has ended."""
-        self._attachment.release()
+        self.attachment.release()
 
     def _make_start(self) -> Start:
         world, entity = self._world, self._world.entities[self.entity]
         n = world.scenarios
-        body = Body(
-            entity.name,
-            entity.kind,
-            entity.length,
-            entity.width,
-            entity.center_x,
-            entity.wheelbase,
-            entity.max_steering,
-            entity.max_speed,
-            entity.max_acceleration,
-            entity.max_deceleration,
-        )
         return Start(
-            body=body,
+            body=entity.driven_body,
             time_step=world.time_step,
             parameters=self._parameters,
             values=tuple(world.values),
-            seeds=(0,) * n,
+            seeds=world.seeds,
             others=self._others_name,
             network=world.network,
-            friction=np.ones(n),
+            friction=world.friction,
         )
 
     def step(self, dt: float) -> None:
         """Let the driver decide the entity's speed at the end of the coming time step."""
         world, e = self._world, self.entity
         active = world.running & world.present[e] & world.driven[e] & (world.driver[e] == self.number)
-        track_numbers = world.track[e]
-        for k, track in enumerate(world.tracks[e]):
+        # A steered entity may follow another track afterwards.
+        track_numbers = world.track[e].copy()
+        for k, track in enumerate([*world.tracks[e]]):
             rows = active & (track_numbers == k)
             if any_true(rows) and not (isinstance(track, Trajectory) and track.times is not None):
-                self._apply(self._attachment.step(self._make_situation(k, track, dt, rows)), rows)
+                situation = self._make_situation(k, track, dt, rows)
+                self._apply(self.attachment.step(situation, self._motion_at_start()), rows)
+
+    def _motion_at_start(self) -> PlanarMotion:
+        """Return the motion at the start of the step, in which an action may have moved the entity already."""
+        world, e = self._world, self.entity
+        x, y, heading = (
+            np.where(world.jumped[e], now[e], before[e])
+            for now, before in ((world.x, world.from_x), (world.y, world.from_y), (world.heading, world.from_heading))
+        )
+        return PlanarMotion(x, y, heading, world.speed[e].copy(), world.acceleration[e].copy())
 
     def _apply(self, decision: Decision, rows: BoolArray) -> None:
         """Do what the driver decides in the scenarios of a mask."""
-        world, e = self._world, self.entity
+        world, e, motion = self._world, self.entity, decision.motion
         for n, failure in decision.failures.items():
             world.fail(np.arange(world.scenarios) == n, failure)
-        np.copyto(world.speed[e], decision.speed, where=rows & world.running)
+        rows = rows & world.running
+        world.steered[e][rows] = motion.is_steered[rows]
+        if self.attachment.vehicle is not None:
+            world.pace[e][rows] = 0.5 * (world.speed[e] + motion.state.speed)[rows]
+        np.copyto(world.speed[e], motion.state.speed, where=rows)
+        if any_true(steered := rows & motion.is_steered):
+            move_to_pose(world, e, motion.state.x, motion.state.y, motion.state.heading, steered)
+            follow_lane_at_position(world, e, steered)
 
     def _make_situation(self, track_number: int, track: Track, dt: float, rows: BoolArray) -> Situation:
         world, e, box = self._world, self.entity, self._world.entities[self.entity]
@@ -178,23 +176,14 @@ class DriverControl:
         """Return the path along one of the entity's tracks, in the form that drivers get."""
         if isinstance(track, LaneTrack):
             if track_number not in self._paths:
-                self._paths[track_number] = _lane_path(track.path)
+                self._paths[track_number] = driven_path(track.path)
         elif isinstance(track, Trajectory) and self._sampled_versions.get(track_number) != track.version:
             # A restarted trajectory may have another shape.
-            self._paths[track_number], self._sampled_versions[track_number] = _sample_trajectory(track), track.version
+            self._paths[track_number], self._sampled_versions[track_number] = sample_trajectory(track), track.version
         return self._paths[track_number]
 
 
-def _lane_path(lane_path: LanePath) -> DrivenPath:
-    """Return the path along a lane for drivers; it is cached, so that plans along it serve all batches."""
-    if lane_path not in _LANE_PATH_CACHE:
-        _LANE_PATH_CACHE[lane_path] = DrivenPath(
-            lane_path.distance, lane_path.x, lane_path.y, lane_path.heading, lane_path.curvature
-        )
-    return _LANE_PATH_CACHE[lane_path]
-
-
-def _sample_trajectory(track: Trajectory) -> DrivenPath:
+def sample_trajectory(track: Trajectory) -> DrivenPath:
     """Return samples of a trajectory, which may differ between scenarios, as a path for drivers.
 
     Distances are the same in all scenarios, and extend further than a driver looks. So what the driver sees in a

@@ -19,6 +19,7 @@ from cornercase._common.geometry.boxes import box_corners
 from cornercase._common.io.support_table import NoticeLabel
 from cornercase._common.plugin_errors import format_time_of_failure
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
+from cornercase.drivers._function import Body
 from cornercase.roads._network import RoadNetwork
 from cornercase.scenario import Value
 from cornercase.scenario._scope import Scope
@@ -75,6 +76,22 @@ class Entity:
     polyline_turning: int | None = None
     body: tuple[etree._Element, Scope] | None = field(default=None, repr=False, compare=False)
 
+    @property
+    def driven_body(self) -> Body:
+        """The entity as its driver knows it."""
+        return Body(
+            self.name,
+            self.kind,
+            self.length,
+            self.width,
+            self.center_x,
+            self.wheelbase,
+            self.max_steering,
+            self.max_speed,
+            self.max_acceleration,
+            self.max_deceleration,
+        )
+
 
 @dataclass(frozen=True)
 class Tow:
@@ -100,9 +117,10 @@ class World:
     scenarios whose storyboard has changed in this frame. `started`: whether the first frame is over, in which nothing
     moves.
 
-    Motion: `step_velocity` in m/s and `step_acceleration` in m/s² of the last step, as x and y. `needs_road_check`:
-    whether a condition asks for entities off the road. `tracks`: all tracks that each entity has followed. `routes`:
-    all assigned routes, as (road, lane, s). `lane_tracks`: cache of tracks along lanes.
+    Motion: `friction` (N,): coefficient of the road, for vehicle models. `step_velocity` in m/s and `step_acceleration`
+    in m/s² of the last step, as x and y. `needs_road_check`: whether a condition asks for entities off the road.
+    `tracks`: all tracks that each entity has followed. `routes`: all assigned routes, as (road, lane, s).
+    `lane_tracks`: cache of tracks along lanes.
 
     Storyboard: `variables` and `parameters`: values (N,), numbers or texts. `values`: values by scenario (N) that
     differ from those in the file. `signals`: states (N,), texts.
@@ -112,7 +130,7 @@ class World:
     state.
 
     Drivers: `drivers`: all that may control entities. `has_fixed_driver` (E): whether the user chose the driver, so
-    that the file cannot change it.
+    that the file cannot change it. `seeds`: of random numbers, by scenario.
 
     Results: `errors`: by scenario. `notices`: sentences on deviations from the file, without full stop, each once.
     `compiled`: the calls to kernels, once the run is prepared.
@@ -149,6 +167,7 @@ class World:
     driven: BoolArray
     visible: BoolArray
     jumped: BoolArray
+    steered: BoolArray
     track: IntArray
     route: IntArray
     last_road: IntArray
@@ -184,7 +203,9 @@ class World:
         self.step_acceleration = (self.floats[:, PULL_X].T, self.floats[:, PULL_Y].T)
         self.overlaps = np.zeros((scenarios, len(entities), len(entities)), dtype=np.bool_)
         self.overlapping = self.overlaps.transpose(1, 2, 0)
+        self.friction = np.ones(scenarios)
         self.signals: dict[str, npt.NDArray[np.str_]] = {}
+        self.seeds: Sequence[int] = (0,) * scenarios
         self.signal_controllers: dict[str, SignalController] = {}
         self.drivers: list[SpeedController] = []
         self.has_fixed_driver = [False] * len(entities)
@@ -240,10 +261,17 @@ class World:
                 self.errors[i] = SimulationError(f"{acting}{reason}{instant}")
         self.running &= ~where
 
-    def add_notice(self, location: str, subject: str, reason: str, where: BoolArray) -> None:
+    def add_notice(
+        self,
+        location: str,
+        subject: str,
+        reason: str,
+        where: BoolArray,
+        label: NoticeLabel = NoticeLabel.ADAPTED,
+    ) -> None:
         """Note that `subject` at `location` (file and line) is not run as written, but as `reason` says."""
         first = np.flatnonzero(where & self.running)
-        sentence = f"{NoticeLabel.ADAPTED}: {subject} ({location}): {reason}"
+        sentence = f"{label}: {subject} ({location}): {reason}"
         if first.size and not any(notice.startswith(f"{sentence}; ") for notice in self.notices):
             self.notices[f"{sentence}; first at {self.time[first[0]]:.6g} s"] = None
 
