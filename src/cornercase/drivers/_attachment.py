@@ -112,7 +112,6 @@ class Attachment:
         """
         self._start = start
         parameters = split_parameters(self._entity, self._given, start.parameters)
-        starts = {part: replace(start, parameters=own) for part, own in parameters.items()}
         requests = count_requests()
         try:
             sensors = [own for part, own in parameters.items() if part not in (DRIVER, VEHICLE)]

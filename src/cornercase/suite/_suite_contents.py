@@ -26,8 +26,8 @@ class SuiteScenario:
 
     `cluster_name`, `role` and `selection_reason` come from the manifest; they are empty if unknown. `source_id` is the
     id in the study that the scenario was selected from, and `seed` that study's seed. `error` says why the file cannot
-    be run; it is empty if the file can be run. `driver_values` are those of `values` that the drivers of a run take, and
-    no file can hold.
+    be run; it is empty if the file can be run. `driver_values` are those of `values` that the drivers of a run take,
+    and no file can hold.
     """
 
     file_name: str

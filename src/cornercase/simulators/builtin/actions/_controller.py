@@ -89,7 +89,6 @@ class DriverControl:
 
     def _make_start(self) -> Start:
         world, entity = self._world, self._world.entities[self.entity]
-        n = world.scenarios
         return Start(
             body=entity.driven_body,
             time_step=world.time_step,
