@@ -12,6 +12,7 @@ import cornercase as cc
 from conftest import EXAMPLES, ran, same_recording
 from cornercase.drivers import NORMAL, BehaviourDriver, Driver, EquippedDriver, ReferenceDriver, Sensor, VehicleModel
 from cornercase.drivers._parameters import check_parameters, find_parameter, read_parameters, spec_with_values
+from cornercase.drivers.sensors._sensor import SensedObjects
 from cornercase.simulators import Builtin
 
 X = EXAMPLES / "x_intersection" / "x_intersection.xosc"
@@ -55,7 +56,9 @@ class Delayed(Sensor):
         Delayed.given[self.label] = {name: values.tolist() for name, values in start.parameters.items()}
 
     def perceive(self, situation):
-        return situation
+        s = situation
+        measured_at = np.full_like(s.others_x, s.time)
+        return SensedObjects(s.others_x, s.others_y, s.others_heading, s.others_speed, measured_at)
 
 
 class Heavy(VehicleModel):
@@ -70,7 +73,7 @@ class Heavy(VehicleModel):
         Heavy.given = {name: values.tolist() for name, values in start.parameters.items()}
 
     def step(self, motion, acceleration, steering, friction, time_step, active):
-        raise AssertionError("not called for a vehicle that only follows its path")
+        return motion
 
 
 def concretes(name: str, values: Sequence[float | str]) -> list[cc.ConcreteScenario]:

@@ -81,10 +81,10 @@ def plain_options(configured: object) -> dict[str, bool | int | float | str]:
     }
 
 
-def numeric_values(configured: Configurable) -> dict[str, float]:
+def numeric_options(configured: Configurable) -> dict[str, float]:
     """Return the options of an object that are numbers, with their values: those that it was given, else defaults."""
-    values = {name: option.default for name, option in numeric_options(type(configured)).items()}
-    values |= given_options(configured)
+    defaults = {name: parameter.default for name, parameter in declared_options(type(configured)).items()}
+    values = {**defaults, **given_options(configured)}
     return {
         name: float(value)
         for name, value in values.items()
@@ -141,8 +141,8 @@ def declared_options(factory: Callable[..., Any]) -> dict[str, Parameter]:
     return {name: parameter for name, parameter in parameters.items() if parameter.kind in named}
 
 
-def numeric_options(factory: Callable[..., Any]) -> dict[str, Parameter]:
-    """Return the options of a class or function that take numbers, by their annotation or else their default."""
+def options_for_numbers(factory: Callable[..., Any]) -> list[str]:
+    """Return the names of the options of a class that take numbers, by their annotation or else their default."""
 
     def takes_numbers(parameter: Parameter) -> bool:
         if parameter.annotation is parameter.empty:
@@ -153,7 +153,7 @@ def numeric_options(factory: Callable[..., Any]) -> dict[str, Parameter]:
         text = getattr(parameter.annotation, "__name__", str(parameter.annotation))
         return bool({"int", "float"} & {*re.findall(r"\w+", text)})
 
-    return {name: parameter for name, parameter in declared_options(factory).items() if takes_numbers(parameter)}
+    return [name for name, parameter in declared_options(factory).items() if takes_numbers(parameter)]
 
 
 def with_numbers(configured: Any, numbers: Mapping[str, float]) -> Any:

@@ -112,12 +112,10 @@ class Attachment:
         """
         self._start = start
         parameters = split_parameters(self._entity, self._given, start.parameters)
-        starts = {part: replace(start, parameters=own) for part, own in parameters.items()}
         requests = count_requests()
         try:
-            own, of_vehicle = starts.pop(DRIVER), starts.pop(VEHICLE, replace(start, parameters={}))
-            sensed = self._sensors.start(start, [of_sensor.parameters for of_sensor in starts.values()])
-            self._start_driver(replace(sensed, parameters=own.parameters))
+            sensors = [own for part, own in parameters.items() if part not in (DRIVER, VEHICLE)]
+            self._start_driver(replace(self._sensors.start(start, sensors), parameters=parameters[DRIVER]))
         except BaseException as error:
             raise DriverError(make_scenario_failure(self.display_name, error, requests, 0.0), splits=True) from error
         if is_compiled(self.driver):
@@ -125,7 +123,7 @@ class Attachment:
             bounds = {"acceleration": start.body.max_acceleration, "deceleration": start.body.max_deceleration}
             for limit, value in limit_driver_acceleration(self.driver, *bounds.values()).items():
                 self.note_exceeded_limit(limit, bounds[limit], f"it would go up to {value:.6g} m/s²")
-        self._mover.start(of_vehicle)
+        self._mover.start(replace(start, parameters=parameters.get(VEHICLE, {})))
 
     def _start_driver(self, start: Start) -> None:
         options = rows_of(start.parameters, start.scenarios) if start.parameters else []

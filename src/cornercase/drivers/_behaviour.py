@@ -49,10 +49,9 @@ class BehaviourDriver(CompiledDriver):
         preset, changes = Behaviour(*self.parameters).nearest_preset()
         return ":".join([preset, *filter(None, [",".join(f"{name}={value}" for name, value in changes.items())])])
 
-    @property
-    def searchable_options(self) -> tuple[str, ...]:
-        """Fields of `Behaviour`, which are the options of a preset."""
-        return Behaviour._fields if type(self) is BehaviourDriver else super().searchable_options
+    def numeric_parameters(self) -> dict[str, float]:
+        """Return the fields of its `Behaviour`, which are the options of a preset."""
+        return Behaviour(*self.parameters)._asdict() if type(self) is BehaviourDriver else super().numeric_parameters()
 
     def with_options(self, **changes: Any) -> Self:
         """Return a driver with other options; those of a preset are the fields of `Behaviour`."""

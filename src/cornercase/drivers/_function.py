@@ -109,7 +109,7 @@ class DrivingFunction(Driver):
     """A driver that decides controls for a batch: adapters of what users attach derive from it.
 
     `prepare` is called once per batch, before the first step; `Start.parameters` has a value for each scenario of those
-    `searchable_options` that are dimensions of a search. `decide` is called in each step once per path, with the
+    `numeric_parameters` that are dimensions of a search. `decide` is called in each step once per path, with the
     mask ``active`` as in `Driver.acceleration`. `release` is called when the batch has ended, also after a failure.
     """
 

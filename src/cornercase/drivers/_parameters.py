@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from cornercase._common.configurable import Configurable, given_options, numeric_options, with_numbers
+from cornercase._common.configurable import Configurable, given_options, options_for_numbers, with_numbers
 from cornercase._common.errors import InputError, suggest_name
 from cornercase._common.plugin_errors import is_built_in
 from cornercase._common.text.sanitize import format_exception
@@ -167,9 +167,10 @@ def spec_with_values(entity: str, driver: Driver, values: Mapping[str, object]) 
 
 
 def _searchable_options(part: Part) -> tuple[str, ...]:
-    if isinstance(part, Driver):
-        return part.searchable_options
-    return tuple(numeric_options(type(part))) if isinstance(part, Configurable) else ()
+    """Return the options that take numbers; those of a driver that has numbers of its own, such as a preset, too."""
+    made = part.prototype if isinstance(part, ScalarFunction) else part
+    declared = options_for_numbers(type(made)) if isinstance(made, Configurable) else []
+    return tuple(dict.fromkeys((*declared, *(part.numeric_parameters() if isinstance(part, Driver) else ()))))
 
 
 def _find_problem(parts: Mapping[str, Part], values: Mapping[tuple[str, str], float], may_run_code: bool) -> str:

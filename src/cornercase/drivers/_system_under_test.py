@@ -5,17 +5,11 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
-from cornercase._common.configurable import (
-    Configurable,
-    describe_as_text,
-    numeric_options,
-    numeric_values,
-    with_numbers,
-)
+from cornercase._common.configurable import Configurable, describe_as_text, numeric_options, with_numbers
 from cornercase._common.errors import PluginError, SimulationError
 from cornercase._common.plugin_errors import format_time_of_failure, make_scenario_failure
 from cornercase._common.process.signals import count_requests
@@ -152,18 +146,13 @@ class ScalarFunction(DrivingFunction):
     def __str__(self) -> str:
         return str(self.prototype)
 
+    def with_options(self, **changes: Any) -> Self:
+        """Return a function whose prototype has other options."""
+        return type(self)(with_numbers(self.prototype, changes))
+
     def numeric_parameters(self) -> dict[str, float]:
         """Return the options of the prototype that are numbers."""
-        return numeric_values(self.prototype)
-
-    @property
-    def searchable_options(self) -> tuple[str, ...]:
-        """Those of the prototype."""
-        return tuple(numeric_options(type(self.prototype)))
-
-    def with_options(self, **changes: Any) -> ScalarFunction:
-        """Return a function whose prototype has other options."""
-        return ScalarFunction(with_numbers(self.prototype, changes))
+        return numeric_options(self.prototype)
 
     def prepare(self, start: Start) -> None:
         """Make one object per scenario."""

@@ -35,11 +35,11 @@ class SensorFusion:
     def start(self, start: Start, parameters: Sequence[Mapping[str, FloatArray]] = ()) -> Start:
         """Reset the sensors for a batch; return what the driver is told of it, with the names of false objects.
 
-        `parameters` are those of each sensor, as in `Start`; by default none.
+        `parameters` are those of each sensor, as in `Start`; by default all have the same ones.
         """
-        given = parameters or ({},) * len(self._sensors)
+        own_parameters = parameters or [start.parameters] * len(self._sensors)
         self._false_names: tuple[str, ...] = ()
-        for sensor, label, own in zip(self._sensors, _label_sensors(self._sensors), given, strict=True):
+        for sensor, label, own in zip(self._sensors, _label_sensors(self._sensors), own_parameters, strict=True):
             sensor.start(replace(start, parameters=own), label)
             self._false_names += tuple(f"false object {k + 1} of {label}" for k in range(sensor.false_objects))
         return replace(start, others=start.others + self._false_names)
