@@ -5,13 +5,17 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from cornercase._common.configurable import Configurable, describe_as_text
 from cornercase._common.typing import BoolArray, FloatArray
+
+if TYPE_CHECKING:
+    from cornercase.roads._lane_path import LanePath
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +35,8 @@ class DrivenPath:
         Heading in rad, unwrapped.
     curvature : ndarray of float64, shape (P,) or (N, P)
         Curvature in 1/m, positive to the left.
+    lane_path : LanePath, optional
+        The lanes that it follows; None for a trajectory.
 
     Raises
     ------
@@ -43,6 +49,7 @@ class DrivenPath:
     y: FloatArray
     heading: FloatArray
     curvature: FloatArray
+    lane_path: LanePath | None = None
 
     def __post_init__(self) -> None:
         shape = self.distance.shape
@@ -52,6 +59,13 @@ class DrivenPath:
             raise ValueError("all arrays of a path must have the same shape")
         if self.distance[..., 0].any() or not (np.diff(self.distance) > 0.0).all():
             raise ValueError("the distances of a path must increase from 0")
+
+    @cached_property
+    def rows(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Distance, x, y, heading and largest step for kernels, shape (1, P) or (N, P), and (1,) or (N,)."""
+        columns = (self.distance, self.x, self.y, self.heading)
+        distance, x, y, heading = (np.ascontiguousarray(np.atleast_2d(column)) for column in columns)
+        return distance, x, y, heading, np.hypot(np.diff(x), np.diff(y)).max(axis=1)
 
 
 @dataclass(frozen=True, eq=False)

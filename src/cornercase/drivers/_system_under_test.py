@@ -146,7 +146,7 @@ class ScalarFunction(DrivingFunction):
         """Make one object per scenario."""
         body, cls = start.body, type(self.prototype)
         self._name = f"the driver of {quote_name(body.name)} ({cls.__module__}:{cls.__qualname__})"
-        self._objects, self._failures = [], dict[int, SimulationError]()
+        self._objects, self._failures, self._network = [], dict[int, SimulationError](), start.network
         for n in range(start.scenarios):
             requests = count_requests()
             try:
@@ -162,7 +162,7 @@ class ScalarFunction(DrivingFunction):
 
     def decide(self, situation: Situation) -> Controls:
         """Let each active object decide."""
-        shared = SharedView(situation)
+        shared = SharedView(situation, self._network)
         controls: list[Control | None] = [None] * len(situation.active)
         failures = dict[int, SimulationError]()
         for n in np.flatnonzero(situation.active).tolist():

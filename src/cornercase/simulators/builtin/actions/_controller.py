@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from weakref import WeakKeyDictionary
-
 import numpy as np
 from lxml import etree
 
@@ -30,8 +28,6 @@ from cornercase.simulators.builtin.world._world import World
 _SAMPLE_SPACING, _EXTENSION_LENGTH, _MAX_LENGTH = 0.5, 200.0, 2000.0
 # Number of points of trajectories that are computed at once.
 _MAX_POINTS = 10_000
-
-_LANE_PATH_CACHE: WeakKeyDictionary[LanePath, DrivenPath] = WeakKeyDictionary()
 
 
 class DriverControl:
@@ -181,11 +177,11 @@ class DriverControl:
 
 def _lane_path(lane_path: LanePath) -> DrivenPath:
     """Return the path along a lane for drivers; it is cached, so that plans along it serve all batches."""
-    if lane_path not in _LANE_PATH_CACHE:
-        _LANE_PATH_CACHE[lane_path] = DrivenPath(
-            lane_path.distance, lane_path.x, lane_path.y, lane_path.heading, lane_path.curvature
-        )
-    return _LANE_PATH_CACHE[lane_path]
+    if "driven path" not in lane_path.cache:
+        columns = (lane_path.distance, lane_path.x, lane_path.y, lane_path.heading, lane_path.curvature)
+        lane_path.cache["driven path"] = DrivenPath(*columns, lane_path)
+    driven: DrivenPath = lane_path.cache["driven path"]
+    return driven
 
 
 def _sample_trajectory(track: Trajectory) -> DrivenPath:
