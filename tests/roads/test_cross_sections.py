@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from helpers.lane_centres import read_centres
 WILD = Path(__file__).parents[3] / "shared" / "reference" / "wild"
 CENTRES = WILD / "lane_centres.csv.gz"
 SHOULDER = '<lane id="-3" type="shoulder"><width sOffset="0" a="2" b="0" c="0" d="0"/></lane>'
-TWO_WAY = {"right": rn.lane(-1) + rn.lane(-2) + SHOULDER, "left": rn.lane(1)}
+TWO_WAY: dict[str, Any] = {"right": rn.lane(-1) + rn.lane(-2) + SHOULDER, "left": rn.lane(1)}
 
 
 def along(network: RoadNetwork, road: str, lane: int, s: float, forward: bool) -> CrossSections:
@@ -97,7 +98,8 @@ def test_signals_along_a_path_stand_where_their_roads_have_them(tmp_path):
     assert [distance for *_, distance in signals] == pytest.approx([30.0, 100.0])
     # Against the lane, the first does not face the traffic.
     ((name, _, distance),) = along(network, "1", -1, 90.0, False).signals
-    assert (name, distance) == ("start", pytest.approx(100.0))
+    assert name == "start"
+    assert distance == pytest.approx(100.0)
 
 
 @pytest.mark.skipif(not CENTRES.is_file(), reason="the folder of others' roads is not there")

@@ -15,8 +15,7 @@ from cornercase._common.io.support_table import Notice, warn_notices
 from cornercase._common.option import check_options, document_options, refuse_unknown
 from cornercase._common.process.dask import open_connection
 from cornercase._common.validation import check_bool, check_path
-from cornercase.drivers import Driver
-from cornercase.drivers._resolve import resolve_driver
+from cornercase.drivers._resolve import DriverLike, resolve_driver
 from cornercase.exploration._asynchronous import AsynchronousExplorer
 from cornercase.exploration._config import ExplorationConfig
 from cornercase.exploration._explore_options import CALL_OPTIONS, CONFIG_OPTIONS, OPTIONS, SPACE_OPTIONS, ExploreOptions
@@ -249,7 +248,7 @@ def reference_simulators(config: ExplorationConfig) -> Iterator[dict[str, Simula
         yield simulators
 
 
-def _create_simulator(config: ExplorationConfig, drivers: Mapping[str, str | Driver]) -> Simulator:
+def _create_simulator(config: ExplorationConfig, drivers: Mapping[str, DriverLike]) -> Simulator:
     options: dict[str, Any] = {
         "time_step": config.time_step,
         "duration": config.duration,

@@ -16,8 +16,8 @@ from cornercase._common.process.dask import open_connection
 from cornercase._common.text.sanitize import escape_control_characters, remove_folders
 from cornercase._common.validation import check_bool, check_mapping, check_str, check_str_sequence, repr_short
 from cornercase._common.validation import check_path as path_argument
-from cornercase.drivers import Driver
-from cornercase.drivers._resolve import is_driver, resolve_driver
+from cornercase.drivers import Driver, SystemUnderTest
+from cornercase.drivers._resolve import DriverLike, is_driver, resolve_driver
 from cornercase.exploration._explore_options import OPTIONS
 from cornercase.metrics import METRICS, Metric
 from cornercase.metrics._critical_if import find_critical_if_condition
@@ -56,7 +56,7 @@ class SuiteKeywords(RunKeywords, total=False):
     time_step: float | None
     duration: float | None
     on_collision: str | None
-    drivers: Mapping[str, str | Driver] | None
+    drivers: Mapping[str, DriverLike] | None
 
 
 SUITE_OPTIONS: Final = {name: OPTIONS[name] for name in SuiteKeywords.__annotations__}
@@ -340,10 +340,10 @@ def _choose_simulator(suite: SuiteContents, requested: str | Simulator | None) -
     return name or "builtin"
 
 
-def _resolve_drivers(suite: SuiteContents, requested: Mapping[str, str | Driver] | None) -> dict[str, str | Driver]:
+def _resolve_drivers(suite: SuiteContents, requested: Mapping[str, DriverLike] | None) -> dict[str, str | Driver]:
     drivers: dict[str, str | Driver] = {}
     for entity, driver in check_mapping("drivers", requested or {}).items():
-        if (isinstance(driver, str) and driver) or is_driver(driver):
+        if (isinstance(driver, str) and driver) or isinstance(driver, SystemUnderTest) or is_driver(driver):
             drivers[entity] = resolve_driver(driver)
         else:
             raise InputError(f"`drivers` {entity}={repr_short(driver)}: give the name of a driver, or an instance.")

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from cornercase._common.errors import InputError, SimulationError
-from cornercase.drivers import Driver
+from cornercase.drivers._resolve import DriverLike
 from cornercase.recordings import Collision, Recording
 from cornercase.scenario import ConcreteScenario, Value
 from cornercase.scenario._file import ScenarioFile
@@ -71,7 +71,7 @@ class Esmini(Simulator):
         time_step: float = 0.05,
         duration: float = 60.0,
         on_collision: str = "continue",
-        drivers: Mapping[str, str | Driver] | None = None,
+        drivers: Mapping[str, DriverLike] | None = None,
         seed: int = 0,
         controllers: bool = True,
         undriven: bool = False,
