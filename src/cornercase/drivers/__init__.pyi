@@ -32,6 +32,7 @@ from .references.r157._scenarios import drive_cut_out as drive_cut_out
 from .references.r157._scenarios import drive_deceleration as drive_deceleration
 from .sensors._sensor import SENSORS as SENSORS
 from .sensors._sensor import Sensor as Sensor
+from .vehicles._kinematic import Kinematic as Kinematic
 from .vehicles._vehicle_model import VEHICLES as VEHICLES
 from .vehicles._vehicle_model import PlanarMotion as PlanarMotion
 from .vehicles._vehicle_model import VehicleModel as VehicleModel

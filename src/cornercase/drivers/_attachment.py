@@ -23,9 +23,16 @@ from cornercase.drivers._base import Driver, Situation
 from cornercase.drivers._controls import Controls
 from cornercase.drivers._equipment import EquippedDriver
 from cornercase.drivers._function import DrivingFunction, Start
+from cornercase.drivers._motion import Motion, Mover
+from cornercase.drivers.vehicles._vehicle_model import PlanarMotion
 
 # Excess in m/s² that may come from rounding.
 _ROUNDING: Final = 1e-9
+_LIMITS: Final = {"acceleration", "deceleration"}
+# m/s² at full throttle and full brake, if <Performance> does not allow less.
+_FULL_THROTTLE: Final = 4.0
+_FULL_BRAKE: Final = 9.0
+_STATE: Final = ("x", "y", "heading", "speed", "acceleration")
 
 
 class DriverError(Exception):
@@ -44,24 +51,26 @@ class DriverError(Exception):
 class Decision:
     """What an attached driver does in one time step, for N scenarios.
 
-    `speed` (N,) is the speed in m/s at the end of the step. `failures` are by scenario, which end.
+    `motion` is that at the end of the step; where the entity is not steered, only its speed counts. `failures` are by
+    scenario, which end.
     """
 
-    speed: FloatArray
+    motion: Motion
     failures: Mapping[int, SimulationError] = field(default_factory=dict)
 
 
 class Attachment:
     """A driver that is attached to an entity of a simulator.
 
-    `limit_notices` has a sentence without full stop for each limit of the vehicle that the driver exceeded; a semicolon
-    precedes what differs between notices about the same limit.
+    `limit_notices` has a sentence without full stop for each limit that the driver exceeded: of the vehicle, or of the
+    lanes beside it; a semicolon precedes what differs between notices about the same limit.
     """
 
     def __init__(self, driver: Driver, entity: str) -> None:
         self.driver = driver.driver if isinstance(driver, EquippedDriver) else driver
         self._sensors = driver.sensors if isinstance(driver, EquippedDriver) else ()
-        self._vehicle = driver.vehicle if isinstance(driver, EquippedDriver) else None
+        vehicle = driver.vehicle if isinstance(driver, EquippedDriver) else None
+        self._mover = Mover(vehicle, self._note_missing_lane)
         self._entity = entity
         self.limit_notices: dict[str, str] = {}
 
@@ -85,32 +94,56 @@ class Attachment:
             raise DriverError(make_scenario_failure(self.display_name, error, requests, 0.0), splits=True) from error
         for sensor in self._sensors:
             sensor.start(start)
-        if self._vehicle is not None:
-            self._vehicle.start(start)
+        self._mover.start(start)
 
     def release(self) -> None:
         """Release what the driver holds, at the end of a batch."""
         if isinstance(self.driver, DrivingFunction):
             self.driver.release()
 
-    def step(self, situation: Situation) -> Decision:
-        """Decide the coming time step in the active scenarios; raises `DriverError`."""
+    def step(self, situation: Situation, begin: PlanarMotion | None = None) -> Decision:
+        """Decide the coming time step in the active scenarios; raises `DriverError`.
+
+        `begin` is the motion at the start of the step, where the simulator has moved the entity in this step already.
+        """
         # The driver may change the arrays that it is given.
-        active, speed, time = situation.active.copy(), situation.speed.copy(), situation.time
-        sensed = situation
+        kept = {name: getattr(situation, name).copy() for name in ("active", "distance", *_STATE)}
+        truth = replace(situation, **kept)
         for sensor in self._sensors:
-            sensed = sensor.perceive(sensed)
-        controls = self._decide(sensed)
+            situation = sensor.perceive(situation)
+        controls = self._decide(situation)
+        active, time = truth.active, truth.time
         failures = {n: failure for n, failure in controls.failures.items() if active[n]}
-        acceleration = controls.acceleration
-        is_missing = active & ~np.isfinite(acceleration)
-        for n in np.flatnonzero(is_missing).tolist():
-            if n not in failures:
-                returned = f"{self.display_name} returned {acceleration[n]:g}{format_time_of_failure(time)}"
-                failures[n] = PluginError(f"{returned}, which is not an acceleration in m/s²")
-        acceleration = self._clip_acceleration(acceleration, active & ~is_missing, time)
-        speed = np.maximum(speed + acceleration * self._start.time_step, 0.0)
-        return Decision(np.minimum(speed, self._start.body.max_speed), failures)
+        acceleration = np.where(np.isnan(controls.acceleration), self._press_pedals(controls), controls.acceleration)
+        is_decided = np.isfinite(acceleration)
+        goes_on = np.isnan(acceleration) & self._mover.follows_trajectory(controls)
+        self._fail(active & ~(is_decided | goes_on), acceleration, "an acceleration in m/s²", time, failures)
+        self._fail(active & np.isinf(controls.steering), controls.steering, "an angle in rad", time, failures)
+        acceleration = self._clip_acceleration(acceleration, active & is_decided, time)
+        start = PlanarMotion(**{name: kept[name] for name in _STATE}) if begin is None else begin
+        return Decision(self._mover.step(truth, start, controls, acceleration, active), failures)
+
+    def _press_pedals(self, controls: Controls) -> FloatArray:
+        """Return the acceleration that throttle and brake ask for, (N,); NaN where neither is pressed."""
+        throttle, brake, body = controls.throttle, controls.brake, self._start.body
+        strongest = min(body.max_acceleration, _FULL_THROTTLE), min(body.max_deceleration, _FULL_BRAKE)
+        asked = np.nan_to_num(throttle) * strongest[0] - np.nan_to_num(brake) * strongest[1]
+        return np.where(np.isnan(throttle) & np.isnan(brake), np.nan, asked)
+
+    def _fail(
+        self, rows: BoolArray, values: FloatArray, what: str, time: float, failures: dict[int, SimulationError]
+    ) -> None:
+        """Add a failure for each scenario of a mask, as its value is not what it is to be."""
+        for n in np.flatnonzero(rows).tolist():
+            returned = f"{self.display_name} returned {values[n]:g}{format_time_of_failure(time)}"
+            failures.setdefault(n, PluginError(f"{returned}, which is not {what}"))
+
+    def _note_missing_lane(self, time: float, side: str) -> None:
+        self.limit_notices.setdefault(
+            f"lane {side}",
+            f"{self.display_name} asks for a lane on the {side} that does not exist or is not for traffic in its direction,"
+            f" and stays in its lane; first{format_time_of_failure(time)}",
+        )
 
     def _decide(self, situation: Situation) -> Controls:
         """Call the driver, which may be user code, and check what it returns."""
@@ -145,7 +178,7 @@ class Attachment:
         if highest == np.inf == -lowest:
             return acceleration
         clipped = acceleration.clip(lowest, highest)
-        if len(self.limit_notices) < 2 and bool((rows & (clipped != acceleration)).any()):
+        if not self.limit_notices.keys() >= _LIMITS and bool((rows & (clipped != acceleration)).any()):
             for limit, excess in (("acceleration", acceleration - highest), ("deceleration", lowest - acceleration)):
                 worst = float(excess[rows].max())
                 if limit not in self.limit_notices and worst > _ROUNDING:

@@ -90,3 +90,5 @@ class VehicleModel(Configurable, ABC):
 
 VEHICLES: Final[Registry[VehicleModel]] = Registry("vehicle", "cornercase.vehicles", VehicleModel)
 """Vehicle models by name."""
+
+VEHICLES.register("kinematic", "cornercase.drivers.vehicles._kinematic:Kinematic")

@@ -239,11 +239,11 @@ class Stepper:
         self._run_range(0, self._world.scenarios)
 
     def _ask_drivers(self, waiting: BoolArray) -> None:
-        """Let Python decide speeds where scenarios are behind the others, so it is asked once in each time step."""
+        """Let Python decide motion where scenarios are behind the others, so it is asked once in each time step."""
         world, loop, frames = self._world, self._loop_state, self.scene.n_frames
         waiting = waiting & (frames == frames[waiting].min())
         number = int(loop.next_driver[waiting].min())
-        deciding = np.zeros_like(waiting)
+        deciding, n_tracks = np.zeros_like(waiting), self._count_tracks()
         for set_speeds in self._speed_setters[number:]:
             if set_speeds is None:
                 break
@@ -256,7 +256,10 @@ class Stepper:
             number += 1
         loop.next_driver[deciding] = number
         loop.status[deciding] = ACTIONS_DONE
-        self._run_until_stopped(has_new_tracks=False)
+        self._run_until_stopped(has_new_tracks=self._count_tracks() > n_tracks)
+
+    def _count_tracks(self) -> int:
+        return sum(map(len, self._world.tracks))
 
     def _publish_triggers(self) -> BoolArray:
         """Publish pending triggers to the compiled loop; return where Python evaluates triggers in the next frame."""

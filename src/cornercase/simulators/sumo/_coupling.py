@@ -16,7 +16,7 @@ import numpy as np
 from cornercase._common.errors import SimulationError
 from cornercase._common.geometry.boxes import wrap_angle
 from cornercase.simulators.builtin.tracks._lane import LaneTrack
-from cornercase.simulators.builtin.world._track_motion import set_external_motion
+from cornercase.simulators.builtin.world._track_motion import move_to_pose
 from cornercase.simulators.builtin.world._world import Entity, World
 
 # Parameters of SUMO's models, not calibrated. tau: time headway in s. jmTimegapMinor: time gap in s to traffic with the
@@ -226,20 +226,22 @@ class SumoCoupling:
         sumo = self._sumo
         if name not in sumo.vehicle.getIDList():
             # It has arrived at the end of its route, and stays there.
-            set_external_motion(world, e, world.x[e], world.y[e], world.heading[e], np.zeros(1))
+            move_to_pose(world, e, world.x[e], world.y[e], world.heading[e], world.running)
+            world.speed[e] = 0.0
             return
         x, y = sumo.vehicle.getPosition(name)
         heading = math.pi / 2 - math.radians(sumo.vehicle.getAngle(name))
         entity = world.entities[e]
         front_offset = entity.center_x + 0.5 * entity.length
-        set_external_motion(
+        move_to_pose(
             world,
             e,
             np.array([x - front_offset * math.cos(heading)]),
             np.array([y - front_offset * math.sin(heading)]),
             np.array([wrap_angle(heading)]),
-            np.array([sumo.vehicle.getSpeed(name)]),
+            world.running,
         )
+        world.speed[e] = sumo.vehicle.getSpeed(name)
 
 
 def _format_vehicle_types() -> str:

@@ -14,14 +14,17 @@ from cornercase.drivers import DrivenPath, Driver, Situation
 from cornercase.drivers._attachment import Attachment, Decision, DriverError
 from cornercase.drivers._compiled import is_compiled, limit_driver_acceleration
 from cornercase.drivers._function import Body, Start
+from cornercase.drivers._lanes import driven_path
 from cornercase.drivers._resolve import create_driver_named_in_file
-from cornercase.roads._lane_path import LanePath
+from cornercase.drivers.vehicles._vehicle_model import PlanarMotion
 from cornercase.scenario._file import DRIVER_PROPERTY
 from cornercase.scenario._scope import Scope
 from cornercase.simulators.builtin.actions._action import Action
 from cornercase.simulators.builtin.kernels._driver_inputs import OTHERS_ROWS, OWN_ROWS, copy_driver_inputs
 from cornercase.simulators.builtin.tracks._lane import LaneTrack
 from cornercase.simulators.builtin.tracks._track import Track, Trajectory
+from cornercase.simulators.builtin.world._lane_following import follow_lane_at_position
+from cornercase.simulators.builtin.world._track_motion import move_to_pose
 from cornercase.simulators.builtin.world._world import World
 
 # Trajectories for drivers, in m: sample spacing, straight extension beyond the end, and longest length.
@@ -31,7 +34,7 @@ _MAX_POINTS = 10_000
 
 
 class DriverControl:
-    """An entity of a batch, and the driver that decides its speed on lanes and trajectories while it is active.
+    """An entity of a batch, and the driver that moves it along lanes and trajectories, or steers it, while it is active.
 
     On a trajectory with times there is nothing to decide. `number` is the index in `World.drivers`. `in_fleet` says
     whether kernels make the decisions.
@@ -40,7 +43,7 @@ class DriverControl:
     def __init__(self, world: World, entity: int, driver: Driver) -> None:
         self._world, self.entity = world, entity
         self._attachment = Attachment(driver, world.names[entity])
-        self.driver = self._attachment.driver
+        self.driver = driver
         self.number = len(world.drivers)
         world.drivers.append(self)
         self._others = [other for e, other in enumerate(world.entities) if e != entity]
@@ -115,18 +118,34 @@ class DriverControl:
         """Let the driver decide the entity's speed at the end of the coming time step."""
         world, e = self._world, self.entity
         active = world.running & world.present[e] & world.driven[e] & (world.driver[e] == self.number)
-        track_numbers = world.track[e]
-        for k, track in enumerate(world.tracks[e]):
+        # A steered entity may follow another track afterwards.
+        track_numbers = world.track[e].copy()
+        for k, track in enumerate([*world.tracks[e]]):
             rows = active & (track_numbers == k)
             if any_true(rows) and not (isinstance(track, Trajectory) and track.times is not None):
-                self._apply(self._attachment.step(self._make_situation(k, track, dt, rows)), rows)
+                situation = self._make_situation(k, track, dt, rows)
+                self._apply(self._attachment.step(situation, self._motion_at_start()), rows)
+
+    def _motion_at_start(self) -> PlanarMotion:
+        """Return the motion at the start of the step, in which an action may have moved the entity already."""
+        world, e = self._world, self.entity
+        x, y, heading = (
+            np.where(world.jumped[e], now[e], before[e])
+            for now, before in ((world.x, world.from_x), (world.y, world.from_y), (world.heading, world.from_heading))
+        )
+        return PlanarMotion(x, y, heading, world.speed[e].copy(), world.acceleration[e].copy())
 
     def _apply(self, decision: Decision, rows: BoolArray) -> None:
         """Do what the driver decides in the scenarios of a mask."""
-        world, e = self._world, self.entity
+        world, e, motion = self._world, self.entity, decision.motion
         for n, failure in decision.failures.items():
             world.fail(np.arange(world.scenarios) == n, failure)
-        np.copyto(world.speed[e], decision.speed, where=rows & world.running)
+        rows = rows & world.running
+        world.steered[e][rows] = motion.is_steered[rows]
+        np.copyto(world.speed[e], motion.state.speed, where=rows)
+        if any_true(steered := rows & motion.is_steered):
+            move_to_pose(world, e, motion.state.x, motion.state.y, motion.state.heading, steered)
+            follow_lane_at_position(world, e, steered)
 
     def _make_situation(self, track_number: int, track: Track, dt: float, rows: BoolArray) -> Situation:
         world, e, box = self._world, self.entity, self._world.entities[self.entity]
@@ -168,20 +187,11 @@ class DriverControl:
         """Return the path along one of the entity's tracks, in the form that drivers get."""
         if isinstance(track, LaneTrack):
             if track_number not in self._paths:
-                self._paths[track_number] = _lane_path(track.path)
+                self._paths[track_number] = driven_path(track.path)
         elif isinstance(track, Trajectory) and self._sampled_versions.get(track_number) != track.version:
             # A restarted trajectory may have another shape.
             self._paths[track_number], self._sampled_versions[track_number] = _sample_trajectory(track), track.version
         return self._paths[track_number]
-
-
-def _lane_path(lane_path: LanePath) -> DrivenPath:
-    """Return the path along a lane for drivers; it is cached, so that plans along it serve all batches."""
-    if "driven path" not in lane_path.cache:
-        columns = (lane_path.distance, lane_path.x, lane_path.y, lane_path.heading, lane_path.curvature)
-        lane_path.cache["driven path"] = DrivenPath(*columns, lane_path)
-    driven: DrivenPath = lane_path.cache["driven path"]
-    return driven
 
 
 def _sample_trajectory(track: Trajectory) -> DrivenPath:

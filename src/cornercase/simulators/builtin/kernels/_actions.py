@@ -61,6 +61,7 @@ from cornercase.simulators.builtin.world._state_layout import (
     PACE,
     ROAD_HEADING,
     SPEED,
+    STEERED,
     TARGET_SPEED,
     TRACK,
     TURN,
@@ -297,6 +298,11 @@ def _apply_trajectory_action(scene, tracks, actions, n, j, dt):
     e, is_timed = options[1], options[2]
     row = tracks.rows[e, int(memory[3])]
     before, beyond = state[DISTANCE, e], 0.0
+    if scene.flags[n, STEERED, e]:
+        # Its driver has taken it off the trajectory, or steers it to the end.
+        if scene.integers[n, TRACK, e] != int(memory[3]):
+            return ACTION_ENDED
+        return TRACK_ENDED if before > trajectory_length(tracks, row, n) - _EPSILON else ACTION_APPLIED
     if is_timed:
         time, end_time = scene.time[n] + dt + memory[2], trajectory_end_time(tracks, row, n)
         is_over = time > end_time - _EPSILON

@@ -19,6 +19,10 @@ from cornercase.simulators.builtin.world._world import World
 _ALIGNED: Final = 1e-3
 # Distance in m beyond the end of a road from which a placement is reported as moved.
 _MAX_PLACEMENT_ERROR: Final = 1.0
+# Distance in m that a steered entity goes beyond the edge of its lane before it follows another one.
+_LANE_HYSTERESIS: Final = 0.1
+# Least cosine of the angle between an entity and the traffic on the lane that it begins to follow.
+_SAME_DIRECTION: Final = 0.5
 # Distance in m from a lane's end within which a path sample may belong to either lane.
 _SEAM_TOLERANCE: Final = 0.5
 
@@ -75,6 +79,59 @@ def attach_to_lane(world: World, entity: int, where: BoolArray, pose: Pose | Non
         turn = wrap_angle(pose.heading[rows] - heading)
         # Headings of sampled lanes are not exact: ignore small differences.
         world.turn[entity][rows] = np.where(np.abs(turn) < _ALIGNED, 0.0, turn)
+
+
+def follow_lane_at_position(world: World, entity: int, where: BoolArray) -> None:
+    """Make a steered entity follow the lane in which it is, once it has left its own.
+
+    It keeps following its track off the road, and where traffic runs against its heading.
+    """
+    network = world.network
+    if network is None:
+        return
+    left = np.zeros_like(where)
+    for _, track, at in world.iter_followed_tracks(entity, where):
+        far = at[np.abs(world.offset[entity][at]) > _half_lane_width(world, entity, track, at) + _LANE_HYSTERESIS]
+        left[far] = True
+    at = np.flatnonzero(left)
+    if not at.size:
+        return
+    road, lane, s, offset = network.locate(world.x[entity][at], world.y[entity][at])
+    for k, n in enumerate(at.tolist()):
+        current, where_s = network.roads[int(road[k])], s[k : k + 1]
+        section = int(current.section_at(where_s)[0])
+        number, lanes = int(lane[k]), current.sections[section][1]
+        is_inside = number in lanes and abs(offset[k]) <= 0.5 * float(current.lane_width(section, number, where_s)[0])
+        direction = current.reference_pose(where_s)[2] + (0.0 if current.is_traffic_forward(number, where_s)[0] else np.pi)
+        runs_along = np.cos(world.heading[entity][n] - direction[0]) > _SAME_DIRECTION
+        left[n] = is_inside and lanes[number].is_drivable and runs_along
+    if left.any():
+        former = world.track[entity].copy()
+        world.route[entity] = _remaining_route(world, entity, left)
+        attach_to_lane(world, entity, left)
+        lost = left & (world.track[entity] == NO_TRACK)
+        world.track[entity][lost] = former[lost]
+
+
+def _half_lane_width(world: World, entity: int, track: Track, scenarios: IntArray) -> FloatArray:
+    """Return half the width of the lane that an entity's track is on, in m, shape (R,)."""
+    network, distance = world.network, world.distance[entity][scenarios]
+    assert network is not None
+    if isinstance(track, LaneTrack):
+        sample = track.path.sample_index(distance)
+        road, lane, s = track.path.road[sample], track.path.lane[sample], track.s_at(distance)
+    else:
+        x, y, _ = track.pose_at(distance, np.zeros(len(scenarios)), scenarios)
+        road, lane, s, _ = network.locate(x, y)
+    width = np.empty(len(scenarios))
+    for number, which in sorted({*zip(road.tolist(), lane.tolist(), strict=True)}):
+        current = network.roads[number]
+        rows = (road == number) & (lane == which)
+        section = current.section_at(s[rows])
+        width[rows] = [
+            current.lane_width(k, which, at[None])[0] for k, at in zip(section.tolist(), s[rows], strict=True)
+        ]
+    return 0.5 * width
 
 
 def _iter_groups(keys: IntArray, where: BoolArray) -> Iterator[tuple[tuple[int, ...], BoolArray]]:

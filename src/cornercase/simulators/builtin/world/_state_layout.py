@@ -17,8 +17,8 @@ from typing import Final
 N_FLOAT_ROWS: Final = 26
 
 (
-    PRESENT, CHANGES_LANES, STRANDED, MOVED, DECIDED, ACTIVATED, DRIVEN, VISIBLE, JUMPED,
-) = range(9)  # fmt: skip
+    PRESENT, CHANGES_LANES, STRANDED, MOVED, DECIDED, ACTIVATED, DRIVEN, VISIBLE, JUMPED, STEERED,
+) = range(10)  # fmt: skip
 """Rows of `World.flags`."""
 
 TRACK, ROUTE, LAST_ROAD, DRIVER, PULLED_BY = range(5)
@@ -41,6 +41,7 @@ FLAG_ROWS: Final = {
     "present": (PRESENT, False), "changes_lanes": (CHANGES_LANES, False), "stranded": (STRANDED, False),
     "moved": (MOVED, False), "decided": (DECIDED, False), "activated": (ACTIVATED, False), "driven": (DRIVEN, False),
     "visible": (VISIBLE, True), "jumped": (JUMPED, False),
+    "steered": (STEERED, False),
 }  # fmt: skip
 
 INTEGER_ROWS: Final = {

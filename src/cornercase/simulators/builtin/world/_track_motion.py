@@ -60,13 +60,14 @@ def shift_along_track(world: World, entity: int, where: BoolArray, distance: Flo
         _set_pose_from_track(world, entity, track, at)
 
 
-def set_external_motion(
-    world: World, entity: int, x: FloatArray, y: FloatArray, heading: FloatArray, speed: FloatArray
+def move_to_pose(
+    world: World, entity: int, x: FloatArray, y: FloatArray, heading: FloatArray, where: BoolArray
 ) -> None:
-    """Set the motion of an entity that another simulator moves, at the end of the coming step, shape (N,) each."""
-    world.x[entity], world.y[entity], world.heading[entity], world.speed[entity] = x, y, heading, speed
-    world.moved[entity] = True
-    for _, track, at in world.iter_followed_tracks(entity, world.running):
+    """Move an entity that its driver or another simulator steers to its pose at the end of the coming step, (N,)."""
+    for state, values in ((world.x, x), (world.y, y), (world.heading, heading)):
+        state[entity][where] = values[where]
+    world.moved[entity] |= where
+    for _, track, at in world.iter_followed_tracks(entity, where):
         along = track.nearest_distance(x[at], y[at], at, world.distance[entity][at])
         on_x, on_y, track_heading = track.pose_at(along, np.zeros(len(at)), at)
         world.distance[entity][at] = along

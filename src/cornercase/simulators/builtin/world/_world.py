@@ -147,6 +147,7 @@ class World:
     driven: BoolArray
     visible: BoolArray
     jumped: BoolArray
+    steered: BoolArray
     track: IntArray
     route: IntArray
     last_road: IntArray

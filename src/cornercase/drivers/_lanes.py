@@ -1,0 +1,45 @@
+"""Lanes as paths of drivers, and the lanes beside them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from cornercase._common.geometry.boxes import is_facing_forward
+from cornercase.drivers._base import DrivenPath
+
+if TYPE_CHECKING:
+    from cornercase.roads._lane_path import LanePath
+    from cornercase.roads._network import RoadNetwork
+
+_PATHS: WeakKeyDictionary[LanePath, DrivenPath] = WeakKeyDictionary()
+
+
+def driven_path(lane_path: LanePath) -> DrivenPath:
+    """Return the path along a lane for drivers; it is cached, so that plans along it serve all batches."""
+    if lane_path not in _PATHS:
+        _PATHS[lane_path] = DrivenPath(
+            lane_path.distance, lane_path.x, lane_path.y, lane_path.heading, lane_path.curvature
+        )
+    return _PATHS[lane_path]
+
+
+def find_neighbouring_path(
+    network: RoadNetwork, x: float, y: float, heading: float, lanes_to_left: int
+) -> DrivenPath | None:
+    """Return the path along the lane beside the one at a pose; None if traffic does not run there in this direction."""
+    location = network.locate(np.array([x]), np.array([y]))
+    number, lane, s = int(location.road[0]), int(location.lane[0]), location.s
+    road = network.roads[number]
+    is_along = bool(is_facing_forward(heading - road.reference_pose(s)[2])[0])
+    # Lane numbers grow to the left, seen along s.
+    target = lane + (lanes_to_left if is_along else -lanes_to_left)
+    if target == 0:
+        target = -lane
+    beside = road.sections[int(road.section_at(s)[0])][1].get(target)
+    if beside is None or not beside.is_drivable or bool(road.is_traffic_forward(target, s)[0]) != is_along:
+        return None
+    path = network.lane_path_from(number, target, float(s[0]), is_along)
+    return None if path is None else driven_path(path)

@@ -1,0 +1,193 @@
+"""From what a driver decides to how its vehicle moves, for all scenarios of a batch."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+
+from cornercase._common.geometry.boxes import wrap_angle
+from cornercase._common.typing import BoolArray, FloatArray
+from cornercase.drivers._base import Situation
+from cornercase.drivers._controls import Controls
+from cornercase.drivers._function import Start
+from cornercase.drivers._lane_change import LaneChange
+from cornercase.drivers._lanes import find_neighbouring_path
+from cornercase.drivers._path_tracking import locate_on_path, steer_along_path
+from cornercase.drivers._trajectory_following import FollowedTrajectory
+from cornercase.drivers.vehicles._vehicle_model import VEHICLES, PlanarMotion, VehicleModel
+
+_DEFAULT_VEHICLE: Final = "kinematic"
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """Motion at the end of a step, for N scenarios.
+
+    Where `is_steered` (N,), the vehicle has the pose in `state`; elsewhere it goes along its path, and only its speed
+    counts.
+    """
+
+    state: PlanarMotion
+    is_steered: BoolArray
+
+
+@dataclass(eq=False)
+class _Memory:
+    """What is going on in each scenario. `is_free` (N,): whether it has been steered, so that a tracker has to steer."""
+
+    is_free: BoolArray
+    last_request: FloatArray
+    followed: dict[int, FollowedTrajectory] = field(default_factory=dict)
+    changes: dict[int, LaneChange] = field(default_factory=dict)
+
+
+class Mover:
+    """Moves the vehicle of a driver.
+
+    Without steering, it goes along its path: exactly without a vehicle model and as long as it was never steered, else
+    a tracker steers it. Trajectories and lane changes are followed exactly without a vehicle model, else by a tracker.
+    `note_missing_lane` is called with the time of each request for a lane that is not there, and its side.
+    """
+
+    def __init__(self, vehicle: VehicleModel | None, note_missing_lane: Callable[[float, str], None]) -> None:
+        self._vehicle, self._note_missing_lane = vehicle, note_missing_lane
+
+    def start(self, start: Start) -> None:
+        """Reset all state for a batch."""
+        self._start = start
+        self._steered = self._vehicle if self._vehicle is not None and self._vehicle.steers else None
+        self._memory = _Memory(np.full(start.scenarios, self._steered is not None), np.zeros(start.scenarios))
+        if self._vehicle is not None:
+            self._vehicle.start(start)
+
+    def step(
+        self, situation: Situation, begin: PlanarMotion, controls: Controls, acceleration: FloatArray, active: BoolArray
+    ) -> Motion:
+        """Return the motion in the active scenarios; `acceleration` (N,) is NaN where a trajectory is followed.
+
+        `begin` is the motion at the start of the step.
+        """
+        memory, dt, time = self._memory, situation.time_step, situation.time
+        self._begin_maneuvers(time, begin, controls, active)
+        steering = np.where(active, controls.steering, np.nan)
+        memory.is_free |= np.isfinite(steering)
+        is_exact = np.zeros(len(active), dtype=np.bool_)
+        x, y, heading, speed = (values.copy() for values in (begin.x, begin.y, begin.heading, begin.speed))
+        for n, trajectory in memory.followed.items():
+            if not active[n]:
+                continue
+            memory.is_free[n] = True
+            here = (time, float(begin.x[n]), float(begin.y[n]), float(begin.heading[n]), float(begin.speed[n]), dt)
+            if self._vehicle is None:
+                is_exact[n] = True
+                x[n], y[n], heading[n], speed[n] = trajectory.move(*here)
+            else:
+                acceleration[n], steering[n] = trajectory.track(*here, self._start.body.wheelbase)
+        acceleration = self._limit(acceleration)
+        goes = active & ~is_exact
+        requested = np.minimum(np.maximum(begin.speed + acceleration * dt, 0.0), self._start.body.max_speed)
+        speed[goes] = requested[goes]
+        if self._vehicle is not None and not self._vehicle.steers:
+            speed[goes] = self._drive(self._vehicle, begin, acceleration, steering, dt, goes).speed[goes]
+        for n in [*memory.changes]:
+            if active[n]:
+                exact = self._continue_change(n, begin, float(speed[n]), steering, dt)
+                if exact is not None:
+                    is_exact[n] = True
+                    x[n], y[n], direction = exact
+                    heading[n] += wrap_angle(direction - heading[n])
+        is_steered = active & (memory.is_free | is_exact)
+        is_driven = is_steered & ~is_exact
+        if is_driven.any():
+            self._track_path(situation, begin, steering, is_driven)
+            if self._steered is None:
+                self._steered = VEHICLES.create(_DEFAULT_VEHICLE)
+                self._steered.start(self._start)
+            if self._steered is not self._vehicle:
+                acceleration = (speed - begin.speed) / dt
+            limit = self._start.body.max_steering
+            after = self._drive(self._steered, begin, acceleration, steering.clip(-limit, limit), dt, is_driven)
+            for values, driven in ((x, after.x), (y, after.y), (heading, after.heading), (speed, after.speed)):
+                values[is_driven] = driven[is_driven]
+        return Motion(PlanarMotion(x, y, heading, speed, (speed - begin.speed) / dt), is_steered)
+
+    def follows_trajectory(self, controls: Controls) -> BoolArray:
+        """Return in which scenarios the driver gives a trajectory, or one is followed, (N,)."""
+        result = np.zeros(len(controls.acceleration), dtype=np.bool_)
+        result[[*controls.trajectories, *self._memory.followed]] = True
+        return result
+
+    def _begin_maneuvers(self, time: float, begin: PlanarMotion, controls: Controls, active: BoolArray) -> None:
+        """Begin and end trajectories and lane changes as the driver asks."""
+        memory = self._memory
+        for n, given in controls.trajectories.items():
+            if active[n] and not (n in memory.followed and memory.followed[n].given is given):
+                memory.followed[n] = FollowedTrajectory(given, time, float(begin.x[n]), float(begin.y[n]))
+        requests = np.where(active, controls.lane_change, 0)
+        is_new = active & (requests != 0) & (requests != memory.last_request)
+        memory.last_request[active] = requests[active]
+        decides = np.isfinite(controls.acceleration) | np.isfinite(controls.throttle) | np.isfinite(controls.brake)
+        for n in [*memory.followed]:
+            if active[n] and decides[n] and n not in controls.trajectories:
+                del memory.followed[n]
+        for n in np.flatnonzero(is_new).tolist():
+            if n not in memory.changes and n not in memory.followed:
+                self._begin_change(n, time, begin, int(requests[n]))
+        for n in [*memory.changes]:
+            if active[n] and (np.isfinite(controls.steering[n]) or n in memory.followed):
+                del memory.changes[n]
+
+    def _begin_change(self, n: int, time: float, begin: PlanarMotion, lanes_to_left: int) -> None:
+        network, x, y = self._start.network, float(begin.x[n]), float(begin.y[n])
+        path = None
+        if network is not None:
+            path = find_neighbouring_path(network, x, y, float(begin.heading[n]), lanes_to_left)
+        if path is None:
+            self._note_missing_lane(time, "left" if lanes_to_left > 0 else "right")
+            return
+        self._memory.changes[n] = LaneChange.begin(path, x, y)
+
+    def _continue_change(
+        self, n: int, begin: PlanarMotion, speed: float, steering: FloatArray, dt: float
+    ) -> tuple[float, float, float] | None:
+        """Go on with a lane change; return the pose if it is followed exactly, else steer along it."""
+        change, x, y = self._memory.changes[n], float(begin.x[n]), float(begin.y[n])
+        if not self._memory.is_free[n]:
+            pose = change.move(x, y, speed, dt)
+            if change.progress >= 1.0:
+                del self._memory.changes[n]
+            return pose
+        at = change.locate(x, y, float(begin.heading[n]), float(begin.speed[n]), dt)
+        steering[n] = float(steer_along_path(at, begin.speed[n : n + 1], self._start.body.wheelbase)[0])
+        if change.has_arrived(float(at.offset[0])):
+            del self._memory.changes[n]
+        return None
+
+    def _track_path(
+        self, situation: Situation, begin: PlanarMotion, steering: FloatArray, is_driven: BoolArray
+    ) -> None:
+        """Steer along the path in the driven scenarios without a steering angle."""
+        rows = is_driven & np.isnan(steering)
+        if rows.any():
+            ahead = 0.5 * begin.speed * situation.time_step
+            poses = locate_on_path(situation.path, situation.distance, begin.x, begin.y, begin.heading, ahead)
+            steering[rows] = steer_along_path(poses, begin.speed, self._start.body.wheelbase)[rows]
+
+    def _limit(self, acceleration: FloatArray) -> FloatArray:
+        body = self._start.body
+        return np.clip(np.nan_to_num(acceleration), -body.max_deceleration, body.max_acceleration)
+
+    def _drive(
+        self,
+        vehicle: VehicleModel,
+        begin: PlanarMotion,
+        acceleration: FloatArray,
+        steering: FloatArray,
+        dt: float,
+        rows: BoolArray,
+    ) -> PlanarMotion:
+        steering = np.where(rows, np.nan_to_num(steering), 0.0)
+        return vehicle.step(begin, acceleration, steering, self._start.friction, dt, rows)

@@ -1,0 +1,79 @@
+"""Follow a trajectory of a driver: ideally, or with a vehicle that is steered along it."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+
+from cornercase._common.geometry.boxes import wrap_angle
+from cornercase.drivers._base import DrivenPath
+from cornercase.drivers._controls import Trajectory
+from cornercase.drivers._path_tracking import locate_on_path, steer_along_path
+
+FINAL_DECELERATION: Final = 3.0
+"""Deceleration in m/s² with which the ego stops after the end of its trajectory."""
+# s; time in which a vehicle makes up for a delay or a wrong speed.
+_CATCH_UP: Final = 0.5
+# m; points that are nearer to the one before do not count, and smaller steps have no direction.
+_STANDSTILL: Final = 1e-4
+# s; tolerance of the clock.
+_CLOCK: Final = 1e-6
+
+
+class FollowedTrajectory:
+    """A trajectory that the ego follows from a pose and time on; `given` is what the driver gave.
+
+    Before the first of its times, the ego goes straight to its first point.
+    """
+
+    def __init__(self, given: Trajectory, time: float, x: float, y: float) -> None:
+        self.given = given
+        self._time, self._x, self._y = given.time, given.x, given.y
+        if given.time[0] > time + _CLOCK:
+            self._time = np.concatenate([[time], given.time])
+            self._x, self._y = np.concatenate([[x], given.x]), np.concatenate([[y], given.y])
+        steps = np.hypot(np.diff(self._x), np.diff(self._y))
+        self._travelled = np.concatenate([[0.0], np.cumsum(np.where(steps > _STANDSTILL, steps, 0.0))])
+        self._distance = 0.0
+        self._path = self._make_path()
+
+    def move(
+        self, time: float, x: float, y: float, heading: float, speed: float, dt: float
+    ) -> tuple[float, float, float, float]:
+        """Return pose and speed at the end of a time step, with ideal following."""
+        if self._is_over(time + dt):
+            speed = max(speed - FINAL_DECELERATION * dt, 0.0)
+            return x + speed * dt * math.cos(heading), y + speed * dt * math.sin(heading), heading, speed
+        to_x, to_y = (float(np.interp(time + dt, self._time, values)) for values in (self._x, self._y))
+        step = math.hypot(to_x - x, to_y - y)
+        if step > _STANDSTILL:
+            heading += float(wrap_angle(math.atan2(to_y - y, to_x - x) - heading))
+        return to_x, to_y, heading, step / dt
+
+    def track(
+        self, time: float, x: float, y: float, heading: float, speed: float, dt: float, wheelbase: float
+    ) -> tuple[float, float]:
+        """Return the acceleration and the angle of the front wheels with which a vehicle follows it."""
+        if self._path is None or self._is_over(time + dt):
+            return -min(FINAL_DECELERATION, speed / dt), 0.0
+        pose = locate_on_path(
+            self._path, *(np.array([value]) for value in (self._distance, x, y, heading, 0.5 * speed * dt))
+        )
+        self._distance = float(pose.along[0])
+        now, then = np.interp([time, time + dt], self._time, self._travelled).tolist()
+        acceleration = 2.0 * ((then - now) / dt - speed) / _CATCH_UP + (now - self._distance) / _CATCH_UP**2
+        return acceleration, float(steer_along_path(pose, np.array([speed]), wheelbase)[0])
+
+    def _is_over(self, time: float) -> bool:
+        return time > self._time[-1] + _CLOCK
+
+    def _make_path(self) -> DrivenPath | None:
+        """Return the line through its points; None if it has none."""
+        keep = np.concatenate([[True], np.diff(self._travelled) > 0.0])
+        distance, x, y = self._travelled[keep], self._x[keep], self._y[keep]
+        if len(distance) < 2:
+            return None
+        heading = np.unwrap(np.arctan2(np.gradient(y, distance), np.gradient(x, distance)))
+        return DrivenPath(distance, x, y, heading, np.gradient(heading, distance))

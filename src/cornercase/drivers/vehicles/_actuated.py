@@ -1,0 +1,118 @@
+"""Vehicles whose actuators do late, slowly and within the friction of the road what a driver requests."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, ClassVar, Final
+
+import numpy as np
+
+from cornercase._common.errors import InputError
+from cornercase._common.typing import BoolArray, FloatArray
+from cornercase._common.validation import check_float
+from cornercase.drivers._function import Body, Start
+from cornercase.drivers.vehicles._kernels.actuators import N_STATE, SPEED, Vehicles, count_requests
+from cornercase.drivers.vehicles._vehicle_model import PlanarMotion, VehicleModel
+
+# Parameters in the order of the columns of `Vehicles.parameters`.
+_PARAMETERS: Final = (
+    *("delay", "lag", "max_jerk", "mu", "steering_delay", "steering_lag", "max_steering_rate"),
+    *("max_speed", "max_steering", "wheelbase"),
+)
+_POSITIVE: Final = frozenset({"max_jerk", "mu", "max_steering_rate", "wheelbase"})
+
+
+class ActuatedVehicle(VehicleModel):
+    """Base class of vehicles with actuators; `parameter_names` are the options of a model's own.
+
+    Parameters
+    ----------
+    delay, lag : float
+        Dead time in s after which the vehicle begins to do what is requested, and time constant in s with which its
+        acceleration then approaches the request.
+    max_jerk : float
+        Highest change of the acceleration in m/s³, such as that of brakes that build up pressure.
+    mu : float
+        Friction coefficient of the tyres on a dry road, by which that of the road is multiplied.
+
+    Raises
+    ------
+    InputError
+        If an option is out of range.
+    """
+
+    parameter_names: ClassVar[tuple[str, ...]] = ()
+    _vehicles: Vehicles
+
+    def __init__(self, *, delay: float = 0.0, lag: float = 0.0, max_jerk: float = math.inf, mu: float = 1.0) -> None:
+        self._parameters: dict[str, float] = {}
+        self._set(delay=delay, lag=lag, max_jerk=max_jerk, mu=mu)
+
+    def _set(self, **options: float) -> None:
+        """Check options, and keep them as parameters."""
+        for name, value in options.items():
+            if value == math.inf and name.startswith("max_"):
+                continue
+            try:
+                is_positive = name in _POSITIVE or name in self.parameter_names
+                check_float(name, value, **({"above": 0.0} if is_positive else {"minimum": 0.0}))
+            except InputError as error:
+                raise InputError(f"The vehicle '{type(self).name}': its option {error}") from None
+        self._parameters |= options
+
+    def start(self, start: Start) -> None:
+        """Reset all state for a batch."""
+        names, n = (*_PARAMETERS, *self.parameter_names), start.scenarios
+        values: dict[str, Any] = {"steering_delay": 0.0, "steering_lag": 0.0, "max_steering_rate": math.inf}
+        values |= self._body_parameters(start.body) | self._parameters | dict(start.parameters)
+        parameters = np.stack([np.broadcast_to(values[name], n) for name in names], axis=1).astype(np.float64)
+        size = count_requests(parameters[:, [names.index("delay"), names.index("steering_delay")]], start.time_step)
+        state = np.zeros((n, N_STATE))
+        state[:, SPEED] = np.nan
+        self._vehicles = Vehicles(np.ascontiguousarray(parameters), state, np.zeros((n, 2, size)))
+
+    def _body_parameters(self, body: Body) -> dict[str, float]:
+        return {"max_speed": body.max_speed, "max_steering": body.max_steering, "wheelbase": body.wheelbase}
+
+
+class SteeredVehicle(ActuatedVehicle):
+    """Base class of vehicles that steer.
+
+    Parameters
+    ----------
+    steering_delay, steering_lag : float
+        Dead time in s and time constant in s of the steering, as those of the acceleration.
+    max_steering_rate : float
+        Highest change of the angle of the front wheels in rad/s.
+    **options
+        Those of `ActuatedVehicle`.
+    """
+
+    # Compiled step, which changes the motion (N, 5).
+    _step_kernel: ClassVar[Any]
+
+    def __init__(
+        self,
+        *,
+        steering_delay: float = 0.0,
+        steering_lag: float = 0.0,
+        max_steering_rate: float = math.inf,
+        **options: float,
+    ) -> None:
+        super().__init__(**options)
+        self._set(steering_delay=steering_delay, steering_lag=steering_lag, max_steering_rate=max_steering_rate)
+
+    def step(
+        self,
+        motion: PlanarMotion,
+        acceleration: FloatArray,
+        steering: FloatArray,
+        friction: FloatArray,
+        time_step: float,
+        active: BoolArray,
+    ) -> PlanarMotion:
+        """Return the motion at the end of a time step."""
+        table = np.stack((motion.x, motion.y, motion.heading, motion.speed, motion.acceleration), axis=1)
+        inputs = (np.ascontiguousarray(array, dtype=np.float64) for array in (acceleration, steering, friction))
+        type(self)._step_kernel(self._vehicles, table, *inputs, float(time_step), np.ascontiguousarray(active))
+        return PlanarMotion(*np.ascontiguousarray(table.T))

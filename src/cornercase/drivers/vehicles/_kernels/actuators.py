@@ -1,0 +1,132 @@
+"""Compiled actuators of a vehicle: dead time, lag, highest rate and friction limit, integrated exactly."""
+
+# Compiled functions have no static types.
+# mypy: disable-error-code="no-untyped-def, untyped-decorator"
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from cornercase._common.numba.kernel import kernel
+from cornercase._common.typing import FloatArray
+
+plain_kernel = kernel(error_model="numpy", _nrt=False)
+inline_kernel = kernel(error_model="numpy", _nrt=False, forceinline=True)
+
+GRAVITY: Final = 9.81
+"""In m/s²."""
+
+(
+    DELAY,
+    LAG,
+    MAX_JERK,
+    MU,
+    STEERING_DELAY,
+    STEERING_LAG,
+    MAX_STEERING_RATE,
+    MAX_SPEED,
+    MAX_STEERING,
+    WHEELBASE,
+) = range(10)
+"""Columns of `Vehicles.parameters`; those of a model's own follow."""
+
+ACCELERATION, STEERING, SPEED, STEPS, YAW_RATE, SLIP = range(6)
+"""Columns of `Vehicles.state`. The speed is the last one that the model returned; NaN before."""
+N_STATE: Final = 6
+
+# A speed in m/s that differs by more from what the model returned was set by something else.
+_TOLERANCE: Final = 1e-6
+# Share of a time step that a dead time may lack to a multiple.
+_ROUNDING: Final = 1e-9
+
+
+class Vehicles(NamedTuple):
+    """Parameters and state of a vehicle in N scenarios, for kernels."""
+
+    parameters: FloatArray  # (N, P): columns as above, in m, s and rad
+    state: FloatArray  # (N, 6): columns as above
+    requests: FloatArray  # (N, 2, R): the last requests of acceleration and steering, as rings
+
+
+def count_requests(delay: FloatArray, time_step: float) -> int:
+    """Return how many requests a ring must hold for these dead times in s."""
+    return int(np.ceil(delay.max(initial=0.0) / time_step)) + 2
+
+
+@plain_kernel
+def begin_step(vehicles, n, speed, acceleration, request, steering):
+    """Store the requests of the coming step, with new actuators if something else has changed the speed."""
+    state, requests = vehicles.state[n], vehicles.requests[n]
+    if not abs(speed - state[SPEED]) <= _TOLERANCE:
+        state[ACCELERATION] = acceleration if math.isfinite(acceleration) and speed > 0.0 else 0.0
+        state[STEERING] = state[STEPS] = state[YAW_RATE] = state[SLIP] = 0.0
+        for k in range(requests.shape[1]):
+            requests[0, k], requests[1, k] = state[ACCELERATION], 0.0
+    index = int(state[STEPS]) % requests.shape[1]
+    requests[0, index], requests[1, index] = request, steering
+
+
+@plain_kernel
+def advance(vehicles, n, which, limit, begin, duration, time_step):
+    """Advance an actuator from `begin` s after the start of the step by `duration` s; return the integral of its value.
+
+    `which` is `ACCELERATION` or `STEERING`; the value stays within `limit` of 0.
+    """
+    parameters, state, requests = vehicles.parameters[n], vehicles.state[n], vehicles.requests[n]
+    first = DELAY if which == ACCELERATION else STEERING_DELAY
+    delay, lag, max_rate = parameters[first], parameters[first + 1], parameters[first + 2]
+    steps = math.floor(delay / time_step + _ROUNDING)
+    index, size = int(state[STEPS]) - steps, requests.shape[1]
+    # An older request is still in effect in the first part of the step.
+    older = min(max(delay - steps * time_step - begin, 0.0), duration)
+    value, integral = state[which], 0.0
+    if older > 0.0:
+        value, integral = _follow(value, requests[which, (index - 1) % size], lag, max_rate, limit, older)
+    if duration > older:
+        value, more = _follow(value, requests[which, index % size], lag, max_rate, limit, duration - older)
+        integral += more
+    state[which] = value
+    return integral
+
+
+@plain_kernel
+def _follow(value, request, lag, max_rate, limit, duration):
+    """Return the value of an actuator after a duration, and its integral: a ramp, an exponential, then a constant."""
+    value, target = min(max(value, -limit), limit), min(max(request, -limit), limit)
+    left, integral = duration, 0.0
+    if value != target and max_rate < math.inf:
+        gap = request - value
+        # The lag alone is slower near the request.
+        ramp = min(left, max(abs(gap) / max_rate - lag, 0.0), abs(target - value) / max_rate)
+        end = value + math.copysign(max_rate * ramp, gap)
+        integral, value, left = 0.5 * (value + end) * ramp, end, left - ramp
+    if value != target and left > 0.0:
+        if lag > 0.0:
+            gap = request - value
+            until = left if target == request else min(left, max(lag * math.log(gap / (request - target)), 0.0))
+            decayed = gap * math.exp(-until / lag)
+            integral += request * until - lag * (gap - decayed)
+            value, left = request - decayed, left - until
+        if left > 0.0:
+            value = target
+    return value, integral + value * left
+
+
+@plain_kernel
+def speed_after(speed, gain, max_speed):
+    """Return the speed after a step, and the share of the step in which a vehicle that stops in it still moves."""
+    if speed + gain < 0.0:
+        return 0.0, speed / -gain
+    return min(speed + gain, max_speed), 1.0
+
+
+@plain_kernel
+def end_step(vehicles, n, speed):
+    """Count the step, and return the acceleration at its end; brakes do nothing at standstill."""
+    state = vehicles.state[n]
+    state[STEPS] += 1.0
+    state[SPEED] = speed
+    return state[ACCELERATION] if speed > 0.0 else 0.0

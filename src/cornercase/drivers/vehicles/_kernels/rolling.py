@@ -1,0 +1,77 @@
+"""Compiled step of the kinematic single-track model."""
+
+# Compiled functions have no static types.
+# mypy: disable-error-code="no-untyped-def, no-untyped-call, untyped-decorator, call-arg"
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from cornercase._common.numba.kernel import kernel
+from cornercase._common.numba.references import reference_to
+from cornercase.drivers.vehicles._kernels.actuators import (
+    ACCELERATION,
+    GRAVITY,
+    MAX_SPEED,
+    MAX_STEERING,
+    MU,
+    STEERING,
+    WHEELBASE,
+    advance,
+    begin_step,
+    end_step,
+    plain_kernel,
+    speed_after,
+)
+
+X, Y, HEADING, SPEED, LAST_ACCELERATION = range(5)
+"""Columns of a motion."""
+
+# s; the longest part of a step in which speed and curvature count as linear.
+_PART: Final = 0.01
+
+
+@kernel(interpreted_seconds=lambda vehicles, motion, *_: 3e-4 * motion.shape[0], error_model="numpy")
+def step_kinematic(vehicles, motion, acceleration, steering, friction, time_step, active):
+    """Move the active vehicles by one time step; `motion` (N, 5) is changed."""
+    _step_all(reference_to(vehicles), motion, acceleration, steering, friction, time_step, active)
+
+
+@plain_kernel
+def _step_all(vehicles, motion, acceleration, steering, friction, time_step, active):
+    for n in range(active.size):
+        if active[n]:
+            _step(vehicles, n, motion[n], acceleration[n], steering[n], friction[n], time_step)
+
+
+@plain_kernel
+def _step(vehicles, n, motion, acceleration, steering, friction, time_step):
+    begin_step(vehicles, n, motion[SPEED], motion[LAST_ACCELERATION], acceleration, steering)
+    parts, grip = math.ceil(time_step / _PART), vehicles.parameters[n, MU] * friction * GRAVITY
+    for part in range(parts):
+        roll(vehicles, n, motion, grip, part * time_step / parts, time_step / parts, time_step)
+    motion[LAST_ACCELERATION] = end_step(vehicles, n, motion[SPEED])
+
+
+@plain_kernel
+def roll(vehicles, n, motion, grip, begin, duration, time_step):
+    """Move a vehicle without slip by a part of a time step; `grip` in m/s² is what its tyres can do."""
+    parameters, state = vehicles.parameters[n], vehicles.state[n]
+    wheelbase = parameters[WHEELBASE]
+    speed = motion[SPEED]
+    lateral = min(speed * speed * abs(math.tan(state[STEERING])) / wheelbase, grip)
+    gain = advance(vehicles, n, ACCELERATION, math.sqrt(grip * grip - lateral * lateral), begin, duration, time_step)
+    steering = advance(vehicles, n, STEERING, parameters[MAX_STEERING], begin, duration, time_step) / duration
+    motion[SPEED], moving = speed_after(speed, gain, parameters[MAX_SPEED])
+    mean = 0.5 * (speed + motion[SPEED])
+    curvature = math.tan(steering) / wheelbase
+    # The front wheels slide where the curve asks for more than the tyres can do.
+    if mean * mean * abs(curvature) > grip:
+        curvature = math.copysign(grip / (mean * mean), curvature)
+    length = mean * moving * duration
+    turn = curvature * length
+    chord = length if turn == 0.0 else length * math.sin(0.5 * turn) / (0.5 * turn)
+    motion[X] += chord * math.cos(motion[HEADING] + 0.5 * turn)
+    motion[Y] += chord * math.sin(motion[HEADING] + 0.5 * turn)
+    motion[HEADING] += turn

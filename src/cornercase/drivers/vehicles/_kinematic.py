@@ -1,0 +1,35 @@
+"""The kinematic single-track model: a vehicle that rolls where its wheels point."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from cornercase.drivers.vehicles._actuated import SteeredVehicle
+from cornercase.drivers.vehicles._kernels.rolling import step_kinematic
+
+
+class Kinematic(SteeredVehicle):
+    """Kinematic single-track model about the rear axle: its wheels do not slip.
+
+    Where a curve asks for more than the tyres can do, the vehicle understeers. See ``docs/vehicles.md``.
+
+    Parameters
+    ----------
+    wheelbase : float, optional
+        Distance of the axles in m; by default that of the scenario file.
+    **options
+        Those of `SteeredVehicle`.
+
+    Raises
+    ------
+    InputError
+        If an option is out of range.
+    """
+
+    name = "kinematic"
+    _step_kernel = staticmethod(step_kinematic)
+
+    def __init__(self, *, wheelbase: float | None = None, **options: Any) -> None:
+        super().__init__(**options)
+        if wheelbase is not None:
+            self._set(wheelbase=wheelbase)

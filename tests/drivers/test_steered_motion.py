@@ -1,0 +1,260 @@
+"""Controls become motion: steering, pedals, trajectories and lane changes of a system under test."""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+import numpy as np
+import pytest
+
+import cornercase as cc
+from cornercase.drivers import VEHICLES, Controls, DrivingFunction, EquippedDriver, Trajectory
+from cornercase.drivers._resolve import resolve_driver
+from cornercase.drivers._system_under_test import ScalarFunction
+from cornercase.scenario import ConcreteScenario
+from cornercase.simulators import Builtin
+
+CUT_OUT = "examples/r157/cut_out.xosc"
+X = "examples/x_intersection/x_intersection.xosc"
+# The leader is far away.
+FREE = {"ego_kmh": 90.0, "gap": 400.0}
+LANE, LEFT_LANE = -5.25, -1.75
+DT = 0.05
+
+
+class Steering(cc.SystemUnderTest):
+    def __init__(self, angle: float = 0.0, acceleration: float = 0.0, until: float = 100.0) -> None:
+        self.angle, self.acceleration, self.until = angle, acceleration, until
+
+    def step(self, view, dt):
+        if view.time > self.until:
+            return cc.Control(acceleration=self.acceleration)
+        return cc.Control(acceleration=self.acceleration, steering=self.angle)
+
+
+def drive(driver, scenario=CUT_OUT, values=FREE, duration=6.0, **options) -> tuple[cc.Recording, dict[str, Any]]:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", cc.NoticeWarning)
+        recording = cc.simulate(scenario, values, drivers={"Ego": driver}, duration=duration, **options)
+    e = recording.entity_index("Ego")
+    names = ("x", "y", "heading", "speed", "acceleration")
+    return recording, {name: getattr(recording, name)[e] for name in names} | {"time": recording.time}
+
+
+def run_rows(driver, rows, duration) -> list[Any]:
+    scenario = cc.LogicalScenario.read(CUT_OUT, ranges=["gap=20:500"])
+    concretes = [ConcreteScenario(scenario.file.path, row, scenario.file).with_all_values() for row in rows]
+    return list(Builtin(duration=duration, drivers={"Ego": resolve_driver(driver)}).run(concretes))
+
+
+def assert_speed_is_displacement(ego, tolerance):
+    step = np.hypot(np.diff(ego["x"]), np.diff(ego["y"])) / np.diff(ego["time"])
+    assert step == pytest.approx(ego["speed"][1:], abs=tolerance)
+    assert ego["acceleration"][1:] == pytest.approx(np.diff(ego["speed"]) / np.diff(ego["time"]), abs=1e-9)
+
+
+def test_a_constant_angle_of_the_wheels_is_a_circle():
+    angle, wheelbase, speed = 0.02, 2.8, 25.0
+    _, ego = drive(Steering(angle))
+    radius = wheelbase / np.tan(angle)
+    turned = speed * ego["time"] / radius
+    assert ego["x"] == pytest.approx(100.0 + radius * np.sin(turned), abs=1e-6)
+    assert ego["y"] == pytest.approx(LANE + radius * (1.0 - np.cos(turned)), abs=1e-6)
+    assert ego["heading"] == pytest.approx(turned, abs=1e-9)
+    assert ego["speed"] == pytest.approx(speed)
+    assert ego["acceleration"] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_straight_wheels_and_brakes_are_a_straight_way_to_a_stop():
+    recording, ego = drive(Steering(0.0, acceleration=-5.0))
+    assert ego["y"] == pytest.approx(LANE)
+    assert ego["x"][-1] - 100.0 == pytest.approx(25.0**2 / (2.0 * 5.0), abs=0.01)
+    assert ego["speed"][-1] == 0.0
+    assert not any("Ego" in collision.entities for collision in recording.collisions)
+
+
+class Pedals(cc.SystemUnderTest):
+    def step(self, view, dt):
+        return cc.Control(throttle=1.0) if view.time < 1.0 else cc.Control(brake=0.5)
+
+
+def test_pedals_ask_for_a_part_of_what_the_vehicle_can_do():
+    _, ego = drive(Pedals())
+    assert ego["acceleration"][10] == pytest.approx(4.0)
+    assert ego["acceleration"][40] == pytest.approx(-4.5)
+
+
+def test_who_steers_off_the_road_is_asked_on():
+    _, ego = drive(Steering(-0.1, until=1.5), values=FREE | {"ego_kmh": 30.0})
+    assert ego["y"].min() < -8.0
+    # It has come back to its lane, to which its path belongs.
+    assert ego["y"][-1] == pytest.approx(LANE, abs=0.1)
+
+
+def test_a_collision_of_a_steered_ego_is_seen():
+    # It is in the lane beside the one that leaves, and the other stands.
+    recording, _ = drive(Steering(), values={"ego_kmh": 90.0, "gap": 60.0, "front_gap": 60.0}, duration=15.0)
+    assert recording.collisions[0].entities[0] == "Ego"
+
+
+def test_a_vehicle_is_steered_along_the_turn_of_an_intersection():
+    _, exact = drive("normal", X, None, 25.0)
+    _, steered = drive("normal + kinematic", X, None, 25.0)
+    line = np.stack((exact["x"], exact["y"]), 1)
+    line = line[np.append(True, np.hypot(*np.diff(line, axis=0).T) > 1e-6)]
+    begin, chord = line[:-1], np.diff(line, axis=0)
+    points = np.stack((steered["x"], steered["y"]), 1)[:, None]
+    share = np.clip(((points - begin) * chord).sum(-1) / (chord**2).sum(-1), 0.0, 1.0)
+    gap = np.hypot(*np.moveaxis(begin + share[..., None] * chord - points, -1, 0)).min(axis=1)
+    assert exact["heading"][0] - exact["heading"][-1] == pytest.approx(np.pi / 2, abs=1e-3)
+    # The last instant may be beyond the end of the line.
+    assert gap[:-1].max() < 0.2
+    assert np.ptp(exact["speed"]) > 2.0
+
+
+class Follower(cc.SystemUnderTest):
+    """Follows a bend to the left of 200 m radius at 20 m/s, for 4 s."""
+
+    def start(self, ego, road, rng):
+        time = np.arange(0.0, 4.05, 0.1)
+        angle = 20.0 * time / 200.0
+        self.way = cc.drivers.Trajectory(time, 100.0 + 200.0 * np.sin(angle), LANE + 200.0 * (1.0 - np.cos(angle)))
+
+    def step(self, view, dt):
+        return cc.Control(trajectory=self.way)
+
+
+def test_a_trajectory_is_followed_exactly_and_then_to_a_stop():
+    _, ego = drive(Follower(), duration=12.0)
+    during = slice(0, 81)
+    angle = 20.0 * ego["time"][during] / 200.0
+    assert ego["x"][during] == pytest.approx(100.0 + 200.0 * np.sin(angle), abs=0.01)
+    assert ego["y"][during] == pytest.approx(LANE + 200.0 * (1.0 - np.cos(angle)), abs=0.01)
+    assert ego["heading"][during] == pytest.approx(angle, abs=0.011)
+    assert ego["speed"][1:81] == pytest.approx(20.0, abs=0.01)
+    assert_speed_is_displacement(ego, 1e-6)
+    assert ego["heading"][81:] == pytest.approx(ego["heading"][80])
+    assert ego["acceleration"][90] == pytest.approx(-3.0)
+    assert ego["speed"][-1] == 0.0
+
+
+def test_a_vehicle_is_steered_along_a_trajectory():
+    _, ego = drive(equipped(Follower(), "kinematic"), duration=12.0)
+    angle = 20.0 * ego["time"][60:81] / 200.0
+    assert ego["x"][60:81] == pytest.approx(100.0 + 200.0 * np.sin(angle), abs=0.6)
+    assert ego["y"][60:81] == pytest.approx(LANE + 200.0 * (1.0 - np.cos(angle)), abs=0.3)
+    assert ego["speed"][-1] == 0.0
+
+
+def equipped(driver, vehicle):
+    return EquippedDriver(ScalarFunction(driver), vehicle=VEHICLES.create(vehicle))
+
+
+class LaneChanger(cc.SystemUnderTest):
+    def __init__(self, side: str = "left") -> None:
+        self.side = side
+
+    def step(self, view, dt):
+        return cc.Control(acceleration=0.0, lane_change=self.side if view.time >= 1.0 else None)
+
+
+@pytest.mark.parametrize("vehicle", ["", "kinematic"])
+def test_a_lane_change_ends_in_the_middle_of_the_next_lane_after_4_s(vehicle):
+    driver = equipped(LaneChanger(), vehicle) if vehicle else LaneChanger()
+    _, ego = drive(driver, duration=9.0)
+    time, y = ego["time"], ego["y"]
+    assert y[time <= 1.0] == pytest.approx(LANE)
+    share = np.clip((time - 1.0) / 4.0, 0.0, 1.0)
+    profile = LANE + 3.5 * (10.0 * share**3 - 15.0 * share**4 + 6.0 * share**5)
+    assert y == pytest.approx(profile, abs=0.1 if vehicle else 1e-9)
+    assert y[time > 7.0] == pytest.approx(LEFT_LANE, abs=0.01)
+    assert ego["heading"][time > 7.0] == pytest.approx(0.0, abs=1e-3)
+    assert_speed_is_displacement(ego, 1e-3)
+
+
+def test_a_change_to_a_lane_that_is_not_there_is_ignored_with_one_notice():
+    with pytest.warns(cc.NoticeWarning, match="asks for a lane on the right") as warned:
+        recording = cc.simulate(CUT_OUT, FREE, drivers={"Ego": LaneChanger("right")}, duration=4.0)
+    assert sum("asks for a lane" in str(one.message) for one in warned) == 1
+    assert recording.y[recording.entity_index("Ego")] == pytest.approx(LANE)
+
+
+class Reporting(Steering):
+    """Notes where it is relative to its path."""
+
+    offsets: list[float] = []
+
+    def step(self, view, dt):
+        self.offsets.append(view.ego.offset)
+        return super().step(view, dt)
+
+
+def test_the_path_is_that_of_the_lane_in_which_the_ego_is():
+    Reporting.offsets.clear()
+    _, ego = drive(Reporting(0.01, until=1.5), duration=5.0)
+    offsets = np.array(Reporting.offsets)
+    # Once, it goes from the edge of its own lane to that of the next, and a little later back to its middle.
+    (jump,) = np.flatnonzero(np.abs(np.diff(offsets)) > 1.0)
+    assert offsets[jump] == pytest.approx(1.75 + 0.1, abs=0.35)
+    assert np.abs(offsets[jump + 1 :]).max() < 2.0
+    assert ego["y"][-1] == pytest.approx(LEFT_LANE, abs=0.05)
+
+
+class Batch(DrivingFunction):
+    """Steers by what it is given, for each time."""
+
+    def __init__(self, angle: float) -> None:
+        self.angle = angle
+
+    def decide(self, situation):
+        controls = Controls.from_acceleration(0.0 * situation.speed)
+        controls.steering[:] = self.angle if situation.time > 0.5 else 0.0
+        return controls
+
+
+@pytest.mark.parametrize("angle", [np.inf, -np.inf])
+def test_steering_that_is_no_number_fails_with_its_instant(angle):
+    with pytest.raises(cc.InputError, match=r"returned -?inf at t = 0\.55 s, which is not an angle in rad"):
+        drive(Batch(angle))
+
+
+class Broken(cc.SystemUnderTest):
+    def step(self, view, dt):
+        return cc.Control(acceleration=0.0, steering=float("nan") if view.time > 0.5 and view.ego.speed > 26.0 else 0.0)
+
+
+def test_a_steering_of_nan_fails_one_scenario_alone():
+    rows = [FREE | {"ego_kmh": speed} for speed in (80.0, 100.0, 90.0)]
+    outcomes = run_rows(Broken(), rows, 2.0)
+    assert [isinstance(outcome, cc.Recording) for outcome in outcomes] == [True, False, True]
+    assert "at t = 0.55 s" in str(outcomes[1])
+
+
+class Mixed(cc.SystemUnderTest):
+    """Does something else in each scenario."""
+
+    def start(self, ego, road, rng):
+        self.kind = int(ego.values.get("front_gap", 0.0)) % 4
+
+    def step(self, view, dt):
+        ego = view.ego
+        if self.kind == 0:
+            return cc.Control(acceleration=0.0, lane_change="left" if view.time > 0.3 else None)
+        if self.kind == 1:
+            return cc.Control(acceleration=-1.0, steering=0.02 * np.sin(view.time))
+        if self.kind == 2:
+            time = view.time + np.array([0.0, 1.0, 2.0])
+            return cc.Control(trajectory=Trajectory(time, ego.x + np.array([0.0, 20.0, 38.0]), ego.y + np.array([0, 0, 1])))
+        return cc.Control(throttle=0.2, steering=0.01 if view.time < 1.0 else None)
+
+
+@pytest.mark.parametrize("vehicle", ["", "kinematic"])
+def test_a_scenario_has_the_same_bytes_alone_and_among_others(vehicle):
+    driver = equipped(Mixed(), vehicle) if vehicle else Mixed()
+    rows = [FREE | {"ego_kmh": 60.0 + 7.0 * k, "front_gap": 40.0 + k} for k in range(8)]
+    together = run_rows(driver, rows, 4.0)
+    for row, recording in zip(rows, together, strict=True):
+        alone, _ = drive(driver, values=row, duration=4.0)
+        for name in ("x", "y", "heading", "speed", "acceleration"):
+            assert getattr(alone, name).tobytes() == getattr(recording, name).tobytes()
