@@ -11,6 +11,7 @@ import pytest
 import cornercase as cc
 from conftest import car, private, scenario_file, speed_action, teleport, trajectory
 from cornercase.drivers import DrivenPath, Situation
+from cornercase.drivers._lanes import driven_path
 from cornercase.drivers._view import SharedView, View
 from cornercase.roads._network import RoadNetwork
 from helpers import road_networks as rn
@@ -29,7 +30,7 @@ def road_along_x(folder, **more: Any) -> RoadNetwork:
 def lane_path(network: RoadNetwork, lane: int, s: float = 50.0, forward: bool = True) -> DrivenPath:
     path = network.lane_path_from(0, lane, s, forward)
     assert path is not None
-    return DrivenPath(path.distance, path.x, path.y, path.heading, path.curvature, path)
+    return driven_path(path)
 
 
 def situation(path: DrivenPath, ego: Any, others: Any = (), **more: Any) -> Situation:

@@ -6,16 +6,13 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from cornercase._common.configurable import Configurable, describe_as_text
 from cornercase._common.typing import BoolArray, FloatArray
-
-if TYPE_CHECKING:
-    from cornercase.roads._lane_path import LanePath
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,8 +32,6 @@ class DrivenPath:
         Heading in rad, unwrapped.
     curvature : ndarray of float64, shape (P,) or (N, P)
         Curvature in 1/m, positive to the left.
-    lane_path : LanePath, optional
-        The lanes that it follows; None for a trajectory.
 
     Raises
     ------
@@ -49,7 +44,6 @@ class DrivenPath:
     y: FloatArray
     heading: FloatArray
     curvature: FloatArray
-    lane_path: LanePath | None = None
 
     def __post_init__(self) -> None:
         shape = self.distance.shape

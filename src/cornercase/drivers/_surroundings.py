@@ -11,7 +11,9 @@ import numpy as np
 
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.drivers._base import Situation
-from cornercase.drivers._kernels.look import ALONG, LATERAL, project_onto_path
+from cornercase.drivers._kernels.look import ALONG, LATERAL
+from cornercase.drivers._kernels.path_projection import project_onto_path
+from cornercase.drivers._lanes import PathAlongLanes, driven_path
 from cornercase.roads._cross_sections import NO_LANE, CrossSections
 
 if TYPE_CHECKING:
@@ -81,7 +83,7 @@ class Surroundings:
         if network is None:
             return
         rows = np.flatnonzero(situation.active & np.isfinite(situation.x))
-        if situation.path.lane_path is not None:
+        if isinstance(situation.path, PathAlongLanes):
             along, offset = own[rows, 0], own[rows, 1]
             others = objects[rows, :, ALONG], objects[rows, :, LATERAL]
             rows = self._join(network, situation.path.lane_path, rows, along, offset, *others)
@@ -132,9 +134,8 @@ class Surroundings:
                 np.column_stack((x[same], s.others_x[rows[same]] + center * np.cos(s.others_heading[rows[same]]))),
                 np.column_stack((y[same], s.others_y[rows[same]] + center * np.sin(s.others_heading[rows[same]]))),
             )
-            along, offset = np.empty((2, *points[0].shape))
-            columns = (path.distance, path.x, path.y, path.heading, path.max_chord)
-            project_onto_path(*columns, path.distance_of_s(at[same]), *points, along, offset)
+            along, offset, _, is_within = project_onto_path(driven_path(path), path.distance_of_s(at[same]), *points)
+            along[~is_within] = np.nan
             self._join(network, path, rows[same], along[:, 0], offset[:, 0], along[:, 1:], offset[:, 1:])
 
     def lanes(self, scenario: int) -> tuple[LaneView, ...]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from cornercase._common.typing import FloatArray, IntArray
+from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.drivers._base import Situation
 
 if TYPE_CHECKING:
@@ -141,7 +141,7 @@ class PathPoint(NamedTuple):
 class SharedView:
     """What is seen in all N scenarios of a batch; computed when it is first asked for."""
 
-    def __init__(self, situation: Situation, network: RoadNetwork | None) -> None:
+    def __init__(self, situation: Situation, network: RoadNetwork | None = None) -> None:
         self.situation, self._network = situation, network
 
     @cached_property
@@ -160,10 +160,28 @@ class SharedView:
         look(*s.path.rows, (s.length, s.width, s.center_x), *arrays, boxes, own, objects, leader)
         return own, objects, leader
 
+    @property
+    def own_pose_on_path(self) -> FloatArray:
+        """Distance along the path, offset from it, and direction of the path, (3, N)."""
+        return self._seen[0].T
+
+    @property
+    def relative(self) -> FloatArray:
+        """Centre of the boxes ahead and to the left, and heading, as seen from the ego, (3, N, A)."""
+        return self._seen[1][..., :3].transpose(2, 0, 1)
+
+    @property
+    def along_path(self) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
+        """Gap, closing speed, lateral distance, and whether in the path, (N, A) each."""
+        from cornercase.drivers._kernels.look import CLOSING, GAP, IN_PATH, LATERAL
+
+        objects = self._seen[1]
+        return objects[..., GAP], objects[..., CLOSING], objects[..., LATERAL], objects[..., IN_PATH] == 1.0
+
     @cached_property
     def own_poses(self) -> list[list[float]]:
         """Distance along the path, offset from it, and direction of the path, by scenario."""
-        poses: list[list[float]] = self._seen[0].tolist()
+        poses: list[list[float]] = self.own_pose_on_path.T.tolist()
         return poses
 
     @cached_property
