@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -133,6 +133,16 @@ class DrivingFunction(Driver):
         Controls
             Those of scenarios that are not active are ignored.
         """
+
+    def describe(self) -> Sequence[str]:
+        """Return lines about it that `cornercase check` prints; none by default.
+
+        Returns
+        -------
+        sequence of str
+            Such as what is connected to what.
+        """
+        return ()
 
     def release(self) -> None:
         """Release processes and files at the end of a batch."""

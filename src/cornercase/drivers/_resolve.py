@@ -77,7 +77,7 @@ def create_driver_named_in_file(name: str) -> Driver:
     if not is_registered_driver(name):
         hint = suggest_name(name.partition(":")[0], DRIVERS.names())
         raise InputError(f"asks for the driver '{name}', which does not exist; {hint}")
-    if (other := _find_non_numeric_option(name)) is not None:
+    if (other := find_non_numeric_option(name)) is not None:
         raise InputError(f"asks for the driver '{name}' with the option '{other}'; in a file, options are numbers.")
     return _create_registered(name)
 
@@ -97,7 +97,7 @@ def may_be_named_in_file(name: str) -> bool:
     return True
 
 
-def _find_non_numeric_option(name: str) -> str | None:
+def find_non_numeric_option(name: str) -> str | None:
     """Return the first option of a driver that is not a number; None if all are numbers."""
     driver, equipment = split_spec(name)
     for part in (driver, *equipment):
@@ -194,7 +194,7 @@ def resolve_driver(driver: DriverLike) -> str | Driver:
         return driver
     created = driver_by_name(driver)
     if is_registered_driver(driver):
-        if _find_non_numeric_option(driver) is None:
+        if find_non_numeric_option(driver) is None:
             return driver
         record_driver_spec(created, driver, {})
     return created

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -100,6 +100,16 @@ class SystemUnderTest(Configurable, ABC):
     def __str__(self) -> str:
         return describe_as_text(self)
 
+    def describe(self) -> Sequence[str]:
+        """Return lines about the function that `cornercase check` prints; none by default.
+
+        Returns
+        -------
+        sequence of str
+            Such as a version, or what was loaded.
+        """
+        return ()
+
     def start(self, ego: Ego, road: RoadNetwork | None, rng: np.random.Generator) -> None:
         """Begin a scenario; does nothing by default.
 
@@ -141,6 +151,10 @@ class ScalarFunction(DrivingFunction):
 
     def __str__(self) -> str:
         return str(self.prototype)
+
+    def describe(self) -> Sequence[str]:
+        """Return the lines of the user's own `describe`."""
+        return self.prototype.describe()
 
     def prepare(self, start: Start) -> None:
         """Make one object per scenario."""
