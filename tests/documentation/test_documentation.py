@@ -50,6 +50,8 @@ NO_MODULES = {
     "cornercase.features",
     "cornercase.lock",
     "cornercase.log",
+    "cornercase.sensors",
+    "cornercase.vehicles",
     "cornercase.xosc",
 }
 
