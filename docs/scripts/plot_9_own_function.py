@@ -2,8 +2,8 @@
 A bug in a function of your own
 ===============================
 
-An emergency brake sees one scenario, and decides one step. It brakes in time, and releases the brake at standstill: below
-3 m/s it is not armed, so it creeps into the target. Where does that show, and is it gone in the next version?
+An emergency brake sees one scenario, and decides one step. It brakes in time, but releases the brake at standstill.
+Below 3 m/s it is not armed, so it creeps into the target. Where does that show, and is it gone in the next version?
 """
 
 from pathlib import Path
@@ -32,9 +32,9 @@ class Aeb(cc.SystemUnderTest):
         speed, leader = view.ego.speed, view.leader
         if self.set_speed is None:
             self.set_speed = speed
-        if leader is not None and speed > 3.0 and leader.closing > 0.0:
-            if leader.gap < leader.closing**2 / 12.0 + self.margin:
-                self.is_braking = True
+        is_armed = speed > 3.0 and leader is not None and leader.closing > 0.0
+        if is_armed and leader.gap < leader.closing**2 / 12.0 + self.margin:
+            self.is_braking = True
         if speed == 0.0 and self.may_go(view):
             self.is_braking = False
         return -8.0 if self.is_braking else min(self.set_speed - speed, 1.0)
@@ -65,7 +65,7 @@ for function in (Aeb(), HoldingAeb()):
     print(name, (tables[name]["delta-v"] > 0.0).sum(), "of 60 collide")
 
 # %%
-# One scenario in which only the first version collides: left, how fast both cars go in both versions; right, all collisions.
+# Left, a scenario in which only the first version collides: how fast both cars go. Right, all collisions.
 
 gone = (tables["Aeb"]["delta-v"] > 0.0) & (tables["HoldingAeb"]["delta-v"] == 0.0)
 scenario_id = int(gone[gone].index[0])

@@ -1,8 +1,4 @@
-"""Two systems under test for the motorway: one changes lanes to pass, the other steers around what stands ahead.
-
-    cornercase explore examples/r157/cut_in.xosc --range gap=20:60 --ego Ego --other Other --metric lane-margin \
-        --sut Ego=examples/r157/lane_change.py:PassSlowLeader --budget 20
-"""
+"""Two systems under test for the motorway: one changes lanes to pass, the other steers around what stands ahead."""
 
 from __future__ import annotations
 

@@ -7,9 +7,11 @@ from itertools import pairwise
 
 import pytest
 
+from conftest import EXAMPLES
 from cornercase._common.errors import InputError
 from cornercase.drivers import AGGRESSIVE, DRIVERS, NORMAL, BehaviourDriver, generate_mutants
-from cornercase.drivers._mutants import nearest_preset_name
+from cornercase.drivers._preset_name import nearest_preset_name
+from helpers.command_line import cornercase
 
 # Parameters that make a driver worse when increased; all others do so when reduced.
 MORE = {"reaction_time", "comfortable_deceleration", "target_share", "lateral_acceleration", "acceleration"}
@@ -62,7 +64,7 @@ def test_drivers_that_are_made_have_names():
 
 
 def test_drivers_without_mutants_are_refused():
-    for driver in ("cc-human", "mymodule:MyDriver"):
+    for driver in ("cc-human",):
         with pytest.raises(InputError, match=f"driver {driver} has no mutants"):
             generate_mutants(driver, 3)
     with pytest.raises(InputError, match="no mutants"):
@@ -78,3 +80,79 @@ def test_drivers_without_mutants_are_refused():
         nearest_preset_name({**Otherwise().settings, "source": "64e76f09288e841b"})
     with pytest.raises(InputError, match="count"):
         generate_mutants("normal", 0)
+
+
+OWN_CLASS = """
+import cornercase as cc
+from cornercase.drivers import Mutation
+
+
+class Aeb(cc.SystemUnderTest):
+    mutations = (
+        Mutation("brakes later", "time_to_brake", 0.8, 0.2),
+        Mutation("reacts later", "reaction", 0.1, 1.0, is_offset=True),
+    )
+
+    def __init__(self, time_to_brake: float = 2.5, reaction: float = 0.0):
+        self.time_to_brake, self.reaction = time_to_brake, reaction
+
+    def step(self, view, dt):
+        for other in view.objects:
+            if other.x > 0.0 and abs(other.y) < 4.0 and other.x < self.time_to_brake * view.ego.speed:
+                return -8.0 if view.time > self.reaction else 0.0
+        return 0.5 * (view.target_speed - view.ego.speed)
+
+
+class Bare(Aeb):
+    mutations = ()
+
+
+class Wrong(Aeb):
+    mutations = (Mutation("sees less", "sight", 0.8, 0.2),)
+"""
+
+
+@pytest.fixture
+def own_module(tmp_path, monkeypatch):
+    (tmp_path / "mutated_aeb.py").write_text(OWN_CLASS)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_a_class_of_the_user_has_the_mutants_that_it_declares(own_module):
+    mutants = generate_mutants("mutated_aeb:Aeb", 6)
+    assert {mutant.mutation for mutant in mutants} == {"brakes later", "reacts later"}
+    values = [float(mutant.driver.rpartition("=")[2]) for mutant in mutants if mutant.mutation == "brakes later"]
+    assert all(0.2 * 2.5 <= value <= 0.8 * 2.5 for value in values)
+    given = generate_mutants("mutated_aeb:Aeb:reaction=0.5", 6)
+    assert all("reaction=0.5" in mutant.driver for mutant in given if mutant.mutation == "brakes later")
+    assert all(mutant.driver.count("reaction=") == 1 for mutant in given)
+    with pytest.raises(InputError, match="declares none"):
+        generate_mutants("mutated_aeb:Bare", 2)
+    with pytest.raises(InputError, match="'sight', which is no option"):
+        generate_mutants("mutated_aeb:Wrong", 2)
+
+
+def test_reduce_and_test_make_mutants_of_a_class_of_the_user(own_module):
+    x = EXAMPLES / "x_intersection"
+    explored = cornercase(
+        "explore", x / "x_intersection.xosc", "--space", x / "x_intersection.space.xosc", "--ego", "Ego", "--other",
+        "Pedestrian", "--metric", "wttc", "--driver", "Ego=mutated_aeb:Aeb", "--budget", 24, "-o", "study.db",
+    )  # fmt: skip
+    assert explored.returncode == 0, explored.stderr
+    assert cornercase("analyze", "study.db").returncode == 0
+    refused = cornercase("reduce", "study.db", "--size", 4, "--kill-mutants", 4, "-o", "reduced")
+    assert refused.returncode == 2
+    assert "which the study names, need its code; name it with --driver" in refused.stderr
+    other = cornercase(
+        "reduce", "study.db", "--size", 4, "--kill-mutants", 4, "--driver", "Ego=mutated_aeb:Bare", "-o", "reduced"
+    )
+    assert other.returncode == 2
+    assert "the study was explored with mutated_aeb:Aeb" in other.stderr
+    reduced = cornercase(
+        "reduce", "study.db", "--size", 4, "--kill-mutants", 4, "--driver", "Ego=mutated_aeb:Aeb", "-o", "reduced"
+    )
+    assert reduced.returncode == 0, reduced.stderr
+    tested = cornercase("test", "reduced", "--mutants", 4, "--driver", "Ego=mutated_aeb:Aeb", "-o", "run.db")
+    assert tested.returncode in (0, 1), tested.stderr
+    assert "of 4 mutants" in tested.stdout

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -11,39 +11,11 @@ import pytest
 
 from cornercase._common.errors import InputError
 from cornercase._common.typing import FloatArray
-from cornercase.drivers import VEHICLES, Body, PlanarMotion, Start, VehicleModel
+from cornercase.drivers import VEHICLES, Body, PlanarMotion
+from cornercase.drivers.vehicles._pedals import pedals_to_acceleration
+from helpers.vehicle_drives import DT, WHEELBASE, drive, start
 
-DT = 0.05
-WHEELBASE = 2.7
 GRAVITY = 9.81
-Input = Callable[[float], float]
-
-
-def start(vehicle: str | VehicleModel, n: int = 1, dt: float = DT, **parameters: FloatArray) -> VehicleModel:
-    """Return a started vehicle model."""
-    model = VEHICLES.create(vehicle) if isinstance(vehicle, str) else vehicle
-    body = Body("Ego", "car", 4.5, 1.8, 1.4, WHEELBASE, 0.6)
-    model.start(Start(body, dt, parameters, ({},) * n, (0,) * n, (), None, np.ones(n)))
-    return model
-
-
-def drive(
-    vehicle: str | VehicleModel,
-    speed: float,
-    duration: float,
-    acceleration: Input = lambda t: 0.0,
-    steering: Input = lambda t: 0.0,
-    friction: float = 1.0,
-    dt: float = DT,
-) -> Mapping[str, FloatArray]:
-    """Drive from the origin, and return the motion over time."""
-    model, states = start(vehicle, dt=dt), [np.array([0.0, 0.0, 0.0, speed, 0.0])]
-    for k in range(round(duration / dt)):
-        motion = PlanarMotion(*states[-1][:, None])
-        a, angle, active = np.array([acceleration(k * dt)]), np.array([steering(k * dt)]), np.ones(1, dtype=bool)
-        moved = model.step(motion, a, angle, np.array([friction]), dt, active)
-        states.append(np.concatenate((moved.x, moved.y, moved.heading, moved.speed, moved.acceleration)))
-    return dict(zip(("x", "y", "heading", "speed", "acceleration"), np.array(states).T, strict=True))
 
 
 @pytest.mark.parametrize(
@@ -88,10 +60,56 @@ def test_kinematic_model_understeers_at_the_friction_limit() -> None:
 
 
 def test_braking_and_steering_share_the_friction() -> None:
-    # v²/R = 5 m/s² leaves √(9.81² - 5²) m/s².
-    angle = math.atan(5.0 * WHEELBASE / 20.0**2)
-    motion = drive("kinematic", 20.0, 0.01, lambda t: -9.81, lambda t: angle if t else 0.0, dt=0.001)
-    assert motion["acceleration"][-1] == pytest.approx(-math.sqrt(GRAVITY**2 - 5.0**2), rel=0.02)
+    # Both ask for more than the tyres can do, and each gets the same share.
+    angle = math.atan(12.0 * WHEELBASE / 20.0**2)
+    motion = drive("kinematic", 20.0, 0.01, lambda t: -12.0, lambda t: angle if t else 0.0, dt=0.001)
+    lateral = np.diff(motion["heading"])[-1] / 0.001 * motion["speed"][-1]
+    assert -motion["acceleration"][-1] == pytest.approx(GRAVITY / math.sqrt(2.0), rel=1e-3)
+    assert lateral == pytest.approx(GRAVITY / math.sqrt(2.0), rel=1e-3)
+
+
+@pytest.mark.parametrize(("front", "rear"), [(20.0, 20.0), (14.0, 20.0), (20.0, 17.0)])
+def test_steady_yaw_rate_of_the_dynamic_model(front: float, rear: float) -> None:
+    speed, angle, wheelbase, mu = 15.0, 0.02, 1.1562 + 1.4227, 1.0489
+    spec = f"single-track:front_stiffness={front},rear_stiffness={rear}"
+    motion = drive(spec, speed, 6.0, lambda t: 0.02 if t > 3.0 else 0.0, steering=lambda t: angle)
+    understeer = (1.0 / front - 1.0 / rear) / (mu * GRAVITY)
+    now = motion["speed"][-1]
+    expected = now * angle / (wheelbase + understeer * now**2)
+    assert np.diff(motion["heading"])[-1] / DT == pytest.approx(expected, rel=0.01)
+    # Without the slip of its tyres, it would differ by more.
+    assert (front == rear) == (abs(expected / (now * angle / wheelbase) - 1.0) < 0.01)
+
+
+@pytest.mark.parametrize("model", ["kinematic", "single-track", "actuators"])
+def test_a_vehicle_without_friction_keeps_its_speed(model: str) -> None:
+    motion = drive(model, 10.0, 2.0, lambda t: -5.0, lambda t: 0.1, friction=0.0)
+    assert set(motion["speed"]) == {10.0}
+    assert not motion["heading"].any()
+
+
+@pytest.mark.parametrize("speed", [0.0, 0.05, 3.0])
+def test_dynamic_model_rolls_at_low_speed(speed: float) -> None:
+    motion = drive("single-track", speed, 4.0, lambda t: -2.0 if t < 2.0 else 1.0, steering=lambda t: 0.2)
+    rolling = drive(
+        "kinematic:wheelbase=2.5789,max_steering_rate=0.4",
+        speed,
+        4.0,
+        lambda t: -2.0 if t < 2.0 else 1.0,
+        steering=lambda t: 0.2,
+    )
+    assert motion["speed"][40] == 0.0
+    for quantity in ("x", "y", "heading"):
+        assert motion[quantity] == pytest.approx(rolling[quantity], abs=0.02)
+
+
+def test_dynamic_model_brakes_in_a_curve_on_ice() -> None:
+    motion = drive("single-track", 20.0, 18.0, lambda t: -8.0, lambda t: 0.1, friction=0.2)
+    assert all(np.isfinite(values).all() for values in motion.values())
+    grip = 0.2 * 1.0489 * GRAVITY
+    ways = np.hypot(np.diff(motion["x"]), np.diff(motion["y"]))
+    assert motion["speed"][-1] == 0.0
+    assert 20.0**2 / (2.0 * grip) < ways.sum() < 20.0**2 / (2.0 * grip) * 1.5
 
 
 def test_steering_turns_late_slowly_and_up_to_its_limit() -> None:
@@ -130,8 +148,11 @@ def test_something_else_that_sets_the_speed_resets_the_actuators() -> None:
     assert model.step(braked, zero - 3.0, zero, zero + 1.0, DT, one).speed[0] == pytest.approx(10.0 - 3.0 * DT)
 
 
-def test_text_of_a_vehicle_makes_it_again() -> None:
-    spec = "kinematic:mu=0.2,wheelbase=2.5,steering_lag=0.1"
+@pytest.mark.parametrize(
+    "spec",
+    ["kinematic:mu=0.2,wheelbase=2.5,steering_lag=0.1", "single-track:mass=1500,mu=0.9", "actuators:lag=0.2"],
+)
+def test_text_of_a_vehicle_makes_it_again(spec: str) -> None:
     assert str(VEHICLES.create(spec)) == spec
     assert VEHICLES.create(str(VEHICLES.create(spec))) == VEHICLES.create(spec)
 
@@ -148,3 +169,15 @@ def test_text_of_a_vehicle_makes_it_again() -> None:
 def test_wrong_options_are_refused(spec: str, message: str) -> None:
     with pytest.raises(InputError, match=message):
         VEHICLES.create(spec)
+
+
+def test_pedals_are_linear_up_to_the_limits_of_the_vehicle() -> None:
+    throttle, brake = np.array([0.5, 0.0, 1.0, np.nan, np.nan]), np.array([np.nan, 0.25, 1.0, 1.0, np.nan])
+    unlimited = Body("Ego", "car", 4.5, 1.8, 1.4, 2.7, 0.6)
+    limited = replace(unlimited, max_acceleration=2.0, max_deceleration=6.0)
+    assert pedals_to_acceleration(throttle, brake, unlimited) == pytest.approx(
+        [1.5, -2.0, -5.0, -8.0, np.nan], nan_ok=True
+    )
+    assert pedals_to_acceleration(throttle, brake, limited) == pytest.approx(
+        [1.0, -1.5, -4.0, -6.0, np.nan], nan_ok=True
+    )

@@ -461,7 +461,7 @@ def test_42_1_a_suite_gives_ipgs_module_the_named_values_too(cmapi, project):
         ({"project": "/no/such/folder"}, "no such folder"),
         ({"testrun": "a[exit]"}, "a special character of Tcl"),
         ({"port": 0}, "localhost:0 is not a valid address"),
-        ({"drivers": {"Ego": "normal"}}, "does not support cornercase's drivers"),
+        ({"drivers": {"Ego": "normal"}}, "`drivers` Ego: no driver of cornercase drives in CarMaker"),
         ({"on_collision": "stop"}, "only if the TestRun says so"),
         ({"speedup": 0.0}, "both must be above 0"),
     ],

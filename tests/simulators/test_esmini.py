@@ -8,11 +8,13 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from conftest import ran
+import cornercase as cc
+from conftest import moving, ran, scenario_file
 from cornercase._common.errors import InputError, SimulationError
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import SIMULATORS, Esmini
@@ -103,32 +105,52 @@ def test_explores(tmp_path):
     assert "[info]" not in done.stdout + done.stderr
 
 
-@needs_library
-def test_who_asks_for_a_driver_of_cornercase_is_refused_before_the_run():
-    with pytest.raises(InputError, match="'Ego' has the driver 'normal', which esmini does not support"):
-        list(Esmini().run([ConcreteScenario(T, {})]))
-
-
-# A library with one car; ``MORE`` makes its states longer, like those of another version.
+# A library with one car, whose speed an action sets to 7 m/s in the 4th step if ``ACTION`` is defined. ``MORE`` makes its
+# states longer, like those of another version.
 STUB = r"""
 #include <string.h>
+#ifndef HEADING
+#define HEADING 0
+#endif
 typedef struct { int id, model, ctrl; double t0, x, y, z, h, p, r; unsigned road, junction; double t; int lane;
   double offset, s, speed, cx, cy, cz, width, length, height; int kind, category; double wa, wr; int visible;
 #ifdef MORE
   double more[4];
 #endif
 } State;
-static int step; static double speed = 5; static void (*callback)(void *); static void *user;
-int SE_Init(const char *f, int a, int b, int c, int d) { step = 0; speed = 5; if (callback) callback(user); callback = 0;
-  return strstr(f, "broken") ? -1 : 0; }
-int SE_StepDT(double dt) { step++; return 0; }
+static int step; static double speed = 5, x, y, heading; static void (*callback)(void *); static void *user;
+static struct { int id; void (*function)(State *, void *); } moved[99]; static int registered, of_run;
+int SE_Init(const char *f, int a, int b, int c, int d) { step = of_run = 0; speed = 5; x = 50; y = -2; heading = HEADING;
+  if (callback) callback(user); callback = 0; return strstr(f, "broken") ? -1 : 0; }
+int SE_GetObjectState(int k, State *s) { memset(s, 0, sizeof *s); s->id = 7; s->x = x; s->y = y; s->h = heading; s->s = x;
+  s->lane = -1; s->road = 1; s->speed = speed; s->cx = 1.4; s->width = 2; s->length = 5; s->kind = 1; s->category = 2;
+  s->visible = 7; return 0; }
+int SE_StepDT(double dt) { step++;
+#ifdef ACTION
+  if (step == 4) speed = 7;
+#endif
+  x += speed * dt;
+#ifndef SILENT
+  State state; SE_GetObjectState(7, &state);
+  /* As in esmini, functions of earlier runs are called, too. */
+  for (int r = 0; r < of_run; r++) for (int k = 0; k < registered; k++) moved[k].function(&state, 0);
+#endif
+  return 0; }
+void SE_RegisterObjectCallback(int id, void (*f)(State *, void *), void *u) { moved[registered].id = id;
+  moved[registered++].function = f; of_run++; }
+int SE_ReportObjectSpeed(int k, double v) { speed = v; return 0; }
+int SE_ReportObjectPosXYH(int k, double at_x, double at_y, double h) { x = at_x; y = at_y; heading = h;
+  return 0; }
+int SE_ReportObjectRoadPos(int k, unsigned r, int l, double offset, double at) { x = at; return 0; }
+const char *SE_GetRoadIdString(unsigned r) { return "1"; }
+unsigned SE_GetRoadIdFromString(const char *r) { return 1; }
+int SE_GetNumberOfRoutePoints(int k) { return 0; }
+int SE_GetRoutePoint(int k, unsigned i, void *p) { return -1; }
 void SE_Close(void) {}
 int SE_GetQuitFlag(void) { return step > 10; }
 int SE_GetNumberOfObjects(void) { return 1; }
 int SE_GetId(int k) { return 7; }
 const char *SE_GetObjectName(int k) { return "Ego"; }
-int SE_GetObjectState(int k, State *s) { memset(s, 0, sizeof *s); s->id = 7; s->x = speed * step * 0.05; s->h = 0.1;
-  s->speed = speed; s->cx = 1.4; s->width = 2; s->length = 5; s->kind = 1; s->category = 2; return 0; }
 int SE_GetObjectNumberOfCollisions(int k) { return 0; }
 int SE_GetObjectCollision(int k, int i) { return -1; }
 void SE_SetSeed(unsigned s) {}
@@ -152,6 +174,7 @@ def stub(tmp_path_factory):
 
     def build(*defined):
         path = folder / ("_".join(["lib", *defined]) + ".so")
+        path = path.with_name(path.name.replace("=", "_"))
         command = ["cc", "-shared", "-fPIC", *(f"-D{one}" for one in defined), folder / "stub.c", "-o", path]
         try:
             subprocess.run(command, check=True, capture_output=True)
@@ -163,14 +186,49 @@ def stub(tmp_path_factory):
 
 
 def test_the_interface_against_a_stand_in(stub):
-    simulator = Esmini(library=stub(), undriven=True)
+    simulator = Esmini(library=stub("HEADING=0.1"), undriven=True)
     fast, usual = ran(simulator, [ConcreteScenario(T, {"ego_speed": 8.0}), ConcreteScenario(T, {})])
     assert fast.names == ("Ego",)
     assert fast.object_types == ("truck",)
     np.testing.assert_allclose(fast.time, np.arange(11) * 0.05)
-    np.testing.assert_allclose(fast.x[0], 8.0 * 0.05 * np.arange(11))
+    np.testing.assert_allclose(fast.x[0], 50.0 + 8.0 * 0.05 * np.arange(11))
     np.testing.assert_allclose(usual.speed[0], 5.0)
     assert (fast.length[0], fast.width[0], fast.center_x[0]) == (5.0, 2.0, 1.4)
+
+
+class Slowing(cc.SystemUnderTest):
+    """Brakes at 1 m/s², and writes down the target speeds."""
+
+    def __init__(self, steers: bool = False) -> None:
+        self.steers = steers
+
+    def step(self, view, dt):
+        TARGETS.append(view.target_speed)
+        return cc.Control(acceleration=-1.0, steering=0.1) if self.steers else -1.0
+
+
+TARGETS: list[float] = []
+
+
+def of_ego(driver: Any) -> Any:
+    return {"Ego": driver}
+
+
+def test_a_driver_against_a_stand_in(stub, tmp_path):
+    concrete = ConcreteScenario(scenario_file(tmp_path, init=moving(speed="5")), {})
+    simulator = Esmini(library=stub("ACTION"), drivers=of_ego(Slowing()))
+    TARGETS.clear()
+    first, again = ran(simulator, [concrete] * 2)
+    speeds = 5.0 - 0.05 * np.arange(11)
+    for recording in (first, again):
+        np.testing.assert_allclose(recording.speed[0], speeds, atol=1e-12)
+        # Each step is made with the speed at its end.
+        np.testing.assert_allclose(recording.x[0], 50.0 + 0.05 * np.cumsum([0.0, *speeds[1:]]), atol=1e-9)
+    np.testing.assert_array_equal(TARGETS[:11], [5.0] * 4 + [7.0] * 7)
+    (steered,) = ran(Esmini(library=stub("ACTION"), drivers=of_ego(Slowing(steers=True))), [concrete])
+    assert steered.y[0, -1] > -1.95
+    with pytest.raises(InputError, match="does not say when it has moved 'Ego'"):
+        list(Esmini(library=stub("SILENT"), drivers=of_ego(Slowing())).run([concrete]))
 
 
 def test_another_layout_and_missing_functions_are_refused(stub, tmp_path):
@@ -193,8 +251,8 @@ def test_refuses_in_one_sentence(monkeypatch, tmp_path):
         _ = SIMULATORS.create("esmini").settings
     with pytest.raises(InputError, match="no such file"):
         list(Esmini(library=str(tmp_path / "none.so")).run([]))
-    with pytest.raises(InputError, match="does not support cornercase's drivers"):
-        Esmini(drivers={"Ego": "normal"})
+    with pytest.raises(InputError, match="no driver 'normall'"):
+        Esmini(drivers={"Ego": "normall"})
     assert "download esmini" in Esmini.availability().problem
     done = subprocess.run(
         [sys.executable, "-c", "from cornercase.cli import main; main()", "simulators"],

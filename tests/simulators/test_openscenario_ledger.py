@@ -306,12 +306,13 @@ def test_43_5_what_can_change_the_result_comes_first_and_the_rest_is_a_count(tmp
     path = tmp_path / "t.xosc"
     road = EXAMPLES / "t_intersection" / "t_intersection.xodr"
     text = re.sub(r'filepath="[^"]*\.xodr"', f'filepath="{road}"', text)
-    path.write_text(text.replace("<Private ", "<GlobalAction><EnvironmentAction/></GlobalAction><Private ", 1))
+    weather = '<EnvironmentAction><Environment name="e"><Weather/></Environment></EnvironmentAction>'
+    path.write_text(text.replace("<Private ", f"<GlobalAction>{weather}</GlobalAction><Private ", 1))
     listed = [line for line in cornercase("check", path).stdout.splitlines() if line.startswith("without effect: ")]
-    assert "<EnvironmentAction>" in listed[0]
+    assert "<Weather>" in listed[0]
     assert "<Axles>" in listed[-1]
     (first, rest) = cornercase("simulate", path, "--duration", 0.1, "-o", tmp_path / "r.csv").stderr.splitlines()[:2]
-    assert "<EnvironmentAction>" in first
+    assert "<Weather>" in first
     assert rest.startswith("3 more parts of the files are ignored, ")
 
 
@@ -337,7 +338,7 @@ def test_every_reference_file_has_its_notices(each):
         named += len(found)
         assert not any("is not known here" in one.reason for one in found), (file, found)
         there = {element.tag for element in scenario.root.iter()}
-        for what in ("EnvironmentAction", "AppearanceAction", "SceneGraphFile"):
+        for what in ("Weather", "AppearanceAction", "SceneGraphFile"):
             assert (what in there) == any(f"<{what}>" in one.parts for one in found if one.file == file), file
     assert named > len(files) / 2
 

@@ -15,6 +15,9 @@ import pytest
 import cornercase as cc
 from conftest import ran, same_recording
 from cornercase._common.errors import InputError
+from cornercase.drivers import EquippedDriver
+from cornercase.drivers._system_under_test import ScalarFunction
+from cornercase.drivers.vehicles._vehicle_model import VEHICLES
 from cornercase.exploration._paper_examples import paper_experiment_config
 from cornercase.recordings import read_recording
 from cornercase.report._rerun import rerun_payload
@@ -90,6 +93,37 @@ def test_a_driver_of_cornercase_drives_too():
     builtin = of(run(T, values, Builtin, drivers={"Ego": "simple"}), "Ego")
     here = of(run(T, values, drivers={"Ego": "simple"}), "Ego")
     np.testing.assert_array_equal(builtin["x"], here["x"])
+
+
+class Aeb(cc.SystemUnderTest):
+    """Keeps its speed, and brakes when it would soon hit something."""
+
+    def step(self, view, dt):
+        leader = view.leader
+        return -8.0 if leader is not None and leader.gap < 2.0 * leader.closing else 0.0
+
+
+def test_a_function_of_the_user_drives_as_in_the_builtin_simulator():
+    function = ScalarFunction(Aeb())
+    # On the motorway the ego starts faster than the road allows.
+    for path in (X, EXAMPLES / "r157" / "cut_in.xosc"):
+        for driver in (function, EquippedDriver(function, vehicle=VEHICLES.create("kinematic"))):
+            options = {"drivers": {"Ego": driver}, "duration": 6.0}
+            assert same_recording(run(path, {}, **options), run(path, {}, Builtin, **options))
+
+
+def test_models_of_sumo_take_no_equipment():
+    for spec, driven in (
+        ("normal + kinematic", False),
+        ("normal:horizon=4 + kinematic", True),
+        ("simple + kinematic", True),
+    ):
+        simulator = Sumo(drivers={"Ego": spec}, duration=1.0)
+        if driven:
+            ran(simulator, [ConcreteScenario(X, {})])
+            continue
+        with pytest.raises(InputError, match=r"'Ego' asks .* 'normal' is a model of SUMO .* leave out 'kinematic'"):
+            simulator.check_supported(ScenarioFile.read(X))
 
 
 def test_the_same_gives_the_same_whatever_ran_before():

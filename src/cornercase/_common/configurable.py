@@ -80,6 +80,17 @@ def plain_options(configured: object) -> dict[str, bool | int | float | str]:
     }
 
 
+def numeric_options(configured: Configurable) -> dict[str, float]:
+    """Return the options of an object that are numbers, with their values: those that it was given, else defaults."""
+    defaults = {name: parameter.default for name, parameter in declared_options(type(configured)).items()}
+    values = {**defaults, **given_options(configured)}
+    return {
+        name: float(value)
+        for name, value in values.items()
+        if isinstance(value, int | float) and not isinstance(value, bool)
+    }
+
+
 def describe_as_text(configured: Configurable) -> str:
     """Return the text that stands for an object on the command line, such as ``"level-set:filling=0.1"``.
 

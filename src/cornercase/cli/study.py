@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from rich.table import Column, Table
 
@@ -85,7 +85,7 @@ def analyze(
 
 
 @app.command()
-@with_options("cluster")
+@with_options("cluster", "drivers")
 def reduce(
     study: opt.StudyFile,
     *,
@@ -144,6 +144,7 @@ def reduce(
     scenario: opt.NamedScenario = None,
     workers: opt.LocalWorkers = 1,
     cluster: str | None = None,
+    drivers: Any = None,
     critical: opt.CriticalOverride = None,
     memory: opt.Memory = DEFAULT_MEMORY,
     profile: Profile = None,
@@ -167,6 +168,8 @@ def reduce(
             raise InputError("--require: only applies to mutants; give --kill-mutants too.")
         if cluster is not None:
             raise InputError("--cluster: only runs mutants; give --kill-mutants too.")
+        if drivers:
+            raise InputError("--driver: only drives mutants; give --kill-mutants too.")
     else:
         for option, value in (("--cover", cover), ("--archetypes", archetypes)):
             if value is not None:
@@ -180,6 +183,7 @@ def reduce(
             require=require or (),
             seed=seed,
             scenario=scenario,
+            drivers=drivers,
             workers=workers,
             cluster=cluster,
             progress=True,

@@ -11,6 +11,7 @@ from ._function import DrivingFunction as DrivingFunction
 from ._function import Start as Start
 from ._mutants import Mutant as Mutant
 from ._mutants import generate_mutants as generate_mutants
+from ._mutation import Mutation as Mutation
 from ._presets import AGGRESSIVE as AGGRESSIVE
 from ._presets import CAUTIOUS as CAUTIOUS
 from ._presets import NORMAL as NORMAL
@@ -32,7 +33,9 @@ from .references.r157._scenarios import drive_cut_out as drive_cut_out
 from .references.r157._scenarios import drive_deceleration as drive_deceleration
 from .sensors._sensor import SENSORS as SENSORS
 from .sensors._sensor import Sensor as Sensor
+from .vehicles._actuated import Actuators as Actuators
 from .vehicles._kinematic import Kinematic as Kinematic
+from .vehicles._single_track import SingleTrack as SingleTrack
 from .vehicles._vehicle_model import VEHICLES as VEHICLES
 from .vehicles._vehicle_model import PlanarMotion as PlanarMotion
 from .vehicles._vehicle_model import VehicleModel as VehicleModel

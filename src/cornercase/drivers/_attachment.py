@@ -20,18 +20,19 @@ from cornercase._common.text.sanitize import quote_name
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase._common.validation import repr_short
 from cornercase.drivers._base import Driver, Situation
+from cornercase.drivers._compiled import is_compiled, limit_driver_acceleration
 from cornercase.drivers._controls import Controls
 from cornercase.drivers._equipment import EquippedDriver
 from cornercase.drivers._function import DrivingFunction, Start
-from cornercase.drivers._motion import Motion, Mover
+from cornercase.drivers._motion import DrivenMotion, Mover
+from cornercase.drivers.vehicles._actuated import Actuators
+from cornercase.drivers.vehicles._kernels.actuators import Vehicles
+from cornercase.drivers.vehicles._pedals import pedals_to_acceleration
 from cornercase.drivers.vehicles._vehicle_model import PlanarMotion
 
 # Excess in m/s² that may come from rounding.
 _ROUNDING: Final = 1e-9
 _LIMITS: Final = {"acceleration", "deceleration"}
-# m/s² at full throttle and full brake, if <Performance> does not allow less.
-_FULL_THROTTLE: Final = 4.0
-_FULL_BRAKE: Final = 9.0
 _STATE: Final = ("x", "y", "heading", "speed", "acceleration")
 
 
@@ -55,7 +56,7 @@ class Decision:
     scenario, which end.
     """
 
-    motion: Motion
+    motion: DrivenMotion
     failures: Mapping[int, SimulationError] = field(default_factory=dict)
 
 
@@ -69,10 +70,20 @@ class Attachment:
     def __init__(self, driver: Driver, entity: str) -> None:
         self.driver = driver.driver if isinstance(driver, EquippedDriver) else driver
         self._sensors = driver.sensors if isinstance(driver, EquippedDriver) else ()
-        vehicle = driver.vehicle if isinstance(driver, EquippedDriver) else None
-        self._mover = Mover(vehicle, self._note_missing_lane)
+        self.vehicle = driver.vehicle if isinstance(driver, EquippedDriver) else None
+        self._mover = Mover(self.vehicle, self._note_missing_lane)
         self._entity = entity
         self.limit_notices: dict[str, str] = {}
+
+    @property
+    def is_compiled(self) -> bool:
+        """Whether kernels can make all its decisions, and move its vehicle."""
+        return is_compiled(self.driver) and not self._sensors and isinstance(self.vehicle, Actuators | None)
+
+    @property
+    def vehicle_tables(self) -> Vehicles | None:
+        """The started actuators of its vehicle, for kernels; None if kernels do not move it."""
+        return self.vehicle.tables if self.is_compiled and isinstance(self.vehicle, Actuators) else None
 
     @property
     def display_name(self) -> str:
@@ -92,6 +103,11 @@ class Attachment:
             self.driver.start(start.scenarios, len(start.others))
         except BaseException as error:
             raise DriverError(make_scenario_failure(self.display_name, error, requests, 0.0), splits=True) from error
+        if is_compiled(self.driver):
+            # It plans with the limits.
+            bounds = {"acceleration": start.body.max_acceleration, "deceleration": start.body.max_deceleration}
+            for limit, value in limit_driver_acceleration(self.driver, *bounds.values()).items():
+                self.note_exceeded_limit(limit, bounds[limit], f"it would go up to {value:.6g} m/s²")
         for sensor in self._sensors:
             sensor.start(start)
         self._mover.start(start)
@@ -107,28 +123,22 @@ class Attachment:
         `begin` is the motion at the start of the step, where the simulator has moved the entity in this step already.
         """
         # The driver may change the arrays that it is given.
-        kept = {name: getattr(situation, name).copy() for name in ("active", "distance", *_STATE)}
-        truth = replace(situation, **kept)
+        copies = {name: getattr(situation, name).copy() for name in ("active", "distance", *_STATE)}
+        truth = replace(situation, **copies)
         for sensor in self._sensors:
             situation = sensor.perceive(situation)
         controls = self._decide(situation)
         active, time = truth.active, truth.time
         failures = {n: failure for n, failure in controls.failures.items() if active[n]}
-        acceleration = np.where(np.isnan(controls.acceleration), self._press_pedals(controls), controls.acceleration)
+        pressed = pedals_to_acceleration(controls.throttle, controls.brake, self._start.body)
+        acceleration = np.where(np.isnan(controls.acceleration), pressed, controls.acceleration)
         is_decided = np.isfinite(acceleration)
         goes_on = np.isnan(acceleration) & self._mover.follows_trajectory(controls)
         self._fail(active & ~(is_decided | goes_on), acceleration, "an acceleration in m/s²", time, failures)
         self._fail(active & np.isinf(controls.steering), controls.steering, "an angle in rad", time, failures)
         acceleration = self._clip_acceleration(acceleration, active & is_decided, time)
-        start = PlanarMotion(**{name: kept[name] for name in _STATE}) if begin is None else begin
+        start = PlanarMotion(**{name: copies[name] for name in _STATE}) if begin is None else begin
         return Decision(self._mover.step(truth, start, controls, acceleration, active), failures)
-
-    def _press_pedals(self, controls: Controls) -> FloatArray:
-        """Return the acceleration that throttle and brake ask for, (N,); NaN where neither is pressed."""
-        throttle, brake, body = controls.throttle, controls.brake, self._start.body
-        strongest = min(body.max_acceleration, _FULL_THROTTLE), min(body.max_deceleration, _FULL_BRAKE)
-        asked = np.nan_to_num(throttle) * strongest[0] - np.nan_to_num(brake) * strongest[1]
-        return np.where(np.isnan(throttle) & np.isnan(brake), np.nan, asked)
 
     def _fail(
         self, rows: BoolArray, values: FloatArray, what: str, time: float, failures: dict[int, SimulationError]
@@ -141,8 +151,8 @@ class Attachment:
     def _note_missing_lane(self, time: float, side: str) -> None:
         self.limit_notices.setdefault(
             f"lane {side}",
-            f"{self.display_name} asks for a lane on the {side} that does not exist or is not for traffic in its direction,"
-            f" and stays in its lane; first{format_time_of_failure(time)}",
+            f"{self.display_name} asks for a lane on the {side} that is not there or not for its direction, and stays"
+            f" in its lane; first{format_time_of_failure(time)}",
         )
 
     def _decide(self, situation: Situation) -> Controls:

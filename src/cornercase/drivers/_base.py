@@ -6,13 +6,14 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
-from cornercase._common.configurable import Configurable, describe_as_text
+from cornercase._common.configurable import Configurable, describe_as_text, numeric_options
 from cornercase._common.typing import BoolArray, FloatArray
+from cornercase.drivers._mutation import Mutation
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,6 +136,8 @@ class Driver(Configurable, ABC):
         Everything that decisions depend on, as plain JSON values. It is stored with a study, which can only be resumed
         with the same settings. The default is the name of the class. Options of the constructor that are numbers, texts
         or booleans are stored, too.
+    mutations : tuple of Mutation, default empty
+        What can be wrong in it, for `cornercase reduce --kill-mutants` and `cornercase test --mutants`.
 
     See Also
     --------
@@ -159,6 +162,7 @@ class Driver(Configurable, ABC):
     """
 
     settings: dict[str, object]
+    mutations: ClassVar[tuple[Mutation, ...]] = ()
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
@@ -168,6 +172,15 @@ class Driver(Configurable, ABC):
     def __str__(self) -> str:
         # A class of a user may have a `name` of its own.
         return describe_as_text(self)
+
+    def numeric_parameters(self) -> dict[str, float]:
+        """Return the options of the constructor that are numbers.
+
+        Returns
+        -------
+        dict of str to float
+        """
+        return numeric_options(self)
 
     def start(self, scenarios: int, others: int) -> None:
         """Reset all state at the start of a batch; does nothing by default.

@@ -28,6 +28,7 @@ from cornercase.drivers._kernels.structs import (
 )
 from cornercase.drivers._presets import Behaviour, FollowParameters
 from cornercase.drivers._route import count_route_samples, plan_route
+from cornercase.drivers.vehicles._kernels.actuators import Vehicles
 
 _MIN_LIMIT = 1e-3
 """Lowest limit in m/s², whatever the vehicle can do."""
@@ -76,6 +77,9 @@ class CompiledDriver(Driver):
             awareness=fleet.awareness[rows],
             routes=own_fleet.routes,
             kernels=fleet.kernels,
+            vehicles=fleet.vehicles,
+            first_vehicle=fleet.first_vehicle[rows],
+            friction=fleet.friction,
         )
         view.kind[:], view.parameters[:] = own_fleet.kind, own_fleet.parameters
         view.memory[:], view.awareness[:] = own_fleet.memory, own_fleet.awareness
@@ -148,14 +152,18 @@ def build_fleet(
     width: FloatArray,
     center_x: FloatArray,
     object_types: Sequence[str],
+    vehicles: Sequence[Vehicles | None] = (),
+    friction: FloatArray | None = None,
 ) -> Fleet:
     """Create a fleet of started drivers, so that kernels and `Driver.acceleration` use the same state.
 
     The state of the drivers moves into the arrays of the fleet, and the drivers keep views. `driven_rows` has, for each
-    driver, the row of its entity. `length`, `width` and `center_x` are the boxes of all E entities in m. The new fleet
-    has no routes.
+    driver, the row of its entity. `length`, `width` and `center_x` are the boxes of all E entities in m. `vehicles` are
+    the started actuators of each driver's entity, if it has some; `friction` (N,) is that of the road, and may change.
+    The new fleet has no routes.
     """
     fleet = _empty_fleet(len(drivers), scenarios, max(len(object_types) - 1, 0))
+    fleet = _add_vehicles(fleet, vehicles, np.ones(scenarios) if friction is None else friction)
     boxes = np.stack((0.5 * length, 0.5 * width, center_x, _is_vulnerable(object_types)))
     for d, (driver, e) in enumerate(zip(drivers, driven_rows, strict=True)):
         fleet.own[d] = boxes[:VULNERABLE, e]
@@ -249,7 +257,23 @@ def _empty_fleet(drivers: int, scenarios: int, others: int) -> Fleet:
         awareness=np.zeros((drivers, scenarios, 3, others), dtype=np.bool_),
         routes=Routes(unplanned, unplanned + 1, none, none, np.empty((0, 3)), np.empty((0, 6))),
         kernels=DRIVER_KERNELS.addresses,
+        vehicles=Vehicles(np.empty((0, 0)), np.empty((0, 0)), np.empty((0, 0, 0))),
+        first_vehicle=np.full(drivers, -1, dtype=np.int64),
+        friction=np.ones(scenarios),
     )
+
+
+def _add_vehicles(fleet: Fleet, vehicles: Sequence[Vehicles | None], friction: FloatArray) -> Fleet:
+    """Return an empty fleet with the actuators of the entities that have some."""
+    equipped = [(d, tables) for d, tables in enumerate(vehicles) if tables is not None]
+    for k, (d, _) in enumerate(equipped):
+        fleet.first_vehicle[d] = k * len(friction)
+    if equipped:
+        size = max(tables.requests.shape[2] for _, tables in equipped)
+        parameters, state = (np.concatenate([tables[k] for _, tables in equipped]) for k in range(2))
+        # No vehicle has taken a step, so its requests are yet to come.
+        fleet = fleet._replace(vehicles=Vehicles(parameters, state, np.zeros((len(state), 2, size))))
+    return fleet._replace(friction=friction)
 
 
 def _is_vulnerable(object_types: Sequence[str]) -> BoolArray:

@@ -16,7 +16,7 @@ from cornercase._common.errors import InputError
 from cornercase._common.plugin_errors import is_built_in, unwrap_factory
 from cornercase.drivers._base import Driver
 from cornercase.drivers._equipment import EquippedDriver
-from cornercase.drivers._mutants import nearest_preset_name
+from cornercase.drivers._preset_name import nearest_preset_name
 from cornercase.drivers._registry import DRIVERS, SEPARATOR, split_spec
 from cornercase.drivers._system_under_test import ScalarFunction
 from cornercase.drivers.references.r157._models import REFERENCES

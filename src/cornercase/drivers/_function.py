@@ -69,7 +69,8 @@ class Start:
     network : RoadNetwork or None
         The roads.
     friction : ndarray of float64, shape (N,)
-        Friction coefficient of the road; the scenario's ``frictionScaleFactor`` at the start, else 1.
+        Friction coefficient of the road: the scenario's ``frictionScaleFactor``, with which it changes during the
+        batch; 1 as long as there is none.
     """
 
     body: Body

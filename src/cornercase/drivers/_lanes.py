@@ -43,8 +43,8 @@ def find_neighbouring_path(
     target = lane + (lanes_to_left if is_along else -lanes_to_left)
     if target == 0:
         target = -lane
-    beside = road.sections[int(road.section_at(s)[0])][1].get(target)
-    if beside is None or not beside.is_drivable or bool(road.is_traffic_forward(target, s)[0]) != is_along:
+    neighbour = road.sections[int(road.section_at(s)[0])][1].get(target)
+    if neighbour is None or not neighbour.is_drivable or bool(road.is_traffic_forward(target, s)[0]) != is_along:
         return None
     path = network.lane_path_from(number, target, float(s[0]), is_along)
     return None if path is None else driven_path(path)

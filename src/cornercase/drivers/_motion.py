@@ -23,10 +23,10 @@ _DEFAULT_VEHICLE: Final = "kinematic"
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class DrivenMotion:
     """Motion at the end of a step, for N scenarios.
 
-    Where `is_steered` (N,), the vehicle has the pose in `state`; elsewhere it goes along its path, and only its speed
+    Where `is_steered` (N,), the vehicle has the pose in `state`. Where not, it goes along its path, and only its speed
     counts.
     """
 
@@ -36,7 +36,7 @@ class Motion:
 
 @dataclass(eq=False)
 class _Memory:
-    """What is going on in each scenario. `is_free` (N,): whether it has been steered, so that a tracker has to steer."""
+    """What is going on in each scenario. `is_free` (N,): whether it was ever steered, so a tracker has to steer."""
 
     is_free: BoolArray
     last_request: FloatArray
@@ -65,7 +65,7 @@ class Mover:
 
     def step(
         self, situation: Situation, begin: PlanarMotion, controls: Controls, acceleration: FloatArray, active: BoolArray
-    ) -> Motion:
+    ) -> DrivenMotion:
         """Return the motion in the active scenarios; `acceleration` (N,) is NaN where a trajectory is followed.
 
         `begin` is the motion at the start of the step.
@@ -112,7 +112,7 @@ class Mover:
             after = self._drive(self._steered, begin, acceleration, steering.clip(-limit, limit), dt, is_driven)
             for values, driven in ((x, after.x), (y, after.y), (heading, after.heading), (speed, after.speed)):
                 values[is_driven] = driven[is_driven]
-        return Motion(PlanarMotion(x, y, heading, speed, (speed - begin.speed) / dt), is_steered)
+        return DrivenMotion(PlanarMotion(x, y, heading, speed, (speed - begin.speed) / dt), is_steered)
 
     def follows_trajectory(self, controls: Controls) -> BoolArray:
         """Return in which scenarios the driver gives a trajectory, or one is followed, (N,)."""

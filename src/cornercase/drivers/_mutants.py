@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -12,28 +12,16 @@ import numpy as np
 from cornercase._common.errors import InputError
 from cornercase._common.validation import check_int, check_str
 from cornercase.drivers._base import Driver
-from cornercase.drivers._compiled import CompiledDriver
-from cornercase.drivers._registry import DRIVERS, is_registered_driver
+from cornercase.drivers._description import user_driver_spec
+from cornercase.drivers._mutation import Mutation
+from cornercase.drivers._preset_name import nearest_preset_name, preset_parameters
+from cornercase.drivers._registry import SEPARATOR, is_registered_driver, split_spec
+from cornercase.drivers._resolve import driver_by_name
 
 MAX_MUTANTS: Final = 1000
 """Maximum number of mutants of a driver."""
 
 _GOLDEN_RATIO: Final = (math.sqrt(5.0) - 1.0) / 2.0
-
-
-@dataclass(frozen=True)
-class Mutation:
-    """A change that makes a driver worse: one parameter is multiplied by a factor, or increased if `is_offset`.
-
-    `mild` and `severe` bound the factor, or the increase in the unit of the parameter. `description` is the text for
-    tables.
-    """
-
-    description: str
-    parameter: str
-    mild: float
-    severe: float
-    is_offset: bool = False
 
 
 MUTATIONS: Final = (
@@ -53,7 +41,7 @@ MUTATIONS: Final = (
     Mutation("faster in curves", "lateral_acceleration", 1.2, 3.0),
     Mutation("accelerates more", "acceleration", 1.2, 3.0),
 )
-"""All mutations; a driver gets those of its own parameters."""
+"""Mutations of the presets; a preset gets those of its own parameters."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +69,8 @@ def generate_mutants(driver: str, count: int, seed: int = 0) -> tuple[Mutant, ..
     Parameters
     ----------
     driver : str
-        A registered driver with parameters, possibly with options: ``"normal:horizon=4"``.
+        A preset, possibly with options: ``"normal:horizon=4"``; or a class of your own that declares `mutations`:
+        ``"my_aeb:Aeb:reaction=0.3"``. It keeps its sensors and its vehicle.
     count : int
         Number of mutants. A larger number only adds to the mutants of a smaller one.
     seed : int, default 0
@@ -95,7 +84,7 @@ def generate_mutants(driver: str, count: int, seed: int = 0) -> tuple[Mutant, ..
     Raises
     ------
     InputError
-        If there is no such driver, or it has no parameters to make worse.
+        If there is no such driver, or it declares no parameters to make worse.
 
     References
     ----------
@@ -111,10 +100,10 @@ def generate_mutants(driver: str, count: int, seed: int = 0) -> tuple[Mutant, ..
     """
     count = check_int("count", count, 1, MAX_MUTANTS)
     rng = np.random.default_rng(check_int("seed", seed, 0))
-    parameters = _numeric_parameters(check_str("driver", driver))
+    declared, parameters = _mutations_and_parameters(check_str("driver", driver))
     mutations = [
         mutation
-        for mutation in MUTATIONS
+        for mutation in declared
         if parameters.get(mutation.parameter, 0.0) or (mutation.is_offset and mutation.parameter in parameters)
     ]
     mutations = [mutations[i] for i in rng.permutation(len(mutations))]
@@ -139,50 +128,54 @@ def _mutate_value(mutation: Mutation, value: float, severity: float) -> float:
 
 
 def _set_driver_option(driver: str, parameter: str, value: float) -> str:
-    base, _, options = driver.partition(":")
+    driver, equipment = split_spec(driver)
+    # The name of a class has a colon of its own.
+    n_parts = 1 if is_registered_driver(driver) else 2
+    base, options = ":".join(driver.split(":")[:n_parts]), ":".join(driver.split(":")[n_parts:])
     other_options = [
         option for option in options.split(",") if option and option.partition("=")[0].strip() != parameter
     ]
-    return f"{base}:{','.join([*other_options, f'{parameter}={value:g}'])}"
+    return SEPARATOR.join([f"{base}:{','.join([*other_options, f'{parameter}={value:g}'])}", *equipment])
 
 
-def nearest_preset_name(driver: str | Driver | Mapping[str, object]) -> str:
-    """Name of a driver that can have mutants: the nearest preset, with options for what differs.
+def mutable_driver_name(driver: str | Driver | Mapping[str, object]) -> str:
+    """Name of a driver that can have mutants: of a class of the user that declares mutations, else of a preset.
 
-    Accepts a name, a driver, or its settings as stored in a study. Raises `InputError` for any other than cornercase's
-    own drivers with parameters.
+    Accepts a name, a driver, or its settings as stored in a study. A name, which a file may give, and stored settings
+    never load code of the user. Raises `InputError` for any other driver.
     """
-    if isinstance(driver, str):
-        _numeric_parameters(driver)
-        return driver
-    settings = dict(driver.settings if isinstance(driver, Driver) else driver)
-    driver_kind = settings.get("driver")
-    bases = {"behaviour": ("normal", "cautious", "aggressive"), "simple": ("simple",)}.get(str(driver_kind), ())
-    candidates: list[tuple[int, str]] = []
-    for base in bases:
-        defaults = _numeric_parameters(base)
-        # A user's class derived from a built-in driver may decide differently.
-        if set(settings) != {"driver", *defaults} or not (isinstance(driver, Mapping) or _is_built_in(driver)):
-            continue
-        changed = {name: value for name, value in settings.items() if name in defaults and value != defaults[name]}
-        options = ",".join(f"{name}={value!r}" for name, value in changed.items())
-        candidates.append((len(changed), f"{base}:{options}" if options else base))
-    if not candidates:
-        raise InputError(f"The driver {driver_kind} has no mutants, as its parameters are unknown.")
-    name = min(candidates, key=lambda candidate: candidate[0])[1]
-    _numeric_parameters(name)
-    return name
-
-
-def _is_built_in(driver: Driver) -> bool:
-    return type(driver).__module__.startswith("cornercase.drivers.")
-
-
-def _numeric_parameters(driver: str) -> dict[str, float]:
-    created = DRIVERS.create(driver) if is_registered_driver(driver) else None
-    if not isinstance(created, CompiledDriver):
+    if isinstance(driver, Driver) and (own := user_driver_spec(driver)) is not None:
+        _mutations_and_parameters(own)
+        return own
+    if isinstance(driver, Mapping) and "sha256" in driver:
         raise InputError(
-            f"The driver {driver} has no mutants, as its parameters are unknown; use cautious, normal, aggressive"
-            " or simple."
+            f"Mutants of the driver {driver.get('driver')}, which the study names, need its code; name it with"
+            " `drivers`."
         )
-    return {name: float(value) for name, value in created.settings.items() if isinstance(value, int | float)}
+    return nearest_preset_name(driver)
+
+
+def is_own_driver_name(name: str) -> bool:
+    """Whether the name of a mutant is that of a class of the user."""
+    return not is_registered_driver(name)
+
+
+def _mutations_and_parameters(driver: str) -> tuple[Sequence[Mutation], dict[str, float]]:
+    """Return what can be made worse in a driver, and the values of its numeric parameters."""
+    name, _ = split_spec(driver)
+    if is_registered_driver(name):
+        return MUTATIONS, preset_parameters(name)
+    created = driver_by_name(name)
+    if not isinstance(created, Driver) or not created.mutations:
+        raise InputError(
+            f"The driver '{name}' has no mutants, as its class declares none; list what can be wrong in its attribute"
+            " `mutations`."
+        )
+    parameters = created.numeric_parameters()
+    for mutation in created.mutations:
+        if mutation.parameter not in parameters:
+            raise InputError(
+                f"The driver '{name}' declares a mutation of '{mutation.parameter}', which is no option of its"
+                " constructor with a number as default."
+            )
+    return created.mutations, parameters

@@ -38,9 +38,8 @@ def locate_on_path(
     # Its kernels take long to import.
     from cornercase.drivers._kernels.path_projection import project_onto_path
 
-    along, offset, direction, _ = (
-        values[:, 0] for values in project_onto_path(path, distance, x[:, None], y[:, None])
-    )
+    along, offset, direction, _ = project_onto_path(path, distance, x[:, None], y[:, None])
+    along, offset, direction = along[:, 0], offset[:, 0], direction[:, 0]
     at = along + ahead
     curvature = (
         np.interp(at, path.distance, path.curvature)

@@ -112,10 +112,10 @@ def find_non_numeric_option(name: str) -> str | None:
 
 
 def is_compiled_driver_name(name: str) -> bool:
-    """Check whether a name (with or without options) belongs to a registered driver with compiled decisions."""
-    from cornercase.drivers._compiled import CompiledDriver
+    """Check whether a name (with or without options and equipment) makes a registered driver that kernels can run."""
+    from cornercase.drivers._attachment import Attachment
 
-    return is_registered_driver(name) and isinstance(_create_registered(name), CompiledDriver)
+    return is_registered_driver(name) and Attachment(_create_registered(name), "").is_compiled
 
 
 def load_user_driver(name: str) -> Driver:

@@ -5,11 +5,11 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from cornercase._common.configurable import Configurable, describe_as_text
+from cornercase._common.configurable import Configurable, describe_as_text, numeric_options
 from cornercase._common.errors import PluginError, SimulationError
 from cornercase._common.plugin_errors import format_time_of_failure, make_scenario_failure
 from cornercase._common.process.signals import count_requests
@@ -17,6 +17,7 @@ from cornercase._common.text.sanitize import quote_name
 from cornercase.drivers._base import Situation
 from cornercase.drivers._controls import Control, Controls
 from cornercase.drivers._function import DrivingFunction, Start
+from cornercase.drivers._mutation import Mutation
 from cornercase.drivers._view import SharedView, View
 
 if TYPE_CHECKING:
@@ -67,6 +68,8 @@ class SystemUnderTest(Configurable, ABC):
     settings : dict
         Everything that decisions depend on, as plain JSON values; by default the class. Options of the constructor that
         are numbers, texts or booleans are stored with a study in any case.
+    mutations : tuple of Mutation, default empty
+        What can be wrong in it, for `cornercase reduce --kill-mutants` and `cornercase test --mutants`.
 
     See Also
     --------
@@ -91,6 +94,7 @@ class SystemUnderTest(Configurable, ABC):
     """
 
     settings: dict[str, object]
+    mutations: ClassVar[tuple[Mutation, ...]] = ()
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
@@ -146,7 +150,7 @@ class ScalarFunction(DrivingFunction):
 
     def __init__(self, prototype: SystemUnderTest) -> None:
         self.prototype = prototype
-        self.settings = prototype.settings
+        self.settings, self.mutations = prototype.settings, prototype.mutations  # type: ignore[misc]
         self._objects: list[SystemUnderTest] = []
 
     def __str__(self) -> str:
@@ -155,6 +159,10 @@ class ScalarFunction(DrivingFunction):
     def describe(self) -> Sequence[str]:
         """Return the lines of the user's own `describe`."""
         return self.prototype.describe()
+
+    def numeric_parameters(self) -> dict[str, float]:
+        """Return the options of the prototype that are numbers."""
+        return numeric_options(self.prototype)
 
     def prepare(self, start: Start) -> None:
         """Make one object per scenario."""

@@ -67,7 +67,7 @@ class FollowedTrajectory:
         return acceleration, float(steer_along_path(pose, np.array([speed]), wheelbase)[0])
 
     def _is_over(self, time: float) -> bool:
-        return time > self._time[-1] + _CLOCK
+        return time > float(self._time[-1]) + _CLOCK
 
     def _make_path(self) -> DrivenPath | None:
         """Return the line through its points; None if it has none."""

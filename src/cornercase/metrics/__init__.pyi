@@ -22,6 +22,7 @@ from ._geometry.encounter import Encounter as Encounter
 from ._headway import Headway as Headway
 from ._headway import Pttc as Pttc
 from ._headway import Thw as Thw
+from ._lane_margin import LaneMargin as LaneMargin
 from ._measure import Measurement as Measurement
 from ._measure import measure as measure
 from ._pet import EncroachmentTime as EncroachmentTime

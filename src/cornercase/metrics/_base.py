@@ -50,6 +50,8 @@ class Metric(Configurable, ABC):
     required_option : str, default ""
         Placeholder of what the user has to write behind the colon, for a metric that means nothing without it, such as
         ``"FORMULA"``. Such metrics are left out if all metrics are measured.
+    ego_only : bool, default False
+        Whether it depends on the ego and the roads alone, so that it is the same against each other entity.
     source : str
         Where the definition is published.
 
@@ -86,6 +88,7 @@ class Metric(Configurable, ABC):
     contact_score: float | None = None
     severity: bool = False
     required_option: str = ""
+    ego_only: bool = False
     source: str = ""
 
     @abstractmethod

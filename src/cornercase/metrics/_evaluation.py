@@ -11,6 +11,7 @@ import numpy as np
 
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.metrics._other_entities import present_others
+from cornercase.metrics._registry import METRICS
 from cornercase.metrics.expressions._ast import (
     Bound,
     Leaf,
@@ -130,9 +131,11 @@ def evaluate_run(
     """Evaluate an expression against each other entity in the recording; return the evaluations by entity name.
 
     An expression that does not depend on the other entity is evaluated once. `courses` of known metrics are used if
-    there is a single other entity.
+    there is a single other entity, or if they do not depend on it.
     """
     named = (other,) if isinstance(other, str) else tuple(other)
+    if len(named) > 1 and courses is not None:
+        courses = {name: course for name, course in courses.items() if METRICS.create(name).ego_only}
     others = present_others(recording, named)
     depends_on_other = any(isinstance(leaf, Bound) and not _is_of_run(leaf) for leaf in iter_leaves(root))
     evaluations: dict[str, Evaluation] = {}
@@ -140,7 +143,7 @@ def evaluate_run(
     for other_name in others if depends_on_other else others[:1]:
         # If nothing looks at the other entity, it may not even exist.
         partner = other_name if depends_on_other else ego
-        signals = signals_from_recording(recording, ego, partner, courses if len(named) == 1 else None, others)
+        signals = signals_from_recording(recording, ego, partner, courses, others)
         evaluation = Evaluation.from_signals(root, replace(signals, references=references), shared)
         evaluations[other_name] = evaluation
         shared = {leaf: values for leaf, values in evaluation.leaves.items() if _is_of_run(leaf)}

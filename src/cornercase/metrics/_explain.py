@@ -14,6 +14,7 @@ from cornercase.metrics.expressions._ast import (
     Bound,
     EgoCollides,
     EgoDrives,
+    EgoLeaves,
     EgoReaches,
     Operation,
     ReferenceCollides,
@@ -106,6 +107,8 @@ def _explain_statement(leaf: Statement, evaluation: Evaluation, reference_texts:
         return _explain_collision(leaf, recording, ego)
     if isinstance(leaf, EgoReaches):
         return _explain_position(leaf, recording, ego, evaluation.leaves[leaf].is_known)
+    if isinstance(leaf, EgoLeaves):
+        return _explain_leaving(leaf, evaluation, ego)
     return _explain_distance(leaf, recording, ego)
 
 
@@ -158,6 +161,20 @@ def _explain_position(statement: EgoReaches, recording: Recording, ego: str, is_
     if is_known:
         return Reason(f"{text}, within {statement.time_limit:.6g} s", at, value)
     return Reason(f"{text}, but was observed for {elapsed[-1]:.6g} s only", at, value)
+
+
+def _explain_leaving(statement: EgoLeaves, evaluation: Evaluation, ego: str) -> Reason:
+    values, is_lane = evaluation.leaves[statement], statement.what == "lane"
+    if not values.is_known:
+        return Reason(f"the roads on which {quote_name(ego)} drives are not known")
+    time, worst = evaluation.signals.time, int(values.margin.argmax())
+    at, margin = float(time[worst]), float(values.margin[worst])
+    if margin <= 0.0:
+        stays = "stays in its lane" if is_lane else "stays on the road"
+        return Reason(f"{quote_name(ego)} {stays}, {-margin:.4g} m from the edge at {at:.6g} s", at, -margin)
+    first = float(time[np.flatnonzero(values.truth > 0.0)[0]])
+    leaves = "leaves its lane" if is_lane else "leaves the road"
+    return Reason(f"{quote_name(ego)} {leaves} at {first:.6g} s, by {margin:.4g} m at {at:.6g} s", first, -margin)
 
 
 def _explain_distance(statement: EgoDrives, recording: Recording, ego: str) -> Reason:

@@ -10,6 +10,7 @@ from cornercase.metrics._registry import METRICS
 from cornercase.metrics.expressions._ast import (
     Bound,
     EgoCollides,
+    EgoLeaves,
     Leaf,
     Node,
     ReferenceCollides,
@@ -100,6 +101,7 @@ class Expression:
     def metrics(self) -> tuple[str, ...]:
         """Names of the metrics in the expression, with their options."""
         names = [signal.metric for bound in self.bounds for signal in bound.signals]
+        names += [leaf.metric for leaf in self.leaves if isinstance(leaf, EgoLeaves)]
         return tuple(dict.fromkeys(filter(None, names)))
 
     @property

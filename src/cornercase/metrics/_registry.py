@@ -25,6 +25,7 @@ for _name, _target in (
     ("encroachment-time", "_pet:EncroachmentTime"),
     ("gap-time", "_gap_time:GapTime"),
     ("hw", "_headway:Headway"),
+    ("lane-margin", "_lane_margin:LaneMargin"),
     ("mdrac", "_braking:Mdrac"),
     ("msd", "_braking:StoppingDistance"),
     ("pet", "_pet:Pet"),

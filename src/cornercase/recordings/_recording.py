@@ -78,6 +78,8 @@ class Recording:
     is_truncated : bool or None
         Whether the run ended at the maximum duration, before its storyboard had ended. Not stored in files: None for
         recordings that were read from a file, and if the simulator does not report it.
+    road_file : Path or None
+        OpenDRIVE file of the scenario. Not stored in files, and None for recordings that were read from a file.
 
     Examples
     --------
@@ -105,6 +107,7 @@ class Recording:
     center_x: FloatArray
     collisions: tuple[Collision, ...] = ()
     is_truncated: bool | None = None
+    road_file: Path | None = None
 
     def __repr__(self) -> str:
         entities = ", ".join(f"{name} ({kind})" for name, kind in zip(self.names, self.object_types, strict=True))

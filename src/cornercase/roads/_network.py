@@ -118,6 +118,10 @@ class RoadNetwork:
             raise InputError(f"{self.path}: has no road '{road_id}'; {suggest_name(road_id, self._road_indices)}")
         return self._road_indices[road_id]
 
+    def find_road(self, road_id: str) -> int | None:
+        """Return the index of a road by its id; None if it does not exist or cannot be used."""
+        return self._road_indices.get(road_id)
+
     @cached_property
     def _road_indices(self) -> dict[str, int]:
         return {road.road_id: i for i, road in enumerate(self.roads)}

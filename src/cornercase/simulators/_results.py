@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -64,7 +65,7 @@ def run_scenarios_as_given(simulator: Simulator, concretes: Sequence[ConcreteSce
             for concrete in concretes[k:]:
                 yield from run_scenarios_as_given(simulator, [concrete])
             return
-        yield _check_outcome(result)
+        yield _with_road_file(_check_outcome(result), concretes[k])
 
 
 def check_simulator_accepts(
@@ -117,6 +118,17 @@ def list_ignored_content(
 def get_simulator_class(simulator: Simulator) -> type[Simulator]:
     """Return the class of a simulator; of a simulator in other processes, the class that runs there."""
     return simulator.simulator_class if isinstance(simulator, RemoteSimulator) else type(simulator)
+
+
+def _with_road_file(outcome: Outcome, concrete: ConcreteScenario) -> Outcome:
+    """Return a recording with the road file of its scenario, for metrics."""
+    if isinstance(outcome, SimulationError) or outcome.road_file is not None:
+        return outcome
+    try:
+        return replace(outcome, road_file=concrete.load_file().road_path_for(concrete.values))
+    except InputError:
+        # A simulator may run files that cornercase does not read.
+        return outcome
 
 
 def _check_outcome(result: object) -> Outcome:

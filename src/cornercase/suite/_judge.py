@@ -10,6 +10,7 @@ from cornercase._common.errors import PluginError
 from cornercase._common.text.sanitize import quote_name
 from cornercase._common.typing import FloatArray
 from cornercase.drivers.references.r157._preventability import ReferenceOutcome
+from cornercase.metrics import METRICS
 from cornercase.metrics._evaluation import evaluate_run
 from cornercase.metrics._explain import explain
 from cornercase.recordings import Recording
@@ -45,7 +46,8 @@ def judge(
         is failed if it is failed for any, and passed if it is passed for at least one and failed for none. The verdict
         with the smallest robustness is returned, and names its entity.
     courses : mapping of str to ndarray of float64, shape (T,), optional
-        Courses of metrics by name, if they are known already; not used if there are several other entities.
+        Courses of metrics by name, if they are known already. If there are several other entities, only those that do
+        not depend on them are used.
     references : mapping of str to ReferenceOutcome, optional
         Outcomes of the scenario with reference drivers that the requirement names, by driver, if they were run.
 
@@ -126,7 +128,12 @@ def judge_scenario(study: StudyFile, row: ScenarioRecord, requirements: list[Req
         return [Verdict("inconclusive", requirement.text, f"it failed: {row.error}") for requirement in applicable]
     recording = study.recording(row.id)
     # With several others it is unknown which one a course refers to at each time.
-    needed = {name for item in applicable for name in item.expression.metrics} if len(meta.others) == 1 else set()
+    needed = {
+        name
+        for item in applicable
+        for name in item.expression.metrics
+        if len(meta.others) == 1 or METRICS.create(name).ego_only
+    }
     courses = {name: study.course(row.id, name) for name in meta.metrics if name in needed}
     drivers = dict.fromkeys(name for item in applicable for name in item.expression.reference_drivers)
     outcomes = {name: study.reference_outcome(row.id, name) for name in drivers}

@@ -15,8 +15,9 @@ from cornercase._common.progress import ProgressBar
 from cornercase._common.typing import BoolArray
 from cornercase._common.validation import check_bool, check_int, check_str_sequence
 from cornercase.drivers import Driver, Mutant, generate_mutants
-from cornercase.drivers._description import format_driver
-from cornercase.drivers._mutants import nearest_preset_name
+from cornercase.drivers._description import format_driver, serialize_driver
+from cornercase.drivers._mutants import is_own_driver_name, mutable_driver_name
+from cornercase.drivers._resolve import check_drivers, driver_by_name, resolve_driver
 from cornercase.recordings import Recording
 from cornercase.reduction import KillMatrix
 from cornercase.scenario import ConcreteScenario
@@ -50,6 +51,7 @@ def analyze_mutants(
     require: Sequence[str] = (),
     seed: int = 0,
     scenario: Path | str | ScenarioFile | None = None,
+    drivers: Mapping[str, str | Driver] | None = None,
     workers: int = 1,
     cluster: str | Client | None = None,
     progress: bool = False,
@@ -62,7 +64,8 @@ def analyze_mutants(
     Parameters
     ----------
     study : Study, StudyFile or path
-        Study that was explored with the builtin simulator and one of cornercase's drivers driving the ego.
+        Study that was explored with the builtin simulator; the ego is driven by one of cornercase's drivers, or by a
+        class of yours that declares `mutations`.
     mutants : int
         Number of mutants that scenarios are selected by. The same number of other mutants evaluates the selection.
     require : sequence of str
@@ -73,6 +76,8 @@ def analyze_mutants(
     scenario : path or ScenarioFile, optional
         Scenario file that was explored; by default it is searched at the path stored in the study, beside the study and
         in the current folder.
+    drivers : mapping of str to str or Driver, optional
+        The drivers that the study was explored with, if their code is yours: code that a study names is not run.
     workers : int, default 1
         Number of processes of a local cluster.
     cluster : str or distributed.Client, optional
@@ -112,16 +117,16 @@ def analyze_mutants(
             rows = [rows[i] for i in indices.tolist()]
         concretes = [ConcreteScenario(logical.path, dict(row.values), logical) for row in rows]
         ids, settings, entities = [row.id for row in rows], dict(meta.settings), (meta.ego, meta.others)
-    drivers: dict[str, Any] = dict(settings.get("drivers", {}))
-    driver = find_ego_driver(entities[0], drivers, [logical])
+    assigned: dict[str, Any] = {**settings.get("drivers", {}), **_check_own_drivers(drivers, settings)}
+    driver = find_ego_driver(entities[0], assigned, [logical])
     mutants_ = generate_mutants(driver, 2 * n_mutants, seed)
     options: dict[str, Any] = {name: settings[name] for name in DEFAULT_SETTINGS if name in settings}
-    options["drivers"] = {name: item for name, item in drivers.items() if name != entities[0]}
+    options["drivers"] = {name: item for name, item in assigned.items() if name != entities[0]}
     for name, item in options["drivers"].items():
-        if not isinstance(item, str):
+        if isinstance(item, Mapping):
             raise InputError(
                 f"Mutants cannot be run: the study names the driver {format_driver(item)} for {name}, but code that a"
-                " study names is not run; explore with a driver of cornercase."
+                " study names is not run; name it with `drivers`."
             )
     with open_connection(cluster, workers, workers_need_cluster=True) as client:
         failed, killed = run_mutants(
@@ -136,6 +141,21 @@ def analyze_mutants(
         )
 
     return build_kill_matrix(choosing, build_kill_matrix(judging, None))
+
+
+def _check_own_drivers(
+    drivers: Mapping[str, str | Driver] | None, settings: Mapping[str, Any]
+) -> dict[str, str | Driver]:
+    """Create the drivers that the user names; `InputError` if the study was explored with others."""
+    created = {entity: resolve_driver(driver) for entity, driver in check_drivers(drivers).items()}
+    stored = settings.get("drivers", {})
+    for entity, driver in created.items():
+        if serialize_driver(driver) != stored.get(entity):
+            raise InputError(
+                f"`drivers` {entity}: the study was explored with {format_driver(stored.get(entity))}, not with"
+                f" {format_driver(serialize_driver(driver))}; name the same driver."
+            )
+    return created
 
 
 def draw_mutants(
@@ -191,7 +211,7 @@ def require_builtin_simulator(simulator: str) -> None:
 def find_ego_driver(ego: str, drivers: Mapping[str, Any], scenarios: Sequence[ScenarioFile]) -> str:
     """Return the name of the ego's driver; `drivers` override the drivers in the files, by entity."""
     if ego in drivers:
-        return nearest_preset_name(drivers[ego])
+        return mutable_driver_name(drivers[ego])
     drivers_in_files = {scenario.drivers.get(ego) for scenario in scenarios}
     if drivers_in_files == {None}:
         raise InputError(f"Mutants need a driver of {ego}; name one with `drivers`.")
@@ -202,7 +222,7 @@ def find_ego_driver(ego: str, drivers: Mapping[str, Any], scenarios: Sequence[Sc
         )
     (driver,) = drivers_in_files
     assert driver is not None
-    return nearest_preset_name(driver)
+    return mutable_driver_name(driver)
 
 
 def run_mutants(
@@ -229,7 +249,9 @@ def run_mutants(
     try:
         with collect_interrupts() as raise_interrupt:
             for k, name in enumerate(names):
-                assigned: dict[str, str | Driver] = {**options["drivers"], entities[0]: name}
+                # As an object, a class of the user needs no new process for each mutant.
+                driver = driver_by_name(name) if is_own_driver_name(name) else name
+                assigned: dict[str, str | Driver] = {**options["drivers"], entities[0]: driver}
                 with create_simulator(_BUILTIN, {**options, "drivers": assigned}, cluster=client) as simulator:
                     for i, verdict in enumerate(_iter_violations(simulator, scenarios, entities, requirements)):
                         broken[k, i], failed[k, i] = verdict is None, verdict is True

@@ -321,10 +321,13 @@ def _choose_metrics(
         )
     required = [name for requirement in requirements for name in requirement.expression.metrics]
     instances = resolve_metrics(requested or names or required or "clearance")
+    needed = [METRICS.create(name) for name in dict.fromkeys(required)]
     # Check before the study is created.
-    for metric in [*instances, *map(METRICS.create, required)]:
+    for metric in [*instances, *needed]:
         metric.check_installed()
-    return instances
+    # A stored recording does not know its roads, so these are measured when it runs.
+    names = [metric.name for metric in instances]
+    return [*instances, *(metric for metric in needed if metric.ego_only and metric.name not in names)]
 
 
 def _choose_simulator(suite: SuiteContents, requested: str | Simulator | None) -> str | Simulator:

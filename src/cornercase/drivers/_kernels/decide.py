@@ -30,6 +30,7 @@ from cornercase.drivers._kernels.structs import (
 )
 from cornercase.drivers._kernels.visibility import eye_pose, update_perception, update_visible_others
 from cornercase.drivers._presets import Behaviour, FollowParameters
+from cornercase.drivers.vehicles._kernels.actuators import change_speed
 
 
 @inline_kernel
@@ -43,6 +44,13 @@ def compute_acceleration(fleet, driver, scenario, route, time, time_step, driven
     if fleet.kind[driver] == SIMPLE:
         return call_for_float(_decide_as_simple_driver, fleet.kernels[SIMPLE], arguments)
     return call_for_float(_decide_by_behaviour, fleet.kernels[BEHAVIOUR], arguments)
+
+
+@inline_kernel
+def change_vehicle_speed(fleet, driver, scenario, speed, acceleration, request, time_step):
+    """Return the speed in m/s after a time step of an entity with actuators, whose driver requests an acceleration."""
+    row, friction = fleet.first_vehicle[driver] + scenario, fleet.friction[scenario]
+    return change_speed(fleet.vehicles, row, speed, acceleration, request, friction, time_step)
 
 
 @plain_kernel

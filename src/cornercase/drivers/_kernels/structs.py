@@ -9,6 +9,7 @@ from typing import Final, NamedTuple
 
 from cornercase._common.numba.kernel import kernel
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
+from cornercase.drivers.vehicles._kernels.actuators import Vehicles
 
 # These kernels allocate nothing: without reference counting, which would take longer than what they compute.
 plain_kernel = kernel(error_model="numpy", _nrt=False)
@@ -63,6 +64,9 @@ class Fleet(NamedTuple):
     times in s of the first and the last sighting, and of the start of the conflict; how long in s they have been ahead.
     `awareness` (D, N, 3, A): whether each other entity is noticed, known, and yielded to. `kernels` (2,): addresses of
     the kernels that decide, by kind.
+
+    `vehicles`: actuators of the driven entities that have some, N rows for each. `first_vehicle` (D,): the first of
+    these rows; -1 for an entity that does at once what its driver decides. `friction` (N,): that of the road.
     """
 
     kind: IntArray
@@ -73,6 +77,9 @@ class Fleet(NamedTuple):
     awareness: BoolArray
     routes: Routes
     kernels: IntArray
+    vehicles: Vehicles
+    first_vehicle: IntArray
+    friction: FloatArray
 
 
 class DrivenState(NamedTuple):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any, ClassVar, Final
 
 import numpy as np
@@ -10,8 +11,8 @@ import numpy as np
 from cornercase._common.errors import InputError
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase._common.validation import check_float
-from cornercase.drivers._function import Body, Start
-from cornercase.drivers.vehicles._kernels.actuators import N_STATE, SPEED, Vehicles, count_requests
+from cornercase.drivers._function import Start
+from cornercase.drivers.vehicles._kernels.actuators import N_STATE, SPEED, Vehicles, change_speeds, count_requests
 from cornercase.drivers.vehicles._vehicle_model import PlanarMotion, VehicleModel
 
 # Parameters in the order of the columns of `Vehicles.parameters`.
@@ -23,23 +24,7 @@ _POSITIVE: Final = frozenset({"max_jerk", "mu", "max_steering_rate", "wheelbase"
 
 
 class ActuatedVehicle(VehicleModel):
-    """Base class of vehicles with actuators; `parameter_names` are the options of a model's own.
-
-    Parameters
-    ----------
-    delay, lag : float
-        Dead time in s after which the vehicle begins to do what is requested, and time constant in s with which its
-        acceleration then approaches the request.
-    max_jerk : float
-        Highest change of the acceleration in m/s³, such as that of brakes that build up pressure.
-    mu : float
-        Friction coefficient of the tyres on a dry road, by which that of the road is multiplied.
-
-    Raises
-    ------
-    InputError
-        If an option is out of range.
-    """
+    """Base class of vehicles with actuators; `parameter_names` are the options of a model's own."""
 
     parameter_names: ClassVar[tuple[str, ...]] = ()
     _vehicles: Vehicles
@@ -63,16 +48,65 @@ class ActuatedVehicle(VehicleModel):
     def start(self, start: Start) -> None:
         """Reset all state for a batch."""
         names, n = (*_PARAMETERS, *self.parameter_names), start.scenarios
+        body = start.body
         values: dict[str, Any] = {"steering_delay": 0.0, "steering_lag": 0.0, "max_steering_rate": math.inf}
-        values |= self._body_parameters(start.body) | self._parameters | dict(start.parameters)
+        values |= {"max_speed": body.max_speed, "max_steering": body.max_steering, "wheelbase": body.wheelbase}
+        values |= self._parameters | dict(start.parameters)
+        values |= self._derived_parameters(values)
         parameters = np.stack([np.broadcast_to(values[name], n) for name in names], axis=1).astype(np.float64)
         size = count_requests(parameters[:, [names.index("delay"), names.index("steering_delay")]], start.time_step)
         state = np.zeros((n, N_STATE))
         state[:, SPEED] = np.nan
         self._vehicles = Vehicles(np.ascontiguousarray(parameters), state, np.zeros((n, 2, size)))
 
-    def _body_parameters(self, body: Body) -> dict[str, float]:
-        return {"max_speed": body.max_speed, "max_steering": body.max_steering, "wheelbase": body.wheelbase}
+    def _derived_parameters(self, values: dict[str, Any]) -> dict[str, Any]:
+        """Return parameters that follow from others."""
+        return {}
+
+
+class Actuators(ActuatedVehicle):
+    """A vehicle that stays on its path, with actuators for its speed.
+
+    Curves need none of the friction. See ``docs/vehicles.md``.
+
+    Parameters
+    ----------
+    delay, lag : float, default 0
+        Dead time in s after which the vehicle begins to do what is requested, and time constant in s with which its
+        acceleration then approaches the request.
+    max_jerk : float, optional
+        Highest change of the acceleration in m/s³, such as that of brakes that build up pressure; infinite by default.
+    mu : float, default 1
+        Friction coefficient of the tyres on a dry road, by which that of the road is multiplied.
+
+    Raises
+    ------
+    InputError
+        If an option is out of range.
+    """
+
+    name = "actuators"
+    steers = False
+
+    @property
+    def tables(self) -> Vehicles:
+        """Parameters and state of a started vehicle, for kernels."""
+        return self._vehicles
+
+    def step(
+        self,
+        motion: PlanarMotion,
+        acceleration: FloatArray,
+        steering: FloatArray,
+        friction: FloatArray,
+        time_step: float,
+        active: BoolArray,
+    ) -> PlanarMotion:
+        """Return the motion at the end of a time step; the pose is that at its start."""
+        speed, reached = np.array(motion.speed), np.array(motion.acceleration)
+        inputs = np.ascontiguousarray(acceleration), np.ascontiguousarray(friction)
+        change_speeds(self._vehicles, speed, reached, *inputs, time_step, np.ascontiguousarray(active))
+        return replace(motion, speed=speed, acceleration=reached)
 
 
 class SteeredVehicle(ActuatedVehicle):

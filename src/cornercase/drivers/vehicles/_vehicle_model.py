@@ -91,4 +91,6 @@ class VehicleModel(Configurable, ABC):
 VEHICLES: Final[Registry[VehicleModel]] = Registry("vehicle", "cornercase.vehicles", VehicleModel)
 """Vehicle models by name."""
 
+VEHICLES.register("actuators", "cornercase.drivers.vehicles._actuated:Actuators")
 VEHICLES.register("kinematic", "cornercase.drivers.vehicles._kinematic:Kinematic")
+VEHICLES.register("single-track", "cornercase.drivers.vehicles._single_track:SingleTrack")

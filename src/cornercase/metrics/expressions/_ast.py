@@ -124,6 +124,18 @@ class EgoDrives:
 
 
 @dataclass(frozen=True)
+class EgoLeaves:
+    """Statement that the ego's box is partly outside of its lane, or of the road."""
+
+    what: Literal["lane", "road"]
+
+    @property
+    def metric(self) -> str:
+        """Name of the metric that tells how far inside it is."""
+        return "lane-margin" if self.what == "lane" else f"lane-margin:edge={self.what}"
+
+
+@dataclass(frozen=True)
 class Operation:
     """An operator and its operands.
 
@@ -140,7 +152,7 @@ class Operation:
         return 1 + max(operand.depth if isinstance(operand, Operation) else 0 for operand in self.operands)
 
 
-Statement: TypeAlias = EgoCollides | ReferenceCollides | EgoReaches | EgoDrives
+Statement: TypeAlias = EgoCollides | ReferenceCollides | EgoReaches | EgoDrives | EgoLeaves
 Leaf: TypeAlias = Bound | Statement
 Node: TypeAlias = Leaf | Operation
 
@@ -186,6 +198,8 @@ def _format_leaf(leaf: Leaf, as_condition: bool) -> str:
             return f"reach {x:.15g},{y:.15g},{radius:.15g} within {time_limit:.15g}"
         case EgoDrives(distance):
             return f"drive {distance:.15g}"
+        case EgoLeaves(what):
+            return f"ego leaves {'its' if what == 'lane' else 'the'} {what}"
 
 
 def _is_connection(node: Node) -> bool:

@@ -17,6 +17,7 @@ from cornercase.metrics.expressions._ast import (
     Bound,
     EgoCollides,
     EgoDrives,
+    EgoLeaves,
     EgoReaches,
     Node,
     Operation,
@@ -26,7 +27,13 @@ from cornercase.metrics.expressions._ast import (
     Signal,
     format_node,
 )
-from cornercase.metrics.expressions._recorded_signals import SCORE_PREFIX, has_signal, signal_names, signal_unit
+from cornercase.metrics.expressions._recorded_signals import (
+    LATERAL_ACCELERATION,
+    SCORE_PREFIX,
+    has_signal,
+    signal_names,
+    signal_unit,
+)
 from cornercase.metrics.expressions._units import convert_to_unit, is_known_unit, normalize_unit
 
 Language = Literal["formula", "requirement", "condition"]
@@ -41,7 +48,7 @@ _MIRRORED_RELATIONS: Final[dict[str, Relation]] = {"<": ">", "<=": ">=", ">": "<
 # Operators of two and more operands, from the one that binds least.
 _CONNECTIVES: Final[tuple[Operator, ...]] = ("->", "or", "and")
 _OPERATORS: Final = ("not", "and", "or", "always", "eventually", "until")
-_STATEMENTS: Final = ("collision", "no collision", "reference:NAME", "reach", "drive")
+_STATEMENTS: Final = ("collision", "no collision", "reference:NAME", "reach", "drive", "ego leaves its lane")
 _ANY_CASE: Final = ("no", "collision", "at", "fault", "with", "unless")
 # Operators of other languages, and what to write instead.
 _FOREIGN_OPERATORS: Final = {
@@ -156,7 +163,7 @@ class _Parser:
     def parse_statement(self) -> Node:
         begin = self.position
         # A metric may have the name of a statement.
-        if not self.peek(_NAME) or self.peek(rf"(?:{_NAME})\s*[<>]"):
+        if not self.peek(_NAME) or self.peek(rf"(?:{_NAME}|lateral\s+acceleration)\s*[<>]"):
             return self.parse_bound()
         if self.word("no"):
             if not self.word("collision"):
@@ -180,6 +187,14 @@ class _Parser:
             if not 0.0 < distance <= _MAX_NUMBER:
                 self.fail("give a distance above 0 and at most 1000 km.", begin)
             return EgoDrives(distance)
+        if self.word("ego"):
+            for what in ("lane", "road"):
+                leaves = EgoLeaves(what)
+                if self.take(rf"leaves\s+(?:its|the)\s+{what}(?!\w)"):
+                    return leaves
+                if self.take(rf"stays\s+(?:in|on)\s+(?:its|the)\s+{what}(?!\w)"):
+                    return self._operation("not", leaves)
+            self.fail("give 'ego leaves its lane', 'ego stays on the road', or a signal, such as ego.speed.", begin)
         return self.parse_bound()
 
     def parse_collision(self) -> EgoCollides:
@@ -250,6 +265,8 @@ class _Parser:
         return self.parse_signal()
 
     def parse_signal(self) -> Signal:
+        if self.take(r"lateral\s+acceleration(?!\w)"):
+            return Signal(LATERAL_ACCELERATION, signal_unit(LATERAL_ACCELERATION), absolute=True)
         name = self.peek(_NAME)
         if name is None or name in (*_OPERATORS, "abs"):
             self.fail("give a signal, such as ttc or ego.speed, or a number.")

@@ -18,8 +18,14 @@ from cornercase.metrics._severity import find_first_contact
 from cornercase.recordings import Recording
 
 _MOTION_UNITS: Final = MappingProxyType({"x": "m", "y": "m", "heading": "rad", "speed": "m/s", "acceleration": "m/s²"})
+LATERAL_ACCELERATION: Final = "ego.lateral_acceleration"
+"""Name of the signal of the ego's acceleration across its heading, positive to the left."""
+
+_LATERAL_ACCELERATIONS: Final = (LATERAL_ACCELERATION, "other.lateral_acceleration")
 _NON_METRIC_UNITS: Final = MappingProxyType(
-    {f"{who}.{what}": unit for who in ("ego", "other") for what, unit in _MOTION_UNITS.items()} | {"time": "s"}
+    {f"{who}.{what}": unit for who in ("ego", "other") for what, unit in _MOTION_UNITS.items()}
+    | dict.fromkeys(_LATERAL_ACCELERATIONS, "m/s²")
+    | {"time": "s"}
 )
 """Unit by name, of signals that are not metrics."""
 
@@ -139,6 +145,9 @@ class _LazySignals(dict[str, FloatArray]):
             self.update({f"{who}.{what}": getattr(recording, what)[row] for what in _MOTION_UNITS})
 
     def __missing__(self, name: str) -> FloatArray:
+        if name in _LATERAL_ACCELERATIONS:
+            self[name] = _lateral_acceleration(self._recording, self._ego if name.startswith("ego") else self._other)
+            return self[name]
         metric = METRICS.create(metric_of_signal(name))
         if name.startswith(SCORE_PREFIX):
             score = evaluate_metrics([metric], self._recording, self._ego, self._others)[metric.name].score
@@ -163,3 +172,14 @@ class _LazySignals(dict[str, FloatArray]):
     @cached_property
     def _contact(self) -> tuple[int, float] | None:
         return find_first_contact(self._recording, self._ego, self._other)
+
+
+def _lateral_acceleration(recording: Recording, name: str) -> FloatArray:
+    """Return the acceleration of an entity's reference point across its heading: speed times rate of turn, (T,)."""
+    i, time = recording.entity_index(name), recording.time
+    if len(time) < 2:
+        return np.full(len(time), np.nan)
+    heading, present = recording.heading[i], np.isfinite(recording.heading[i])
+    unwrapped = np.full(len(time), np.nan)
+    unwrapped[present] = np.unwrap(heading[present])
+    return np.asarray(recording.speed[i] * np.gradient(unwrapped, time))

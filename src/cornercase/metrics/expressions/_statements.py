@@ -10,7 +10,15 @@ from cornercase._common.errors import InputError
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.metrics._at_fault import is_at_fault
 from cornercase.metrics._distance import Clearance
-from cornercase.metrics.expressions._ast import Bound, EgoCollides, EgoReaches, Leaf, ReferenceCollides, Signal
+from cornercase.metrics.expressions._ast import (
+    Bound,
+    EgoCollides,
+    EgoLeaves,
+    EgoReaches,
+    Leaf,
+    ReferenceCollides,
+    Signal,
+)
 from cornercase.metrics.expressions._recorded_signals import Signals
 from cornercase.recordings import Collision, Recording
 
@@ -37,6 +45,11 @@ def evaluate_leaf(leaf: Leaf, signals: Signals) -> LeafValues:
         collides = signals.references.get(leaf.driver)
         truth = np.full(signals.time.shape, 1.0 if collides else -1.0)
         return LeafValues(truth * np.inf, truth, collides is not None)
+    if isinstance(leaf, EgoLeaves):
+        margin = 0.0 - signals.values[leaf.metric]
+        truth = np.where(margin > 0.0, 1.0, -1.0)
+        is_known = not np.isnan(margin).all()
+        return LeafValues(np.where(np.isnan(margin), -np.inf, margin), truth, is_known)
     recording = recording_of(signals)
     if isinstance(leaf, EgoCollides):
         return _evaluate_collision(leaf, signals, recording)

@@ -355,4 +355,6 @@ def _build_driver_fleet(world: World, driver_actions: list[DriverControl]) -> Fl
         boxes[:, 1],
         boxes[:, 2],
         [entity.kind for entity in world.entities],
+        [entity.attachment.vehicle_tables for entity in driver_actions],
+        world.friction,
     )

@@ -100,7 +100,9 @@ class CarMaker(Simulator):
         speedup: float = 1.0,
     ) -> None:
         if drivers:
-            raise InputError("`drivers`: CarMaker does not support cornercase's drivers; the TestRun names its own.")
+            raise InputError(
+                f"`drivers` {', '.join(drivers)}: no driver of cornercase drives in CarMaker; the TestRun has its own."
+            )
         if on_collision != "continue":
             raise InputError("`on_collision` stop: in CarMaker a collision ends a run only if the TestRun says so.")
         if not testrun or not project:

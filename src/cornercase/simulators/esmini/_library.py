@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
@@ -34,7 +35,39 @@ class ObjectState(ctypes.Structure):
     )  # fmt: skip
 
 
+class RoutePoint(ctypes.Structure):
+    """A waypoint of a route, in the memory layout of esmini 3.6."""
+
+    _fields_ = (
+        ("x", ctypes.c_double), ("y", ctypes.c_double), ("z", ctypes.c_double), ("h", ctypes.c_double),
+        ("road", ctypes.c_uint32), ("junction", ctypes.c_uint32), ("lane", ctypes.c_int), ("osi_lane", ctypes.c_int),
+        ("lane_offset", ctypes.c_double), ("s", ctypes.c_double), ("t", ctypes.c_double),
+    )  # fmt: skip
+
+
 PARAMETER_CALLBACK: Final = ctypes.CFUNCTYPE(None, ctypes.c_void_p)
+_OBJECT_CALLBACK: Final = ctypes.CFUNCTYPE(None, ctypes.POINTER(ObjectState), ctypes.c_void_p)
+# What to call when an object has been moved, by its id.
+_RECEIVERS: Final = dict[int, Callable[[ObjectState], None]]()
+# Loaded libraries and ids of objects for which esmini has `_RECEIVER_CALLBACK`, which it never forgets.
+_REGISTERED: Final = set[tuple[int, int]]()
+
+
+def _call_receiver(state: ctypes._Pointer[ObjectState], _: object) -> None:
+    _RECEIVERS[state.contents.id](state.contents)
+
+
+_RECEIVER_CALLBACK: Final = _OBJECT_CALLBACK(_call_receiver)
+
+
+def call_after_moves(lib: ctypes.CDLL, object_id: int, receiver: Callable[[ObjectState], None]) -> None:
+    """Let esmini call `receiver` in each step of this run, once it has moved an object; it must not raise."""
+    _RECEIVERS[object_id] = receiver
+    # esmini wants a function in each run, and calls all functions of earlier runs, too: let the later ones do nothing.
+    key = lib._handle, object_id
+    nothing = ctypes.cast(lib.SE_GetQuitFlag, _OBJECT_CALLBACK)
+    lib.SE_RegisterObjectCallback(object_id, nothing if key in _REGISTERED else _RECEIVER_CALLBACK, None)
+    _REGISTERED.add(key)
 
 
 def find_library_path(library: str | None) -> Path:
@@ -74,6 +107,14 @@ def load_library(path: Path) -> ctypes.CDLL:
         "SE_SetParameterDouble": (number, [text, ctypes.c_double]),
         "SE_SetParameterInt": (number, [text, number]),
         "SE_SetParameterBool": (number, [text, ctypes.c_bool]),
+        "SE_RegisterObjectCallback": (None, [number, _OBJECT_CALLBACK, ctypes.c_void_p]),
+        "SE_ReportObjectSpeed": (number, [number, ctypes.c_double]),
+        "SE_ReportObjectPosXYH": (number, [number, ctypes.c_double, ctypes.c_double, ctypes.c_double]),
+        "SE_ReportObjectRoadPos": (number, [number, ctypes.c_uint32, number, ctypes.c_double, ctypes.c_double]),
+        "SE_GetRoadIdString": (text, [ctypes.c_uint32]),
+        "SE_GetRoadIdFromString": (ctypes.c_uint32, [text]),
+        "SE_GetNumberOfRoutePoints": (number, [number]),
+        "SE_GetRoutePoint": (number, [number, ctypes.c_uint, ctypes.POINTER(RoutePoint)]),
     }
     for name, (result, arguments) in signatures.items():
         try:
@@ -92,6 +133,20 @@ def read_state(lib: ctypes.CDLL, object_id: int) -> ObjectState:
     if lib.SE_GetObjectState(object_id, ctypes.addressof(state)) != 0:
         raise InputError("esmini does not report the state of one of its objects; use another version.")
     return state
+
+
+def read_road_name(lib: ctypes.CDLL, road: int) -> str:
+    """Read the id that the road file gives a road of esmini."""
+    return (lib.SE_GetRoadIdString(road) or b"").decode("utf-8", "replace")
+
+
+def read_route(lib: ctypes.CDLL, object_id: int) -> tuple[tuple[str, int, float], ...]:
+    """Read the waypoints of an object's route, as road id, lane and s in m; empty without a route."""
+    points, point = list[tuple[str, int, float]](), RoutePoint()
+    for k in range(max(lib.SE_GetNumberOfRoutePoints(object_id), 0)):
+        if lib.SE_GetRoutePoint(object_id, k, ctypes.byref(point)) == 0:
+            points.append((read_road_name(lib, point.road), point.lane, point.s))
+    return tuple(points)
 
 
 def check_layout(lib: ctypes.CDLL, object_id: int) -> None:

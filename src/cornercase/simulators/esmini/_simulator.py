@@ -3,19 +3,27 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Iterator, Mapping, Sequence
+import math
+from collections.abc import Iterator, Mapping, Sequence, Set
 from functools import cached_property
+from itertools import combinations
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
 from cornercase._common.errors import InputError, SimulationError
-from cornercase.drivers._resolve import DriverLike
+from cornercase._common.geometry.boxes import box_corners, boxes_overlap
+from cornercase.drivers import Driver
+from cornercase.drivers._attachment import DriverError
+from cornercase.drivers._resolve import DriverLike, check_drivers
 from cornercase.recordings import Collision, Recording
 from cornercase.scenario import ConcreteScenario, Value
 from cornercase.scenario._file import ScenarioFile
 from cornercase.simulators._base import Availability, Simulator, check_seed, check_settings
+from cornercase.simulators.builtin.actions._controller import create_file_driver
+from cornercase.simulators.esmini._drivable import check_drivable
+from cornercase.simulators.esmini._driven_entity import DrivenEntity, start_drivers
 from cornercase.simulators.esmini._library import (
     NOT_FOUND_MESSAGE,
     PARAMETER_CALLBACK,
@@ -45,13 +53,13 @@ class Esmini(Simulator):
         Maximum duration of a scenario in s.
     on_collision : {"continue", "stop"}, default "continue"
         Collisions are those that esmini detects.
-    drivers : mapping, optional
-        Must be empty: esmini has its own controllers, which the scenario file names.
+    drivers : mapping of str to str, Driver or Behaviour, optional
+        Driver of each entity, as for the builtin simulator; it decides the entity's speed, and esmini does the rest.
     seed : int, default 0
     controllers : bool, default True
         Whether esmini's controllers drive the entities that have one; otherwise all follow the storyboard.
     undriven : bool, default False
-        Whether a scenario with a driver of cornercase, which esmini lacks, may run without it.
+        Whether entities run without the drivers that the scenario file names for them.
     library : str, optional
         Path of esmini's library; default: that in the environment variable ``CORNERCASE_ESMINI``.
 
@@ -77,11 +85,8 @@ class Esmini(Simulator):
         undriven: bool = False,
         library: str | None = None,
     ) -> None:
-        if drivers:
-            raise InputError(
-                "`drivers`: esmini does not support cornercase's drivers; name its own in the scenario file."
-            )
-        self._common_settings = check_settings(time_step, duration, on_collision, None)
+        self._common_settings = check_settings(time_step, duration, on_collision, drivers)
+        self._drivers = check_drivers(drivers)
         self._time_step, self._duration, self._stop_on_collision = time_step, duration, on_collision == "stop"
         self._seed, self._library_path = check_seed(seed, "esmini"), library
         self._controllers, self._undriven = bool(controllers), bool(undriven)
@@ -108,7 +113,10 @@ class Esmini(Simulator):
             missing = "" if find_library_path(None) else NOT_FOUND_MESSAGE
         except InputError as error:
             missing = str(error)
-        abilities = ("pedestrians", "its own controllers", "collisions go on or end the run", "deterministic")
+        abilities = (
+            "pedestrians", "drivers of your own", "its own controllers", "collisions go on or end the run",
+            "deterministic",
+        )  # fmt: skip
         return Availability("", missing, abilities)
 
     def run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Recording | SimulationError]:
@@ -118,13 +126,15 @@ class Esmini(Simulator):
         for concrete in concretes:
             scenario = self._last_scenario = concrete.load_file(self._last_scenario)
             self.check_supported(scenario)
+            for entity in self._drivers:
+                scenario.require_entity(entity, "driven entity")
             try:
                 yield self._run_scenario(self._library, scenario, concrete.values)
             finally:
                 self._library.SE_Close()
 
     def check_supported(self, scenario: ScenarioFile) -> None:
-        """Refuse a scenario with a driver of cornercase, left-handed axes, or a road file that esmini does not find."""
+        """Refuse left-handed axes, a road file that esmini does not find, or what a driver cannot drive in esmini."""
         if scenario.is_left_handed:
             raise InputError(
                 f"{scenario.path}: its description begins with 'CARLA:', so its axes are left-handed, which esmini does"
@@ -132,8 +142,7 @@ class Esmini(Simulator):
             )
         reference = scenario.road_reference_for()
         road = scenario.road_path(reference) if reference else None
-        if road not in (
-            None,
+        if road is not None and road not in (
             scenario.resolve_path(reference, "road file"),
             scenario.path.with_name(Path(reference).name),
         ):
@@ -141,13 +150,13 @@ class Esmini(Simulator):
                 f"{scenario.path}: names the road '{reference}', which was found as {road}, but esmini does not search"
                 " there; name that file in <LogicFile>."
             )
-        if self._undriven or not scenario.drivers:
-            return
-        name, driver = next(iter(scenario.drivers.items()))
-        raise InputError(
-            f"{scenario.path}: '{name}' has the driver '{driver}', which esmini does not support; `simulator`"
-            " esmini:undriven=true runs it with the storyboard only."
-        )
+        for entity, driver in self._drivers_of(scenario).items():
+            if isinstance(driver, str):
+                create_file_driver(driver, str(scenario.path))
+            check_drivable(scenario, entity)
+
+    def _drivers_of(self, scenario: ScenarioFile) -> dict[str, str | Driver]:
+        return {**({} if self._undriven else scenario.drivers), **self._drivers}
 
     def _run_scenario(
         self, lib: ctypes.CDLL, scenario: ScenarioFile, values: Mapping[str, Value]
@@ -176,37 +185,67 @@ class Esmini(Simulator):
             check_layout(lib, lib.SE_GetId(0))
             self._layout_checked = True
         log = _StateLog(lib)
+        collides = log.record_state(0.0)
+        try:
+            driven = start_drivers(lib, self._drivers_of(scenario), scenario, values, log.states, self._time_step)
+        except DriverError as failure:
+            return failure.error
+        try:
+            return self._step(lib, scenario, log, collides, driven)
+        finally:
+            for entity in driven:
+                entity.release()
+                self.notify(entity.limit_notices.values())
+
+    def _step(
+        self, lib: ctypes.CDLL, scenario: ScenarioFile, log: _StateLog, collides: bool, driven: Sequence[DrivenEntity]
+    ) -> Recording | SimulationError:
+        """Step a scenario from its first state, which is recorded, to its end, and return its recording."""
         steps = round(self._duration / self._time_step)
         cut_off = False
         for step in range(steps + 1):
-            collides = log.record_state(step * self._time_step)
+            time = step * self._time_step
+            if step:
+                collides = log.record_state(time, {entity.name for entity in driven if entity.was_moved})
             if step == steps or (collides and self._stop_on_collision):
                 cut_off = step == steps and scenario.root.find("Storyboard/StopTrigger//Condition") is not None
                 break
+            speeds = dict[str, float]()
+            for entity in driven:
+                if (failure := entity.decide(log.states, speeds, time)) is not None:
+                    return failure
             lib.SE_StepDT(self._time_step)
             # The step in which the storyboard stops is not recorded.
             if lib.SE_GetQuitFlag() != 0:
                 break
+            for entity in driven:
+                entity.check_step()
         return log.make_recording(self._time_step, cut_off)
 
 
 class _StateLog:
-    """Records the state of all entities at each time step."""
+    """Records the state of all entities at each time step; `states` are the last ones, by name."""
 
     def __init__(self, lib: ctypes.CDLL) -> None:
         self._lib = lib
+        self.states: dict[str, ObjectState] = {}
         self._rows: list[dict[str, tuple[float, float, float, float]]] = []
         self._boxes: dict[str, tuple[str, float, float, float]] = {}
         self._colliding_pairs: set[tuple[str, str]] = set()
         self._collisions: dict[tuple[str, str], float] = {}
 
-    def record_state(self, time: float) -> bool:
-        """Record the current state; return whether a collision has begun."""
+    def record_state(self, time: float, moved: Set[str] = frozenset()) -> bool:
+        """Record the current state; return whether a collision has begun.
+
+        `moved`: entities that have been moved since esmini has looked for collisions.
+        """
         lib, row, names = self._lib, {}, {}
         ids = [lib.SE_GetId(k) for k in range(lib.SE_GetNumberOfObjects())]
+        self.states = {}
         for object_id in ids:
             state = read_state(lib, object_id)
             name = names[object_id] = (lib.SE_GetObjectName(object_id) or b"").decode("utf-8", "replace")
+            self.states[name] = state
             row[name] = (state.x, state.y, state.h, state.speed)
             self._boxes.setdefault(name, (_object_type(state), state.length, state.width, state.center_x))
         self._rows.append(row)
@@ -216,11 +255,23 @@ class _StateLog:
                 if (other := lib.SE_GetObjectCollision(object_id, k)) in names:
                     first, second = sorted((names[object_id], names[other]), key=list(self._boxes).index)
                     touching.add((first, second))
+        if moved:
+            touching = {pair for pair in touching if not moved & {*pair}} | self._find_overlaps(moved)
         new_pairs = touching - self._colliding_pairs
         self._colliding_pairs = touching
         for pair in sorted(new_pairs):
             self._collisions.setdefault(pair, time)
         return bool(new_pairs)
+
+    def _find_overlaps(self, moved: Set[str]) -> set[tuple[str, str]]:
+        """Return the pairs whose boxes overlap now, with at least one of the `moved` entities."""
+        corners = {}
+        for name, state in self.states.items():
+            x = state.x + state.center_x * math.cos(state.h) - state.center_y * math.sin(state.h)
+            y = state.y + state.center_x * math.sin(state.h) + state.center_y * math.cos(state.h)
+            corners[name] = box_corners(x, y, state.h, state.length, state.width)
+        pairs = combinations([name for name in self._boxes if name in corners], 2)
+        return {(a, b) for a, b in pairs if moved & {a, b} and boxes_overlap(corners[a], corners[b])}
 
     def make_recording(self, time_step: float, cut_off: bool) -> Recording | SimulationError:
         """Create a recording of the recorded states; an error if no entity was ever present."""

@@ -36,9 +36,10 @@ VEHICLE_TYPES: Final[dict[str, dict[str, float]]] = {
         "jmTimegapMinor": 0.2, "impatience": 1.0, "jmIgnoreJunctionFoeProb": 1.0,
     },
 }  # fmt: skip
-# Entities that the storyboard moves do not yield, and go exactly where they are put.
+# Entities that the storyboard moves do not yield, are as fast as it says, and go exactly where they are put.
 _MOVED_TYPE: Final = {
     "minGap": 0.0, "jmIgnoreFoeProb": 1.0, "jmIgnoreFoeSpeed": 100.0, "jmIgnoreJunctionFoeProb": 1.0,
+    "speedFactor": 100.0,
 }  # fmt: skip
 
 _SUMO_OPTIONS: Final = (
@@ -111,7 +112,7 @@ class SumoCoupling:
                 if name in self._types:
                     self._move_from_sumo(world, e, name)
         except self._sumo.TraCIException as error:
-            self.error = SimulationError(f"SUMO fails at {world.time:g} s ({error})")
+            self.error = SimulationError(f"SUMO fails at {world.time[0]:.6g} s ({error})")
             world.running[:] = False
 
     def _add_entity(self, world: World, e: int) -> None:
@@ -123,10 +124,11 @@ class SumoCoupling:
         sumo.route.add(f"route {name}", route)
         sumo.vehicle.add(
             name, f"route {name}", typeID=vehicle_type, departLane=str(start[2]), departPos=f"{start[1]:.6f}",
-            departSpeed=f"{max(float(world.speed[e, 0]), 0.0):.6f}",
         )  # fmt: skip
         # Insert it at once, even if another vehicle is there.
         sumo.vehicle.moveTo(name, f"{start[0]}_{start[2]}", start[1])
+        # As a departure speed, SUMO would refuse what is above the limit of the road.
+        sumo.vehicle.setPreviousSpeed(name, max(float(world.speed[e, 0]), 0.0))
         if name in self._types:
             sumo.vehicle.setSpeed(name, max(float(world.speed[e, 0]), 0.0))
         else:
@@ -178,7 +180,9 @@ class SumoCoupling:
         """Move an entity in SUMO to its position at the end of the step."""
         speed, heading = float(world.speed[e, 0]), float(world.heading[e, 0])
         x, y = self._front_position(world, e)
-        x, y = x + speed * dt * math.cos(heading), y + speed * dt * math.sin(heading)
+        # A driver that steers has moved its entity already.
+        step = 0.0 if world.steered[e, 0] else speed * dt
+        x, y = x + step * math.cos(heading), y + step * math.sin(heading)
         follows_lane = self._lane_track_of(world, e) is not None and abs(float(world.offset[e, 0])) < _MAX_LANE_OFFSET
         if not (follows_lane or self._is_on_lane(world, e)):
             x, y = x + _REMOTE_OFFSET, y + _REMOTE_OFFSET

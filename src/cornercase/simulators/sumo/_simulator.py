@@ -14,7 +14,7 @@ from cornercase._common.io.support_table import Notice
 from cornercase._common.text.sanitize import remove_folders
 from cornercase._common.typing import FloatArray
 from cornercase.drivers import DRIVERS, Driver, Situation
-from cornercase.drivers._registry import is_registered_driver
+from cornercase.drivers._registry import is_registered_driver, split_spec
 from cornercase.drivers._resolve import DriverLike, check_drivers
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario, Value
@@ -152,14 +152,22 @@ class Sumo(Simulator):
         )
 
     def check_supported(self, scenario: ScenarioFile) -> None:
-        """Refuse a scenario with an unknown driver."""
+        """Refuse a scenario with an unknown driver, or with equipment that SUMO's own models lack."""
         self._types_of_sumo_driven(scenario)
 
     def _types_of_sumo_driven(self, scenario: ScenarioFile) -> dict[str, str]:
         """Return the vehicle types of the entities that SUMO drives."""
         all_drivers = {**scenario.drivers, **self._drivers}
         for name, driver in all_drivers.items():
-            if isinstance(driver, str) and driver not in VEHICLE_TYPES and not is_registered_driver(driver):
+            if not isinstance(driver, str):
+                continue
+            model, equipment = split_spec(driver)
+            if equipment and model in VEHICLE_TYPES:
+                raise InputError(
+                    f"{scenario.path}: '{name}' asks for the driver '{driver}', but '{model}' is a model of SUMO here,"
+                    f" which takes neither sensors nor a vehicle; leave out '{equipment[0]}', or give another driver."
+                )
+            if driver not in VEHICLE_TYPES and not is_registered_driver(driver):
                 hint = suggest_name(driver.partition(":")[0], (*VEHICLE_TYPES, *DRIVERS.names()))
                 raise InputError(f"{scenario.path}: '{name}' asks for the driver '{driver}'; {hint}")
         return {

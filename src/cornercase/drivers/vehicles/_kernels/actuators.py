@@ -1,7 +1,7 @@
 """Compiled actuators of a vehicle: dead time, lag, highest rate and friction limit, integrated exactly."""
 
 # Compiled functions have no static types.
-# mypy: disable-error-code="no-untyped-def, untyped-decorator"
+# mypy: disable-error-code="no-untyped-def, no-untyped-call, untyped-decorator, call-arg"
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from cornercase._common.numba.kernel import kernel
+from cornercase._common.numba.references import reference_to
 from cornercase._common.typing import FloatArray
 
 plain_kernel = kernel(error_model="numpy", _nrt=False)
-inline_kernel = kernel(error_model="numpy", _nrt=False, forceinline=True)
 
 GRAVITY: Final = 9.81
 """In m/s²."""
@@ -33,9 +33,10 @@ GRAVITY: Final = 9.81
 ) = range(10)
 """Columns of `Vehicles.parameters`; those of a model's own follow."""
 
-ACCELERATION, STEERING, SPEED, STEPS, YAW_RATE, SLIP = range(6)
-"""Columns of `Vehicles.state`. The speed is the last one that the model returned; NaN before."""
-N_STATE: Final = 6
+ACCELERATION, STEERING, SPEED, STEPS, YAW_RATE, SLIP, VELOCITY = range(7)
+"""Columns of `Vehicles.state`. The speed is the last one that the model returned; NaN before. Yaw rate, slip angle and
+velocity are those of the centre of gravity, of a model in which tyres slip."""
+N_STATE: Final = 7
 
 # A speed in m/s that differs by more from what the model returned was set by something else.
 _TOLERANCE: Final = 1e-6
@@ -44,10 +45,10 @@ _ROUNDING: Final = 1e-9
 
 
 class Vehicles(NamedTuple):
-    """Parameters and state of a vehicle in N scenarios, for kernels."""
+    """Parameters and state of a vehicle in N scenarios, or of several one after another, for kernels."""
 
     parameters: FloatArray  # (N, P): columns as above, in m, s and rad
-    state: FloatArray  # (N, 6): columns as above
+    state: FloatArray  # (N, 7): columns as above
     requests: FloatArray  # (N, 2, R): the last requests of acceleration and steering, as rings
 
 
@@ -63,10 +64,24 @@ def begin_step(vehicles, n, speed, acceleration, request, steering):
     if not abs(speed - state[SPEED]) <= _TOLERANCE:
         state[ACCELERATION] = acceleration if math.isfinite(acceleration) and speed > 0.0 else 0.0
         state[STEERING] = state[STEPS] = state[YAW_RATE] = state[SLIP] = 0.0
+        state[VELOCITY] = speed
         for k in range(requests.shape[1]):
             requests[0, k], requests[1, k] = state[ACCELERATION], 0.0
     index = int(state[STEPS]) % requests.shape[1]
     requests[0, index], requests[1, index] = request, steering
+
+
+@plain_kernel
+def longitudinal_grip(vehicles, n, grip, lateral, time_step):
+    """Return the highest acceleration in m/s² that tyres with this grip allow beside the lateral one that is wanted.
+
+    Of the requested and the lateral acceleration, the tyres do the same share.
+    """
+    delay, requests = vehicles.parameters[n, DELAY], vehicles.requests[n, 0]
+    index = int(vehicles.state[n, STEPS]) - math.floor(delay / time_step + _ROUNDING)
+    request, lateral = min(abs(requests[index % requests.size]), grip), min(abs(lateral), grip)
+    wanted = math.hypot(request, lateral)
+    return grip if wanted <= grip else grip * request / wanted
 
 
 @plain_kernel
@@ -121,6 +136,34 @@ def speed_after(speed, gain, max_speed):
     if speed + gain < 0.0:
         return 0.0, speed / -gain
     return min(speed + gain, max_speed), 1.0
+
+
+@plain_kernel
+def change_speed(vehicles, n, speed, acceleration, request, friction, time_step):
+    """Return the speed after a time step of a vehicle that stays on its path.
+
+    `acceleration` is that of the last step, `request` the requested one, in m/s².
+    """
+    begin_step(vehicles, n, speed, acceleration, request, 0.0)
+    grip = vehicles.parameters[n, MU] * friction * GRAVITY
+    gain = advance(vehicles, n, ACCELERATION, grip, 0.0, time_step, time_step)
+    speed, _ = speed_after(speed, gain, vehicles.parameters[n, MAX_SPEED])
+    end_step(vehicles, n, speed)
+    return speed
+
+
+@kernel(interpreted_seconds=lambda vehicles, speed, *_: 2e-5 * speed.size, error_model="numpy")
+def change_speeds(vehicles, speed, acceleration, request, friction, time_step, active):
+    """Change the speeds (N,) of the active vehicles by one time step, and their accelerations to those at its end."""
+    _change_all(reference_to(vehicles), speed, acceleration, request, friction, time_step, active)
+
+
+@plain_kernel
+def _change_all(vehicles, speed, acceleration, request, friction, time_step, active):
+    for n in range(active.size):
+        if active[n]:
+            speed[n] = change_speed(vehicles, n, speed[n], acceleration[n], request[n], friction[n], time_step)
+            acceleration[n] = vehicles.state[n, ACCELERATION] if speed[n] > 0.0 else 0.0
 
 
 @plain_kernel

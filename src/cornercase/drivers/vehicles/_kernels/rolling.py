@@ -21,6 +21,7 @@ from cornercase.drivers.vehicles._kernels.actuators import (
     advance,
     begin_step,
     end_step,
+    longitudinal_grip,
     plain_kernel,
     speed_after,
 )
@@ -60,15 +61,17 @@ def roll(vehicles, n, motion, grip, begin, duration, time_step):
     parameters, state = vehicles.parameters[n], vehicles.state[n]
     wheelbase = parameters[WHEELBASE]
     speed = motion[SPEED]
-    lateral = min(speed * speed * abs(math.tan(state[STEERING])) / wheelbase, grip)
-    gain = advance(vehicles, n, ACCELERATION, math.sqrt(grip * grip - lateral * lateral), begin, duration, time_step)
+    lateral = speed * speed * math.tan(state[STEERING]) / wheelbase
+    limit = longitudinal_grip(vehicles, n, grip, lateral, time_step)
+    gain = advance(vehicles, n, ACCELERATION, limit, begin, duration, time_step)
     steering = advance(vehicles, n, STEERING, parameters[MAX_STEERING], begin, duration, time_step) / duration
     motion[SPEED], moving = speed_after(speed, gain, parameters[MAX_SPEED])
     mean = 0.5 * (speed + motion[SPEED])
     curvature = math.tan(steering) / wheelbase
-    # The front wheels slide where the curve asks for more than the tyres can do.
-    if mean * mean * abs(curvature) > grip:
-        curvature = math.copysign(grip / (mean * mean), curvature)
+    # The front wheels slide where the curve asks for more than the tyres can do beside the acceleration.
+    lateral_grip = math.sqrt(max(grip * grip - (gain / duration) ** 2, 0.0))
+    if mean * mean * abs(curvature) > lateral_grip:
+        curvature = math.copysign(lateral_grip / (mean * mean), curvature)
     length = mean * moving * duration
     turn = curvature * length
     chord = length if turn == 0.0 else length * math.sin(0.5 * turn) / (0.5 * turn)

@@ -14,6 +14,7 @@ from cornercase._common.typing import BoolArray
 from cornercase.scenario._scope import Scope
 from cornercase.simulators.builtin.actions._action import Action
 from cornercase.simulators.builtin.actions._controller import ControllerAction, VisibilityAction
+from cornercase.simulators.builtin.actions._environment import read_environment_action
 from cornercase.simulators.builtin.actions._follow_trajectory import FollowTrajectoryAction
 from cornercase.simulators.builtin.actions._lateral import LaneChangeAction, LaneOffsetAction, LateralDistanceAction
 from cornercase.simulators.builtin.actions._longitudinal import LongitudinalDistanceAction, SpeedAction, require_child
@@ -28,8 +29,7 @@ from cornercase.simulators.builtin.world._world import LATERAL, LONGITUDINAL, Wo
 
 # Actions without influence on criticality metrics.
 WITHOUT_EFFECT: Final = (
-    "EnvironmentAction", "AppearanceAction", "UserDefinedAction",
-    "OverrideControllerValueAction", "SetMonitorAction",
+    "AppearanceAction", "UserDefinedAction", "OverrideControllerValueAction", "SetMonitorAction",
 )  # fmt: skip
 
 _GROUPING_TAGS: Final = (
@@ -234,6 +234,7 @@ _PRIVATE_READERS: Final[dict[str, Callable[[etree._Element, Scope, World, int], 
 
 _GLOBAL_READERS: Final[dict[str, Callable[[etree._Element, Scope, World, int | None], Action | None]]] = {
     "EntityAction": EntityAction,
+    "EnvironmentAction": read_environment_action,
     "VariableAction": _read_variable_action,
     "ParameterAction": _read_variable_action,
     "TrafficSignalStateAction": TrafficSignalStateAction,

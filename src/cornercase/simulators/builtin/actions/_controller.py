@@ -10,13 +10,11 @@ from cornercase._common.io.tracked_xml import find_by_name, find_untracked
 from cornercase._common.masks import any_true
 from cornercase._common.plugin_errors import is_built_in
 from cornercase._common.typing import BoolArray
-from cornercase.drivers import DrivenPath, Driver, Situation
+from cornercase.drivers import DrivenPath, Driver, PlanarMotion, Situation
 from cornercase.drivers._attachment import Attachment, Decision, DriverError
-from cornercase.drivers._compiled import is_compiled, limit_driver_acceleration
-from cornercase.drivers._function import Body, Start
+from cornercase.drivers._function import Start
 from cornercase.drivers._lanes import driven_path
 from cornercase.drivers._resolve import create_driver_named_in_file
-from cornercase.drivers.vehicles._vehicle_model import PlanarMotion
 from cornercase.scenario._file import DRIVER_PROPERTY
 from cornercase.scenario._scope import Scope
 from cornercase.simulators.builtin.actions._action import Action
@@ -34,7 +32,7 @@ _MAX_POINTS = 10_000
 
 
 class DriverControl:
-    """An entity of a batch, and the driver that moves it along lanes and trajectories, or steers it, while it is active.
+    """An entity of a batch, and the driver that moves it along lanes and trajectories, or steers it.
 
     On a trajectory with times there is nothing to decide. `number` is the index in `World.drivers`. `in_fleet` says
     whether kernels make the decisions.
@@ -42,8 +40,9 @@ class DriverControl:
 
     def __init__(self, world: World, entity: int, driver: Driver) -> None:
         self._world, self.entity = world, entity
-        self._attachment = Attachment(driver, world.names[entity])
-        self.driver = driver
+        self.attachment = Attachment(driver, world.names[entity])
+        self.in_fleet = self.attachment.is_compiled
+        self.driver = self.attachment.driver if self.in_fleet else driver
         self.number = len(world.drivers)
         world.drivers.append(self)
         self._others = [other for e, other in enumerate(world.entities) if e != entity]
@@ -53,7 +52,6 @@ class DriverControl:
         self._others_name = tuple(other.name for other in self._others)
         self._paths: dict[int, DrivenPath] = {}
         self._sampled_versions: dict[int, int] = {}
-        self.in_fleet = is_compiled(driver)
         self._failure: DriverError | None = None
         if self.in_fleet:
             self._join_fleet()
@@ -61,57 +59,41 @@ class DriverControl:
     @property
     def limit_notices(self) -> dict[str, str]:
         """A sentence without full stop for each limit of the vehicle that the driver exceeded."""
-        return self._attachment.limit_notices
+        return self.attachment.limit_notices
 
     def _join_fleet(self) -> None:
-        driver, entity = self.driver, self._world.entities[self.entity]
-        assert is_compiled(driver)
+        driver = self.driver
         try:
-            self._attachment.start(self._make_start())
+            self.attachment.start(self._make_start())
         except DriverError as failure:
             # The fleet needs a started driver.
             self._failure = failure
             built_in = next(base for base in type(driver).__mro__ if is_built_in(base) and issubclass(base, Driver))
             built_in.start(driver, self._world.scenarios, len(self._others))
-        bounds = {"acceleration": entity.max_acceleration, "deceleration": entity.max_deceleration}
-        for limit, value in limit_driver_acceleration(driver, *bounds.values()).items():
-            self._attachment.note_exceeded_limit(limit, bounds[limit], f"it would go up to {value:.6g} m/s²")
 
     def reset_driver(self) -> None:
         """Reset the driver when the batch starts; this may be user code, which may fail."""
         if self._failure is not None:
             raise self._failure
         if not self.in_fleet:
-            self._attachment.start(self._make_start())
+            self.attachment.start(self._make_start())
 
     def release_driver(self) -> None:
         """Release what the driver holds when the batch has ended."""
-        self._attachment.release()
+        self.attachment.release()
 
     def _make_start(self) -> Start:
         world, entity = self._world, self._world.entities[self.entity]
         n = world.scenarios
-        body = Body(
-            entity.name,
-            entity.kind,
-            entity.length,
-            entity.width,
-            entity.center_x,
-            entity.wheelbase,
-            entity.max_steering,
-            entity.max_speed,
-            entity.max_acceleration,
-            entity.max_deceleration,
-        )
         return Start(
-            body=body,
+            body=entity.driven_body,
             time_step=world.time_step,
             parameters={},
             values=({},) * n,
             seeds=(0,) * n,
             others=self._others_name,
             network=world.network,
-            friction=np.ones(n),
+            friction=world.friction,
         )
 
     def step(self, dt: float) -> None:
@@ -124,7 +106,7 @@ class DriverControl:
             rows = active & (track_numbers == k)
             if any_true(rows) and not (isinstance(track, Trajectory) and track.times is not None):
                 situation = self._make_situation(k, track, dt, rows)
-                self._apply(self._attachment.step(situation, self._motion_at_start()), rows)
+                self._apply(self.attachment.step(situation, self._motion_at_start()), rows)
 
     def _motion_at_start(self) -> PlanarMotion:
         """Return the motion at the start of the step, in which an action may have moved the entity already."""
@@ -142,6 +124,8 @@ class DriverControl:
             world.fail(np.arange(world.scenarios) == n, failure)
         rows = rows & world.running
         world.steered[e][rows] = motion.is_steered[rows]
+        if self.attachment.vehicle is not None:
+            world.pace[e][rows] = 0.5 * (world.speed[e] + motion.state.speed)[rows]
         np.copyto(world.speed[e], motion.state.speed, where=rows)
         if any_true(steered := rows & motion.is_steered):
             move_to_pose(world, e, motion.state.x, motion.state.y, motion.state.heading, steered)
@@ -190,11 +174,11 @@ class DriverControl:
                 self._paths[track_number] = driven_path(track.path)
         elif isinstance(track, Trajectory) and self._sampled_versions.get(track_number) != track.version:
             # A restarted trajectory may have another shape.
-            self._paths[track_number], self._sampled_versions[track_number] = _sample_trajectory(track), track.version
+            self._paths[track_number], self._sampled_versions[track_number] = sample_trajectory(track), track.version
         return self._paths[track_number]
 
 
-def _sample_trajectory(track: Trajectory) -> DrivenPath:
+def sample_trajectory(track: Trajectory) -> DrivenPath:
     """Return samples of a trajectory, which may differ between scenarios, as a path for drivers.
 
     Distances are the same in all scenarios, and extend further than a driver looks. So what the driver sees in a

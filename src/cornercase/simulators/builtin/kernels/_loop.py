@@ -14,7 +14,12 @@ import numpy.typing as npt
 from cornercase._common.numba.kernel import kernel
 from cornercase._common.numba.references import reference_to
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
-from cornercase.drivers._kernels.decide import compute_acceleration, find_route_row, make_workspace
+from cornercase.drivers._kernels.decide import (
+    change_vehicle_speed,
+    compute_acceleration,
+    find_route_row,
+    make_workspace,
+)
 from cornercase.drivers._kernels.structs import NOT_COMPILED, DrivenState, Workspace
 from cornercase.simulators.builtin.kernels._action_table import ACTION_APPLIED, NEEDS_LOOKUP, PYTHON_ACTION
 from cornercase.simulators.builtin.kernels._actions import SavedState, alloc_saved, apply_actions, list_running_actions
@@ -28,11 +33,13 @@ from cornercase.simulators.builtin.kernels._conditions import (
 from cornercase.simulators.builtin.kernels._move import AWAKE, EXTERNALLY_MOVED, move_entities, record_frame
 from cornercase.simulators.builtin.kernels._simulation_state import MAX_SPEED
 from cornercase.simulators.builtin.world._state_layout import (
+    ACCELERATION,
     BEFORE,
     DISTANCE,
     DRIVEN,
     DRIVER,
     HEADING,
+    PACE,
     PRESENT,
     SPEED,
     TARGET_SPEED,
@@ -232,4 +239,9 @@ def _apply_driver(scene, fleet, n, driver, e, dt, buffers):
     acceleration = compute_acceleration(
         fleet, driver, n, route, scene.time[n], dt, driven, others, buffers.driver_workspace
     )
-    state[SPEED, e] = min(max(state[SPEED, e] + acceleration * dt, 0.0), scene.dimensions[e, MAX_SPEED])
+    speed = state[SPEED, e]
+    if fleet.first_vehicle[driver] < 0:
+        state[SPEED, e] = min(max(speed + acceleration * dt, 0.0), scene.dimensions[e, MAX_SPEED])
+        return
+    state[SPEED, e] = change_vehicle_speed(fleet, driver, n, speed, state[ACCELERATION, e], acceleration, dt)
+    state[PACE, e] = 0.5 * (speed + state[SPEED, e])

@@ -98,13 +98,13 @@ def follow_lane_at_position(world: World, entity: int, where: BoolArray) -> None
         return
     road, lane, s, offset = network.locate(world.x[entity][at], world.y[entity][at])
     for k, n in enumerate(at.tolist()):
-        current, where_s = network.roads[int(road[k])], s[k : k + 1]
-        section = int(current.section_at(where_s)[0])
-        number, lanes = int(lane[k]), current.sections[section][1]
-        is_inside = number in lanes and abs(offset[k]) <= 0.5 * float(current.lane_width(section, number, where_s)[0])
-        direction = current.reference_pose(where_s)[2] + (0.0 if current.is_traffic_forward(number, where_s)[0] else np.pi)
-        runs_along = np.cos(world.heading[entity][n] - direction[0]) > _SAME_DIRECTION
-        left[n] = is_inside and lanes[number].is_drivable and runs_along
+        current, number, here = network.roads[int(road[k])], int(lane[k]), s[k : k + 1]
+        section = int(current.section_at(here)[0])
+        candidate = current.sections[section][1].get(number)
+        is_inside = abs(offset[k]) <= 0.5 * float(current.lane_width(section, number, here)[0])
+        direction = current.reference_pose(here)[2] + np.where(current.is_traffic_forward(number, here), 0.0, np.pi)
+        runs_along = bool(np.cos(world.heading[entity][n] - direction[0]) > _SAME_DIRECTION)
+        left[n] = is_inside and runs_along and candidate is not None and candidate.is_drivable
     if left.any():
         former = world.track[entity].copy()
         world.route[entity] = _remaining_route(world, entity, left)

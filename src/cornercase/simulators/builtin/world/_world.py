@@ -19,6 +19,7 @@ from cornercase._common.geometry.boxes import box_corners
 from cornercase._common.io.support_table import NoticeLabel
 from cornercase._common.plugin_errors import format_time_of_failure
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
+from cornercase.drivers._function import Body
 from cornercase.roads._network import RoadNetwork
 from cornercase.scenario._scope import Scope
 from cornercase.simulators.builtin.tracks._lane import LaneTrack
@@ -74,6 +75,22 @@ class Entity:
     polyline_turning: int | None = None
     body: tuple[etree._Element, Scope] | None = field(default=None, repr=False, compare=False)
 
+    @property
+    def driven_body(self) -> Body:
+        """The entity as its driver knows it."""
+        return Body(
+            self.name,
+            self.kind,
+            self.length,
+            self.width,
+            self.center_x,
+            self.wheelbase,
+            self.max_steering,
+            self.max_speed,
+            self.max_acceleration,
+            self.max_deceleration,
+        )
+
 
 @dataclass(frozen=True)
 class Tow:
@@ -99,9 +116,10 @@ class World:
     scenarios whose storyboard has changed in this frame. `started`: whether the first frame is over, in which nothing
     moves.
 
-    Motion: `step_velocity` in m/s and `step_acceleration` in m/s² of the last step, as x and y. `needs_road_check`:
-    whether a condition asks for entities off the road. `tracks`: all tracks that each entity has followed. `routes`:
-    all assigned routes, as (road, lane, s). `lane_tracks`: cache of tracks along lanes.
+    Motion: `friction` (N,): coefficient of the road, for vehicle models. `step_velocity` in m/s and `step_acceleration`
+    in m/s² of the last step, as x and y. `needs_road_check`: whether a condition asks for entities off the road.
+    `tracks`: all tracks that each entity has followed. `routes`: all assigned routes, as (road, lane, s).
+    `lane_tracks`: cache of tracks along lanes.
 
     Storyboard: `variables` and `parameters`: values (N,), numbers or texts. `signals`: states (N,), texts.
     `selections`: rows of entities. `positioned_entity`: row of the entity whose position is being resolved.
@@ -183,6 +201,7 @@ class World:
         self.step_acceleration = (self.floats[:, PULL_X].T, self.floats[:, PULL_Y].T)
         self.overlaps = np.zeros((scenarios, len(entities), len(entities)), dtype=np.bool_)
         self.overlapping = self.overlaps.transpose(1, 2, 0)
+        self.friction = np.ones(scenarios)
         self.signals: dict[str, npt.NDArray[np.str_]] = {}
         self.signal_controllers: dict[str, SignalController] = {}
         self.drivers: list[SpeedController] = []
@@ -238,10 +257,17 @@ class World:
                 self.errors[i] = SimulationError(f"{acting}{reason}{instant}")
         self.running &= ~where
 
-    def add_notice(self, location: str, subject: str, reason: str, where: BoolArray) -> None:
+    def add_notice(
+        self,
+        location: str,
+        subject: str,
+        reason: str,
+        where: BoolArray,
+        label: NoticeLabel = NoticeLabel.ADAPTED,
+    ) -> None:
         """Note that `subject` at `location` (file and line) is not run as written, but as `reason` says."""
         first = np.flatnonzero(where & self.running)
-        sentence = f"{NoticeLabel.ADAPTED}: {subject} ({location}): {reason}"
+        sentence = f"{label}: {subject} ({location}): {reason}"
         if first.size and not any(notice.startswith(f"{sentence}; ") for notice in self.notices):
             self.notices[f"{sentence}; first at {self.time[first[0]]:.6g} s"] = None
 

@@ -1,0 +1,109 @@
+"""Commands `check-sut` and `check-simulator`: check whether what a user attaches keeps its contract."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from cornercase._common.errors import InputError
+from cornercase._common.text.sanitize import shorten
+from cornercase.cli import options as opt
+from cornercase.cli.command_options import with_options
+from cornercase.cli.option_names import MAX_LINE_LENGTH, use_option_names
+from cornercase.cli.options import Option, app, out
+
+_Scenario = Annotated[
+    Path | None,
+    Option("--scenario", metavar="FILE.xosc", help="Scenario to run; default: some that come with cornercase."),
+]
+
+_Ego = Annotated[str, Option("--ego", metavar="NAME", help="Entity that the system under test drives.")]
+
+
+@app.command(name="check-sut")
+@with_options("space")
+def check_sut(
+    system: Annotated[
+        str, typer.Argument(metavar="SPEC", help="System under test, as for --driver, without the entity.")
+    ],
+    *,
+    scenario: _Scenario = None,
+    space: Path | None = None,
+    ego: _Ego = "Ego",
+    as_json: opt.Json = False,
+) -> None:
+    """Check that a system under test repeats itself, keeps to its units, and does not depend on other scenarios.
+
+    The exit code is 1 if something does not hold.
+
+    \b
+    Example:
+      cornercase check-sut normal
+      cornercase check-sut my_aeb:Aeb:reaction=0.3 --scenario cut_in.xosc --ego Ego
+    """
+    from cornercase.drivers._resolve import driver_by_name
+    from cornercase.testing import sut_checks
+
+    driver_by_name(system)
+    _run("system under test", system, sut_checks(system, _read_cases(scenario, space, ego)), as_json)
+
+
+@app.command(name="check-simulator")
+@with_options("space")
+def check_simulator(
+    simulator: Annotated[str, typer.Argument(metavar="NAME", help="Simulator, with options after a colon.")],
+    *,
+    scenario: _Scenario = None,
+    space: Path | None = None,
+    ego: _Ego = "Ego",
+    as_json: opt.Json = False,
+) -> None:
+    """Check that a simulator repeats itself as it declares, keeps to units and axes, and gives a result per scenario.
+
+    The exit code is 1 if something does not hold.
+
+    \b
+    Example:
+      cornercase check-simulator builtin
+      cornercase check-simulator esmini:seed=3
+    """
+    from cornercase.simulators import SIMULATORS
+    from cornercase.testing import simulator_checks
+
+    problem = SIMULATORS.get_class(simulator).availability().problem
+    if problem:
+        raise InputError(problem)
+    _run("simulator", simulator, simulator_checks(simulator, _read_cases(scenario, space, ego)), as_json)
+
+
+def _read_cases(scenario: Path | None, space: Path | None, ego: str) -> Any:
+    from cornercase.scenario import LogicalScenario
+    from cornercase.testing import Cases
+
+    if scenario is None:
+        if space is not None:
+            raise InputError("--space: belongs to a scenario; give it by --scenario, too.")
+        return None
+    return [Cases.from_logical(LogicalScenario.read(scenario, space), ego)]
+
+
+def _run(what: str, name: str, checks: Sequence[Any], as_json: bool) -> None:
+    from cornercase.testing import run_checks
+
+    n_bad, rows = 0, []
+    for result in run_checks(checks):
+        n_bad += bool(result.problem)
+        rows.append({"check": result.name, "holds": not result.problem, "problem": result.problem})
+        if not as_json:
+            out.print(f"{'FAILED' if result.problem else 'ok':6} {result.name}")
+            if result.problem:
+                out.print(shorten(f"       {use_option_names(result.problem)}", MAX_LINE_LENGTH))
+    if as_json:
+        opt.print_json({what: name, "checks": rows})
+    else:
+        out.print(f"{len(rows) - n_bad} of {len(rows)} checks hold for the {what} {name}")
+    if n_bad:
+        raise typer.Exit(1)

@@ -1,0 +1,132 @@
+"""Compiled step of the dynamic single-track model."""
+
+# Compiled functions have no static types.
+# mypy: disable-error-code="no-untyped-def, no-untyped-call, untyped-decorator, call-arg"
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from cornercase._common.numba.kernel import kernel
+from cornercase._common.numba.references import reference_to
+from cornercase.drivers.vehicles._kernels.actuators import (
+    ACCELERATION,
+    GRAVITY,
+    MAX_SPEED,
+    MAX_STEERING,
+    MU,
+    SLIP,
+    STEERING,
+    VELOCITY,
+    WHEELBASE,
+    YAW_RATE,
+    advance,
+    begin_step,
+    end_step,
+    longitudinal_grip,
+    plain_kernel,
+    speed_after,
+)
+from cornercase.drivers.vehicles._kernels.rolling import HEADING, LAST_ACCELERATION, SPEED, X, Y, roll
+
+MASS, INERTIA, FRONT_AXLE, REAR_AXLE, FRONT_STIFFNESS, REAR_STIFFNESS, HEIGHT = range(WHEELBASE + 1, WHEELBASE + 8)
+"""Columns of `Vehicles.parameters`."""
+
+# m/s; a slower vehicle rolls without slip, as in CommonRoad's model.
+_ROLLING_SPEED: Final = 0.1
+# s; the longest part of a step in which the inputs count as constant.
+_PART: Final = 0.005
+# Share of a step that rounding may leave.
+_ROUNDING: Final = 1e-9
+
+
+@kernel(interpreted_seconds=lambda vehicles, motion, *_: 2e-3 * motion.shape[0], error_model="numpy")
+def step_sliding(vehicles, motion, acceleration, steering, friction, time_step, active):
+    """Move the active vehicles by one time step; `motion` (N, 5) is changed."""
+    _step_all(reference_to(vehicles), motion, acceleration, steering, friction, time_step, active)
+
+
+@plain_kernel
+def _step_all(vehicles, motion, acceleration, steering, friction, time_step, active):
+    for n in range(active.size):
+        if active[n]:
+            _step(vehicles, n, motion[n], acceleration[n], steering[n], friction[n], time_step)
+
+
+@plain_kernel
+def _step(vehicles, n, motion, acceleration, steering, friction, time_step):
+    parameters, state, begin = vehicles.parameters[n], vehicles.state[n], 0.0
+    begin_step(vehicles, n, motion[SPEED], motion[LAST_ACCELERATION], acceleration, steering)
+    grip = parameters[MU] * friction * GRAVITY
+    # How fast slip decays at 1 m/s, in 1/s.
+    stiffness = max(parameters[FRONT_STIFFNESS], parameters[REAR_STIFFNESS])
+    leverage = parameters[MASS] * parameters[FRONT_AXLE] * parameters[REAR_AXLE] / parameters[INERTIA]
+    rate = grip * stiffness * max(leverage, 1.0)
+    while begin < (1.0 - _ROUNDING) * time_step:
+        duration = min(_PART, time_step - begin)
+        if state[VELOCITY] < _ROLLING_SPEED:
+            motion[SPEED] = max(motion[SPEED], 0.0)
+            roll(vehicles, n, motion, grip, begin, duration, time_step)
+            curvature = math.tan(state[STEERING]) / parameters[WHEELBASE]
+            state[SLIP], state[YAW_RATE] = math.atan(parameters[REAR_AXLE] * curvature), motion[SPEED] * curvature
+            state[VELOCITY] = motion[SPEED] / math.cos(state[SLIP])
+        else:
+            duration = min(duration, state[VELOCITY] / rate)
+            _slide(vehicles, n, motion, grip, begin, duration, time_step)
+        begin += duration
+    motion[LAST_ACCELERATION] = end_step(vehicles, n, motion[SPEED])
+
+
+@plain_kernel
+def _slide(vehicles, n, motion, grip, begin, duration, time_step):
+    """Move a vehicle by a part of a time step, with tyres that slip; by the method of Runge and Kutta."""
+    parameters, state = vehicles.parameters[n], vehicles.state[n]
+    rear, slip, yaw_rate = parameters[REAR_AXLE], state[SLIP], state[YAW_RATE]
+    speed = state[VELOCITY]
+    lateral = speed * speed * math.tan(state[STEERING]) / parameters[WHEELBASE]
+    limit = longitudinal_grip(vehicles, n, grip, lateral, time_step)
+    gain = advance(vehicles, n, ACCELERATION, limit, begin, duration, time_step)
+    steering = advance(vehicles, n, STEERING, parameters[MAX_STEERING], begin, duration, time_step) / duration
+    end, moving = speed_after(speed, gain, parameters[MAX_SPEED])
+    # Velocities along and across the heading, slip and yaw rate: their sums over the stages.
+    heading, h = motion[HEADING], moving * duration
+    x, y, turn, d_slip, d_yaw = 0.0, 0.0, 0.0, 0.0, 0.0
+    stage_heading, stage_slip, stage_yaw = heading, slip, yaw_rate
+    for stage in range(4):
+        reached = (0.0, 0.5, 0.5, 1.0)[stage]
+        stage_speed = max(speed + reached * (end - speed), 0.5 * _ROLLING_SPEED)
+        slip_rate, yaw_acceleration = _turning(
+            parameters, grip, gain / duration, steering, stage_speed, stage_slip, stage_yaw
+        )
+        weight = (1.0 / 6.0, 1.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0)[stage]
+        x += weight * (speed + reached * (end - speed)) * math.cos(stage_heading + stage_slip)
+        y += weight * (speed + reached * (end - speed)) * math.sin(stage_heading + stage_slip)
+        turn, d_slip, d_yaw = turn + weight * stage_yaw, d_slip + weight * slip_rate, d_yaw + weight * yaw_acceleration
+        ahead = (0.5, 0.5, 1.0, 0.0)[stage] * h
+        stage_heading = heading + ahead * stage_yaw
+        stage_slip, stage_yaw = slip + ahead * slip_rate, yaw_rate + ahead * yaw_acceleration
+    # The reference point is the rear axle, which is behind the centre of gravity.
+    motion[X] += x * h + rear * math.cos(heading)
+    motion[Y] += y * h + rear * math.sin(heading)
+    motion[HEADING] += turn * h
+    motion[X] -= rear * math.cos(motion[HEADING])
+    motion[Y] -= rear * math.sin(motion[HEADING])
+    state[SLIP], state[YAW_RATE] = slip + d_slip * h, yaw_rate + d_yaw * h
+    state[VELOCITY], motion[SPEED] = end, end * math.cos(state[SLIP])
+
+
+@plain_kernel
+def _turning(parameters, grip, acceleration, steering, speed, slip, yaw_rate):
+    """Return the rate of the slip angle and the yaw acceleration, from the lateral forces of both axles."""
+    front, rear, mass = parameters[FRONT_AXLE], parameters[REAR_AXLE], parameters[MASS]
+    # Loads of the axles as shares of the weight; an axle that lifts off has no force.
+    transfer = acceleration * parameters[HEIGHT] / GRAVITY
+    front_load = min(max((rear - transfer) / (front + rear), 0.0), 1.0)
+    front_slip, rear_slip = steering - slip - front * yaw_rate / speed, rear * yaw_rate / speed - slip
+    # The share of the friction that the acceleration leaves.
+    limit = math.sqrt(max(1.0 - (acceleration / grip) ** 2, 0.0)) if grip > 0.0 else 0.0
+    front_force = mass * grip * front_load * min(max(parameters[FRONT_STIFFNESS] * front_slip, -limit), limit)
+    rear_force = mass * grip * (1.0 - front_load) * min(max(parameters[REAR_STIFFNESS] * rear_slip, -limit), limit)
+    slip_rate = (front_force + rear_force) / (mass * speed) - yaw_rate
+    return slip_rate, (front * front_force - rear * rear_force) / parameters[INERTIA]

@@ -1,0 +1,26 @@
+"""What a vehicle does at its pedals."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from cornercase._common.typing import FloatArray
+from cornercase.drivers._function import Body
+
+# m/s²; of a vehicle for which the scenario file has no limits.
+_MAX_ACCELERATION: Final = 3.0
+_MAX_DECELERATION: Final = 8.0
+
+
+def pedals_to_acceleration(throttle: FloatArray, brake: FloatArray, body: Body) -> FloatArray:
+    """Return the acceleration in m/s² that pedals from 0 to 1 ask for, (N,); a pedal that is NaN is not pressed.
+
+    It is linear: full throttle is the vehicle's highest acceleration, and full brake its highest deceleration; 3 and
+    8 m/s² if it has no limits. NaN where no pedal is given.
+    """
+    highest = body.max_acceleration if np.isfinite(body.max_acceleration) else _MAX_ACCELERATION
+    lowest = -(body.max_deceleration if np.isfinite(body.max_deceleration) else _MAX_DECELERATION)
+    acceleration = np.nan_to_num(throttle) * highest + np.nan_to_num(brake) * lowest
+    return np.where(np.isnan(throttle) & np.isnan(brake), np.nan, acceleration)

@@ -1,0 +1,74 @@
+"""The dynamic single-track model: a vehicle whose tyres slip."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+from cornercase.drivers.vehicles._actuated import SteeredVehicle
+from cornercase.drivers.vehicles._kernels.sliding import step_sliding
+
+
+class SingleTrack(SteeredVehicle):
+    """Dynamic single-track model with linear tyres that slide at the friction limit.
+
+    It is CommonRoad's model ST (Althoff, Koschi and Manzinger 2017), with its vehicle 2, a BMW 320i, as default. See
+    ``docs/vehicles.md``.
+
+    Parameters
+    ----------
+    mass : float
+        In kg.
+    inertia : float
+        Moment of inertia about the vertical axis in kg m².
+    front_axle, rear_axle : float
+        Distance of each axle from the centre of gravity in m.
+    front_stiffness, rear_stiffness : float
+        Lateral force of an axle per slip angle, load and friction coefficient, in 1/rad.
+    height : float
+        Height of the centre of gravity in m.
+    mu : float
+        Friction coefficient of the tyres on a dry road, by which that of the road is multiplied.
+    max_steering_rate : float
+        Highest change of the angle of the front wheels in rad/s.
+    **options
+        ``delay``, ``lag``, ``max_jerk``, ``steering_delay`` and ``steering_lag`` of `Kinematic`.
+
+    Raises
+    ------
+    InputError
+        If an option is out of range.
+    """
+
+    name = "single-track"
+    parameter_names: ClassVar = (
+        *("mass", "inertia", "front_axle", "rear_axle", "front_stiffness", "rear_stiffness", "height"),
+    )
+    _step_kernel = staticmethod(step_sliding)
+
+    def __init__(
+        self,
+        *,
+        mass: float = 1093.3,
+        inertia: float = 1791.6,
+        front_axle: float = 1.1562,
+        rear_axle: float = 1.4227,
+        front_stiffness: float = 20.898,
+        rear_stiffness: float = 20.898,
+        height: float = 0.6137,
+        mu: float = 1.0489,
+        max_steering_rate: float = 0.4,
+        **options: Any,
+    ) -> None:
+        super().__init__(mu=mu, max_steering_rate=max_steering_rate, **options)
+        self._set(
+            mass=mass,
+            inertia=inertia,
+            front_axle=front_axle,
+            rear_axle=rear_axle,
+            front_stiffness=front_stiffness,
+            rear_stiffness=rear_stiffness,
+            height=height,
+        )
+
+    def _derived_parameters(self, values: dict[str, Any]) -> dict[str, Any]:
+        return {"wheelbase": values["front_axle"] + values["rear_axle"]}

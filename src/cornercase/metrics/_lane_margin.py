@@ -1,0 +1,80 @@
+"""Distance of the ego from the edge of its lane, or of the road."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from cornercase._common.errors import InputError
+from cornercase._common.typing import FloatArray
+from cornercase.metrics._base import Metric
+from cornercase.metrics._geometry.boxes import box_corners_over_time
+from cornercase.recordings import Recording
+from cornercase.roads._edge_distance import lane_margins, road_margins
+from cornercase.roads._network import RoadNetwork
+
+_EDGES = ("lane", "road")
+
+
+class LaneMargin(Metric):
+    """Distance in m from the outermost corner of the ego's box to the edge of its lane; negative beyond it.
+
+    The lane is the drivable one in which the centre of the box is; in junctions, where lanes overlap, that in which it
+    is best. The other entity plays no part. Not defined without the roads, or if the ego does not exist. A recording
+    of a run knows its roads; for one from a file, name them with ``roads``. Least critical value (cap): 2 m; most
+    critical value: -10 m.
+
+    Source: distance to the lane boundary, as for lane departure warning in ISO 17361:2017.
+
+    Parameters
+    ----------
+    edge : {"lane", "road"}, default "lane"
+        The edge of its lane, or that of all drivable lanes side by side.
+    roads : str, optional
+        OpenDRIVE file; by default that of the scenario.
+
+    Raises
+    ------
+    InputError
+        `edge` is neither of them, or the file cannot be read.
+    """
+
+    name = "lane-margin"
+    unit = "m"
+    lower_is_critical = True
+    cap = 2.0
+    bound = -10.0
+    default_threshold = 0.0
+    ego_only = True
+    source = "distance to the lane boundary, ISO 17361:2017"
+
+    def __init__(self, edge: str = "lane", roads: str = "") -> None:
+        if edge not in _EDGES:
+            raise InputError(f"The metric '{type(self).name}': its option `edge` is '{edge}'; give lane or road.")
+        self.edge, self.roads = edge, roads
+
+    def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
+        recording.entity_index(other)
+        center, heading = recording.box_center(ego), recording.heading[recording.entity_index(ego)]
+        file = Path(self.roads) if self.roads else recording.road_file
+        if file is None:
+            return np.full(len(recording.time), np.nan)
+        network, corners = _read_roads(file), box_corners_over_time(recording, ego)
+        if self.edge == "road":
+            return road_margins(network, center[:, 0], center[:, 1], corners)
+        return lane_margins(network, center[:, 0], center[:, 1], heading, corners)
+
+
+def _read_roads(path: Path) -> RoadNetwork:
+    try:
+        changed = path.stat().st_mtime_ns
+    except OSError:
+        changed = 0
+    return _read_unchanged_roads(path, changed)
+
+
+@lru_cache(maxsize=8)
+def _read_unchanged_roads(path: Path, changed: int) -> RoadNetwork:
+    return RoadNetwork.read(path)

@@ -1,0 +1,11 @@
+from ._cases import Cases as Cases
+from ._contract_check import CheckResult as CheckResult
+from ._contract_check import ContractCheck as ContractCheck
+from ._contract_check import run_checks as run_checks
+from ._list_checks import check as check
+from ._list_checks import list_checks as list_checks
+from ._list_checks import parametrize_with_checks as parametrize_with_checks
+from ._metric_checks import metric_checks as metric_checks
+from ._optimizer_checks import optimizer_checks as optimizer_checks
+from ._simulator_checks import simulator_checks as simulator_checks
+from ._sut_checks import sut_checks as sut_checks

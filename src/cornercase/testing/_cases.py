@@ -1,0 +1,180 @@
+"""Scenarios that checks run: some concrete ones of a logical scenario."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from lxml import etree
+from scipy.stats import qmc
+
+from cornercase._common.errors import SimulationError
+from cornercase.exploration._paper_examples import examples_folder
+from cornercase.recordings import Recording
+from cornercase.scenario import ConcreteScenario, LogicalScenario
+from cornercase.simulators import Simulator
+from cornercase.simulators._create import create_simulator
+from cornercase.simulators._results import check_simulator_accepts, run_scenarios
+
+N_CASES: Final = 4
+"""Number of concrete scenarios of each logical scenario."""
+
+
+@dataclass(frozen=True)
+class Cases:
+    """Concrete scenarios of one file.
+
+    Attributes
+    ----------
+    concretes : tuple of ConcreteScenario
+        In the order in which they are run.
+    entity : str
+        The one that a system under test drives.
+    """
+
+    concretes: tuple[ConcreteScenario, ...]
+    entity: str
+
+    @classmethod
+    def from_logical(cls, logical: LogicalScenario, entity: str, count: int = N_CASES) -> Cases:
+        """Return well spread concrete scenarios.
+
+        Parameters
+        ----------
+        logical : LogicalScenario
+            Without a space, there is one scenario, with the values of the file.
+        entity : str
+            The one that a system under test drives.
+        count : int, default 4
+            Number of scenarios.
+
+        Returns
+        -------
+        Cases
+        """
+        logical.scenario_file.require_entity(entity, "driven entity")
+        if not logical.space.dimension:
+            return cls((logical.concrete_scenario({}),), entity)
+        points = qmc.Sobol(logical.space.dimension, seed=0).random(8 * count)
+        points = points[logical.space.is_admissible(points)][:count]
+        return cls(tuple(map(logical.concrete_scenario, logical.space.values(points))), entity)
+
+    def run(
+        self,
+        simulator: str | Simulator = "builtin",
+        rows: Sequence[int] | None = None,
+        *,
+        workers: int = 1,
+        **options: Any,
+    ) -> list[Recording]:
+        """Run all scenarios, or some of them.
+
+        Parameters
+        ----------
+        simulator : str or Simulator, default "builtin"
+            An object runs in this process, unless there are options.
+        rows : sequence of int, optional
+            Which scenarios, in this order; by default all.
+        workers : int, default 1
+            Number of worker processes.
+        **options
+            Of the simulator.
+
+        Returns
+        -------
+        list of Recording
+            In order.
+
+        Raises
+        ------
+        AssertionError
+            A scenario failed.
+        """
+        recordings = list[Recording]()
+        for outcome in self.outcomes(simulator, rows, workers=workers, **options):
+            assert isinstance(outcome, Recording), f"A scenario failed: {outcome}."
+            recordings.append(outcome)
+        return recordings
+
+    def outcomes(
+        self,
+        simulator: str | Simulator = "builtin",
+        rows: Sequence[int] | None = None,
+        *,
+        workers: int = 1,
+        **options: Any,
+    ) -> list[Recording | SimulationError]:
+        """Run all scenarios, or some of them, also those that fail.
+
+        Parameters
+        ----------
+        simulator : str or Simulator, default "builtin"
+            An object runs in this process, unless there are options.
+        rows : sequence of int, optional
+            Which scenarios, in this order; by default all.
+        workers : int, default 1
+            Number of worker processes.
+        **options
+            Of the simulator.
+
+        Returns
+        -------
+        list of Recording or SimulationError
+            In order.
+        """
+        concretes = self.concretes if rows is None else [self.concretes[row] for row in rows]
+        # An object runs itself, in this process.
+        starting = (
+            create_simulator(simulator, options, ego=self.entity, workers=workers)
+            if options or isinstance(simulator, str)
+            else simulator
+        )
+        with starting as started:
+            check_simulator_accepts(started, [concretes[0].load_file()], concretes)
+            # Limits that a driver exceeds are no breach of its contract.
+            started.on_notice = _ignore_notice
+            return list(run_scenarios(started, concretes))
+
+
+def default_cases() -> list[Cases]:
+    """Return scenarios that come with cornercase: a crossing pedestrian, a leader that brakes, a car that cuts in."""
+    folder = examples_folder()
+    x_intersection = folder / "x_intersection" / "x_intersection.xosc"
+    return [
+        _read(x_intersection, [], x_intersection.with_suffix(".space.xosc")),
+        _read(folder / "r157" / "deceleration.xosc", ["gap=20:60", "deceleration=2:6"]),
+    ]
+
+
+def undriven_cases(folder: Path) -> Cases:
+    """Return scenarios in which nobody drives and a car changes lanes; written to a folder."""
+    return _read_without("ObjectController", folder)
+
+
+def unlimited_cases(folder: Path) -> Cases:
+    """Return scenarios in which a car cuts in, and vehicles do whatever they are told; written to a folder."""
+    return _read_without("Performance", folder)
+
+
+def _read_without(tag: str, folder: Path) -> Cases:
+    original = examples_folder() / "r157" / "cut_in.xosc"
+    tree = etree.parse(original)
+    for element in [*tree.iter(tag)]:
+        parent = element.getparent()
+        if parent is not None:
+            parent.remove(element)
+    copied = folder / original.name
+    copied.write_bytes(etree.tostring(tree))
+    (folder / "motorway.xodr").write_bytes((original.parent / "motorway.xodr").read_bytes())
+    return _read(copied, ["gap=10:40"])
+
+
+def _ignore_notice(sentence: str) -> None:
+    """Do nothing."""
+
+
+def _read(path: Path, ranges: Sequence[str], space: Path | None = None) -> Cases:
+    logical = LogicalScenario.read(path, space, ranges=list(ranges)) if ranges else LogicalScenario.read(path, space)
+    return Cases.from_logical(logical, "Ego")

@@ -1,0 +1,184 @@
+"""Checks of criticality metrics."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Any, Final
+
+import cloudpickle
+import numpy as np
+
+from cornercase._common.errors import InputError
+from cornercase.metrics import Metric
+from cornercase.metrics._own_metrics import resolve_metric
+from cornercase.recordings import Recording
+from cornercase.recordings._compare import are_bitwise_equal
+from cornercase.testing._cases import default_cases
+from cornercase.testing._contract_check import ContractCheck
+
+# Relative difference that comes from rounding, of positions far from the origin.
+_ROUNDING: Final = 1e-5
+_SHIFT: Final = (350.0, -120.0)
+_TURN: Final = 0.7
+# m by which the other entity is moved aside to be far away.
+_FAR: Final = 2000.0
+
+
+def metric_checks(
+    metric: str | Metric, recordings: Sequence[tuple[Recording, str, str]] | None = None
+) -> list[ContractCheck]:
+    """Return the checks of a criticality metric.
+
+    Parameters
+    ----------
+    metric : str or Metric
+        Its name, with options after a colon, or an object.
+    recordings : sequence of tuple, optional
+        Recordings, each with the names of the ego and of the other entity; by default some that come with cornercase.
+
+    Returns
+    -------
+    list of ContractCheck
+    """
+    given = recordings if recordings is not None else _default_recordings()
+    checks = {
+        "declares name, unit, direction and cap": _declares,
+        "has a value or NaN at each instant": _has_courses,
+        "scores within its cap and bound": _scores,
+        "leaves the recording as it is": _changes_nothing,
+        "repeats itself": _repeats,
+        "is the same elsewhere on the map": _is_invariant,
+        "is the same in another order of entities": _ignores_order,
+        "takes an entity that is not there all the time": _takes_absence,
+        "is not more critical far away than near": _is_directed,
+        "names an entity that does not exist": _names_unknown,
+        "can be sent to another process": _is_picklable,
+    }
+    created = partial(resolve_metric, metric)
+    return [ContractCheck(name, partial(_call, function, created, given)) for name, function in checks.items()]
+
+
+def _call(function: Any, created: Any, recordings: Any) -> None:
+    function(created(), recordings)
+
+
+def _default_recordings() -> list[tuple[Recording, str, str]]:
+    x_intersection, deceleration = (cases.run(duration=12.0) for cases in default_cases())
+    others = [next(name for name in deceleration[0].names if name != "Ego")]
+    return [(r, "Ego", "Pedestrian") for r in x_intersection] + [(r, "Ego", others[0]) for r in deceleration]
+
+
+def _declares(metric: Metric, _: Any) -> None:
+    assert metric.name, "It has no name."
+    assert isinstance(metric.unit, str), f"Its unit is {metric.unit!r}, which is no text."
+    assert metric.unit, "It has no unit; '1' stands for none."
+    assert isinstance(metric.lower_is_critical, bool), "`lower_is_critical` is neither True nor False."
+    assert np.isfinite(metric.cap), f"Its `cap` is {metric.cap}; it replaces infinite values, so it is a number."
+    if metric.bound is not None:
+        side = "below" if metric.lower_is_critical else "above"
+        assert (metric.bound < metric.cap) == metric.lower_is_critical, f"Its `bound` is not {side} its `cap`."
+
+
+def _has_courses(metric: Metric, recordings: Any) -> None:
+    for recording, ego, other in recordings:
+        course = metric.course(recording, ego, other)
+        assert np.shape(course) == recording.time.shape, (
+            f"Its course has shape {np.shape(course)} instead of {recording.time.shape}."
+        )
+        assert np.asarray(course).dtype.kind == "f", f"Its course holds {np.asarray(course).dtype}, not floats."
+
+
+def _scores(metric: Metric, recordings: Any) -> None:
+    for recording, ego, other in recordings:
+        score = metric.score(metric.course(recording, ego, other))
+        assert np.isfinite(score), f"A score is {score}."
+        is_within = score <= metric.cap if metric.lower_is_critical else score >= metric.cap
+        assert is_within, f"A score of {score:g} is less critical than the cap of {metric.cap:g}."
+
+
+def _changes_nothing(metric: Metric, recordings: Any) -> None:
+    for recording, ego, other in recordings:
+        copied = cloudpickle.loads(cloudpickle.dumps(recording))
+        metric.course(recording, ego, other)
+        assert are_bitwise_equal(copied, recording), "It changes the recording that it measures."
+
+
+def _repeats(metric: Metric, recordings: Any) -> None:
+    for recording, ego, other in recordings:
+        first, second = (metric.course(recording, ego, other) for _ in range(2))
+        assert np.array_equal(first, second, equal_nan=True), (
+            "It measures the same recording otherwise the second time."
+        )
+
+
+def _is_invariant(metric: Metric, recordings: Any) -> None:
+    cos, sin = np.cos(_TURN), np.sin(_TURN)
+    for recording, ego, other in recordings:
+        x, y = recording.x, recording.y
+        moved = replace(
+            recording,
+            x=cos * x - sin * y + _SHIFT[0],
+            y=sin * x + cos * y + _SHIFT[1],
+            heading=recording.heading + _TURN,
+        )
+        score, moved_score = (metric.score(metric.course(r, ego, other)) for r in (recording, moved))
+        assert np.isclose(score, moved_score, rtol=_ROUNDING, atol=_ROUNDING), (
+            f"On a map that is turned and shifted it scores {moved_score:g} instead of {score:g}."
+        )
+
+
+def _ignores_order(metric: Metric, recordings: Any) -> None:
+    for recording, ego, other in recordings:
+        order = np.arange(len(recording.names))[::-1]
+        arrays = {
+            name: getattr(recording, name)[order]
+            for name in ("x", "y", "heading", "speed", "acceleration", "length", "width", "center_x")
+        }
+        names, types = ([column[k] for k in order.tolist()] for column in (recording.names, recording.object_types))
+        turned = replace(recording, names=tuple(names), object_types=tuple(types), **arrays)
+        scores = [metric.score(metric.course(r, ego, other)) for r in (recording, turned)]
+        assert scores[0] == scores[1], "In another order of the entities it scores otherwise."
+
+
+def _takes_absence(metric: Metric, recordings: Any) -> None:
+    recording, ego, other = recordings[0]
+    k, half = recording.entity_index(other), len(recording.time) // 2
+    arrays = {name: getattr(recording, name).copy() for name in ("x", "y", "heading", "speed", "acceleration")}
+    for array in arrays.values():
+        array[k, :half] = np.nan
+    course = metric.course(replace(recording, collisions=(), **arrays), ego, other)
+    assert np.isfinite(metric.score(course)), "It gives no score if the other entity is not there from the start."
+
+
+def _is_directed(metric: Metric, recordings: Any) -> None:
+    for recording, ego, other in recordings:
+        k = recording.entity_index(other)
+        x, y, heading = recording.x.copy(), recording.y.copy(), recording.heading[recording.entity_index(ego), 0]
+        x[k], y[k] = x[k] - _FAR * np.cos(heading), y[k] - _FAR * np.sin(heading)
+        far = replace(recording, x=x, y=y, collisions=())
+        scores = [metric.score(metric.course(r, ego, other)) for r in (recording, far)]
+        is_fine = scores[0] <= scores[1] if metric.lower_is_critical else scores[0] >= scores[1]
+        assert is_fine, (
+            f"It scores {scores[0]:g}, but {scores[1]:g} if the other is {_FAR:g} m further back; does"
+            " `lower_is_critical` fit?"
+        )
+
+
+def _names_unknown(metric: Metric, recordings: Any) -> None:
+    recording, ego, other = recordings[0]
+    expected, message = metric.course(recording, ego, other), ""
+    try:
+        # A metric of the ego alone does not look at the other.
+        is_fine = np.array_equal(metric.course(recording, ego, "nobody at all"), expected, equal_nan=True)
+    except InputError as error:
+        message, is_fine = f": {error}", "nobody at all" in str(error)
+    assert is_fine, f"It does not say that an entity does not exist, as Recording.entity_index does{message}"
+
+
+def _is_picklable(metric: Metric, recordings: Any) -> None:
+    recording, ego, other = recordings[0]
+    sent = cloudpickle.loads(cloudpickle.dumps(metric))
+    first, second = (m.score(m.course(recording, ego, other)) for m in (metric, sent))
+    assert first == second, "In another process it would score otherwise."

@@ -1,0 +1,148 @@
+"""Checks of simulators."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Final
+
+import numpy as np
+
+from cornercase._common.errors import SimulationError
+from cornercase._common.geometry.boxes import wrap_angle
+from cornercase.recordings import Recording
+from cornercase.recordings._compare import are_bitwise_equal, max_position_difference
+from cornercase.simulators import SIMULATORS, Simulator
+from cornercase.testing._cases import Cases, default_cases, undriven_cases
+from cornercase.testing._contract_check import ContractCheck
+
+# m between positions and displacements, and from the builtin engine.
+_TOLERANCE: Final = 0.5
+# m/s; an entity that is faster points where it goes.
+_MOVING: Final = 2.0
+# rad; the slip of a vehicle is smaller.
+_MAX_SLIP: Final = 0.35
+
+
+def simulator_checks(simulator: str | Simulator, cases: Sequence[Cases] | None = None) -> list[ContractCheck]:
+    """Return the checks of a simulator.
+
+    Parameters
+    ----------
+    simulator : str or Simulator
+        Its name, with options after a colon, or an object.
+    cases : sequence of Cases, optional
+        Scenarios to run; by default some that come with cornercase.
+
+    Returns
+    -------
+    list of ContractCheck
+    """
+    given = cases if cases is not None else default_cases()
+    declared = SIMULATORS.get_class(simulator)
+    checks = {
+        "can run on this machine": _is_available,
+        "gives one recording per scenario": _gives_recordings,
+        "gives them in order": _keeps_order,
+        "records m, rad, m/s, m/s² in right-handed axes": _records_units,
+        "moves entities as the builtin simulator does": _agrees,
+        "runs on after a scenario that cannot be run": _survives,
+    }
+    if declared.deterministic:
+        checks["repeats itself, as it declares"] = _repeats
+    if declared.batched:
+        checks["gives the same alone and among other scenarios"] = _is_independent
+    return [ContractCheck(name, partial(function, simulator, given)) for name, function in checks.items()]
+
+
+def _is_available(simulator: Any, _: Sequence[Cases]) -> None:
+    problem = SIMULATORS.get_class(simulator).availability().problem
+    assert not problem, problem
+    created = SIMULATORS.create(simulator) if isinstance(simulator, str) else simulator
+    json.dumps(dict(created.settings))
+
+
+def _gives_recordings(simulator: Any, all_cases: Sequence[Cases]) -> None:
+    for cases in all_cases:
+        for recording in cases.run(simulator):
+            assert recording.time[0] == 0.0, f"A recording begins at {recording.time[0]:g} s instead of 0."
+            assert (np.diff(recording.time) > 0.0).all(), "The instants of a recording do not increase."
+            objects = cases.concretes[0].load_file().root.iter("ScenarioObject")
+            missing = sorted({element.get("name", "") for element in objects} - set(recording.names))
+            assert not missing, f"A recording lacks the entities {', '.join(missing)}."
+
+
+def _keeps_order(simulator: Any, all_cases: Sequence[Cases]) -> None:
+    for cases in all_cases:
+        rows = range(len(cases.concretes))
+        for first, second in zip(cases.run(simulator), cases.run(simulator, rows[::-1])[::-1], strict=True):
+            distance = max_position_difference(first, second)
+            assert distance is not None, (
+                "In another order of the scenarios, a recording has other entities or instants."
+            )
+            assert distance < _TOLERANCE, f"In another order of the scenarios, an entity is {distance:.2f} m elsewhere."
+
+
+def _records_units(simulator: Any, all_cases: Sequence[Cases]) -> None:
+    for cases in all_cases:
+        for recording in cases.run(simulator):
+            _check_units(recording)
+
+
+def _check_units(recording: Recording) -> None:
+    step = np.diff(recording.time)
+    for e, name in enumerate(recording.names):
+        moved_x, moved_y = np.diff(recording.x[e]), np.diff(recording.y[e])
+        speed = 0.5 * (recording.speed[e, 1:] + recording.speed[e, :-1])
+        distance, expected = np.nansum(np.hypot(moved_x, moved_y)), np.nansum(np.abs(speed) * step)
+        assert abs(distance - expected) < _TOLERANCE + 0.05 * expected, (
+            f"{name} moves {distance:.1f} m, but its speeds add up to {expected:.1f} m; are they in m/s?"
+        )
+        is_moving = (np.hypot(moved_x, moved_y) > _MOVING * step) & (speed > _MOVING)
+        slip = wrap_angle(np.arctan2(moved_y, moved_x) - recording.heading[e, 1:])[is_moving]
+        if slip.size:
+            middle = float(np.median(np.abs(slip)))
+            assert middle < _MAX_SLIP, (
+                f"{name} points {middle:.2f} rad away from where it goes; headings are in rad, counter-clockwise from"
+                " +x."
+            )
+
+
+def _agrees(simulator: Any, _: Sequence[Cases]) -> None:
+    # Without drivers, as each simulator has its own.
+    with TemporaryDirectory() as folder:
+        cases = undriven_cases(Path(folder))
+        for k, (own, builtin) in enumerate(zip(cases.run(simulator), cases.run("builtin"), strict=True)):
+            distance = max_position_difference(own, builtin)
+            assert distance is not None, f"Scenario {k} has other entities or instants than in the builtin simulator."
+            assert distance < _TOLERANCE, f"In scenario {k}, an entity is {distance:.2f} m from where it is in builtin."
+
+
+def _survives(simulator: Any, all_cases: Sequence[Cases]) -> None:
+    cases = all_cases[0]
+    concrete = cases.concretes[0]
+    number = concrete.load_file().root.find("ParameterDeclarations/ParameterDeclaration[@parameterType='double']")
+    if number is None:
+        return
+    broken = replace(concrete, values={**concrete.values, number.get("name", ""): "nonsense"})
+    first, second = Cases((broken, concrete), cases.entity).outcomes(simulator)
+    assert isinstance(first, SimulationError), "It runs a scenario in which a number is 'nonsense'."
+    assert isinstance(second, Recording), f"The scenario after a failed one fails, too: {second}."
+
+
+def _repeats(simulator: Any, all_cases: Sequence[Cases]) -> None:
+    for cases in all_cases:
+        for first, second in zip(cases.run(simulator), cases.run(simulator), strict=True):
+            assert are_bitwise_equal(first, second), (
+                "A second run of a scenario differs, but it declares `deterministic`."
+            )
+
+
+def _is_independent(simulator: Any, all_cases: Sequence[Cases]) -> None:
+    for cases in all_cases:
+        together, alone = cases.run(simulator), cases.run(simulator, [0])
+        assert are_bitwise_equal(together[0], alone[0]), "Alone, a scenario differs from the one in a batch."

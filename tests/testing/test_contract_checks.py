@@ -1,0 +1,260 @@
+"""Checks for users: what keeps its contract passes, and each way of breaking it is found by its check."""
+
+from __future__ import annotations
+
+import itertools
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import cornercase as cc
+from cornercase.metrics import METRICS
+from cornercase.optimizers import OPTIMIZERS
+from cornercase.testing import (
+    check,
+    list_checks,
+    metric_checks,
+    optimizer_checks,
+    parametrize_with_checks,
+    run_checks,
+    simulator_checks,
+    sut_checks,
+)
+from helpers.command_line import cornercase
+
+
+class Cruise(cc.SystemUnderTest):
+    def __init__(self, gain: float = 0.5):
+        self.gain = gain
+
+    def step(self, view, dt):
+        leader = view.leader
+        if leader is not None and leader.gap < 1.5 * max(leader.closing, 0.0):
+            return cc.Control(acceleration=-6.0)
+        return self.gain * (10.0 - view.ego.speed)
+
+
+class Vectorized(cc.Driver):
+    def acceleration(self, situation):
+        return 0.5 * (10.0 - situation.speed)
+
+
+def problems(checks):
+    return {result.name: result.problem for result in run_checks(checks) if result.problem}
+
+
+@parametrize_with_checks([Cruise(), Vectorized()])
+def test_systems_that_keep_their_contract_pass(check):
+    check.run()
+
+
+@pytest.mark.parametrize("name", METRICS.names())
+def test_every_metric_of_cornercase_passes(name):
+    if METRICS.get_class(name).required_option:
+        pytest.skip("means nothing without its option")
+    assert problems(metric_checks(name)) == {}
+
+
+@pytest.mark.parametrize("name", OPTIMIZERS.names())
+def test_every_optimizer_of_cornercase_passes(name):
+    assert problems(optimizer_checks(name)) == {}
+
+
+def test_the_builtin_simulator_passes():
+    assert problems(simulator_checks("builtin")) == {}
+
+
+class Random(Cruise):
+    def step(self, view, dt):
+        return float(np.random.default_rng().normal())
+
+
+class KeepsState(Cruise):
+    count = itertools.count()
+
+    def step(self, view, dt):
+        return 0.001 * next(KeepsState.count)
+
+
+class Clock(Cruise):
+    def step(self, view, dt):
+        return 0.1 * (time.perf_counter() % 1.0)
+
+
+class InKmh(Cruise):
+    def step(self, view, dt):
+        return 50.0
+
+
+class SeesOthers(cc.Driver):
+    """Depends on the other scenarios of its batch."""
+
+    def acceleration(self, situation):
+        return 0.5 * (10.0 - situation.speed) + 0.01 * len(situation.speed)
+
+
+class NeverReset(cc.Driver):
+    def __init__(self):
+        self._steps = 0
+
+    def acceleration(self, situation):
+        self._steps += 1
+        return np.full(len(situation.speed), 0.0001 * self._steps)
+
+
+class Fails(Cruise):
+    def step(self, view, dt):
+        raise RuntimeError("no gap")
+
+
+class Stores(Cruise):
+    def __init__(self):
+        super().__init__()
+        self.settings = {"curve": (1, 2)}
+
+
+@pytest.mark.parametrize(
+    ("system", "name", "words"),
+    [
+        (Random(), "repeats itself", "differs from 0.05 s on"),
+        (Clock(), "repeats itself", "differs"),
+        (KeepsState(), "gives the same alone and among other scenarios", "differs"),
+        (SeesOthers(), "gives the same alone and among other scenarios", "Alone, a scenario differs"),
+        (NeverReset(), "forgets the scenario before", "drives otherwise"),
+        (InKmh(), "keeps to units: m, rad, s", "m/s²"),
+        (Fails(), "drives every scenario", "no gap"),
+        (Stores(), "can be stored and sent to another process", "plain JSON"),
+    ],
+)
+def test_each_way_of_breaking_the_contract_is_found(system, name, words):
+    (found,) = run_checks([check for check in sut_checks(system) if check.name == name])
+    assert words in found.problem
+
+
+class HalfSpeed(cc.simulators.Builtin):
+    name = "half-speed"
+
+    def run(self, concretes):
+        for recording in super().run(concretes):
+            assert isinstance(recording, cc.Recording)
+            yield replace(recording, speed=0.5 * recording.speed)
+
+
+class LeftHanded(cc.simulators.Builtin):
+    name = "left-handed"
+
+    def run(self, concretes):
+        for recording in super().run(concretes):
+            assert isinstance(recording, cc.Recording)
+            yield replace(recording, y=-recording.y)
+
+
+class Shuffled(cc.simulators.Builtin):
+    name = "shuffled"
+
+    def run(self, concretes):
+        yield from sorted(super().run(concretes), key=lambda recording: str(recording))
+
+
+class Drifting(cc.simulators.Builtin):
+    name = "drifting"
+    runs = itertools.count(1)
+
+    def run(self, concretes):
+        for recording in super().run(concretes):
+            assert isinstance(recording, cc.Recording)
+            yield replace(recording, x=recording.x + 1e-9 * next(Drifting.runs))
+
+
+@pytest.mark.parametrize(
+    ("simulator", "name"),
+    [
+        (HalfSpeed(), "records m, rad, m/s, m/s² in right-handed axes"),
+        (LeftHanded(), "records m, rad, m/s, m/s² in right-handed axes"),
+        (LeftHanded(), "moves entities as the builtin simulator does"),
+        (Shuffled(), "gives them in order"),
+        (Drifting(), "repeats itself, as it declares"),
+    ],
+)
+def test_simulators_that_break_their_contract_are_found(simulator, name):
+    assert name in problems([check for check in simulator_checks(simulator) if check.name == name])
+
+
+class Gap(cc.Metric):
+    name, unit, source, lower_is_critical, cap = "gap-of-centres", "m", "a test", True, 100.0
+
+    def course(self, recording, ego, other):
+        i, j = recording.entity_index(ego), recording.entity_index(other)
+        return np.hypot(recording.x[i] - recording.x[j], recording.y[i] - recording.y[j])
+
+
+class WrongWay(Gap):
+    lower_is_critical, cap = False, 0.0
+
+
+class AlongX(Gap):
+    def course(self, recording, ego, other):
+        return np.abs(recording.x[recording.entity_index(ego)] - recording.x[recording.entity_index(other)])
+
+
+class TooShort(Gap):
+    def course(self, recording, ego, other):
+        return super().course(recording, ego, other)[1:]
+
+
+@pytest.mark.parametrize(
+    ("metric", "name"),
+    [
+        (WrongWay(), "is not more critical far away than near"),
+        (AlongX(), "is the same elsewhere on the map"),
+        (TooShort(), "has a value or NaN at each instant"),
+    ],
+)
+def test_metrics_that_break_their_contract_are_found(metric, name):
+    assert name not in problems(metric_checks(Gap()))
+    assert name in problems([check for check in metric_checks(metric) if check.name == name])
+
+
+class Forgets(cc.Optimizer):
+    """Depends on how often it was asked, which a resumed study does not repeat."""
+
+    name = "forgets"
+
+    def prepare(self, space, seed):
+        self._rng, self._dimension = np.random.default_rng(seed), space.dimension
+
+    def ask(self, n):
+        return self._rng.random((n, self._dimension))
+
+    def tell(self, points, scores):
+        pass
+
+
+def test_an_optimizer_that_cannot_be_resumed_is_found():
+    found = problems(optimizer_checks(Forgets()))
+    assert list(found) == ["goes on after a restart as if nothing had happened"]
+    with pytest.raises(AssertionError, match="goes on after a restart"):
+        check(Forgets())
+
+
+def test_what_has_no_checks_is_named():
+    with pytest.raises(cc.InputError, match="give a SystemUnderTest"):
+        list_checks(3)  # type: ignore[arg-type]
+
+
+def test_the_commands_print_a_line_per_check_and_tell_by_the_exit_code(tmp_path):
+    (tmp_path / "own.py").write_text(
+        "import cornercase as cc\n\n\nclass Own(cc.SystemUnderTest):\n    def step(self, view, dt):\n        return 40.0\n"
+    )
+    bad = cornercase("check-sut", "own:Own", cwd=tmp_path)
+    assert bad.returncode == 1
+    assert "FAILED keeps to units" in bad.stdout
+    assert "7 of 8 checks hold for the system under test own:Own" in bad.stdout
+    good = cornercase("check-simulator", "builtin", cwd=tmp_path)
+    assert good.returncode == 0
+    assert "8 of 8 checks hold for the simulator builtin" in good.stdout
+    wrong = cornercase("check-sut", "own:Owm", cwd=tmp_path)
+    assert (wrong.returncode, wrong.stdout) == (2, "")
+    assert "has no class 'Owm'" in wrong.stderr
