@@ -13,6 +13,9 @@ version is explored with so many scenarios and 20 seeds. Compared are:
 ``by tests`` is what the tests alone say of a change, as where simulators do not repeat themselves. ``first`` is the
 median number of scenarios after which one went otherwise. ``share`` is how often the 90 % interval of the change of the
 critical share holds 0, where there is one.
+
+With ``--sensor`` the ego senses the traffic. With a random sensor and ``--optimizer grid``, searches with different
+seeds run the same scenarios with different random numbers.
 """
 
 from __future__ import annotations
@@ -28,7 +31,7 @@ from typing import Any
 import numpy as np
 
 import cornercase as cc
-from cornercase.drivers import NORMAL, BehaviourDriver
+from cornercase.drivers import NORMAL, SENSORS, BehaviourDriver, EquippedDriver
 from cornercase.exploration._explore import explore_config
 from cornercase.exploration._paper_examples import paper_experiment_config
 from cornercase.suite import Comparison
@@ -39,7 +42,9 @@ LATER = 0.1
 APART = 1000
 
 
-def explored(folder: Path, example: str, optimizer: str, seed: int, budget: int, later: float) -> Path:
+def explored(
+    folder: Path, example: str, optimizer: str, sensors: list[str], seed: int, budget: int, later: float
+) -> Path:
     """Study of one version, made when it is asked for first."""
     path = folder / f"{example}-{optimizer}-{seed}-{later:g}.db"
     if not path.exists():
@@ -48,9 +53,9 @@ def explored(folder: Path, example: str, optimizer: str, seed: int, budget: int,
             paper_experiment_config(example, budget=budget, seed=seed),
             optimizer=optimizer,
             critical=EXAMPLES[example],
-            drivers={"Ego": driver},
+            drivers={"Ego": EquippedDriver(driver, list(map(SENSORS.create, sensors))) if sensors else driver},
         )
-        explore_config(chosen, path)
+        explore_config(chosen, path, notices=False)
     return path
 
 
@@ -69,11 +74,13 @@ def told(found: Comparison) -> dict[str, Any]:
     }
 
 
-def compared(folder: Path, example: str, optimizer: str, seeds: int, budget: int) -> Iterator[tuple[str, list[Any]]]:
+def compared(
+    folder: Path, example: str, optimizer: str, sensors: list[str], seeds: int, budget: int
+) -> Iterator[tuple[str, list[Any]]]:
     """What each kind of comparison says, for each seed."""
 
     def study(seed: int, later: float = 0.0, where: str = "") -> Path:
-        return explored(folder / where, example, optimizer, seed, budget, later)
+        return explored(folder / where, example, optimizer, sensors, seed, budget, later)
 
     (folder / "again").mkdir(exist_ok=True)
     kinds: dict[str, Callable[[int], tuple[Path, Path]]] = {
@@ -92,6 +99,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--budget", type=int, default=100)
     parser.add_argument("--optimizer", default="level-set")
+    parser.add_argument("--sensor", action="append", default=[], metavar="SPEC", help="such as radar:noise=0.5")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     seeds = 2 if options.quick else options.seeds
@@ -103,7 +111,9 @@ def main() -> None:
     )
     with tempfile.TemporaryDirectory() as folder:
         for example in EXAMPLES:
-            for kind, found in compared(Path(folder), example, options.optimizer, seeds, options.budget):
+            for kind, found in compared(
+                Path(folder), example, options.optimizer, options.sensor, seeds, options.budget
+            ):
                 first = [one["first"] for one in found if one["first"] is not None]
                 holds = [one["share holds 0"] for one in found if one["share holds 0"] is not None]
                 row = {

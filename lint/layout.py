@@ -33,6 +33,7 @@ LARGE_FUNCTIONS = {
     "clustering/_analyze.py analyze": _API,
     "drivers/_kernels/look.py look": _COMPILED,
     "dtw/_cpu.py _four_rows": _COMPILED,
+    "drivers/sensors/_object_sensor.py __init__": "one parameter for each option of the sensor",
     "dtw/_cpu.py _one_row": _COMPILED,
     "reduction/_reduce.py reduce": _API,
     "roads/_lane_path.py from_points": "one parameter for each array of the path",

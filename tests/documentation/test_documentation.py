@@ -26,7 +26,7 @@ import cornercase
 from conftest import EXAMPLES
 from cornercase.cli import app
 from cornercase.clustering import ASPECTS
-from cornercase.drivers import DRIVERS
+from cornercase.drivers import DRIVERS, SENSORS
 from cornercase.metrics import FEATURES, METRICS, registered_features
 from cornercase.optimizers import OPTIMIZERS
 from cornercase.simulators import SIMULATORS
@@ -262,6 +262,7 @@ def own_names(registry: Any) -> list[str]:
         (FEATURES, "metrics.md"),
         (OPTIMIZERS, "exploration.md"),
         (DRIVERS, "drivers.md"),
+        (SENSORS, "sensors.md"),
         (ASPECTS, "reduction.md"),
     ],
 )

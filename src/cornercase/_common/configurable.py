@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass
 from functools import wraps
 from inspect import Parameter, signature
@@ -80,10 +81,10 @@ def plain_options(configured: object) -> dict[str, bool | int | float | str]:
     }
 
 
-def numeric_options(configured: Configurable) -> dict[str, float]:
+def numeric_values(configured: Configurable) -> dict[str, float]:
     """Return the options of an object that are numbers, with their values: those that it was given, else defaults."""
-    defaults = {name: parameter.default for name, parameter in declared_options(type(configured)).items()}
-    values = {**defaults, **given_options(configured)}
+    values = {name: option.default for name, option in numeric_options(type(configured)).items()}
+    values |= given_options(configured)
     return {
         name: float(value)
         for name, value in values.items()
@@ -138,6 +139,38 @@ def declared_options(factory: Callable[..., Any]) -> dict[str, Parameter]:
             parameters = {parameter.name: parameter for parameter in own_parameters} | parameters
     named = (Parameter.POSITIONAL_OR_KEYWORD, Parameter.KEYWORD_ONLY)
     return {name: parameter for name, parameter in parameters.items() if parameter.kind in named}
+
+
+def numeric_options(factory: Callable[..., Any]) -> dict[str, Parameter]:
+    """Return the options of a class or function that take numbers, by their annotation or else their default."""
+
+    def takes_numbers(parameter: Parameter) -> bool:
+        if parameter.annotation is parameter.empty:
+            default = parameter.default
+            is_number = isinstance(default, int | float) and not isinstance(default, bool)
+            return is_number or default is None or default is parameter.empty
+        # Annotations are strings if they are not evaluated.
+        text = getattr(parameter.annotation, "__name__", str(parameter.annotation))
+        return bool({"int", "float"} & {*re.findall(r"\w+", text)})
+
+    return {name: parameter for name, parameter in declared_options(factory).items() if takes_numbers(parameter)}
+
+
+def with_numbers(configured: Any, numbers: Mapping[str, float]) -> Any:
+    """Return `with_options` of an object, with whole numbers where its constructor declares them.
+
+    Raises `ValueError` for a number that is not whole there.
+    """
+    declared = declared_options(type(configured))
+    options: dict[str, float] = {}
+    for name, number in numbers.items():
+        annotation = declared[name].annotation if name in declared else float
+        options[name] = number
+        if annotation in (int, "int"):
+            if not float(number).is_integer():
+                raise ValueError(f"'{name}' takes a whole number, not {number:g}; give a range a step of 1")
+            options[name] = int(number)
+    return configured.with_options(**options)
 
 
 def _remember_options(constructor: Callable[..., None]) -> Callable[..., None]:

@@ -103,7 +103,8 @@ def _print_check(report: Any, drivers: Mapping[str, str]) -> None:
         out.print(shorten(f"  {line}", MAX_LINE_LENGTH))
     if report.space is not None:
         for parameter in report.space.parameters:
-            out.print(f"varied: {_format_parameter(parameter)}")
+            is_declared = set(parameter.assigned_names) <= {*report.parameters}
+            out.print(f"varied: {_format_parameter(parameter)}{'' if is_declared else ' (of a driver, not checked)'}")
         out.print(f"concrete scenarios: {'infinitely many' if report.space.size is None else report.space.size}")
     out.print("can be run" if not report.run_errors else "cannot be run")
 

@@ -38,6 +38,9 @@ def simulate(
     ] = None,
     values: opt.Values = None,
     ego: Annotated[str, Option(metavar="NAME", help="Entity under test, for a simulator that needs it.")] = "Ego",
+    seed: Annotated[
+        int, Option(metavar="N", help="Seed of random numbers of sensors and systems under test.", min=0)
+    ] = 0,
     maps: opt.Maps = None,
     **options: Any,
 ) -> None:
@@ -59,7 +62,7 @@ def simulate(
     parameters = parsing.parse_pairs(values or (), "--set")
     if table is not None or len(scenarios) > 1:
         result = simulators.simulate_many(
-            scenarios, output, table=table, values=parameters, ego=ego, **options, progress=True
+            scenarios, output, table=table, values=parameters, ego=ego, seed=seed, **options, progress=True
         )
         _print_folder_result(result)
         return
@@ -69,7 +72,7 @@ def simulate(
     (scenario,) = scenarios
     check_output_differs_from_source(output, scenario)
     names = ("time_step", "duration", "on_collision", "drivers", "simulator", "timeout")
-    recording = simulators.simulate(scenario, parameters, ego=ego, **{name: options[name] for name in names})
+    recording = simulators.simulate(scenario, parameters, ego=ego, seed=seed, **{name: options[name] for name in names})
     recording.to_csv(output)
     out.print(f"{len(recording.names)} entities, {recording.time[-1]:g} s, written to {output}")
     for collision in recording.collisions:

@@ -31,7 +31,12 @@ from .references.r157._scenarios import EncounterOutcome as EncounterOutcome
 from .references.r157._scenarios import drive_cut_in as drive_cut_in
 from .references.r157._scenarios import drive_cut_out as drive_cut_out
 from .references.r157._scenarios import drive_deceleration as drive_deceleration
+from .sensors._object_sensor import Camera as Camera
+from .sensors._object_sensor import Lidar as Lidar
+from .sensors._object_sensor import ObjectSensor as ObjectSensor
+from .sensors._object_sensor import Radar as Radar
 from .sensors._sensor import SENSORS as SENSORS
+from .sensors._sensor import SensedObjects as SensedObjects
 from .sensors._sensor import Sensor as Sensor
 from .vehicles._actuated import Actuators as Actuators
 from .vehicles._kinematic import Kinematic as Kinematic

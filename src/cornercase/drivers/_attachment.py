@@ -8,6 +8,7 @@ from typing import Final
 
 import numpy as np
 
+from cornercase._common.configurable import with_numbers
 from cornercase._common.errors import PluginError, SimulationError
 from cornercase._common.plugin_errors import (
     format_time_of_failure,
@@ -25,6 +26,16 @@ from cornercase.drivers._controls import Controls
 from cornercase.drivers._equipment import EquippedDriver
 from cornercase.drivers._function import DrivingFunction, Start
 from cornercase.drivers._motion import DrivenMotion, Mover
+from cornercase.drivers._parameters import (
+    DRIVER,
+    VEHICLE,
+    is_same_in_batch,
+    name_parts,
+    rows_of,
+    split_parameters,
+)
+from cornercase.drivers._varied_driver import VariedDriver
+from cornercase.drivers.sensors._fusion import SensorFusion
 from cornercase.drivers.vehicles._actuated import Actuators
 from cornercase.drivers.vehicles._kernels.actuators import Vehicles
 from cornercase.drivers.vehicles._pedals import pedals_to_acceleration
@@ -69,7 +80,8 @@ class Attachment:
 
     def __init__(self, driver: Driver, entity: str) -> None:
         self.driver = driver.driver if isinstance(driver, EquippedDriver) else driver
-        self._sensors = driver.sensors if isinstance(driver, EquippedDriver) else ()
+        self._given = driver
+        self._sensors = SensorFusion(driver.sensors if isinstance(driver, EquippedDriver) else ())
         self.vehicle = driver.vehicle if isinstance(driver, EquippedDriver) else None
         self._mover = Mover(self.vehicle, self._note_missing_lane)
         self._entity = entity
@@ -94,13 +106,18 @@ class Attachment:
         )
 
     def start(self, start: Start) -> None:
-        """Reset driver, sensors and vehicle for a batch; raises `DriverError`."""
+        """Reset driver, sensors and vehicle for a batch; raises `DriverError`.
+
+        The parameters of a driver that cannot vary within a batch have to be the same in all scenarios.
+        """
         self._start = start
+        parameters = split_parameters(self._entity, self._given, start.parameters)
+        starts = {part: replace(start, parameters=own) for part, own in parameters.items()}
         requests = count_requests()
         try:
-            if isinstance(self.driver, DrivingFunction):
-                self.driver.prepare(start)
-            self.driver.start(start.scenarios, len(start.others))
+            own, of_vehicle = starts.pop(DRIVER), starts.pop(VEHICLE, replace(start, parameters={}))
+            sensed = self._sensors.start(start, [of_sensor.parameters for of_sensor in starts.values()])
+            self._start_driver(replace(sensed, parameters=own.parameters))
         except BaseException as error:
             raise DriverError(make_scenario_failure(self.display_name, error, requests, 0.0), splits=True) from error
         if is_compiled(self.driver):
@@ -108,9 +125,17 @@ class Attachment:
             bounds = {"acceleration": start.body.max_acceleration, "deceleration": start.body.max_deceleration}
             for limit, value in limit_driver_acceleration(self.driver, *bounds.values()).items():
                 self.note_exceeded_limit(limit, bounds[limit], f"it would go up to {value:.6g} m/s²")
-        for sensor in self._sensors:
-            sensor.start(start)
-        self._mover.start(start)
+        self._mover.start(of_vehicle)
+
+    def _start_driver(self, start: Start) -> None:
+        options = rows_of(start.parameters, start.scenarios) if start.parameters else []
+        if options and is_same_in_batch(self._given, DRIVER):
+            self.driver = with_numbers(name_parts(self._given)[DRIVER], options[0])
+        if isinstance(self.driver, DrivingFunction):
+            self.driver.prepare(start)
+        self.driver.start(start.scenarios, len(start.others))
+        if options and isinstance(self.driver, VariedDriver) and not is_same_in_batch(self._given, DRIVER):
+            self.driver.vary(options)
 
     def release(self) -> None:
         """Release what the driver holds, at the end of a batch."""
@@ -125,8 +150,6 @@ class Attachment:
         # The driver may change the arrays that it is given.
         copies = {name: getattr(situation, name).copy() for name in ("active", "distance", *_STATE)}
         truth = replace(situation, **copies)
-        for sensor in self._sensors:
-            situation = sensor.perceive(situation)
         controls = self._decide(situation)
         active, time = truth.active, truth.time
         failures = {n: failure for n, failure in controls.failures.items() if active[n]}
@@ -156,13 +179,14 @@ class Attachment:
         )
 
     def _decide(self, situation: Situation) -> Controls:
-        """Call the driver, which may be user code, and check what it returns."""
+        """Call the sensors and the driver, which may be user code, and check what it returns."""
         expected, requests = self._start.scenarios, count_requests()
         try:
+            sensed = self._sensors.perceive(situation)
             returned: object = (
-                self.driver.decide(situation)
+                self.driver.decide(sensed)
                 if isinstance(self.driver, DrivingFunction)
-                else self.driver.acceleration(situation)
+                else self.driver.acceleration(sensed)
             )
         except BaseException as error:
             raise DriverError(

@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from cornercase._common.configurable import Configurable, describe_as_text, numeric_options
+from cornercase._common.configurable import Configurable, describe_as_text, numeric_options, numeric_values
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.drivers._mutation import Mutation
 
@@ -164,6 +164,11 @@ class Driver(Configurable, ABC):
     settings: dict[str, object]
     mutations: ClassVar[tuple[Mutation, ...]] = ()
 
+    @property
+    def searchable_options(self) -> tuple[str, ...]:
+        """Names of the options that can be dimensions of a search: those of the constructor that take numbers."""
+        return tuple(numeric_options(type(self)))
+
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
         if not any("settings" in vars(base) for base in cls.__mro__):
@@ -180,7 +185,7 @@ class Driver(Configurable, ABC):
         -------
         dict of str to float
         """
-        return numeric_options(self)
+        return numeric_values(self)
 
     def start(self, scenarios: int, others: int) -> None:
         """Reset all state at the start of a batch; does nothing by default.

@@ -6,7 +6,7 @@ import inspect
 import math
 from collections.abc import Callable
 from inspect import Parameter, Signature
-from typing import Any, Final, cast
+from typing import Any, Final, Self, cast
 
 from cornercase._common.errors import InputError
 from cornercase._common.typing import BoolArray
@@ -49,6 +49,17 @@ class BehaviourDriver(CompiledDriver):
             return super().__str__()
         preset, changes = Behaviour(*self.parameters).nearest_preset()
         return ":".join([preset, *filter(None, [",".join(f"{name}={value}" for name, value in changes.items())])])
+
+    @property
+    def searchable_options(self) -> tuple[str, ...]:
+        """Fields of `Behaviour`, which are the options of a preset."""
+        return Behaviour._fields if type(self) is BehaviourDriver else super().searchable_options
+
+    def with_options(self, **changes: Any) -> Self:
+        """Return a driver with other options; those of a preset are the fields of `Behaviour`."""
+        if type(self) is BehaviourDriver and "behaviour" not in changes:
+            return type(self)(Behaviour(*self.parameters)._replace(**changes))
+        return super().with_options(**changes)
 
     @property
     def known_mask(self) -> BoolArray:

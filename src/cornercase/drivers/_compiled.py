@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import ClassVar, TypeGuard
+from collections.abc import Mapping, Sequence
+from typing import ClassVar, Final, TypeGuard
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -28,6 +28,7 @@ from cornercase.drivers._kernels.structs import (
 )
 from cornercase.drivers._presets import Behaviour, FollowParameters
 from cornercase.drivers._route import count_route_samples, plan_route
+from cornercase.drivers._varied_driver import VariedDriver
 from cornercase.drivers.vehicles._kernels.actuators import Vehicles
 
 _MIN_LIMIT = 1e-3
@@ -35,12 +36,14 @@ _MIN_LIMIT = 1e-3
 _VULNERABLE_TYPES = ("pedestrian", "bicycle")
 
 # Points and measures by path shared by all scenarios, then by lateral acceleration and deceleration.
-_ROUTE_CACHE: WeakKeyDictionary[DrivenPath, dict[tuple[float, float], tuple[FloatArray, FloatArray]]] = (
+_ROUTE_CACHE: WeakKeyDictionary[DrivenPath, dict[tuple[float, ...], tuple[FloatArray, FloatArray]]] = (
     WeakKeyDictionary()
 )
+_ROUTE_LIMITS: Final = [Behaviour._fields.index(name) for name in ("lateral_acceleration", "comfortable_deceleration")]
+"""Columns of `Fleet.parameters` on which routes depend."""
 
 
-class CompiledDriver(Driver):
+class CompiledDriver(VariedDriver):
     """A driver with compiled decisions; its state is a fleet of one, or a row of a larger fleet."""
 
     kind: ClassVar[int]
@@ -53,9 +56,14 @@ class CompiledDriver(Driver):
         """Reset all state for a batch of N `scenarios` with A `others` in each."""
         self._fleet = _empty_fleet(1, scenarios, others)
         self._fleet.kind[0] = self.kind
-        self._fleet.parameters[0, : len(self.parameters)] = self.parameters
+        self._fleet.parameters[0, :, : len(self.parameters)] = self.parameters
         # Keep a reference to the path, so that its id stays unique.
         self._routes: dict[int, tuple[DrivenPath, int]] = {}
+
+    def vary(self, options: Sequence[Mapping[str, float]]) -> None:
+        """Give the started driver its options in each of the N scenarios."""
+        for n, changed in enumerate(options):
+            self._fleet.parameters[0, n, : len(self.parameters)] = self.with_options(**changed).parameters
 
     def attach_to_fleet(self, fleet: Fleet, row: int) -> None:
         """Move the driver's state into a row of a fleet; the driver keeps a view of this row.
@@ -127,8 +135,8 @@ def limit_driver_acceleration(
 ) -> dict[str, float]:
     """Limit a started driver to the accelerations in m/s² that its vehicle can reach, until it is started again.
 
-    Returns the driver's own value of each limit that it exceeded, as ``"acceleration"`` and ``"deceleration"``. Call it
-    before the driver joins a fleet.
+    Returns the driver's highest value of each limit that it exceeded, as ``"acceleration"`` and ``"deceleration"``.
+    Call it before the driver joins a fleet.
     """
     fields = Behaviour._fields if driver.kind == BEHAVIOUR else FollowParameters._fields
     parameters, exceeded = driver._fleet.parameters[0], dict[str, float]()
@@ -136,16 +144,17 @@ def limit_driver_acceleration(
         ("acceleration", max_acceleration, ("acceleration",)),
         ("deceleration", max_deceleration, ("max_deceleration", "comfortable_deceleration")),
     ):
-        rows = [fields.index(name) for name in names]
-        if parameters[rows[0]] > bound:
-            exceeded[limit] = float(parameters[rows[0]])
+        columns = [fields.index(name) for name in names]
+        highest = float(parameters[:, columns[0]].max(initial=0.0))
+        if highest > bound:
+            exceeded[limit] = highest
         # The formulas divide by these values.
-        parameters[rows] = np.minimum(parameters[rows], max(bound, _MIN_LIMIT))
+        parameters[:, columns] = np.minimum(parameters[:, columns], max(bound, _MIN_LIMIT))
     return exceeded
 
 
 def build_fleet(
-    drivers: Sequence[Driver],
+    drivers: Sequence[Driver | None],
     driven_rows: Sequence[int],
     scenarios: int,
     length: FloatArray,
@@ -157,10 +166,10 @@ def build_fleet(
 ) -> Fleet:
     """Create a fleet of started drivers, so that kernels and `Driver.acceleration` use the same state.
 
-    The state of the drivers moves into the arrays of the fleet, and the drivers keep views. `driven_rows` has, for each
-    driver, the row of its entity. `length`, `width` and `center_x` are the boxes of all E entities in m. `vehicles` are
-    the started actuators of each driver's entity, if it has some; `friction` (N,) is that of the road, and may change.
-    The new fleet has no routes.
+    The state of the drivers moves into the arrays of the fleet, and the drivers keep views; None stands for a driver
+    without kernels. `driven_rows` has, for each driver, the row of its entity. `length`, `width` and `center_x` are the
+    boxes of all E entities in m. `vehicles` are the started actuators of each driver's entity, if it has some;
+    `friction` (N,) is that of the road, and may change. The new fleet has no routes.
     """
     fleet = _empty_fleet(len(drivers), scenarios, max(len(object_types) - 1, 0))
     fleet = _add_vehicles(fleet, vehicles, np.ones(scenarios) if friction is None else friction)
@@ -168,7 +177,7 @@ def build_fleet(
     for d, (driver, e) in enumerate(zip(drivers, driven_rows, strict=True)):
         fleet.own[d] = boxes[:VULNERABLE, e]
         fleet.boxes[d] = np.delete(boxes, e, axis=1)
-        if is_compiled(driver):
+        if driver is not None and is_compiled(driver):
             driver.attach_to_fleet(fleet, d)
     return fleet
 
@@ -176,10 +185,13 @@ def build_fleet(
 def set_route(fleet: Fleet, driver: int, track: int, path: DrivenPath, changed: BoolArray | None = None) -> Fleet:
     """Plan a driver's route along a track, and return the fleet with it; an earlier route along this track is replaced.
 
-    If the path differs between scenarios, `changed` (N,) marks the scenarios in which it has changed; by default all.
+    If the path or the driver's limits differ between scenarios, each has a route of its own; `changed` (N,) marks the
+    scenarios in which it has changed, by default all.
     The arrays of the returned fleet may be new ones.
     """
-    samples, rows = count_route_samples(path), len(np.atleast_2d(path.distance))
+    limits = fleet.parameters[driver][:, _ROUTE_LIMITS]
+    is_same_for_all = path.distance.ndim == 1 and bool((limits == limits[:1]).all())
+    samples, rows = count_route_samples(path), 1 if is_same_for_all else len(limits)
     routes, chosen = fleet.routes, np.arange(rows)
     first = routes.row[driver, track] if track < routes.row.shape[1] else -1
     if first >= 0 and (routes.rows[driver, track], routes.samples[first]) == (rows, samples):
@@ -191,22 +203,28 @@ def set_route(fleet: Fleet, driver: int, track: int, path: DrivenPath, changed: 
         first = len(routes.begin)
         routes = _append_empty_route(routes, driver, track, rows, samples)
     if len(chosen):
-        behaviour = Behaviour(*fleet.parameters[driver])
         points = routes.begin[first + chosen][:, None] + np.arange(samples)
-        routes.points[points], routes.measures[first + chosen] = _plan_route_points(path, behaviour, chosen)
+        routes.points[points], routes.measures[first + chosen] = _plan_route_points(path, limits, chosen)
     return fleet._replace(routes=routes)
 
 
-def _plan_route_points(path: DrivenPath, behaviour: Behaviour, rows: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Return points and measures of the rows of a path, as in `Routes`; cached for lanes, which all batches share."""
-    lateral, braking = behaviour.lateral_acceleration, behaviour.comfortable_deceleration
-    cache = _ROUTE_CACHE.setdefault(path, {}) if path.distance.ndim == 1 else {}
-    if (lateral, braking) not in cache:
-        plan = plan_route(path, lateral_acceleration=lateral, deceleration=braking, rows=rows)
-        columns = plan.x, plan.y, plan.cos, plan.sin, plan.max_speed_squared, plan.straight_count
-        measures = plan.step, plan.max_spacing, plan.max_turn
-        cache[lateral, braking] = np.stack(columns, axis=-1), np.stack(measures, axis=-1)
-    return cache[lateral, braking]
+def _plan_route_points(path: DrivenPath, limits: FloatArray, rows: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Return points and measures of the routes of some scenarios, as in `Routes`; cached if all share a lane's route.
+
+    `limits` (N, 2) are lateral acceleration and deceleration in m/s².
+    """
+    if path.distance.ndim > 1 or len(rows) > 1:
+        return _measure_route(path, limits[rows], rows)
+    key, cache = tuple(limits[0].tolist()), _ROUTE_CACHE.setdefault(path, {})
+    if key not in cache:
+        cache[key] = _measure_route(path, limits[:1], rows)
+    return cache[key]
+
+
+def _measure_route(path: DrivenPath, limits: FloatArray, rows: IntArray) -> tuple[FloatArray, FloatArray]:
+    plan = plan_route(path, lateral_acceleration=limits[:, 0], deceleration=limits[:, 1], rows=rows)
+    columns = plan.x, plan.y, plan.cos, plan.sin, plan.max_speed_squared, plan.straight_count
+    return np.stack(columns, axis=-1), np.stack((plan.step, plan.max_spacing, plan.max_turn), axis=-1)
 
 
 def _append_empty_route(routes: Routes, driver: int, track: int, rows: int, samples: int) -> Routes:
@@ -250,7 +268,7 @@ def _empty_fleet(drivers: int, scenarios: int, others: int) -> Fleet:
     unplanned = np.full((drivers, 1), -1, dtype=np.int64)
     return Fleet(
         kind=np.full(drivers, NOT_COMPILED, dtype=np.int64),
-        parameters=np.zeros((drivers, len(Behaviour._fields))),
+        parameters=np.zeros((drivers, scenarios, len(Behaviour._fields))),
         own=np.zeros((drivers, 3)),
         boxes=np.zeros((drivers, VULNERABLE + 1, others)),
         memory=memory,

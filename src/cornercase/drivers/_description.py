@@ -42,6 +42,12 @@ def record_driver_spec(driver: Driver, name: str, options: Mapping[str, object])
             ) from None
 
 
+def recorded_options(driver: object) -> Mapping[str, object]:
+    """Return the options that a driver was created with by name."""
+    _, options = getattr(driver, "__dict__", {}).get(_SPEC_ATTRIBUTE, ("", {}))
+    return dict(options)
+
+
 def serialize_driver(driver: str | Driver) -> str | dict[str, Any]:
     """Return plain JSON values that describe a driver.
 

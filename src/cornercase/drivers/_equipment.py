@@ -8,6 +8,7 @@ from cornercase._common.errors import InputError, suggest_name
 from cornercase._common.typing import FloatArray
 from cornercase.drivers._base import Driver, Situation
 from cornercase.drivers._registry import SEPARATOR
+from cornercase.drivers._system_under_test import ScalarFunction, SystemUnderTest
 from cornercase.drivers.sensors._sensor import SENSORS, Sensor
 from cornercase.drivers.vehicles._vehicle_model import VEHICLES, VehicleModel
 
@@ -17,7 +18,7 @@ class EquippedDriver(Driver):
 
     Parameters
     ----------
-    driver : Driver
+    driver : Driver or SystemUnderTest
         Who decides.
     sensors : sequence of Sensor, optional
         Stand between the true traffic and the driver; without any, it is given the true traffic.
@@ -31,8 +32,11 @@ class EquippedDriver(Driver):
     'normal'
     """
 
-    def __init__(self, driver: Driver, sensors: Sequence[Sensor] = (), vehicle: VehicleModel | None = None) -> None:
-        self.driver, self.sensors, self.vehicle = driver, tuple(sensors), vehicle
+    def __init__(
+        self, driver: Driver | SystemUnderTest, sensors: Sequence[Sensor] = (), vehicle: VehicleModel | None = None
+    ) -> None:
+        self.driver: Driver = ScalarFunction(driver) if isinstance(driver, SystemUnderTest) else driver
+        self.sensors, self.vehicle = tuple(sensors), vehicle
         self.settings = {
             "driver": dict(driver.settings),
             "sensors": [str(sensor) for sensor in self.sensors],

@@ -58,10 +58,11 @@ class Start:
     time_step : float
         In s.
     parameters : mapping of str to ndarray of float64, shape (N,)
-        Own parameters that differ between scenarios, such as ``"reaction"`` for a dimension ``Ego.reaction``.
+        Own parameters that differ between scenarios, such as ``"reaction"`` for a dimension ``Ego.reaction``. An
+        `Attachment` is given those of all its parts; driver, sensors and vehicle are given their own.
     values : tuple of mapping, length N
         Values of the scenario file's parameters that differ from those in the file, by scenario.
-    seeds : tuple of int, length N
+    seeds : sequence of int, length N
         Seed of each scenario and run. The same scenario in the same run of the same study has the same seed, whatever
         the batch and the number of workers.
     others : tuple of str, length A
@@ -77,7 +78,7 @@ class Start:
     time_step: float
     parameters: Mapping[str, FloatArray]
     values: tuple[Mapping[str, object], ...]
-    seeds: tuple[int, ...]
+    seeds: Sequence[int]
     others: tuple[str, ...]
     network: RoadNetwork | None
     friction: FloatArray
@@ -95,19 +96,20 @@ class Start:
         scenario : int
             Its number in the batch.
         purpose : str
-            Such as the name of a sensor: each purpose has random numbers of its own.
+            Such as the name of a sensor: each purpose has random numbers of its own, for each driven entity.
 
         Returns
         -------
         numpy.random.Generator
         """
-        return np.random.default_rng([self.seeds[scenario], *purpose.encode()])
+        return np.random.default_rng([self.seeds[scenario], *f"{self.body.name}: {purpose}".encode()])
 
 
 class DrivingFunction(Driver):
     """A driver that decides controls for a batch: adapters of what users attach derive from it.
 
-    `prepare` is called once per batch, before the first step. `decide` is called in each step once per path, with the
+    `prepare` is called once per batch, before the first step; `Start.parameters` has a value for each scenario of those
+    `searchable_options` that are dimensions of a search. `decide` is called in each step once per path, with the
     mask ``active`` as in `Driver.acceleration`. `release` is called when the batch has ended, also after a failure.
     """
 

@@ -98,14 +98,14 @@ def may_be_named_in_file(name: str) -> bool:
 
 
 def find_non_numeric_option(name: str) -> str | None:
-    """Return the first option of a driver that is not a number; None if all are numbers."""
+    """Return the first option of a driver that is no number, true or false; None if there is none."""
     driver, equipment = split_spec(name)
     for part in (driver, *equipment):
         options = part.partition(":")[2]
         for option in options.split(",") if options else ():
             key, _, value = option.partition("=")
             try:
-                float(value)
+                float({"true": 1, "false": 0}.get(value.lower(), value))
             except ValueError:
                 return key
     return None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -40,19 +41,26 @@ class Route(NamedTuple):
 
 
 def plan_route(
-    path: DrivenPath, *, lateral_acceleration: float, deceleration: float, rows: IntArray | None = None
+    path: DrivenPath,
+    *,
+    lateral_acceleration: float | FloatArray,
+    deceleration: float | FloatArray,
+    rows: IntArray | None = None,
 ) -> Route:
     """Resample a path, or some `rows` of it, and compute the highest speed that its curves allow.
+
+    A path that is the same in all scenarios gives one row, or one for each of `rows` if the limits differ between them.
 
     The speed v satisfies v² |κ| ≤ a_lat for the curvature κ. It also satisfies v² ≤ v_c² + 2 b d for each sample at
     distance d ahead with highest speed v_c. Here a_lat is `lateral_acceleration` and b is `deceleration`, in m/s².
     """
     arrays = [np.atleast_2d(array) for array in (path.distance, path.x, path.y, path.heading, path.curvature)]
     if rows is not None:
-        arrays = [array[rows] for array in arrays]
+        arrays = [array[rows if path.distance.ndim > 1 else np.zeros_like(rows)] for array in arrays]
+    limits = [np.broadcast_to(limit, len(arrays[0])).tolist() for limit in (lateral_acceleration, deceleration)]
     planned = [
-        _plan_path_row(row, lateral_acceleration, deceleration, count_route_samples(path))
-        for row in zip(*arrays, strict=True)
+        _plan_path_row(row, lateral, braking, count_route_samples(path))
+        for *row, lateral, braking in zip(*arrays, *limits, strict=True)
     ]
     step, *curves = (np.array(column) for column in zip(*planned, strict=True))
     x, y, cos, sin, squared_speed = curves
@@ -79,7 +87,7 @@ def _count_straight_samples(step: float, x: FloatArray, y: FloatArray, cos: Floa
 
 
 def _plan_path_row(
-    row: tuple[FloatArray, ...],
+    row: Sequence[FloatArray],
     lateral_acceleration: float,
     deceleration: float,
     count: int,

@@ -9,7 +9,13 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from cornercase._common.configurable import Configurable, describe_as_text, numeric_options
+from cornercase._common.configurable import (
+    Configurable,
+    describe_as_text,
+    numeric_options,
+    numeric_values,
+    with_numbers,
+)
 from cornercase._common.errors import PluginError, SimulationError
 from cornercase._common.plugin_errors import format_time_of_failure, make_scenario_failure
 from cornercase._common.process.signals import count_requests
@@ -162,7 +168,16 @@ class ScalarFunction(DrivingFunction):
 
     def numeric_parameters(self) -> dict[str, float]:
         """Return the options of the prototype that are numbers."""
-        return numeric_options(self.prototype)
+        return numeric_values(self.prototype)
+
+    @property
+    def searchable_options(self) -> tuple[str, ...]:
+        """Those of the prototype."""
+        return tuple(numeric_options(type(self.prototype)))
+
+    def with_options(self, **changes: Any) -> ScalarFunction:
+        """Return a function whose prototype has other options."""
+        return ScalarFunction(with_numbers(self.prototype, changes))
 
     def prepare(self, start: Start) -> None:
         """Make one object per scenario."""
@@ -172,8 +187,8 @@ class ScalarFunction(DrivingFunction):
         for n in range(start.scenarios):
             requests = count_requests()
             try:
-                made = self.prototype.with_options(
-                    **{name: float(values[n]) for name, values in start.parameters.items()}
+                made = with_numbers(
+                    self.prototype, {name: float(values[n]) for name, values in start.parameters.items()}
                 )
                 ego = Ego(**vars(body), values=start.values[n])
                 made.start(ego, start.network, start.generator(n, "driver"))

@@ -12,7 +12,7 @@ import numpy as np
 
 from cornercase._common.progress import ProgressBar
 from cornercase._common.typing import FloatArray
-from cornercase.exploration._condition_references import PendingCondition
+from cornercase.exploration._condition_references import PendingCondition, scenario_for_reference
 from cornercase.exploration._config import ExplorationConfig
 from cornercase.exploration._explorer import ScenarioExplorer
 from cornercase.exploration._proposals import iter_rounds
@@ -159,10 +159,7 @@ class AsynchronousExplorer(ScenarioExplorer):
             self._pending_conditions[row.id] = result
             stream.submit(
                 row.id,
-                partial(
-                    self._simulate_in_thread,
-                    self._runner.requested_concrete_scenarios(self._runner.start_scenario(row)),
-                ),
+                partial(self._simulate_in_thread, [scenario_for_reference(self._config, row)]),
                 result.next_reference,
             )
             return

@@ -55,6 +55,11 @@ class PendingCondition:
         return self.results | {metric.name: MetricResult(result.course, score, against)}
 
 
+def scenario_for_reference(config: ExplorationConfig, row: ScenarioRecord) -> ConcreteScenario:
+    """Return the concrete scenario without what is varied of the ego's own driver."""
+    return config.logical.concrete_scenario(row.values, config.seed).without_driver_parameters(config.ego)
+
+
 class ReferenceRuns:
     """Runs scenarios again, with a reference driver in place of the ego's driver."""
 
@@ -87,7 +92,7 @@ class ReferenceRuns:
             remaining = [item for item in remaining if item.next_reference is not None]
 
     def _run_reference(self, reference: str, scenarios: Sequence[PendingCondition]) -> None:
-        concretes = [self._config.logical.concrete_scenario(scenario.row.values) for scenario in scenarios]
+        concretes = [scenario_for_reference(self._config, scenario.row) for scenario in scenarios]
         # Exhaust the iterator, so that the simulator cleans up.
         for scenario, run in zip(scenarios, list(self._simulate(self._references[reference], concretes)), strict=True):
             self.record_reference_run(scenario, reference, run)

@@ -15,6 +15,7 @@ from cornercase._common.io.support_table import Notice, warn_notices
 from cornercase._common.option import check_options, document_options, refuse_unknown
 from cornercase._common.process.dask import open_connection
 from cornercase._common.validation import check_bool, check_path
+from cornercase.drivers import Driver
 from cornercase.drivers._resolve import DriverLike, resolve_driver
 from cornercase.exploration._asynchronous import AsynchronousExplorer
 from cornercase.exploration._config import ExplorationConfig
@@ -28,6 +29,8 @@ from cornercase.optimizers import Optimizer
 from cornercase.scenario import LogicalScenario
 from cornercase.simulators import Simulator
 from cornercase.simulators._create import create_simulator
+from cornercase.simulators._driver_parameters import bounds_of_parameters, check_driver_parameters
+from cornercase.simulators._random_sensors import find_random_sensors, warn_if_runs_are_random
 from cornercase.simulators._results import check_simulator_accepts, list_ignored_content
 from cornercase.simulators._run_notices import warn_if_ego_has_no_driver
 from cornercase.study import StudyFile
@@ -184,6 +187,10 @@ def _run_exploration(
         if notices:
             warn_notices(_notices_at_center(config, simulator))
             warn_if_ego_has_no_driver(simulator, [config.logical.scenario_file], config.ego)
+            if config.repeats == 1:
+                names = config.logical.space.names
+                random = find_random_sensors(simulator, [config.logical.scenario_file], names)
+                warn_if_runs_are_random(random, "`repeats` runs each scenario several times, each with other numbers")
         meta = config.make_study_meta(
             objective, simulator.settings, None if warm_start is None else warm_start.study_info, study=study_path
         )
@@ -218,6 +225,8 @@ def _notices_at_center(config: ExplorationConfig, simulator: Simulator) -> tuple
 def simulator_from_config(config: ExplorationConfig) -> Simulator:
     """Create the configured simulator; the caller has to close it. `InputError` if the code of a metric is missing."""
     config.require_own_code()
+    bounds = bounds_of_parameters(config.logical.space)
+    check_driver_parameters(config.simulator, config.logical.scenario_file, _resolve_drivers(config.drivers), bounds)
     return _create_simulator(config, config.drivers)
 
 
@@ -248,12 +257,16 @@ def reference_simulators(config: ExplorationConfig) -> Iterator[dict[str, Simula
         yield simulators
 
 
+def _resolve_drivers(drivers: Mapping[str, DriverLike]) -> dict[str, str | Driver]:
+    return {entity: resolve_driver(driver) for entity, driver in drivers.items()}
+
+
 def _create_simulator(config: ExplorationConfig, drivers: Mapping[str, DriverLike]) -> Simulator:
     options: dict[str, Any] = {
         "time_step": config.time_step,
         "duration": config.duration,
         "on_collision": config.on_collision,
-        "drivers": {entity: resolve_driver(driver) for entity, driver in drivers.items()},
+        "drivers": _resolve_drivers(drivers),
     }
     return create_simulator(
         config.simulator,

@@ -19,7 +19,9 @@ from cornercase.exploration._repeatability import check_repeatability
 from cornercase.optimizers import OPTIMIZERS
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario
+from cornercase.scenario._seeds import seed_of_run
 from cornercase.simulators import Simulator
+from cornercase.simulators._random_sensors import find_random_sensors
 from cornercase.simulators._results import run_scenarios
 from cornercase.simulators._run_notices import RunNotices
 from cornercase.study import ScenarioRecord, StudyFile
@@ -121,12 +123,17 @@ class ScenarioRunner:
         )
         with self._clock("simulate"):
             self._repeatability_checked = check_repeatability(
-                self._study, self._run_row, advice if self._config.repeats == 1 else ""
+                self._study, self._run_again, advice if self._config.repeats == 1 else "", self._is_random
             )
 
-    def _run_row(self, row: ScenarioRecord) -> Recording | SimulationError:
-        (outcome,) = self.simulate(self._simulator, [self._config.logical.concrete_scenario(row.values)])
-        return outcome
+    def _is_random(self) -> bool:
+        logical = self._config.logical
+        return bool(find_random_sensors(self._simulator, [logical.scenario_file], logical.space.names))
+
+    def _run_again(self, row: ScenarioRecord) -> Iterator[Recording | SimulationError]:
+        """Repeat the runs of a scenario one after another."""
+        for run in range(self._config.max_repeats or self._config.repeats):
+            yield from self.simulate(self._simulator, [self._make_concrete(row, run)])
 
     def _run_batch(
         self, scenarios: deque[RepeatedRun]
@@ -154,9 +161,11 @@ class ScenarioRunner:
 
     def requested_concrete_scenarios(self, repeated_run: RepeatedRun) -> list[ConcreteScenario]:
         """Return the concrete scenario, once for each requested run."""
-        return [
-            self._config.logical.concrete_scenario(repeated_run.row.values) for _ in range(repeated_run.n_requested)
-        ]
+        runs = range(repeated_run.n_done, repeated_run.n_done + repeated_run.n_requested)
+        return [self._make_concrete(repeated_run.row, run) for run in runs]
+
+    def _make_concrete(self, row: ScenarioRecord, run: int) -> ConcreteScenario:
+        return self._config.logical.concrete_scenario(row.values, seed_of_run(self._config.seed, run))
 
     def record_outcomes(self, repeated_run: RepeatedRun, outcomes: Sequence[Recording | SimulationError]) -> Any:
         """Measure finished runs, and store the scenario if it needs no further run.

@@ -17,6 +17,8 @@ from cornercase._common.typing import FloatArray, IntArray
 from cornercase._common.validation import check_float, check_int, check_str
 from cornercase.clustering import Analysis, read_analyses, read_analysis
 from cornercase.clustering._embedding import Distances
+from cornercase.drivers._parameters import spec_with_values
+from cornercase.drivers._resolve import create_driver_named_in_file, may_be_named_in_file
 from cornercase.reduction._cluster_shapes import ArchetypeMethod, require_archetype_method
 from cornercase.reduction._coverage import CoverageCurves
 from cornercase.reduction._critical_clusters import find_critical_clusters
@@ -39,6 +41,7 @@ from cornercase.reduction._set_folder import replace_set
 from cornercase.reduction._set_manifest import make_manifest, save_reduction
 from cornercase.reduction.selection._per_cluster import SCENARIOS_PER_SELECTED
 from cornercase.reduction.selection._select import SelectionInput, SelectionRequest, cross_validate, select
+from cornercase.scenario import Value
 from cornercase.scenario._concrete_file import build_concrete_file, read_required_xml
 from cornercase.scenario._file import ScenarioFile
 from cornercase.study import StudyFile
@@ -296,15 +299,17 @@ def _write_files_and_store(
     folder: Path,
 ) -> None:
     """Write the selected scenarios and the manifest, and store the set in the study; on an error nothing is changed."""
-    drivers = {
-        entity: driver for entity, driver in study.meta.settings.get("drivers", {}).items() if isinstance(driver, str)
-    }
+    chosen_drivers = study.meta.settings.get("drivers", {})
+    drivers = {entity: driver for entity, driver in chosen_drivers.items() if isinstance(driver, str)}
     dependencies: dict[Path, bytes] = {}
     with replace_set(folder) as set_folder:
         for selected in reduced_set.scenarios if scenario is not None else ():
             assert scenario is not None
             comment = f"Scenario {selected.id} of the logical scenario {study.meta.title}: {selected.why}"
-            concrete = build_concrete_file(scenario, selected.values, folder / selected.file, drivers, comment)
+            if of_drivers := scenario.driver_parameters(selected.values):
+                comment += f"; {', '.join(f'{name}={selected.values[name]}' for name in of_drivers)}"
+            own_drivers = drivers | _drivers_with_values(scenario, chosen_drivers, selected.values)
+            concrete = build_concrete_file(scenario, selected.values, folder / selected.file, own_drivers, comment)
             for source, path, root in concrete.companions:
                 if source not in dependencies:
                     dependencies[source] = read_required_xml(source, root)
@@ -318,3 +323,21 @@ def _write_files_and_store(
         except InputError:
             study.writer.save_analyses({"reduction": previous})
             raise
+
+
+def _drivers_with_values(
+    scenario: ScenarioFile, drivers: Mapping[str, object], values: Mapping[str, Value]
+) -> dict[str, str]:
+    """Return the drivers whose parameters are varied, with these values as options, by entity.
+
+    A file can only name drivers of cornercase; the values of others are in the manifest.
+    """
+    by_entity: dict[str, dict[str, Value]] = {}
+    for full_name, (entity, name) in scenario.driver_parameters(values).items():
+        by_entity.setdefault(entity, {})[name] = values[full_name]
+    named: dict[str, str] = {}
+    for entity, own in by_entity.items():
+        driver = drivers.get(entity, scenario.drivers.get(entity))
+        if isinstance(driver, str) and may_be_named_in_file(driver):
+            named[entity] = spec_with_values(entity, create_driver_named_in_file(driver), own)
+    return named

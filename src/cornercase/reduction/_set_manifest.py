@@ -70,6 +70,7 @@ def make_manifest(
             "critical": {name: asdict(item) for name, item in reduced_set.critical.items()},
             "files": dict(files),
         }
+        | ({"seed": meta.seed} if meta.seed else {})
         | _other_threshold(study)
         | ({} if reduced_set.exposing is None else {"exposing": reduced_set.exposing.to_json()})
     )

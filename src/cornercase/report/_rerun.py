@@ -102,6 +102,9 @@ def _simulate_options(meta: StudyMeta) -> list[str]:
     ]
     if meta.simulator != _BUILTIN:
         options += [f"--simulator={meta.simulator}", f"--ego={meta.ego}"]
+    is_random = meta.repeatability.get("random", False) or any(isinstance(item, dict) for item in meta.drivers.values())
+    if meta.seed and is_random:
+        options.append(f"--seed={meta.seed}")
     return [
         *options,
         *(f"--driver={entity}={driver_command_option(driver)}" for entity, driver in meta.drivers.items()),

@@ -44,7 +44,8 @@ def write_concrete_file(
 ) -> tuple[Path, ...]:
     """Write a concrete scenario, and copies of its road file and catalogs beside it; return the paths of all files.
 
-    `drivers` maps entities to driver presets. `description` replaces the description in the file header.
+    `drivers` maps entities to driver presets, with the values of their parameters as options. `description` replaces
+    the description in the file header.
     """
     concrete = build_concrete_file(scenario, values, target, drivers, description)
     for source, relative, root in concrete.companions:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -265,10 +265,27 @@ class ScenarioFile:
             )
 
     def require_declared(self, names: tuple[str, ...] | list[str]) -> None:
-        """Raise `InputError` if one of the parameters is not declared."""
+        """Raise `InputError` for a name that is neither a declared parameter nor one of an entity's driver."""
         for name in names:
-            if name not in self.parameters:
-                raise InputError(f"{self.path}: declares no parameter '{name}'; {suggest_name(name, self.parameters)}")
+            if name in self.parameters or self.driver_parameters([name]):
+                continue
+            entity, dot, option = name.partition(".")
+            possible = {*self.parameters, *(f"{other}.{option}" for other in self.entities if dot)}
+            also = f", and has no entity '{entity}' with a driver" if dot else ""
+            raise InputError(f"{self.path}: declares no parameter '{name}'{also}; {suggest_name(name, possible)}")
+
+    def driver_parameters(self, names: Iterable[str]) -> dict[str, tuple[str, str]]:
+        """Return entity and option of the names that mean a parameter of an entity's driver, such as ``Ego.reaction``.
+
+        A name that the file declares is none of them.
+        """
+        targets = {}
+        for name in names:
+            if "." in name and name not in self.parameters:
+                entities = [entity for entity in self.entities if name.startswith(f"{entity}.")]
+                if entities and (option := name.removeprefix(f"{max(entities, key=len)}.")):
+                    targets[name] = max(entities, key=len), option
+        return targets
 
     def resolve_path(self, reference: str, description: str) -> Path:
         """Return a path that the file contains, resolved from the folder of the file.

@@ -36,14 +36,18 @@ class ConcreteScenario:
     path : Path
         OpenSCENARIO file.
     values : mapping of str to float or str
-        Parameters that differ from the defaults of the file.
+        Parameters that differ from the defaults of the file, and options of drivers as ``"Ego.reaction"``.
     file : ScenarioFile, optional
         The parsed file; by default it is read when the scenario runs.
+    seed : int, default 0
+        Seed of the random numbers in this run. Together with the parameter values it gives the random numbers of
+        sensors and systems under test.
     """
 
     path: Path
     values: Mapping[str, Value] = field(default_factory=dict)
     file: ScenarioFile | None = field(default=None, repr=False, compare=False)
+    seed: int = 0
 
     def load_file(self, reusable: ScenarioFile | None = None) -> ScenarioFile:
         """Return the parsed scenario file, reading it if necessary.
@@ -87,6 +91,26 @@ class ConcreteScenario:
         {'ego_kmh': 90.0, 'gap': 30.0, 'deceleration': 0.5}
         """
         return self if self.file is None else replace(self, values=_evaluate_all_parameters(self.file, self.values))
+
+    def without_driver_parameters(self, entity: str) -> ConcreteScenario:
+        """Return the scenario without the parameters of an entity's driver, so that another driver can drive it.
+
+        Parameters
+        ----------
+        entity : str
+
+        Returns
+        -------
+        ConcreteScenario
+
+        Raises
+        ------
+        InputError
+            The file cannot be used.
+        """
+        own = self.load_file().driver_parameters(self.values)
+        values = {name: value for name, value in self.values.items() if own.get(name, ("",))[0] != entity}
+        return replace(self, values=values)
 
 
 @dataclass(frozen=True)
@@ -136,7 +160,8 @@ class LogicalScenario:
         space : path, optional
             ParameterValueDistribution file. Without it and `ranges` nothing is varied, until `vary` says what.
         ranges : sequence of str or mapping
-            ``["NAME=LOW:HIGH[:STEP]"]`` or ``{"NAME": (LOW, HIGH)}``; they extend the space or replace its ranges.
+            ``["NAME=LOW:HIGH[:STEP]"]`` or ``{"NAME": (LOW, HIGH)}``; they extend the space or replace its ranges. A
+            name is that of a declared parameter, or an option of an entity's driver: ``Ego.reaction=0.1:0.6``.
         continuous : bool, default False
             Treat ranges with steps as continuous.
 
@@ -147,7 +172,7 @@ class LogicalScenario:
         Raises
         ------
         InputError
-            A file cannot be used, or a varied parameter is not declared in the scenario.
+            A file cannot be used, or a varied parameter is neither declared in the scenario nor one of an entity.
 
         Examples
         --------
@@ -187,7 +212,8 @@ class LogicalScenario:
         Parameters
         ----------
         name : str
-            A parameter that the scenario file declares. It is added to the space, or its range is replaced.
+            A parameter that the scenario file declares, or an option of an entity's driver, as in ``"Ego.reaction"``.
+            It is added to the space, or its range is replaced.
         low, high : float
             Bounds of the range, in the parameter's unit.
         step : float, optional
@@ -219,19 +245,21 @@ class LogicalScenario:
         text = f"{check_str('name', name)}={':'.join(map(repr, bounds))}"
         return self._from_space(self.scenario_file, self.space.with_ranges([text]))
 
-    def concrete_scenario(self, values: Mapping[str, Value]) -> ConcreteScenario:
+    def concrete_scenario(self, values: Mapping[str, Value], seed: int = 0) -> ConcreteScenario:
         """Return a concrete scenario.
 
         Parameters
         ----------
         values : mapping of str to float or str
             Parameter values; the others keep the defaults of the file.
+        seed : int, default 0
+            Seed of the random numbers in this run.
 
         Returns
         -------
         ConcreteScenario
         """
-        return ConcreteScenario(self.path, dict(values), self.file)
+        return ConcreteScenario(self.path, dict(values), self.file, seed)
 
 
 def _evaluate_all_parameters(scenario: ScenarioFile, assigned: Mapping[str, Value]) -> dict[str, Value]:

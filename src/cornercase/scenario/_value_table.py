@@ -45,9 +45,9 @@ def read_value_table(path: Path, scenario: ScenarioFile) -> tuple[ValueRow, ...]
     parameters = {name: unescape_csv_cell(name) for name in names if name != FILE_COLUMN}
     if not parameters or len({*parameters.values()}) + (FILE_COLUMN in names) < len(names):
         raise InputError(f"{path}: needs a header with each parameter once, not {', '.join(names) or 'an empty one'}.")
-    declared = scenario.parameters
+    declared, of_drivers = scenario.parameters, scenario.driver_parameters(parameters.values())
     for name in parameters.values():
-        if name not in declared:
+        if name not in declared and name not in of_drivers:
             raise InputError(
                 f"{path}: has a column '{name}', but {scenario.path} declares no such parameter;"
                 f" {suggest_name(name, declared)}"

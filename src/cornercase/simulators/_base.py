@@ -73,6 +73,9 @@ class Simulator(Configurable, ABC):
     batched : bool, default False
         Whether one call with many scenarios is faster than single calls. It then gets as many scenarios as possible at
         once, otherwise one at a time.
+    takes_driver_parameters : bool, default False
+        Whether its drivers can differ between scenarios: ``concrete.values`` then also has values such as
+        ``Ego.reaction``, for the option ``reaction`` of the driver of ``Ego``. They are refused otherwise.
     parameter_passing : {"name", "file"}, default "name"
         How it takes parameter values. ``"name"``: ``concrete.values`` has the values of all parameters that the
         scenario file declares. ``"file"``: it reads the file, and ``concrete.values`` has only the values that differ
@@ -106,6 +109,7 @@ class Simulator(Configurable, ABC):
     in_process: ClassVar[bool] = False
     deterministic: ClassVar[bool] = False
     batched: ClassVar[bool] = False
+    takes_driver_parameters: ClassVar[bool] = False
     parameter_passing: Literal["name", "file"] = "name"
     on_notice: Callable[[str], None] = staticmethod(issue_notice_warning)
 

@@ -10,7 +10,7 @@ from cornercase._common.errors import InputError
 from cornercase._common.io.support_table import warn_notices
 from cornercase._common.process.signals import collect_interrupts
 from cornercase._common.text.source_lines import prefix_file
-from cornercase._common.validation import check_parameter_values
+from cornercase._common.validation import check_int, check_parameter_values
 from cornercase.drivers._resolve import DriverLike, resolve_driver
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario, Value
@@ -18,6 +18,7 @@ from cornercase.scenario._file import ScenarioFile
 from cornercase.simulators._base import Simulator
 from cornercase.simulators._common_options import split_common_options
 from cornercase.simulators._create import create_simulator
+from cornercase.simulators._driver_parameters import check_driver_parameters
 from cornercase.simulators._results import check_simulator_accepts, list_ignored_content, run_scenarios
 from cornercase.simulators._run_notices import RunNotices
 
@@ -33,6 +34,7 @@ def simulate(
     simulator: str | Simulator = "builtin",
     ego: str = "Ego",
     timeout: float | None = None,
+    seed: int = 0,
 ) -> Recording:
     """Run one concrete scenario.
 
@@ -56,6 +58,8 @@ def simulate(
         Entity under test, for a simulator that needs to know it.
     timeout : float, optional
         Time in s after which the run is cancelled.
+    seed : int, default 0
+        Seed of the random numbers of sensors and systems under test.
 
     Returns
     -------
@@ -83,7 +87,7 @@ def simulate(
     ('Ego', 'Truck', 'C', 'Pedestrian')
     """
     file = scenario if isinstance(scenario, ScenarioFile) else ScenarioFile.read(scenario)
-    checked_values = check_parameter_values("values", values)
+    checked_values, seed = check_parameter_values("values", values), check_int("seed", seed, 0)
     file.require_declared(list(checked_values))
     options: dict[str, Any] = {
         "time_step": time_step,
@@ -93,9 +97,10 @@ def simulate(
     }
     simulator, options = split_common_options(simulator, options)
     options["drivers"] = {entity: resolve_driver(driver) for entity, driver in options["drivers"].items()}
+    check_driver_parameters(simulator, file, options["drivers"], [checked_values])
     with collect_interrupts(), create_simulator(simulator, options, ego=ego, timeout=timeout) as started:
         check_simulator_accepts(started, [file])
-        (result,) = run_scenarios(started, [ConcreteScenario(file.path, checked_values, file)])
+        (result,) = run_scenarios(started, [ConcreteScenario(file.path, checked_values, file, seed)])
     if isinstance(result, Exception):
         raise InputError(prefix_file(file.path, f"{result}."))
     warn_notices(list_ignored_content(started, file, checked_values))

@@ -23,6 +23,7 @@ from cornercase.scenario._value_table import FILE_COLUMN, read_value_table
 from cornercase.simulators._base import COMMON_OPTIONS, Simulator
 from cornercase.simulators._common_options import split_common_options
 from cornercase.simulators._create import create_simulator
+from cornercase.simulators._driver_parameters import check_driver_parameters
 from cornercase.simulators._output_folder import NOTES_FILE, TABLE_FILE, PlannedRecording, RecordingsFolder
 from cornercase.simulators._results import (
     check_simulator_accepts,
@@ -86,6 +87,7 @@ def simulate_many(
     table: Path | str | None = None,
     values: Mapping[str, Value] | None = None,
     ego: str = "Ego",
+    seed: int = 0,
     progress: bool = False,
     **options: Unpack[SimulationKeywords],
 ) -> SimulatedFolder:
@@ -108,6 +110,8 @@ def simulate_many(
         Parameter values in all scenarios.
     ego : str, default "Ego"
         Entity under test, for a simulator that needs to know it.
+    seed : int, default 0
+        Seed of the random numbers of sensors and systems under test.
     progress : bool, default False
         Show a progress bar.
     **options
@@ -156,10 +160,11 @@ def simulate_many(
     checked_values = validation.check_parameter_values("values", values)
     for scenario in scenario_files:
         scenario.require_declared(list(checked_values))
+    seed = validation.check_int("seed", seed, 0)
     planned = (
-        _plan_from_files(scenario_files, checked_values)
+        _plan_from_files(scenario_files, checked_values, seed)
         if table is None
-        else _plan_from_table(scenario_files, validation.check_path("table", table), checked_values)
+        else _plan_from_table(scenario_files, validation.check_path("table", table), checked_values, seed)
     )
     if table is not None:
         for name in (TABLE_FILE, NOTES_FILE):
@@ -168,6 +173,9 @@ def simulate_many(
         checked.pop("simulator"), {name: checked.pop(name) for name in COMMON_OPTIONS}
     )
     settings["drivers"] = {entity: resolve_driver(driver) for entity, driver in settings["drivers"].items()}
+    for scenario in scenario_files:
+        values_of_file = [plan.concrete_scenario.values for plan in planned if plan.concrete_scenario.file is scenario]
+        check_driver_parameters(simulator, scenario, settings["drivers"], values_of_file)
     with create_simulator(simulator, settings, ego=ego, **checked) as started:
         if table is None:
             refused = find_refusals(started, [plan.concrete_scenario for plan in planned])
@@ -182,7 +190,11 @@ def simulate_many(
             ]
         else:
             check_simulator_accepts(started, scenario_files, [plan.concrete_scenario for plan in planned])
-        output_folder = RecordingsFolder(folder, planned, {"simulator": str(simulator), **started.settings})
+        output_folder = RecordingsFolder(
+            folder,
+            planned,
+            {"simulator": str(simulator), **started.settings, **({"seed": seed} if seed else {})},
+        )
         warn_notices(
             deduplicate_notices(
                 notice
@@ -230,7 +242,9 @@ def _recording_file_name(path: Path) -> str:
     return portable_name(path.stem) + _CSV_SUFFIX
 
 
-def _plan_from_files(scenarios: Sequence[ScenarioFile], values: Mapping[str, Value]) -> list[PlannedRecording]:
+def _plan_from_files(
+    scenarios: Sequence[ScenarioFile], values: Mapping[str, Value], seed: int
+) -> list[PlannedRecording]:
     """Plan one recording per scenario file, named after the file."""
     if not scenarios:
         raise InputError("`scenario`: name at least one OpenSCENARIO file.")
@@ -240,13 +254,13 @@ def _plan_from_files(scenarios: Sequence[ScenarioFile], values: Mapping[str, Val
         if other is not scenario:
             raise InputError(f"{scenario.path}: has the same recording name as {other.path}; rename one.")
     return [
-        PlannedRecording(_recording_file_name(scenario.path), ConcreteScenario(scenario.path, values, scenario))
+        PlannedRecording(_recording_file_name(scenario.path), ConcreteScenario(scenario.path, values, scenario, seed))
         for scenario in scenarios
     ]
 
 
 def _plan_from_table(
-    scenarios: Sequence[ScenarioFile], table: Path, values: Mapping[str, Value]
+    scenarios: Sequence[ScenarioFile], table: Path, values: Mapping[str, Value], seed: int
 ) -> list[PlannedRecording]:
     """Plan one recording per line of a table, all of the same scenario."""
     if len(scenarios) != 1:
@@ -266,7 +280,8 @@ def _plan_from_table(
         earlier = lines.setdefault(file.casefold(), row.line)
         if earlier != row.line:
             raise InputError(f"{table}, line {row.line}: repeats the file name {file} of line {earlier}.")
-        planned.append(PlannedRecording(file, ConcreteScenario(scenario.path, {**values, **row.values}, scenario)))
+        concrete = ConcreteScenario(scenario.path, {**values, **row.values}, scenario, seed)
+        planned.append(PlannedRecording(file, concrete))
     return planned
 
 

@@ -137,7 +137,8 @@ class StudyMeta:
     repeatability : mapping of str to object
         Result of running one scenario twice: the id of the scenario (``scenario``), and whether both recordings have
         the ``same`` bytes. If they differ, ``apart`` is the largest distance in m between the positions of an entity in
-        both (None if unknown). Empty if no scenario was run twice.
+        both (None if unknown). ``random`` is True if sensors are random, so that runs with other seeds differ; else it
+        is left out. Empty if no scenario was run twice.
     files : tuple of str
         Files of imported recordings, or scenario files of a suite, in the order of scenario ids.
     kinds : tuple of str

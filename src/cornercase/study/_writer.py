@@ -86,12 +86,15 @@ class StudyWriter:
                 return
             insert_rows(connection, "elsewhere", rows)
 
-    def save_repeatability(self, scenario: int, same: bool, max_distance: float | None) -> None:
-        """Store whether a second run of a scenario gave the same bytes.
+    def save_repeatability(
+        self, scenario: int, same: bool, max_distance: float | None, is_random: bool = False
+    ) -> None:
+        """Store whether a second run of a scenario with the same seed gave the same bytes.
 
         `max_distance` is the largest distance in m between the positions of an entity in both runs; None if unknown.
+        With `is_random`, runs with other seeds differ.
         """
-        result = {"scenario": scenario, "same": same, "apart": max_distance}
+        result = {"scenario": scenario, "same": same, "apart": max_distance} | ({"random": True} if is_random else {})
         with self._database.transaction() as connection:
             insert_rows(connection, "meta", [("repeatability", json.dumps(result, sort_keys=True))])
         self._study.meta = replace(self._study.meta, repeatability=result)

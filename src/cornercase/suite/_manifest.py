@@ -103,6 +103,7 @@ def _build_suite(path: Path, manifest: Mapping[str, Any]) -> SuiteContents:
                 role=_require_text(entry["role"]),
                 selection_reason=_require_text(entry["why"]),
                 source_id=int(entry["id"]),
+                seed=int(manifest.get("seed", 0)),
             )
         )
     if not scenarios:
@@ -173,8 +174,10 @@ def _require_values_of_file(path: Path, scenario: SuiteScenario) -> None:
     # Paths in the copied file differ from those in the logical scenario.
     path_names = scenario.scenario.path_parameters
     for name, value in scenario.values.items():
-        if name not in path_names and as_declared(value, declared[name]) != as_declared(
-            declared[name].value, declared[name]
+        if (
+            name in declared
+            and name not in path_names
+            and as_declared(value, declared[name]) != as_declared(declared[name].value, declared[name])
         ):
             raise InputError(
                 f"{path}: gives {scenario.file_name[:100]} the value {escape_control_characters(str(value))[:60]} for"

@@ -115,8 +115,9 @@ def analyze_mutants(
         if len(rows) > MAX_CANDIDATES:
             indices = np.linspace(0, len(rows) - 1, MAX_CANDIDATES).round().astype(int)
             rows = [rows[i] for i in indices.tolist()]
-        concretes = [ConcreteScenario(logical.path, dict(row.values), logical) for row in rows]
+        concretes = [ConcreteScenario(logical.path, dict(row.values), logical, meta.seed) for row in rows]
         ids, settings, entities = [row.id for row in rows], dict(meta.settings), (meta.ego, meta.others)
+        _require_fixed_driver(meta.ego, concretes)
     assigned: dict[str, Any] = {**settings.get("drivers", {}), **_check_own_drivers(drivers, settings)}
     driver = find_ego_driver(entities[0], assigned, [logical])
     mutants_ = generate_mutants(driver, 2 * n_mutants, seed)
@@ -168,6 +169,7 @@ def draw_mutants(
 ) -> tuple[str, tuple[Mutant, ...]]:
     """Return the ego's driver in a suite, where `drivers` override those in the files, and mutants of it."""
     _require_no_reference(requirements)
+    _require_fixed_driver(ego, [scenario.concrete_scenario for scenario in suite.runnable_scenarios])
     driver = find_ego_driver(ego, drivers, [scenario.scenario for scenario in suite.runnable_scenarios])
     return driver, generate_mutants(driver, check_int("mutants", count, 1), seed)
 
@@ -275,6 +277,13 @@ def _iter_violations(
             yield None
         else:
             yield any(judge(requirement, outcome, *entities).state == "failed" for requirement in applicable)
+
+
+def _require_fixed_driver(ego: str, concretes: Sequence[ConcreteScenario]) -> None:
+    """Raise `InputError` if the scenarios differ in the ego's driver, since a mutant is one driver in all of them."""
+    for concrete in concretes:
+        if others := {*concrete.values} - {*concrete.without_driver_parameters(ego).values}:
+            raise InputError(f"Mutants need one driver of {ego}, but {min(others)} varies; leave them out.")
 
 
 def _require_no_reference(requirements: Sequence[Requirement]) -> None:

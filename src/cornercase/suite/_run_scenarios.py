@@ -19,6 +19,7 @@ from cornercase.metrics import Metric
 from cornercase.metrics._measure import evaluate_metrics
 from cornercase.recordings import Recording
 from cornercase.simulators import Simulator
+from cornercase.simulators._random_sensors import find_random_sensors
 from cornercase.simulators._results import find_refusals, get_simulator_class, list_ignored_content, run_scenarios
 from cornercase.simulators._run_notices import RunNotices, warn_if_ego_has_no_driver
 from cornercase.study import ScenarioRecord, StudyFile, StudyMeta
@@ -69,7 +70,8 @@ def run_pending_scenarios(
                 for n_done in _run_pending(study, rows, suite.scenarios, simulator, metrics, workers, notices):
                     raise_interrupt()
                     bar.update(n_done, "")
-                check_repeatability(study, partial(_run_again, suite, simulator), _NONDETERMINISM_ADVICE)
+                run_again, is_random = partial(_run_again, suite, simulator), partial(_is_random, suite, simulator)
+                check_repeatability(study, run_again, _NONDETERMINISM_ADVICE, is_random)
         finally:
             bar.stop()
             notices.issue_warnings()
@@ -82,9 +84,14 @@ def run_pending_scenarios(
         return n_before
 
 
-def _run_again(suite: SuiteContents, simulator: Simulator, row: ScenarioRecord) -> Recording | SimulationError:
-    (outcome,) = run_scenarios(simulator, [suite.scenarios[row.id - 1].concrete_scenario])
-    return outcome
+def _run_again(
+    suite: SuiteContents, simulator: Simulator, row: ScenarioRecord
+) -> Iterator[Recording | SimulationError]:
+    return run_scenarios(simulator, [suite.scenarios[row.id - 1].concrete_scenario])
+
+
+def _is_random(suite: SuiteContents, simulator: Simulator) -> bool:
+    return bool(find_random_sensors(simulator, (item.scenario for item in suite.runnable_scenarios)))
 
 
 def _warn_about_files(suite: SuiteContents, simulator: Simulator, ego: str) -> None:
@@ -155,7 +162,8 @@ def run_reference_drivers(
     for name, simulator in simulators_by_driver.items():
         applicable = [item for item in requirements if name in item.expression.reference_drivers]
         rows = [row for row in study.finished_rows() if _needs_reference_run(suite, study, row, name, applicable)]
-        outcomes = run_scenarios(simulator, [suite.scenarios[row.id - 1].concrete_scenario for row in rows])
+        concretes = [suite.scenarios[row.id - 1].concrete_scenario.without_driver_parameters(ego) for row in rows]
+        outcomes = run_scenarios(simulator, concretes)
         for row, run in zip(rows, outcomes, strict=False):
             if not isinstance(run, SimulationError):
                 outcome = assess_preventability(name, run, study.recording(row.id), ego, others)

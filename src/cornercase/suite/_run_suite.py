@@ -14,10 +14,10 @@ from cornercase._common.io.files import check_output_differs_from_source, check_
 from cornercase._common.option import check_options, document_options
 from cornercase._common.process.dask import open_connection
 from cornercase._common.text.sanitize import escape_control_characters, remove_folders
-from cornercase._common.validation import check_bool, check_mapping, check_str, check_str_sequence, repr_short
+from cornercase._common.validation import check_bool, check_mapping, check_str, check_str_sequence
 from cornercase._common.validation import check_path as path_argument
-from cornercase.drivers import Driver, SystemUnderTest
-from cornercase.drivers._resolve import DriverLike, is_driver, resolve_driver
+from cornercase.drivers import Driver
+from cornercase.drivers._resolve import DriverLike, check_drivers, resolve_driver
 from cornercase.exploration._explore_options import OPTIONS
 from cornercase.metrics import METRICS, Metric
 from cornercase.metrics._critical_if import find_critical_if_condition
@@ -31,6 +31,7 @@ from cornercase.study import StudyFile, StudyMeta
 from cornercase.study._meta import metric_fields
 from cornercase.study._stored_paths import stored_path
 from cornercase.suite._baseline import compare_with_baseline, find_baseline_study
+from cornercase.suite._driver_values import with_values_of_drivers
 from cornercase.suite._judge import judge_scenario
 from cornercase.suite._junit import JUNIT_START, write_junit
 from cornercase.suite._markdown import HEADING_START, write_markdown_summary
@@ -157,6 +158,7 @@ def run_suite(
     }
     name = _choose_simulator(contents, given["simulator"])
     settings["drivers"] = _resolve_drivers(contents, given["drivers"])
+    contents = with_values_of_drivers(contents, name, settings["drivers"])
     if mutants is not None:
         # Check before anything is run.
         require_builtin_simulator(str(name))
@@ -344,12 +346,7 @@ def _choose_simulator(suite: SuiteContents, requested: str | Simulator | None) -
 
 
 def _resolve_drivers(suite: SuiteContents, requested: Mapping[str, DriverLike] | None) -> dict[str, str | Driver]:
-    drivers: dict[str, str | Driver] = {}
-    for entity, driver in check_mapping("drivers", requested or {}).items():
-        if (isinstance(driver, str) and driver) or isinstance(driver, SystemUnderTest) or is_driver(driver):
-            drivers[entity] = resolve_driver(driver)
-        else:
-            raise InputError(f"`drivers` {entity}={repr_short(driver)}: give the name of a driver, or an instance.")
+    drivers = {entity: resolve_driver(driver) for entity, driver in check_drivers(requested).items()}
     for entity, command in suite.custom_drivers.items():
         if entity not in drivers:
             name = escape_control_characters(command) or "an object that Python code made"

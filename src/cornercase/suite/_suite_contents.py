@@ -25,8 +25,9 @@ class SuiteScenario:
     """A scenario of a suite; `values` distinguish it from the other scenarios.
 
     `cluster_name`, `role` and `selection_reason` come from the manifest; they are empty if unknown. `source_id` is the
-    id in the study that the scenario was selected from. `error` says why the file cannot be run; it is empty if the
-    file can be run.
+    id in the study that the scenario was selected from, and `seed` that study's seed. `error` says why the file cannot
+    be run; it is empty if the file can be run. `driver_values` are those of `values` that the drivers of a run take,
+    and no file can hold.
     """
 
     file_name: str
@@ -37,11 +38,13 @@ class SuiteScenario:
     selection_reason: str = ""
     source_id: int | None = None
     error: str = ""
+    seed: int = 0
+    driver_values: Mapping[str, Value] = field(default_factory=dict)
 
     @property
     def concrete_scenario(self) -> ConcreteScenario:
         """The scenario as a simulator takes it: the file without changes."""
-        return ConcreteScenario(self.scenario.path, {}, self.scenario)
+        return ConcreteScenario(self.scenario.path, self.driver_values, self.scenario, self.seed)
 
     @property
     def files(self) -> tuple[Path, ...]:
@@ -102,8 +105,10 @@ class SuiteContents:
 
     @property
     def content_hash(self) -> str:
-        """SHA-256 of the names and contents of the scenario files, and of all files that they use."""
+        """SHA-256 of the names and contents of the scenario files and all that they use, and of drivers' values."""
         digest = hashlib.sha256()
         for scenario in self.scenarios:
             digest.update(f"{scenario.file_name}\0{scenario.fingerprint}\0".encode())
+            of_drivers = {} if scenario.error else scenario.scenario.driver_parameters(scenario.values)
+            digest.update("".join(f"{name}={scenario.values[name]}\0" for name in of_drivers).encode())
         return digest.hexdigest()

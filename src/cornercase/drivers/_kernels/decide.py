@@ -55,14 +55,15 @@ def change_vehicle_speed(fleet, driver, scenario, speed, acceleration, request, 
 
 @plain_kernel
 def _decide_as_simple_driver(fleet, driver, scenario, route, time, time_step, driven, others, buffers):
-    p = fleet.parameters[driver]
+    p = fleet.parameters[driver, scenario]
     parameters = FollowParameters(p[0], p[1], p[2], p[3], p[4], p[5], p[6])
     return follow_with_idm(parameters, _driver_scene(fleet, driver, scenario, time, time_step, driven, others))
 
 
 @plain_kernel
 def _decide_by_behaviour(fleet, driver, scenario, route, time, time_step, driven, others, buffers):
-    scene, p = _driver_scene(fleet, driver, scenario, time, time_step, driven, others), fleet.parameters[driver]
+    scene = _driver_scene(fleet, driver, scenario, time, time_step, driven, others)
+    p = fleet.parameters[driver, scenario]
     behaviour = Behaviour(
         p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[8], p[9], p[10], p[11], p[12], p[13], p[14], p[15], p[16]
     )

@@ -56,7 +56,7 @@ class Routes(NamedTuple):
 class Fleet(NamedTuple):
     """D drivers in N scenarios. For each driver, the A others are all other entities, in order.
 
-    `kind` (D,): `BEHAVIOUR`, `SIMPLE` or `NOT_COMPILED`. `parameters` (D, P): fields of a `Behaviour` or of
+    `kind` (D,): `BEHAVIOUR`, `SIMPLE` or `NOT_COMPILED`. `parameters` (D, N, P): fields of a `Behaviour` or of
     `FollowParameters`. `own` (D, 3): half length, half width and centre of the driven box in m. `boxes` (D, 4, A): half
     length, half width and centre of the others' boxes in m, and 1 for pedestrians and cyclists (else 0).
 

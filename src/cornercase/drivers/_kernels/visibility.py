@@ -44,8 +44,8 @@ def find_visible_others(
     others: FloatArray,
     boxes: FloatArray,
     *,
-    field_of_view: float = 2.0 * math.pi,
-    sight_range: float = math.inf,
+    field_of_view: float | FloatArray = 2.0 * math.pi,
+    sight_range: float | FloatArray = math.inf,
 ) -> BoolArray:
     """Return which of A other entities a driver sees in each of N scenes; ndarray of bool, shape (N, A).
 
@@ -55,12 +55,13 @@ def find_visible_others(
 
     `pose` (N, 3): x and y in m and heading in rad of the driver's reference point. `box` (3,): length, width and centre
     of its box in m. `others` (N, 3, A): x, y and heading, NaN if an entity does not exist. `boxes` (3, A): the others'
-    boxes, like `box`. `field_of_view` is in rad, `sight_range` in m.
+    boxes, like `box`. `field_of_view` in rad and `sight_range` in m are numbers or of shape (N,).
     """
     half = np.array([0.5, 0.5, 1.0])
     # Contiguous arrays, so that the kernel is compiled only once.
     arrays = np.ascontiguousarray(pose), np.ascontiguousarray(others)
-    seen: BoolArray = _find_visible_in_scenes(field_of_view, sight_range, half * box, half[:, None] * boxes, *arrays)
+    limits = (np.full(len(pose), limit, dtype=np.float64) for limit in (field_of_view, sight_range))
+    seen: BoolArray = _find_visible_in_scenes(*limits, half * box, half[:, None] * boxes, *arrays)
     return seen
 
 
@@ -70,7 +71,7 @@ def _find_visible_in_scenes(field_of_view, sight_range, own, boxes, pose, others
     seen, placed_boxes = np.empty((scenarios, count), dtype=np.bool_), np.full((count, 5), np.nan)
     for n in range(scenarios):
         eye = eye_pose(own, pose[n, 0], pose[n, 1], math.cos(pose[n, 2]), math.sin(pose[n, 2]))
-        update_visible_others(field_of_view, sight_range, eye, boxes, others[n], placed_boxes, seen[n])
+        update_visible_others(field_of_view[n], sight_range[n], eye, boxes, others[n], placed_boxes, seen[n])
     return seen
 
 

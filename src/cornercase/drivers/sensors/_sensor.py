@@ -3,12 +3,33 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from dataclasses import dataclass
 from typing import ClassVar, Final
 
 from cornercase._common.configurable import Configurable
 from cornercase._common.registry import Registry
+from cornercase._common.typing import FloatArray
 from cornercase.drivers._base import Situation
 from cornercase.drivers._function import Start
+
+
+@dataclass(frozen=True, eq=False)
+class SensedObjects:
+    """What a sensor knows of A other entities and F false objects, in N scenarios.
+
+    Attributes
+    ----------
+    x, y, heading, speed : ndarray of float64, shape (N, A + F)
+        State of the reference points in m, rad and m/s, as measured; NaN if the sensor does not know the object.
+    measured_at : ndarray of float64, shape (N, A + F)
+        Time of the last measurement in s.
+    """
+
+    x: FloatArray
+    y: FloatArray
+    heading: FloatArray
+    speed: FloatArray
+    measured_at: FloatArray
 
 
 class Sensor(Configurable, ABC):
@@ -23,23 +44,31 @@ class Sensor(Configurable, ABC):
         As registered.
     is_random : bool
         Whether runs with other seeds differ.
+    random_options : frozenset of str
+        Options that make the sensor random if they are above 0.
+    false_objects : int
+        Number F of false objects that it may see at the same time.
     """
 
-    is_random: ClassVar[bool] = False
+    is_random: bool = False
+    random_options: ClassVar[frozenset[str]] = frozenset()
+    false_objects: int = 0
 
     @abstractmethod
-    def start(self, start: Start) -> None:
+    def start(self, start: Start, label: str) -> None:
         """Reset all state for a batch.
 
         Parameters
         ----------
         start : Start
             What is known then.
+        label : str
+            Its name among the sensors of the entity, such as ``"radar 2"``; the purpose of its random numbers.
         """
 
     @abstractmethod
-    def perceive(self, situation: Situation) -> Situation:
-        """Return the situation as sensed.
+    def perceive(self, situation: Situation) -> SensedObjects:
+        """Return what the sensor knows.
 
         It is called in each step once per path, with the mask ``active`` of the scenarios that take the step; the state
         of all other scenarios must not change.
@@ -51,10 +80,12 @@ class Sensor(Configurable, ABC):
 
         Returns
         -------
-        Situation
-            It may have more others than there are (false objects, appended), which are NaN in scenarios without them.
+        SensedObjects
         """
 
 
 SENSORS: Final[Registry[Sensor]] = Registry("sensor", "cornercase.sensors", Sensor)
 """Sensors by name."""
+
+for _name in ("camera", "lidar", "radar"):
+    SENSORS.register(_name, f"cornercase.drivers.sensors._object_sensor:{_name.capitalize()}")

@@ -13,13 +13,17 @@ from lxml import etree
 from cornercase._common.errors import InputError, SimulationError
 from cornercase._common.plugin_errors import format_time_of_failure
 from cornercase._common.text.source_lines import locate_input_errors
-from cornercase._common.typing import BoolArray
+from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.drivers import Driver
 from cornercase.drivers._attachment import DriverError
+from cornercase.drivers._parameters import find_parameter, is_same_in_batch, read_parameters
 from cornercase.recordings import Collision, Recording
 from cornercase.scenario import Value
+from cornercase.scenario._batch_split import BatchSplitError
+from cornercase.scenario._file import ScenarioFile
 from cornercase.scenario._other_formats import later_minor_version
 from cornercase.scenario._scope import Scope
+from cornercase.scenario._seeds import ScenarioSeeds
 from cornercase.simulators.builtin._entities import read_entities
 from cornercase.simulators.builtin._prepared_file import PreparedScenario, UnusableValuesError
 from cornercase.simulators.builtin._stepper import Coupling, Stepper
@@ -37,9 +41,9 @@ _MAX_ENTITIES: Final = 500
 class Batch:
     """Concrete scenarios of one file that run together, since they have the same storyboard.
 
-    `drivers` maps entities to drivers, and overrides the controllers in the file. `coupling` is another simulator that
-    moves some of the entities. Raises `UnusableValuesError` if the file cannot be used with these parameter values, and
-    `BatchSplitError` if the scenarios must be split into smaller batches.
+    `seeds` are those of the runs. `drivers` maps entities to drivers, and overrides the controllers in the file.
+    `coupling` is another simulator that moves some of the entities. Raises `UnusableValuesError` if the file cannot be
+    used with these parameter values, and `BatchSplitError` if the scenarios must be split into smaller batches.
 
     `failure` is the error of a driver that ended the run early. In a batch of one scenario, it is the result. In a
     larger batch, the scenario at fault is unknown, and no result can be used.
@@ -49,17 +53,19 @@ class Batch:
         self,
         prepared: PreparedScenario,
         values: Sequence[Mapping[str, Value]],
+        seeds: Sequence[int],
         time_step: float,
         duration: float,
         stop_at_collision: bool,
         drivers: Mapping[str, Driver | str],
         coupling: Coupling | None = None,
     ) -> None:
-        scope, self._file_name = prepared.scenario.scope(values), prepared.scenario.path.name
+        self._parameters, self._values = _split_off_driver_parameters(prepared.scenario, values)
+        scope, self._file_name = prepared.scenario.scope(self._values), prepared.scenario.path.name
         self._time_step = time_step
         self.failure: DriverError | None = None
         try:
-            self._read_file(prepared, scope, drivers)
+            self._read_file(prepared, scope, seeds, drivers)
         except InputError as error:
             minor, message = later_minor_version(prepared.scenario.root), str(error)
             if minor is not None and "not supported" in message:
@@ -67,7 +73,9 @@ class Batch:
             raise UnusableValuesError(message, scope.split_parameters) from None
         self._stepper = Stepper(self._world, self._storyboard, time_step, duration, stop_at_collision, coupling)
 
-    def _read_file(self, prepared: PreparedScenario, scope: Scope, drivers: Mapping[str, Driver | str]) -> None:
+    def _read_file(
+        self, prepared: PreparedScenario, scope: Scope, seeds: Sequence[int], drivers: Mapping[str, Driver | str]
+    ) -> None:
         scenario = prepared.scenario
         prepared.check_elements_supported()
         storyboard = scenario.root.find("Storyboard")
@@ -88,8 +96,12 @@ class Batch:
                 )
         entities, tows = read_entities(objects, scope)
         self._world = World(entities, scope.n_scenarios, network, tows, self._time_step)
+        self._world.values = self._values
         self._world.signal_controllers = read_signal_controllers(scenario.root, scope)
         self._world.selections = _read_entity_selections(scenario.root, self._world, scope)
+        # A copied file names other paths.
+        names = scope.parameter_values.keys() - scenario.path_parameters
+        self._world.seeds = ScenarioSeeds(seeds, {name: scope.parameter_values[name] for name in names})
         self._world.parameters = {
             name: _to_parameter_array(value, scope.n_scenarios) for name, value in scope.parameter_values.items()
         }
@@ -107,7 +119,7 @@ class Batch:
                 continue
             with locate_input_errors(None if name in drivers else objects[e], scope.file_name):
                 driver_object = create_file_driver(driver, scope.file_name) if isinstance(driver, str) else driver
-            number = DriverControl(self._world, e, driver_object).number
+            number = DriverControl(self._world, e, driver_object, self._read_parameters(name, driver_object)).number
             self._world.has_fixed_driver[e] = name in drivers
             self._world.assign_control(e, np.ones(scope.n_scenarios, dtype=np.bool_), number, True)
         self._storyboard = Storyboard(scenario, scope, self._world)
@@ -115,6 +127,17 @@ class Batch:
         prepared.check_elements_supported()
         for message, mask in scope.invalid_values():
             self._world.fail(mask, message)
+
+    def _read_parameters(self, entity: str, driver: Driver) -> dict[str, FloatArray]:
+        """Return the parameters of an entity's driver, and let scenarios fail whose values it does not take."""
+        names, values = self._parameters.get(entity, ({}, []))
+        parameters, problems = read_parameters(entity, driver, values)
+        shared = {name for name in parameters if is_same_in_batch(driver, find_parameter(entity, driver, name)[0])}
+        if differing := {names[name] for name in shared if (parameters[name] != parameters[name][0]).any()}:
+            raise BatchSplitError(differing)
+        for n, problem in problems.items():
+            self._world.fail(np.arange(self._world.scenarios) == n, problem)
+        return parameters
 
     @property
     def _driver_actions(self) -> list[DriverControl]:
@@ -220,6 +243,27 @@ class Batch:
         for i, time, a, b in sorted(zip(*(column.tolist() for column in columns), strict=True)):
             collisions.setdefault(i, []).append(Collision(time, (names[a], names[b])))
         return {i: tuple(of_scenario) for i, of_scenario in collisions.items()}
+
+
+def _split_off_driver_parameters(
+    scenario: ScenarioFile, values: Sequence[Mapping[str, Value]]
+) -> tuple[dict[str, tuple[dict[str, str], list[dict[str, Value]]]], Sequence[Mapping[str, Value]]]:
+    """Return the values of drivers and those of the file's parameters.
+
+    The first are by entity: full names by name without the entity, and values by the latter, by scenario.
+    """
+    parameters = scenario.driver_parameters({name for of_scenario in values for name in of_scenario})
+    if partly_given := {name for name in parameters if not all(name in of_scenario for of_scenario in values)}:
+        raise BatchSplitError(partly_given)
+    by_entity: dict[str, dict[str, str]] = {}
+    for full_name, (entity, name) in parameters.items():
+        by_entity.setdefault(entity, {})[name] = full_name
+    return {
+        entity: (names, [{name: of_scenario[full] for name, full in names.items()} for of_scenario in values])
+        for entity, names in by_entity.items()
+    }, [
+        {name: value for name, value in of_scenario.items() if name not in parameters} for of_scenario in values
+    ] if parameters else values
 
 
 def _to_parameter_array(value: Any, n_scenarios: int) -> Any:

@@ -50,7 +50,8 @@ class Check:
         Schema violations of the file and of the space. Violations that are read all the same are listed only if
         `strict` was given.
     space : ParameterSpace or None
-        The parameter space; None if no space was given, or it cannot be used.
+        The parameter space; None if no space was given, or it cannot be used. Parameters of drivers are not checked,
+        since a search may be given other drivers than the file's.
     run_errors : tuple of str
         Why the scenario cannot be run.
     standard_violations : tuple of str
@@ -138,7 +139,9 @@ def check(
         if space is not None:
             parameter_space = LogicalScenario.read(file, space).space
             (values,) = parameter_space.values(parameter_space.center_point())
-            concrete = ConcreteScenario(file.path, values, file)
+            # The drivers of the file need not be those that the search is given.
+            own = {name: value for name, value in values.items() if name in file.parameters}
+            concrete = ConcreteScenario(file.path, own, file)
         (result,) = Builtin(duration=0.05, drivers=given).run([concrete])
         if isinstance(result, Exception):
             run_errors.append(prefix_file(file.path, f"{result}."))

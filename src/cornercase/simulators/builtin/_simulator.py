@@ -22,6 +22,7 @@ from cornercase.scenario import ConcreteScenario, Value
 from cornercase.scenario._batch_split import BatchSplitError
 from cornercase.scenario._file import ScenarioFile
 from cornercase.simulators._base import Availability, Simulator, check_settings
+from cornercase.simulators._driver_parameters import find_parameters_of_drivers
 from cornercase.simulators.builtin._batch import Batch
 from cornercase.simulators.builtin._prepared_file import PreparedScenario
 from cornercase.simulators.builtin._unsupported import read_and_collect_notices
@@ -62,6 +63,7 @@ class Builtin(Simulator):
     in_process = True
     deterministic = True
     batched = True
+    takes_driver_parameters = True
     parameter_passing = "file"
 
     def __init__(
@@ -163,6 +165,8 @@ class Builtin(Simulator):
         prepared = self._prepare(run.concretes[indices[0]])
         for entity in self._drivers:
             prepared.scenario.require_entity(entity, "driven entity")
+        names = {name for i in indices for name in run.concretes[i].values}
+        find_parameters_of_drivers(prepared.scenario, self._drivers, names)
         invalid = prepared.find_invalid_values([run.concretes[i].values for i in indices])
         run.progress.update((indices[k], SimulationError(reason)) for k, reason in invalid.items())
         for group in _group_by_split_parameters(prepared, run.concretes, [i for i in indices if i not in run.progress]):
@@ -177,6 +181,7 @@ class Builtin(Simulator):
         return Batch(
             prepared,
             [concrete.values for concrete in concretes],
+            [concrete.seed for concrete in concretes],
             self._time_step,
             self._duration,
             self._on_collision == "stop",

@@ -348,7 +348,7 @@ def _bind_arguments(*arguments: Any) -> tuple[Callable[[int, int], object], bool
 def _build_driver_fleet(world: World, driver_actions: list[DriverControl]) -> Fleet:
     boxes = np.array([(entity.length, entity.width, entity.center_x) for entity in world.entities]).reshape(-1, 3)
     return build_fleet(
-        [entity.driver for entity in driver_actions],
+        [entity.driver if entity.in_fleet else None for entity in driver_actions],
         [entity.entity for entity in driver_actions],
         world.scenarios,
         boxes[:, 0],

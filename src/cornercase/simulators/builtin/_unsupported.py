@@ -27,7 +27,7 @@ from cornercase.simulators.builtin._prepared_file import OPENSCENARIO_SUPPORT, P
 def read_and_collect_notices(scenario: ScenarioFile, values: Mapping[str, Value] | None = None) -> tuple[Notice, ...]:
     """Read a scenario as for a run, and return its notices; if it cannot be run, those of what was read."""
     try:
-        Batch(PreparedScenario.from_scenario(scenario), [dict(values or {})], 0.05, 1.0, False, {})
+        Batch(PreparedScenario.from_scenario(scenario), [dict(values or {})], [0], 0.05, 1.0, False, {})
     except (InputError, BatchSplitError):
         return collect_notices(scenario, is_complete=False)
     return collect_notices(scenario)

@@ -170,17 +170,14 @@ class ClusterSimulator(RemoteSimulator):
     def _submit_task(
         self, task: _ClusterTask, concretes: Sequence[ConcreteScenario], resources: dict[str, float]
     ) -> Future[Any]:
-        groups = [
-            (self._send_bundle(concrete.load_file()), concrete.values)
-            for concrete in (concretes[k] for k in task.indices)
-        ]
-        parcels = dict.fromkeys(parcel for parcel, _ in groups)
+        chosen = [concretes[k] for k in task.indices]
+        sent = [self._send_bundle(concrete.load_file()) for concrete in chosen]
         future = self._client.submit(
             run_scenarios_of_job,
             self._job,
             task.task_id,
-            {parcel.key: parcel for parcel in parcels},
-            [(parcel.key, dict(values)) for parcel, values in groups],
+            {parcel.key: parcel for parcel in sent},
+            [(parcel.key, dict(concrete.values), concrete.seed) for parcel, concrete in zip(sent, chosen, strict=True)],
             key=f"{task.task_id.name}-{task.n_lost}",
             pure=False,
             resources=resources or None,

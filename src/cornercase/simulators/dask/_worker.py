@@ -144,9 +144,9 @@ def run_scenarios_of_job(
     job: SimulatorSetup,
     task_id: TaskId,
     bundles: Mapping[str, ScenarioBundle],
-    scenarios: Sequence[tuple[str, Mapping[str, Value]]],
+    scenarios: Sequence[tuple[str, Mapping[str, Value], int]],
 ) -> BatchResult | None:
-    """Run scenarios (bundle key and values) of a job here; None if too many workers were lost with them."""
+    """Run scenarios (bundle key, values and seed) of a job here; None if too many workers were lost with them."""
     if job.version != __version__:
         raise InputError(
             f"`cluster`: a worker has cornercase {__version__}, this machine has {job.version}; install"
@@ -155,7 +155,9 @@ def run_scenarios_of_job(
     with _LOCK:
         site = _JOB_STATES[job.key] if job.key in _JOB_STATES else _JOB_STATES.setdefault(job.key, _JobState(job))
     unpacked = {key: site.unpack_scenario(key, parcel) for key, parcel in bundles.items()}
-    concretes = [ConcreteScenario(unpacked[key][0].path, values, unpacked[key][0]) for key, values in scenarios]
+    concretes = [
+        ConcreteScenario(unpacked[key][0].path, values, unpacked[key][0], seed) for key, values, seed in scenarios
+    ]
     sender_folders = {str(unpacked[key][1]): parcel.common_folder for key, parcel in bundles.items()}
     with _mark_started(task_id) as may_run:
         if not may_run:

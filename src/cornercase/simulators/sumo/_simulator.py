@@ -20,6 +20,7 @@ from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario, Value
 from cornercase.scenario._file import ScenarioFile
 from cornercase.simulators._base import Availability, Simulator, check_seed, check_settings
+from cornercase.simulators._driver_parameters import find_parameters_of_drivers
 from cornercase.simulators.builtin._batch import Batch
 from cornercase.simulators.builtin._prepared_file import PreparedScenario, UnusableValuesError
 from cornercase.simulators.builtin._unsupported import read_and_collect_notices
@@ -60,6 +61,7 @@ class Sumo(Simulator):
 
     name = "sumo"
     deterministic = True
+    takes_driver_parameters = True
     parameter_passing = "file"
 
     def __init__(
@@ -117,24 +119,25 @@ class Sumo(Simulator):
             for entity in self._drivers:
                 scenario.require_entity(entity, "driven entity")
             types = self._types_of_sumo_driven(scenario)
+            self._require_known_parameters(scenario, types, concrete.values)
             try:
-                yield self._run_scenario(prepared, concrete.values, types)
+                yield self._run_scenario(prepared, concrete, types)
             except UnusableValuesError as error:
-                make_batch = partial(self._make_batch, prepared, {}, self._drivers, None)
+                make_batch = partial(self._make_batch, prepared, ConcreteScenario(scenario.path), self._drivers, None)
                 yield SimulationError(prepared.describe_value_error(error, concrete.values, make_batch))
 
     def _run_scenario(
-        self, prepared: PreparedScenario, values: Mapping[str, Value], types: Mapping[str, str]
+        self, prepared: PreparedScenario, concrete: ConcreteScenario, types: Mapping[str, str]
     ) -> Recording | SimulationError:
-        if problem := prepared.find_invalid_values([values]).get(0):
+        if problem := prepared.find_invalid_values([concrete.values]).get(0):
             return SimulationError(problem)
-        roads = prepared.scenario.road_path_for(values)
+        roads = prepared.scenario.road_path_for(concrete.values)
         if roads is not None and not roads.is_file():
-            self._make_batch(prepared, values, self._drivers, None)  # raises an error that names the parameter
-        network = find_or_convert_network(prepared.scenario, self._network, values)
+            self._make_batch(prepared, concrete, self._drivers, None)  # raises an error that names the parameter
+        network = find_or_convert_network(prepared.scenario, self._network, concrete.values)
         with SumoCoupling(network, types, self._time_step, self._seed) as coupling:
             batch = self._make_batch(
-                prepared, values, {**self._drivers, **dict.fromkeys(types, _SumoDriver())}, coupling
+                prepared, concrete, {**self._drivers, **dict.fromkeys(types, _SumoDriver())}, coupling
             )
             batch.run()
         self.notify(batch.remarks)
@@ -143,17 +146,40 @@ class Sumo(Simulator):
     def _make_batch(
         self,
         prepared: PreparedScenario,
-        values: Mapping[str, Value],
+        concrete: ConcreteScenario,
         drivers: Mapping[str, str | Driver],
         coupling: SumoCoupling | None,
     ) -> Batch:
         return Batch(
-            prepared, [values], self._time_step, self._duration, self._on_collision == "stop", drivers, coupling
+            prepared,
+            [concrete.values],
+            [concrete.seed],
+            self._time_step,
+            self._duration,
+            self._on_collision == "stop",
+            drivers,
+            coupling,
         )
 
     def check_supported(self, scenario: ScenarioFile) -> None:
         """Refuse a scenario with an unknown driver, or with equipment that SUMO's own models lack."""
         self._types_of_sumo_driven(scenario)
+
+    def check_runnable(self, concretes: Sequence[ConcreteScenario]) -> None:
+        """Refuse parameters of drivers that do not drive here."""
+        for concrete in concretes:
+            scenario = concrete.load_file()
+            self._require_known_parameters(scenario, self._types_of_sumo_driven(scenario), concrete.values)
+
+    def _require_known_parameters(
+        self, scenario: ScenarioFile, types: Mapping[str, str], values: Mapping[str, Value]
+    ) -> None:
+        for entity, _, names in find_parameters_of_drivers(scenario, self._drivers, values):
+            if entity in types:
+                raise InputError(
+                    f"{scenario.path}: {next(iter(names.values()))} is a parameter of a driver of cornercase, but SUMO"
+                    f" itself drives {entity} as '{types[entity]}'; leave it out, or give another driver."
+                )
 
     def _types_of_sumo_driven(self, scenario: ScenarioFile) -> dict[str, str]:
         """Return the vehicle types of the entities that SUMO drives."""

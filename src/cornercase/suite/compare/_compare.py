@@ -68,9 +68,9 @@ def compare(
     """Compare two versions of the system under test, and tell whether the new one is better or worse.
 
     Each version has to be run into a study of its own. Scenarios with the same parameters are compared one by one. If
-    both studies were explored, their critical sets are compared too. If both simulators are deterministic, any two
-    recordings that differ show a change. Otherwise statistical tests decide; they use only scenarios that were chosen
-    independently of scores.
+    both studies were explored, their critical sets are compared too. If both simulators are deterministic and no sensor
+    is random, any two recordings that differ show a change. Otherwise statistical tests decide; they use only scenarios
+    that were chosen independently of scores.
 
     Parameters
     ----------
@@ -188,7 +188,12 @@ def _objective_metric(meta: StudyMeta, metrics: Sequence[str]) -> str:
 
 
 def _is_deterministic(meta: StudyMeta) -> bool:
-    """Tell whether runs are deterministic: one was repeated, or all parts are cornercase's own and declare it."""
+    """Tell whether runs are deterministic: one was repeated, or all parts are cornercase's own and declare it.
+
+    Runs with random sensors are not, although those with the same seed are equal.
+    """
+    if meta.repeatability.get("random", False):
+        return False
     declared: bool | None = None
     is_own_code = False
     with suppress(InputError):

@@ -106,12 +106,13 @@ class BrakingReaction:
     """State of a reference driver's reaction in N runs.
 
     The delay begins at the first unsafe instant. Its time passes only at unsafe instants, and it never restarts. When
-    the situation is safe again, the driver keeps its speed. `reacted` (N,) says whether any instant so far was unsafe.
+    the situation is safe again, the driver keeps its speed. `reacted` (N,) says whether any instant so far was unsafe;
+    `delay` (N,) is the time in s that is left.
     """
 
     def __init__(self, reference: ReferenceModel, runs: int) -> None:
         self._reference = reference
-        self._delay = np.full(runs, reference.delay)
+        self.delay = np.full(runs, reference.delay)
         self._braking = np.zeros(runs)
         self.reacted = np.zeros(runs, dtype=np.bool_)
 
@@ -122,10 +123,10 @@ class BrakingReaction:
         change.
         """
         model = self._reference
-        brakes = unsafe & (self._delay <= _TOLERANCE)
+        brakes = unsafe & (self.delay <= _TOLERANCE)
         waits = unsafe & ~brakes
         self.reacted |= unsafe
-        self._delay[waits] -= time_step
+        self.delay[waits] -= time_step
         risen = np.minimum(self._braking + model.jerk * time_step, deceleration)
         self._braking[brakes] = risen[brakes]
         return np.where(brakes, -self._braking, np.where(waits, -model.delayed_deceleration, 0.0))

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from cornercase._common.errors import InputError, suggest_name
 from cornercase._common.typing import FloatArray
-from cornercase.drivers._base import Driver, Situation
+from cornercase.drivers._base import Situation
+from cornercase.drivers._varied_driver import VariedDriver
 from cornercase.drivers.references.r157._models import REFERENCES, BrakingReaction
 from cornercase.drivers.references.r157._perception import ReferencePerception
 
@@ -16,7 +18,7 @@ from cornercase.drivers.references.r157._perception import ReferencePerception
 _TARGET_SPEED_ACCELERATION, _TARGET_SPEED_DECELERATION = 2.0, 4.0
 
 
-class ReferenceDriver(Driver):
+class ReferenceDriver(VariedDriver):
     """A reference driver of UN Regulation No. 157, defined for cut-ins, cut-outs and decelerations.
 
     It drives at the scenario's target speed until another vehicle becomes unsafe; from then on it brakes or keeps its
@@ -63,6 +65,10 @@ class ReferenceDriver(Driver):
         self._reaction = BrakingReaction(self._reference, scenarios)
         self._surroundings = ReferencePerception(scenarios, others)
         self._acceleration = np.zeros(scenarios)
+
+    def vary(self, options: Sequence[Mapping[str, float]]) -> None:
+        """Give the started driver its delay in each of the N scenarios."""
+        self._reaction.delay[:] = [changed["delay"] for changed in options]
 
     def acceleration(self, situation: Situation) -> FloatArray:
         """Return the acceleration along the path in m/s², shape (N,); 0 in scenarios that are not active."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from lxml import etree
 
@@ -9,7 +11,7 @@ from cornercase._common.errors import InputError
 from cornercase._common.io.tracked_xml import find_by_name, find_untracked
 from cornercase._common.masks import any_true
 from cornercase._common.plugin_errors import is_built_in
-from cornercase._common.typing import BoolArray
+from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.drivers import DrivenPath, Driver, PlanarMotion, Situation
 from cornercase.drivers._attachment import Attachment, Decision, DriverError
 from cornercase.drivers._function import Start
@@ -34,12 +36,14 @@ _MAX_POINTS = 10_000
 class DriverControl:
     """An entity of a batch, and the driver that moves it along lanes and trajectories, or steers it.
 
-    On a trajectory with times there is nothing to decide. `number` is the index in `World.drivers`. `in_fleet` says
-    whether kernels make the decisions.
+    On a trajectory with times there is nothing to decide. `parameters` are those of `Start`. `number` is the index in
+    `World.drivers`. `in_fleet` says whether kernels make the decisions.
     """
 
-    def __init__(self, world: World, entity: int, driver: Driver) -> None:
-        self._world, self.entity = world, entity
+    def __init__(
+        self, world: World, entity: int, driver: Driver, parameters: Mapping[str, FloatArray] | None = None
+    ) -> None:
+        self._world, self.entity, self._parameters = world, entity, parameters or {}
         self.attachment = Attachment(driver, world.names[entity])
         self.in_fleet = self.attachment.is_compiled
         self.driver = self.attachment.driver if self.in_fleet else driver
@@ -65,6 +69,7 @@ class DriverControl:
         driver = self.driver
         try:
             self.attachment.start(self._make_start())
+            self.driver = self.attachment.driver
         except DriverError as failure:
             # The fleet needs a started driver.
             self._failure = failure
@@ -84,13 +89,12 @@ class DriverControl:
 
     def _make_start(self) -> Start:
         world, entity = self._world, self._world.entities[self.entity]
-        n = world.scenarios
         return Start(
             body=entity.driven_body,
             time_step=world.time_step,
-            parameters={},
-            values=({},) * n,
-            seeds=(0,) * n,
+            parameters=self._parameters,
+            values=tuple(world.values),
+            seeds=world.seeds,
             others=self._others_name,
             network=world.network,
             friction=world.friction,

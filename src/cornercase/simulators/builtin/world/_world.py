@@ -5,7 +5,7 @@ Arrays are indexed (entity, scenario), so that the values of an entity are conti
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
 from typing import TYPE_CHECKING, Any, Protocol
@@ -21,6 +21,7 @@ from cornercase._common.plugin_errors import format_time_of_failure
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.drivers._function import Body
 from cornercase.roads._network import RoadNetwork
+from cornercase.scenario import Value
 from cornercase.scenario._scope import Scope
 from cornercase.simulators.builtin.tracks._lane import LaneTrack
 from cornercase.simulators.builtin.tracks._track import Track
@@ -121,14 +122,15 @@ class World:
     `tracks`: all tracks that each entity has followed. `routes`: all assigned routes, as (road, lane, s).
     `lane_tracks`: cache of tracks along lanes.
 
-    Storyboard: `variables` and `parameters`: values (N,), numbers or texts. `signals`: states (N,), texts.
+    Storyboard: `variables` and `parameters`: values (N,), numbers or texts. `values`: values by scenario (N) that
+    differ from those in the file. `signals`: states (N,), texts.
     `selections`: rows of entities. `positioned_entity`: row of the entity whose position is being resolved.
     `current_action`: line and name of the action that acts, for errors. `evaluate_leaves`: evaluates the leaves of all
     conditions in the running scenarios. `has_leaf_values`: whether that was done since an action last changed the
     state.
 
     Drivers: `drivers`: all that may control entities. `has_fixed_driver` (E): whether the user chose the driver, so
-    that the file cannot change it.
+    that the file cannot change it. `seeds`: of random numbers, by scenario.
 
     Results: `errors`: by scenario. `notices`: sentences on deviations from the file, without full stop, each once.
     `compiled`: the calls to kernels, once the run is prepared.
@@ -203,6 +205,7 @@ class World:
         self.overlapping = self.overlaps.transpose(1, 2, 0)
         self.friction = np.ones(scenarios)
         self.signals: dict[str, npt.NDArray[np.str_]] = {}
+        self.seeds: Sequence[int] = (0,) * scenarios
         self.signal_controllers: dict[str, SignalController] = {}
         self.drivers: list[SpeedController] = []
         self.has_fixed_driver = [False] * len(entities)
@@ -211,6 +214,7 @@ class World:
         self.needs_road_check = False
         self.variables: dict[str, Any] = {}
         self.parameters: dict[str, Any] = {}
+        self.values: Sequence[Mapping[str, Value]] = [{}] * scenarios
         self.selections: dict[str, list[int]] = {}
         self.positioned_entity: int | None = None
         self.lane_tracks: dict[tuple[object, ...], LaneTrack | None] = {}

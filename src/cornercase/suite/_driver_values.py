@@ -1,0 +1,55 @@
+"""Values of drivers in a suite, such as ``Ego.reaction``, for the drivers that drive in a run."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+from dataclasses import replace
+
+from cornercase._common.errors import InputError, NoticeWarning
+from cornercase.drivers import Driver
+from cornercase.drivers._parameters import check_parameters
+from cornercase.drivers._resolve import check_drivers, driver_by_name
+from cornercase.simulators import Simulator
+from cornercase.simulators._driver_parameters import check_driver_parameters
+from cornercase.suite._suite_contents import SuiteContents, SuiteScenario
+
+
+def with_values_of_drivers(
+    suite: SuiteContents, simulator: str | Simulator, drivers: Mapping[str, str | Driver]
+) -> SuiteContents:
+    """Return a suite whose scenarios give the drivers of this run their own values.
+
+    A driver that a file names has them as options there. A notice names values that a driver of this run does not take.
+    Raises `InputError` if the simulator takes no such values.
+    """
+    made = {
+        entity: driver_by_name(driver) if isinstance(driver, str) else driver
+        for entity, driver in check_drivers(drivers).items()
+    }
+    notices: dict[str, None] = {}
+    scenarios = []
+    for scenario in suite.scenarios:
+        if not scenario.error:
+            scenario = replace(scenario, driver_values=_select_values(scenario, made, notices))
+            check_driver_parameters(simulator, scenario.scenario, drivers, [scenario.driver_values])
+        scenarios.append(scenario)
+    for notice in notices:
+        warnings.warn(notice, NoticeWarning, stacklevel=3)
+    return replace(suite, scenarios=tuple(scenarios))
+
+
+def _select_values(
+    scenario: SuiteScenario, drivers: Mapping[str, Driver], notices: dict[str, None]
+) -> dict[str, float | str]:
+    selected = {}
+    for full_name, (entity, name) in scenario.scenario.driver_parameters(scenario.values).items():
+        if entity not in drivers:
+            continue
+        try:
+            check_parameters(entity, drivers[entity], [name])
+        except InputError as error:
+            notices[f"without effect in this run: {str(error).partition(';')[0]}"] = None
+        else:
+            selected[full_name] = scenario.values[full_name]
+    return selected
