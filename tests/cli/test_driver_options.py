@@ -6,12 +6,11 @@ import json
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from cornercase.cli.driver_options import combine_drivers
-from cornercase.drivers import SENSORS, Sensor
+from cornercase.drivers import SENSORS, Radar
 from cornercase.study import StudyFile
 from helpers.command_line import SPACE, X, cornercase
 
@@ -33,20 +32,13 @@ class Aeb(cc.SystemUnderTest):
 '''
 
 
-class Blind(Sensor):
+class Blind(Radar):
     """Sees nothing beyond its range."""
 
     name = "blind"
 
     def __init__(self, range: float = 10.0) -> None:  # noqa: A002
-        self.range = range
-
-    def start(self, start: Any) -> None:
-        """Nothing to reset."""
-
-    def perceive(self, situation: Any) -> Any:
-        """Return what is near."""
-        return situation
+        super().__init__(range=range)
 
 
 @pytest.fixture(autouse=True)

@@ -8,10 +8,9 @@ from inspect import Parameter
 from typing import Any
 
 from cornercase._common.configurable import declared_options, format_option_value, given_options
-from cornercase.drivers._base import Driver
 from cornercase.drivers._compiled import CompiledDriver
-from cornercase.drivers._equipment import EquippedDriver
 from cornercase.drivers._function import DrivingFunction
+from cornercase.drivers._parameters import fixed_options, name_parts
 from cornercase.drivers._resolve import DriverLike, driver_by_name, resolve_driver
 from cornercase.drivers._system_under_test import ScalarFunction
 
@@ -21,7 +20,7 @@ def describe_driver(entity: str, driver: DriverLike) -> Iterator[str]:
     resolved = resolve_driver(driver)
     made = driver_by_name(resolved) if isinstance(resolved, str) else resolved
     yield f"{entity}: driven by {driver if isinstance(driver, str) else made}"
-    parts = _name_parts(made)
+    parts = name_parts(made)
     for name, part in parts.items():
         texts = [f"{option}={format_option_value(value)}" for option, value in _options_of(part).items()]
         yield f"  {name}: {', '.join(texts) or 'no options'}"
@@ -29,19 +28,6 @@ def describe_driver(entity: str, driver: DriverLike) -> Iterator[str]:
             yield from (f"  {line}" for line in part.describe())
     if names := list(_searchable_names(parts)):
         yield f"  can be searched, as in --range {entity}.{names[0]}=LOW:HIGH: {', '.join(names)}"
-
-
-def _name_parts(driver: Driver) -> dict[str, Any]:
-    """Return a driver, its sensors and its vehicle by name; sensors of the same name are numbered."""
-    if not isinstance(driver, EquippedDriver):
-        return {"driver": driver}
-    names = [sensor.name.partition(":")[0] or type(sensor).__qualname__ for sensor in driver.sensors]
-    seen = Counter[str]()
-    parts: dict[str, Any] = {"driver": driver.driver}
-    for name, sensor in zip(names, driver.sensors, strict=True):
-        seen[name] += 1
-        parts[f"{name}{seen[name]}" if names.count(name) > 1 else name] = sensor
-    return parts if driver.vehicle is None else parts | {"vehicle": driver.vehicle}
 
 
 def _options_of(part: Any) -> Mapping[str, bool | int | float | str]:
@@ -65,7 +51,7 @@ def _searchable_names(parts: Mapping[str, Any]) -> Iterator[str]:
         part: [
             option
             for option, value in _options_of(made).items()
-            if isinstance(value, int | float) and not isinstance(value, bool) and option not in _given_to(made)
+            if isinstance(value, int | float) and not isinstance(value, bool) and option not in fixed_options(made)
         ]
         for part, made in parts.items()
     }
@@ -73,9 +59,3 @@ def _searchable_names(parts: Mapping[str, Any]) -> Iterator[str]:
     for part, options in numbers.items():
         for option in options:
             yield option if counts[option] == 1 else f"{part}.{option}"
-
-
-def _given_to(part: Any) -> set[str]:
-    if isinstance(part, CompiledDriver):
-        return {option.partition("=")[0] for option in str(part).partition(":")[2].split(",")}
-    return {*given_options(part.prototype if isinstance(part, ScalarFunction) else part)}
