@@ -31,6 +31,7 @@ LARGE_FUNCTIONS = {
     "api/_study.py reduce": _VERB,
     "api/_suite.py run": _VERB,
     "clustering/_analyze.py analyze": _API,
+    "drivers/_kernels/look.py look": _COMPILED,
     "dtw/_cpu.py _four_rows": _COMPILED,
     "drivers/sensors/_object_sensor.py __init__": "one parameter for each option of the sensor",
     "dtw/_cpu.py _one_row": _COMPILED,

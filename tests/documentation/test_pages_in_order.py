@@ -16,6 +16,7 @@ from helpers.command_line import cornercase
 PAGES = [
     ROOT / "README.md",
     ROOT / "docs" / "start" / "install.md",
+    ROOT / "docs" / "start" / "own-function.md",
     ROOT / "docs" / "start" / "first-study.md",
     *sorted((ROOT / "docs" / "guide").glob("*.md")),
     *sorted((ROOT / "docs" / "howto").glob("own-*.md")),

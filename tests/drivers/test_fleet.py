@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from copy import deepcopy
 
 import numpy as np
 import pytest
@@ -162,7 +163,7 @@ def test_a_path_that_changes_in_some_scenarios_is_planned_anew_there():
     fleet = set_route(fleet, 0, 0, before)
     changed = set_route(fleet, 0, 0, after, changed=np.arange(SCENARIOS) == 3)
     assert changed.routes.points is fleet.routes.points
-    mixed = DrivenPath(*(np.copy(getattr(before, one)) for one in ("distance", "x", "y", "heading", "curvature")))
+    mixed = deepcopy(before)
     for name in ("distance", "x", "y", "heading", "curvature"):
         getattr(mixed, name)[3] = getattr(after, name)[3]
     agrees(changed, 0, 0, mixed)

@@ -49,7 +49,7 @@ _KINDS: Final = {
     "tuple[str, ...]": _Kind(list[str], "sequence of str"),
     "str | Sequence[str]": _Kind(list[str], "str or sequence of str"),
     "Mapping[str, float]": _Kind(list[str], "mapping of str to float"),
-    "Mapping[str, str | Driver]": _Kind(list[str], "mapping of str to str or Driver"),
+    "Mapping[str, DriverLike]": _Kind(list[str], "mapping of str to str, SystemUnderTest or Driver"),
 }
 
 

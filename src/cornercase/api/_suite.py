@@ -10,8 +10,7 @@ from cornercase._common.errors import short_errors
 from cornercase._common.text.notebook_html import render_html_table
 from cornercase._common.validation import check_path
 from cornercase.api._simulator_fields import simulator_fields
-from cornercase.drivers import Behaviour, Driver
-from cornercase.drivers._resolve import check_drivers
+from cornercase.drivers._resolve import DriverLike, check_drivers
 from cornercase.exploration import Runs
 from cornercase.exploration._runs import single_run_settings
 from cornercase.metrics import Metric
@@ -96,7 +95,7 @@ class Suite:
         require_from_file: bool = False,
         metrics: Metric | str | Sequence[Metric | str] = (),
         simulator: Simulator | str | None = None,
-        drivers: Mapping[str, str | Driver | Behaviour] | None = None,
+        drivers: Mapping[str, DriverLike] | None = None,
         runs: Runs | None = None,
         against: Path | str | None = None,
         mutants: int | None = None,
@@ -125,7 +124,7 @@ class Suite:
             those in the requirements, or else ``clearance``.
         simulator : Simulator or str, optional
             By default that of the manifest; without a manifest the builtin simulator.
-        drivers : mapping of str to str, Driver or Behaviour, optional
+        drivers : mapping of str to str, SystemUnderTest, Driver or Behaviour, optional
             Drivers by entity: the name of a preset, ``package.module:Class``, or an object. Names may have options
             after a colon. By default the drivers in the files.
         runs : Runs, optional

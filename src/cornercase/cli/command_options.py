@@ -11,6 +11,7 @@ import typer
 from typer.core import TyperCommand
 
 from cornercase._common.option import Option
+from cornercase.cli.driver_options import DRIVER_OPTIONS, combine_drivers
 from cornercase.cli.parsing import parse_numbers, parse_pairs
 from cornercase.exploration._explore_options import OPTIONS
 
@@ -23,8 +24,12 @@ def with_options(*names: str, **defaults: str) -> Callable[[Function], Function]
     The command gets their values as keyword arguments, parsed as the API takes them. `defaults` names options that have
     no default here; each value is the text that help shows instead.
     """
-    options = {name: OPTIONS[name] for name in names}
-    options |= {name: OPTIONS[name].with_default_of(source) for name, source in defaults.items()}
+    options: dict[str, Option] = {}
+    for name in (*names, *defaults):
+        source = defaults.get(name)
+        options[name] = OPTIONS[name] if source is None else OPTIONS[name].with_default_of(source)
+        if name == "drivers":
+            options |= DRIVER_OPTIONS
 
     def decorate(function: Function) -> Function:
         own = signature(function, eval_str=True)
@@ -36,7 +41,11 @@ def with_options(*names: str, **defaults: str) -> Callable[[Function], Function]
 
         @wraps(function)
         def command(**arguments: Any) -> Any:
-            return function(**arguments | {name: _parse(option, arguments[name]) for name, option in options.items()})
+            if "drivers" in options:
+                texts = [arguments.pop(name) or () for name in ("drivers", *DRIVER_OPTIONS)]
+                arguments["drivers"] = combine_drivers(*texts)
+            parsed = {name: _parse(option, arguments[name]) for name, option in options.items() if name in arguments}
+            return function(**arguments | parsed)
 
         command.__signature__ = own.replace(parameters=parameters)  # type: ignore[attr-defined]
         command.__annotations__ = {item.name: item.annotation for item in parameters}
@@ -73,7 +82,7 @@ def _parse(option: Option, value: Any) -> Any:
     """Convert the value of an option from the command line or a study file to what the API takes."""
     if not value and option.is_list:
         return option.default
-    if not option.is_mapping:
+    if not option.is_mapping or isinstance(value, dict):
         return value
     return (parse_numbers if option.has_numbers else parse_pairs)(value, option.flag)
 

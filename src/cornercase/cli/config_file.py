@@ -10,10 +10,11 @@ import typer
 from cornercase._common.errors import InputError, suggest_name
 from cornercase._common.io.files import parse_toml, read_utf8
 from cornercase._common.option import Option
+from cornercase.cli.driver_options import DRIVER_OPTIONS
 from cornercase.exploration._explore_options import OPTIONS
 
 _SCENARIO: Final = Option("OpenSCENARIO file.", annotation="Path | str", name="scenario", flag="--scenario")
-_OPTIONS: Final = {option.key: option for option in (_SCENARIO, *OPTIONS.values())}
+_OPTIONS: Final = {option.key: option for option in (_SCENARIO, *OPTIONS.values(), *DRIVER_OPTIONS.values())}
 _ALLOWED_KEYS: Final = [key for key, option in _OPTIONS.items() if option.in_file]
 # Besides options of the table that must not be in a file.
 _COMMAND_LINE_ONLY: Final = ("output", "maps", "profile", "config")
@@ -38,9 +39,11 @@ def _check_value(path: Path, option: Option, value: Any) -> Any:
         texts = [value] if isinstance(value, str) else value
         if not isinstance(texts, list) or not all(isinstance(item, str) and item for item in texts):
             raise InputError(f"{path}: '{key}' is not a list of strings; write {key} = [\"…\"].")
-        if option.name == "drivers":
-            for item in texts:
-                _require_registered_driver(path, item)
+        for item in texts:
+            if option.name in ("drivers", "sut"):
+                _require_registered_driver(path, item, option)
+            elif option.name in DRIVER_OPTIONS:
+                _require_numeric_options(path, item, option)
         return texts
     if option.annotation == "bool":
         if not isinstance(value, bool):
@@ -60,15 +63,19 @@ def _check_value(path: Path, option: Option, value: Any) -> Any:
     return str(path.parent / value) if option.annotation == "Path | str" else value
 
 
-def _require_registered_driver(path: Path, text: str) -> None:
+def _require_registered_driver(path: Path, text: str, option: Option) -> None:
     """Raise InputError if a driver is the user's own code: a study file must not run code."""
     from cornercase.drivers._registry import is_registered_driver
     from cornercase.drivers._resolve import create_driver_named_in_file
 
-    _, _, name = text.partition("=")
+    _, equals, name = text.partition("=")
+    if not equals and text.endswith(".toml"):
+        raise InputError(
+            f"{path}: '{option.key}' names the file {text}, which may name code; give --sut {text} on the command line."
+        )
     if name and not is_registered_driver(name):
         raise InputError(
-            f"{path}: there is no driver '{name}'. If it is a class, give it on the command line, --driver {text}:"
+            f"{path}: there is no driver '{name}'. If it is a class, give it on the command line, {option.flag} {text}:"
             " a study file must not name code."
         )
     try:
@@ -76,6 +83,17 @@ def _require_registered_driver(path: Path, text: str) -> None:
             create_driver_named_in_file(name)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
+
+
+def _require_numeric_options(path: Path, text: str, option: Option) -> None:
+    """Raise InputError if a sensor or vehicle has options that are no numbers, since texts could name files."""
+    from cornercase.drivers._resolve import find_non_numeric_option
+
+    if (other := find_non_numeric_option(text.partition("=")[2])) is not None:
+        raise InputError(
+            f"{path}: '{option.key}' has the option '{other}', which is no number; give {option.flag} {text} on the"
+            " command line."
+        )
 
 
 def _load_defaults(context: typer.Context, path: Path | None) -> Path | None:

@@ -1,16 +1,26 @@
-"""Commands `metrics` and `simulators`: list what is available."""
+"""Commands `metrics`, `simulators` and `drivers`: list what is available."""
 
 from __future__ import annotations
 
 import inspect
-from typing import Annotated, Any
+from collections.abc import Callable
+from functools import partial
+from inspect import Parameter
+from itertools import starmap
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.table import Column, Table
 
+from cornercase._common.configurable import declared_options, format_option_value
+from cornercase._common.errors import InputError, suggest_name
+from cornercase._common.plugin_errors import unwrap_factory
 from cornercase._common.text.sanitize import docstring_summary
 from cornercase.cli import options as opt
 from cornercase.cli.options import app, out
+
+if TYPE_CHECKING:
+    from cornercase._common.registry import Registry
 
 
 @app.command()
@@ -80,6 +90,67 @@ def simulators(*, as_json: opt.Json = False) -> None:
         is_available, abilities = "no" if simulator.problem else "yes", ", ".join(simulator.features)
         table.add_row(name, is_available, simulator.version or "-", abilities, simulator.problem or "-")
     out.print(table)
+
+
+@app.command()
+def drivers(
+    names: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="[NAME]…", help="Those whose options are explained; default: list all."),
+    ] = None,
+    *,
+    as_json: opt.Json = False,
+) -> None:
+    """List the drivers, sensors and vehicle models, with their options, or explain some of them.
+
+    A driver of your own needs no registration: --sut Ego=package.module:Class. Options follow a colon.
+
+    \b
+    Example:
+      cornercase drivers
+      cornercase drivers simple
+    """
+    from cornercase.drivers import DRIVERS, SENSORS, VEHICLES
+
+    registries: dict[str, Registry[Any]] = {"driver": DRIVERS, "sensor": SENSORS, "vehicle": VEHICLES}
+    listed = [(kind, name, registry) for kind, registry in registries.items() for name in registry.names()]
+    registered = [name for _, name, _ in listed]
+    for name in names or ():
+        if name not in registered:
+            raise InputError(f"There is no driver, sensor or vehicle '{name}'; {suggest_name(name, registered)}")
+    rows = [
+        _describe_factory(kind, name, registry.get_factory(name))
+        for kind, name, registry in listed
+        if not names or name in names
+    ]
+    if as_json:
+        opt.print_json([{key: value for key, value in row.items() if key != "documentation"} for row in rows])
+    elif names:
+        out.print("\n\n".join(f"{row['kind']} {row['name']}\n\n{row['documentation']}" for row in rows))
+    else:
+        table = Table("kind", Column("name", no_wrap=True), "what it is", "options", box=None)
+        for row in rows:
+            options = ", ".join(starmap(_format_option, row["options"].items()))
+            table.add_row(row["kind"], row["name"], row["what"], options or "-")
+        out.print(table)
+
+
+def _format_option(name: str, default: object) -> str:
+    if default is None:
+        return name
+    return f"{name}={f'{default:g}' if isinstance(default, float) else format_option_value(default)}"
+
+
+def _describe_factory(kind: str, name: str, factory: Callable[..., Any]) -> dict[str, Any]:
+    """Return kind and name of a driver, sensor or vehicle, what it is, and its options with their defaults."""
+    fixed = factory.keywords if isinstance(factory, partial) else ()
+    options = {
+        key: None if parameter.default is Parameter.empty else parameter.default
+        for key, parameter in declared_options(factory).items()
+        if key not in fixed
+    }
+    text = (inspect.getdoc(unwrap_factory(factory)) or "").replace("``", "").replace("`", "")
+    return {"kind": kind, "name": name, "what": text.partition("\n")[0], "options": options, "documentation": text}
 
 
 def _format_definition(metric: Any) -> str:

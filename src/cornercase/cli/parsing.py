@@ -16,8 +16,8 @@ def parse_pairs(texts: Sequence[str], option: str) -> dict[str, str]:
     for text in texts:
         name, sign, value = text.partition("=")
         if not sign or not name or not value:
-            if option == "--driver":
-                hint = "the entity that it drives goes before it" if not sign else "give both"
+            if option in ("--driver", "--sut", "--sensor", "--vehicle"):
+                hint = "the entity that it belongs to goes before it" if not sign else "give both"
                 raise InputError(
                     f"{option} {text}: write it as ENTITY=NAME, as Ego={value or name or 'normal'}; {hint}."
                 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -17,11 +18,12 @@ from cornercase.cli.options import Option, app, err, out
 
 
 @app.command()
-@with_options("space")
+@with_options("space", "drivers")
 def check(
     scenarios: opt.ScenarioFiles,
     *,
     space: Path | None = None,
+    drivers: dict[str, str] | None = None,
     strict: Annotated[
         bool,
         Option(
@@ -34,12 +36,15 @@ def check(
     """Check scenario files: what they contain, what has no effect here, and whether they are valid and can run.
 
     Violations of the standard that can be understood in only one way are accepted, and listed as "adapted". The exit
-    code is 1 if a file is not valid or cannot run, or with --strict if something was adapted.
+    code is 1 if a file is not valid or cannot run, or with --strict if something was adapted. With --sut, it also says
+    what drives, and which of its options can be searched.
 
     \b
     Example:
       cornercase check examples/x_intersection/x_intersection.xosc \\
           --space examples/x_intersection/x_intersection.space.xosc
+      cornercase check examples/x_intersection/x_intersection.xosc \\
+          --sut Ego=normal:horizon=4
       cornercase check reduced/*.xosc --strict
     """
     from cornercase import simulators
@@ -51,14 +56,14 @@ def check(
         if len(scenarios) > 1:
             out.print(f"{scenario}:")
         try:
-            report = simulators.check(scenario, space, strict=strict)
+            report = simulators.check(scenario, space, strict=strict, drivers=drivers)
         except InputError as error:
             if len(scenarios) == 1:
                 raise
             out.print(shorten(use_option_names(str(error)).replace("\n", "\\n"), MAX_LINE_LENGTH))
             n_bad += 1
             continue
-        _print_check(report)
+        _print_check(report, drivers or {})
         n_bad += not report.is_valid
     if len(scenarios) > 1:
         strictly = ", break no rule" if strict else ""
@@ -67,14 +72,20 @@ def check(
         raise typer.Exit(1)
 
 
-def _print_check(report: Any) -> None:
+def _print_check(report: Any, drivers: Mapping[str, str]) -> None:
+    from cornercase.drivers._describe import describe_driver
+
     for key, count in report.contents.items():
         out.print(f"{key}: {count}")
     out.print(f"parameters: {', '.join(report.parameters) or 'none'}")
     if report.variables:
         out.print(f"variables: {', '.join(report.variables)}")
     for name, driver in report.drivers.items():
-        out.print(f"{name}: {f'driven by {driver}' if driver else 'moved by the storyboard, without a driver'}")
+        if name in drivers:
+            for line in describe_driver(name, drivers[name]):
+                out.print(line)
+        else:
+            out.print(f"{name}: {f'driven by {driver}' if driver else 'moved by the storyboard, without a driver'}")
     for notice in report.notices:
         # With --strict, adaptations are printed below with their rules.
         if not (report.standard_violations and notice.label == "adapted"):

@@ -22,6 +22,7 @@ from cornercase.metrics._own_metrics import as_items
 
 if TYPE_CHECKING:
     from cornercase._common.typing import FloatArray
+    from cornercase.drivers import SystemUnderTest
     from cornercase.recordings import Recording
 
 # Neither the number nor the duration of scenarios affects what is compiled.
@@ -164,6 +165,7 @@ def _runs_by_room(folder: Path) -> Iterator[tuple[str, Callable[[], Any]]]:
     for plugin in drivers.VEHICLES.names():
         # Its driver is not compiled, so that the vehicle's own kernels are.
         yield "drivers", partial(simulate, drivers={"Ego": f"cc-human + {plugin}"})
+    yield "drivers", partial(simulate, drivers={"Ego": _looking_function()})
     yield "metrics", partial(metrics.measure, simulate(), config.ego, config.other)
     for plugin in optimizers.OPTIMIZERS.names():
         changed = replace(config, optimizer=plugin, critical=1.0, metrics=as_items(config.metrics)[:1])
@@ -176,6 +178,16 @@ def _runs_by_room(folder: Path) -> Iterator[tuple[str, Callable[[], Any]]]:
                 return
 
         yield "optimizers", explore
+
+
+def _looking_function() -> SystemUnderTest:
+    from cornercase.drivers import SystemUnderTest, View
+
+    class Looking(SystemUnderTest):
+        def step(self, view: View, dt: float) -> float:
+            return 0.0 if view.leader is None else float(view.leader.lane or 0)
+
+    return Looking()
 
 
 def _reduce_large_set() -> None:

@@ -18,11 +18,13 @@ from ._presets import NORMAL as NORMAL
 from ._presets import Behaviour as Behaviour
 from ._registry import DRIVERS as DRIVERS
 from ._simple import SimpleDriver as SimpleDriver
+from ._surroundings import LaneView as LaneView
 from ._system_under_test import Ego as Ego
 from ._system_under_test import SystemUnderTest as SystemUnderTest
 from ._view import EgoState as EgoState
 from ._view import ObjectView as ObjectView
 from ._view import PathPoint as PathPoint
+from ._view import SignalView as SignalView
 from ._view import View as View
 from .fmu._driver import FmuDriver as FmuDriver
 from .fmu._mapping import MappedVariable as MappedVariable

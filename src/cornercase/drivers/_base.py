@@ -56,13 +56,11 @@ class DrivenPath:
             raise ValueError("the distances of a path must increase from 0")
 
     @cached_property
-    def chord_sum(self) -> FloatArray:
-        """Sum of the chords between its samples, from the first one on, in m, of the shape of `distance`.
-
-        Where the path jumps sideways, this grows by more than the distance.
-        """
-        chords = np.hypot(np.diff(self.x), np.diff(self.y))
-        return np.concatenate((np.zeros_like(self.distance[..., :1]), np.cumsum(chords, axis=-1)), axis=-1)
+    def rows(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Distance, x, y, heading and largest step for kernels, shape (1, P) or (N, P), and (1,) or (N,)."""
+        columns = (self.distance, self.x, self.y, self.heading)
+        distance, x, y, heading = (np.ascontiguousarray(np.atleast_2d(column)) for column in columns)
+        return distance, x, y, heading, np.hypot(np.diff(x), np.diff(y)).max(axis=1)
 
 
 @dataclass(frozen=True, eq=False)

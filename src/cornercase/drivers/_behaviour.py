@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import math
 from collections.abc import Callable
 from inspect import Parameter, Signature
@@ -79,13 +80,14 @@ def _check_parameters(behaviour: Behaviour) -> None:
         )
 
 
-def _preset_factory(behaviour: Behaviour) -> Callable[..., BehaviourDriver]:
+def _preset_factory(behaviour: Behaviour, summary: str) -> Callable[..., BehaviourDriver]:
     """Return a function that builds a preset, with each parameter as an option."""
 
     def build(**overrides: float) -> BehaviourDriver:
         return BehaviourDriver(behaviour._replace(**{name: float(value) for name, value in overrides.items()}))
 
     factory: Any = build
+    factory.__doc__ = f"{summary}\n\nIts options are the parameters of a Behaviour.\n\n{inspect.getdoc(Behaviour)}"
     # The registry reads the options from the signature.
     factory.__signature__ = Signature(
         [
@@ -96,4 +98,6 @@ def _preset_factory(behaviour: Behaviour) -> Callable[..., BehaviourDriver]:
     return cast(Callable[..., BehaviourDriver], factory)
 
 
-cautious, normal, aggressive = map(_preset_factory, (CAUTIOUS, NORMAL, AGGRESSIVE))
+cautious = _preset_factory(CAUTIOUS, "Careful driver who goes slowly, brakes early and keeps a large distance.")
+normal = _preset_factory(NORMAL, "Driver of usual attention.")
+aggressive = _preset_factory(AGGRESSIVE, "Hasty driver who brakes late and keeps a small distance.")

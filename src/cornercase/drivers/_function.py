@@ -137,6 +137,16 @@ class DrivingFunction(Driver):
             Those of scenarios that are not active are ignored.
         """
 
+    def describe(self) -> Sequence[str]:
+        """Return lines about it that `cornercase check` prints; none by default.
+
+        Returns
+        -------
+        sequence of str
+            Such as what is connected to what.
+        """
+        return ()
+
     def release(self) -> None:
         """Release processes and files at the end of a batch."""
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -14,16 +14,21 @@ if TYPE_CHECKING:
     from cornercase.roads._lane_path import LanePath
     from cornercase.roads._network import RoadNetwork
 
-_PATHS: WeakKeyDictionary[LanePath, DrivenPath] = WeakKeyDictionary()
+
+@dataclass(frozen=True, eq=False)
+class PathAlongLanes(DrivenPath):
+    """A path that follows lanes of the road file."""
+
+    lane_path: LanePath
 
 
-def driven_path(lane_path: LanePath) -> DrivenPath:
+def driven_path(lane_path: LanePath) -> PathAlongLanes:
     """Return the path along a lane for drivers; it is cached, so that plans along it serve all batches."""
-    if lane_path not in _PATHS:
-        _PATHS[lane_path] = DrivenPath(
-            lane_path.distance, lane_path.x, lane_path.y, lane_path.heading, lane_path.curvature
-        )
-    return _PATHS[lane_path]
+    if "driven path" not in lane_path.cache:
+        columns = (lane_path.distance, lane_path.x, lane_path.y, lane_path.heading, lane_path.curvature)
+        lane_path.cache["driven path"] = PathAlongLanes(*columns, lane_path)
+    path: PathAlongLanes = lane_path.cache["driven path"]
+    return path
 
 
 def find_neighbouring_path(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Protocol, TypeGuard, runtime_checkable
+from typing import Protocol, TypeAlias, TypeGuard, runtime_checkable
 
 from cornercase._common.current_folder import import_from_current_folder
 from cornercase._common.errors import InputError, suggest_name
@@ -19,6 +19,9 @@ from cornercase.drivers._equipment import equip
 from cornercase.drivers._presets import Behaviour
 from cornercase.drivers._registry import DRIVERS, is_registered_driver, split_spec
 from cornercase.drivers._system_under_test import ScalarFunction, SystemUnderTest
+
+DriverLike: TypeAlias = str | Driver | SystemUnderTest | Behaviour
+"""What a user may give as a driver."""
 
 
 @runtime_checkable
@@ -54,13 +57,8 @@ def check_drivers(drivers: object) -> dict[str, str | Driver]:
 
 
 def _check_driver(entity: str, driver: object) -> str | Driver:
-    if isinstance(driver, SystemUnderTest):
-        return ScalarFunction(driver)
-    if isinstance(driver, Behaviour):
-        # Its kernels take long to import.
-        from cornercase.drivers._behaviour import BehaviourDriver
-
-        return str(BehaviourDriver(driver))
+    if isinstance(driver, SystemUnderTest | Behaviour):
+        return resolve_driver(driver)
     if driver and isinstance(driver, str):
         if ":" not in split_spec(driver)[0] or is_registered_driver(driver):
             _create_registered(driver)
@@ -79,7 +77,7 @@ def create_driver_named_in_file(name: str) -> Driver:
     if not is_registered_driver(name):
         hint = suggest_name(name.partition(":")[0], DRIVERS.names())
         raise InputError(f"asks for the driver '{name}', which does not exist; {hint}")
-    if (other := _find_non_numeric_option(name)) is not None:
+    if (other := find_non_numeric_option(name)) is not None:
         raise InputError(f"asks for the driver '{name}' with the option '{other}'; in a file, options are numbers.")
     return _create_registered(name)
 
@@ -99,7 +97,7 @@ def may_be_named_in_file(name: str) -> bool:
     return True
 
 
-def _find_non_numeric_option(name: str) -> str | None:
+def find_non_numeric_option(name: str) -> str | None:
     """Return the first option of a driver that is no number, true or false; None if there is none."""
     driver, equipment = split_spec(name)
     for part in (driver, *equipment):
@@ -183,16 +181,23 @@ def driver_by_name(name: str) -> Driver:
     return load_user_driver(name) if is_own else _create_registered(name)
 
 
-def resolve_driver(driver: str | Driver) -> str | Driver:
-    """Create a user's driver from its name.
+def resolve_driver(driver: DriverLike) -> str | Driver:
+    """Create a user's driver from its name or class.
 
     Return the name of a registered driver unchanged, so that it can be stored.
     """
+    if isinstance(driver, SystemUnderTest):
+        return ScalarFunction(driver)
+    if isinstance(driver, Behaviour):
+        # Its kernels take long to import.
+        from cornercase.drivers._behaviour import BehaviourDriver
+
+        return str(BehaviourDriver(driver))
     if not isinstance(driver, str):
         return driver
     created = driver_by_name(driver)
     if is_registered_driver(driver):
-        if _find_non_numeric_option(driver) is None:
+        if find_non_numeric_option(driver) is None:
             return driver
         record_driver_spec(created, driver, {})
     return created

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
@@ -104,6 +104,16 @@ class SystemUnderTest(Configurable, ABC):
     def __str__(self) -> str:
         return describe_as_text(self)
 
+    def describe(self) -> Sequence[str]:
+        """Return lines about the function that `cornercase check` prints; none by default.
+
+        Returns
+        -------
+        sequence of str
+            Such as a version, or what was loaded.
+        """
+        return ()
+
     def start(self, ego: Ego, road: RoadNetwork | None, rng: np.random.Generator) -> None:
         """Begin a scenario; does nothing by default.
 
@@ -150,6 +160,10 @@ class ScalarFunction(DrivingFunction):
         """Return a function whose prototype has other options."""
         return type(self)(with_numbers(self.prototype, changes))
 
+    def describe(self) -> Sequence[str]:
+        """Return the lines of the user's own `describe`."""
+        return self.prototype.describe()
+
     def numeric_parameters(self) -> dict[str, float]:
         """Return the options of the prototype that are numbers."""
         return numeric_options(self.prototype)
@@ -158,7 +172,7 @@ class ScalarFunction(DrivingFunction):
         """Make one object per scenario."""
         body, cls = start.body, type(self.prototype)
         self._name = f"the driver of {quote_name(body.name)} ({cls.__module__}:{cls.__qualname__})"
-        self._objects, self._failures = [], dict[int, SimulationError]()
+        self._objects, self._failures, self._network = [], dict[int, SimulationError](), start.network
         for n in range(start.scenarios):
             requests = count_requests()
             try:
@@ -174,7 +188,7 @@ class ScalarFunction(DrivingFunction):
 
     def decide(self, situation: Situation) -> Controls:
         """Let each active object decide."""
-        shared = SharedView(situation)
+        shared = SharedView(situation, self._network)
         controls: list[Control | None] = [None] * len(situation.active)
         failures = dict[int, SimulationError]()
         for n in np.flatnonzero(situation.active).tolist():

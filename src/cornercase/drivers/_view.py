@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from cornercase._common.geometry.boxes import wrap_angle
-from cornercase._common.typing import BoolArray, FloatArray
-from cornercase.drivers._base import DrivenPath, Situation
+from cornercase._common.typing import BoolArray, FloatArray, IntArray
+from cornercase.drivers._base import Situation
+
+if TYPE_CHECKING:
+    from cornercase.drivers._surroundings import LaneView, Surroundings
+    from cornercase.roads._network import RoadNetwork
 
 
-@dataclass(frozen=True, slots=True)
-class EgoState:
+class EgoState(NamedTuple):
     """State of the ego's reference point.
 
     Attributes
@@ -42,7 +45,7 @@ class EgoState:
     turn: float
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class ObjectView:
     """Another entity, as seen from the ego.
 
@@ -67,6 +70,9 @@ class ObjectView:
         Distance of its centre from the ego's path in m, positive to the left; NaN with the gap.
     in_path : bool
         Whether its box reaches into the strip that the ego's box sweeps along its path.
+    lane : int or None
+        Lane that its centre is on, counted from the ego's own: 1 for the next to the left. None if it is on no lane of
+        the ego's road.
     """
 
     name: str
@@ -81,10 +87,39 @@ class ObjectView:
     closing: float
     lateral: float
     in_path: bool
+    _shared: SharedView = field(repr=False, compare=False)
+    _scenario: int = field(repr=False, compare=False)
+    _other: int = field(repr=False, compare=False)
+
+    @property
+    def lane(self) -> int | None:
+        """Lane that its centre is on, counted from the ego's own."""
+        return self._shared.surroundings.lane_of(self._scenario, self._other)
 
 
-@dataclass(frozen=True, slots=True)
-class PathPoint:
+class SignalView(NamedTuple):
+    """A traffic light or a sign.
+
+    Attributes
+    ----------
+    name : str
+        Id of the signal in the road file.
+    state : str
+        As the scenario file writes it; empty if the scenario has not set it.
+    signal_type : str
+        Type in the road file; empty if it has none.
+    gap : float
+        Distance along the ego's path in m from the front of its box to the signal; negative once it is passed, NaN if
+        it does not stand along the path.
+    """
+
+    name: str
+    state: str
+    signal_type: str
+    gap: float
+
+
+class PathPoint(NamedTuple):
     """A point of the ego's path.
 
     Attributes
@@ -104,59 +139,100 @@ class PathPoint:
 
 
 class SharedView:
-    """What is seen in all N scenarios of a batch, as arrays (N, A) over the A other entities."""
+    """What is seen in all N scenarios of a batch; computed when it is first asked for."""
 
-    def __init__(self, situation: Situation) -> None:
-        self.situation = situation
+    def __init__(self, situation: Situation, network: RoadNetwork | None = None) -> None:
+        self.situation, self._network = situation, network
 
     @cached_property
+    def _seen(self) -> tuple[FloatArray, FloatArray, IntArray]:
+        """Own pose on the path (N, 3), what is seen of A others (N, A, 8), and the leaders (N,), as `look` has them."""
+        # Its kernels take long to import.
+        from cornercase.drivers._kernels.look import N_COLUMNS, look
+
+        s = self.situation
+        shape = s.others_x.shape
+        own, objects, leader = np.empty((shape[0], 3)), np.empty((*shape, N_COLUMNS)), np.empty(shape[0], np.int64)
+        boxes = np.stack((s.others_length, s.others_width, s.others_center_x))
+        ego = (s.distance, s.x, s.y, s.heading, s.speed)
+        others = (s.others_x, s.others_y, s.others_heading, s.others_speed)
+        arrays = (np.ascontiguousarray(array, dtype=np.float64) for array in (*ego, *others))
+        look(*s.path.rows, (s.length, s.width, s.center_x), *arrays, boxes, own, objects, leader)
+        return own, objects, leader
+
+    @property
     def own_pose_on_path(self) -> FloatArray:
         """Distance along the path, offset from it, and direction of the path, (3, N)."""
-        s = self.situation
-        along, offset, direction, _ = _project_onto_path(s.path, s.distance, s.x[:, None], s.y[:, None])
-        return np.stack((along[:, 0], offset[:, 0], direction[:, 0]))
+        return self._seen[0].T
 
-    @cached_property
+    @property
     def relative(self) -> FloatArray:
         """Centre of the boxes ahead and to the left, and heading, as seen from the ego, (3, N, A)."""
-        s = self.situation
-        center_x = s.others_x + s.others_center_x * np.cos(s.others_heading)
-        center_y = s.others_y + s.others_center_x * np.sin(s.others_heading)
-        dx, dy = center_x - s.x[:, None], center_y - s.y[:, None]
-        cos, sin = np.cos(s.heading)[:, None], np.sin(s.heading)[:, None]
-        turn = wrap_angle(s.others_heading - s.heading[:, None])
-        return np.stack((dx * cos + dy * sin, dy * cos - dx * sin, turn))
+        return self._seen[1][..., :3].transpose(2, 0, 1)
 
-    @cached_property
+    @property
     def along_path(self) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
         """Gap, closing speed, lateral distance, and whether in the path, (N, A) each."""
+        from cornercase.drivers._kernels.look import CLOSING, GAP, IN_PATH, LATERAL
+
+        objects = self._seen[1]
+        return objects[..., GAP], objects[..., CLOSING], objects[..., LATERAL], objects[..., IN_PATH] == 1.0
+
+    @cached_property
+    def own_poses(self) -> list[list[float]]:
+        """Distance along the path, offset from it, and direction of the path, by scenario."""
+        poses: list[list[float]] = self.own_pose_on_path.T.tolist()
+        return poses
+
+    @cached_property
+    def leaders(self) -> list[int]:
+        """Index of the leader by scenario; -1 for none."""
+        leaders: list[int] = self._seen[2].tolist()
+        return leaders
+
+    @cached_property
+    def ego_states(self) -> list[list[float]]:
+        """x, y, heading, speed and acceleration of the ego by scenario."""
         s = self.situation
-        center_x = s.others_x + s.others_center_x * np.cos(s.others_heading)
-        center_y = s.others_y + s.others_center_x * np.sin(s.others_heading)
-        along, lateral, direction, is_within = _project_onto_path(s.path, s.distance, center_x, center_y)
-        turn = s.others_heading - direction
-        cos, sin = np.abs(np.cos(turn)), np.abs(np.sin(turn))
-        half_length = 0.5 * (s.others_length * cos + s.others_width * sin)
-        half_width = 0.5 * (s.others_length * sin + s.others_width * cos)
-        ahead = along - (self.own_pose_on_path[0] + s.center_x)[:, None]
-        gap = np.sign(ahead) * np.maximum(np.abs(ahead) - half_length - 0.5 * s.length, 0.0)
-        closing = np.sign(ahead) * (s.speed[:, None] - s.others_speed * np.cos(turn))
-        gap, lateral = np.where(is_within, gap, np.nan), np.where(is_within, lateral, np.nan)
-        in_path = is_within & (np.abs(lateral) < half_width + 0.5 * s.width)
-        return gap, closing, lateral, in_path
+        states: list[list[float]] = np.stack((s.x, s.y, s.heading, s.speed, s.acceleration), axis=1).tolist()
+        return states
 
+    @cached_property
+    def _boxes(self) -> list[list[float]]:
+        s = self.situation
+        boxes: list[list[float]] = np.stack((s.others_length, s.others_width), axis=1).tolist()
+        return boxes
 
-def _project_onto_path(
-    path: DrivenPath, own_distance: FloatArray, x: FloatArray, y: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
-    # Its kernels take long to import.
-    from cornercase.drivers._kernels.path_projection import project_onto_path
+    def object(self, scenario: int, other: int) -> ObjectView:
+        """Return one of the others as seen from the ego."""
+        s = self.situation
+        x, y, turn, gap, closing, lateral, in_path, _ = self._seen[1][scenario, other].tolist()
+        speed = float(s.others_speed[scenario, other])
+        length, width = self._boxes[other]
+        return ObjectView(
+            s.others_name[other], s.others_object_type[other], x, y, turn, speed, length, width, gap, closing, lateral,
+            in_path == 1.0, self, scenario, other,
+        )  # fmt: skip
 
-    return project_onto_path(path, own_distance, x, y)
+    def objects_by_distance(self, scenario: int) -> list[int]:
+        """Indices of the others that exist, the nearest first."""
+        x, y = self._seen[1][scenario, :, :2].T.tolist()
+        squared = [dx * dx + dy * dy for dx, dy in zip(x, y, strict=True)]
+        return sorted((a for a, value in enumerate(squared) if value == value), key=squared.__getitem__)
+
+    @cached_property
+    def surroundings(self) -> Surroundings:
+        """Lanes, limits and signals."""
+        from cornercase.drivers._surroundings import Surroundings
+
+        return Surroundings(self.situation, self._network, *self._seen[:2])
 
 
 class View:
     """What a system under test sees in one time step.
+
+    Everything is computed when it is first asked for. Numbers that sensors stand in front of, those of objects, are as
+    sensed; the road, the ego itself and the signals are as they are.
 
     Parameters
     ----------
@@ -177,8 +253,14 @@ class View:
         All other entities that are sensed, the nearest first.
     leader : ObjectView or None
         The nearest of those ahead in the ego's path.
-    signals : mapping of str to str
-        State of each traffic signal by its name, as the scenario file writes it.
+    lanes : tuple of LaneView
+        The lanes of the ego's road where it is, from left to right; none if it is on no lane.
+    lane : LaneView or None
+        The ego's own lane.
+    speed_limit : float
+        Limit in m/s of the ego's own lane, else of its road; infinite without limit, NaN if the road file has none.
+    signals : mapping of str to SignalView
+        By name: the signals that the scenario sets, and those of the road along the ego's path, the next ahead first.
     """
 
     __slots__ = ("_n", "_objects", "_shared")
@@ -200,53 +282,56 @@ class View:
     @property
     def ego(self) -> EgoState:
         """The ego itself."""
-        s, n = self._shared.situation, self._n
-        along, offset, direction = self._shared.own_pose_on_path[:, n].tolist()
-        heading = float(s.heading[n])
-        turn = float(wrap_angle(np.float64(heading - direction)))
-        return EgoState(
-            float(s.x[n]), float(s.y[n]), heading, float(s.speed[n]), float(s.acceleration[n]), along, offset, turn
-        )
+        x, y, heading, speed, acceleration = self._shared.ego_states[self._n]
+        along, offset, direction = self._shared.own_poses[self._n]
+        turn = (heading - direction + math.pi) % (2.0 * math.pi) - math.pi
+        return EgoState(x, y, heading, speed, acceleration, along, offset, turn)
 
     @property
     def objects(self) -> tuple[ObjectView, ...]:
         """All other entities that are sensed, the nearest first."""
         if self._objects is None:
-            s, n, shared = self._shared.situation, self._n, self._shared
-            x, y, heading = shared.relative[:, n]
-            gap, closing, lateral, in_path = (values[n].tolist() for values in shared.along_path)
-            nearest = np.argsort(np.hypot(x, y), kind="stable").tolist()
-            x, y, heading, speed = x.tolist(), y.tolist(), heading.tolist(), s.others_speed[n].tolist()
-            self._objects = tuple(
-                ObjectView(
-                    s.others_name[a],
-                    s.others_object_type[a],
-                    x[a],
-                    y[a],
-                    heading[a],
-                    speed[a],
-                    float(s.others_length[a]),
-                    float(s.others_width[a]),
-                    gap[a],
-                    closing[a],
-                    lateral[a],
-                    in_path[a],
-                )
-                for a in nearest
-                if not math.isnan(x[a])
-            )
+            order = self._shared.objects_by_distance(self._n)
+            self._objects = tuple(self._shared.object(self._n, other) for other in order)
         return self._objects
 
     @property
     def leader(self) -> ObjectView | None:
         """The nearest of those ahead in the ego's path; None if there is none."""
-        ahead = [other for other in self.objects if other.in_path and other.gap >= 0.0 and other.x > 0.0]
-        return min(ahead, key=lambda other: other.gap, default=None)
+        other = self._shared.leaders[self._n]
+        return None if other < 0 else self._shared.object(self._n, other)
 
     @property
-    def signals(self) -> Mapping[str, str]:
-        """State of each traffic signal by its name."""
-        return {name: str(states[self._n]) for name, states in self._shared.situation.signals.items()}
+    def lanes(self) -> tuple[LaneView, ...]:
+        """The lanes of the ego's road where it is, from left to right."""
+        return self._shared.surroundings.lanes(self._n)
+
+    @property
+    def lane(self) -> LaneView | None:
+        """The ego's own lane; None if it is on none."""
+        return next((lane for lane in self.lanes if lane.number == 0), None)
+
+    @property
+    def speed_limit(self) -> float:
+        """Limit of the ego's own lane in m/s."""
+        return self._shared.surroundings.speed_limit(self._n)
+
+    @property
+    def signals(self) -> Mapping[str, SignalView]:
+        """The signals that the scenario sets, and those along the ego's path, by name."""
+        s = self._shared.situation
+        front = s.center_x + 0.5 * s.length
+        states = {name: str(values[self._n]) for name, values in s.signals.items()}
+        placed: dict[str, tuple[str, float]] = {}
+        for name, signal_type, distance in self._shared.surroundings.signals(self._n):
+            # If the path passes it twice: the first that is not passed yet.
+            if name not in placed or placed[name][1] < 0.0:
+                placed[name] = signal_type, distance - front
+        views = [
+            SignalView(name, states.get(name, ""), *placed.get(name, ("", math.nan)))
+            for name in dict.fromkeys((*placed, *states))
+        ]
+        return {view.name: view for view in sorted(views, key=_order_of_signal)}
 
     def path(self, ahead: float) -> PathPoint:
         """Return the point of the ego's path at a distance ahead.
@@ -261,11 +346,16 @@ class View:
         PathPoint
         """
         s, n = self._shared.situation, self._n
-        at = self._shared.own_pose_on_path[0, n] + ahead
+        at = self._shared.own_poses[n][0] + ahead
         columns = (s.path.distance, s.path.x, s.path.y, s.path.heading, s.path.curvature)
         stations, *samples = columns if s.path.distance.ndim == 1 else [column[n] for column in columns]
         px, py, direction, curvature = (float(np.interp(at, stations, values)) for values in samples)
         dx, dy, heading = px - float(s.x[n]), py - float(s.y[n]), float(s.heading[n])
-        cos, sin = np.cos(heading), np.sin(heading)
-        turn = float(wrap_angle(np.float64(direction - heading)))
-        return PathPoint(float(dx * cos + dy * sin), float(dy * cos - dx * sin), turn, curvature)
+        cos, sin = math.cos(heading), math.sin(heading)
+        turn = (direction - heading + math.pi) % (2.0 * math.pi) - math.pi
+        return PathPoint(dx * cos + dy * sin, dy * cos - dx * sin, turn, curvature)
+
+
+def _order_of_signal(signal: SignalView) -> tuple[bool, bool, float]:
+    """Those ahead first, then those that are passed, then those that do not stand along the path."""
+    return math.isnan(signal.gap), signal.gap < 0.0, abs(signal.gap)

@@ -12,9 +12,8 @@ from cornercase._common.errors import InputError
 from cornercase._common.plugin_errors import is_built_in
 from cornercase._common.text.sanitize import remove_folders
 from cornercase._common.validation import check_mapping
-from cornercase.drivers import Driver
 from cornercase.drivers._description import driver_command_option, format_driver, iter_driver_changes
-from cornercase.drivers._resolve import check_drivers, may_be_named_in_file
+from cornercase.drivers._resolve import DriverLike, check_drivers, may_be_named_in_file
 from cornercase.exploration._explore_options import (
     CONFIG_OPTIONS,
     SEARCH_SETTINGS,
@@ -216,7 +215,7 @@ def config_from_study(
     file: Path,
     scenario: Path | str | ScenarioFile | None,
     simulator: str | Simulator | None,
-    drivers: Mapping[str, str | Driver],
+    drivers: Mapping[str, DriverLike],
     metrics: Sequence[Metric | str] = (),
     *,
     driver_hint: str = "give it again with `drivers`, as in {entity}={driver}",
@@ -229,7 +228,7 @@ def config_from_study(
     """
     meta, settings = study.meta, study.meta.settings
     logical = read_logical_scenario(study, scenario)
-    resolved_drivers: dict[str, str | Driver] = dict(check_mapping("drivers", drivers))
+    resolved_drivers: dict[str, DriverLike] = dict(check_mapping("drivers", drivers))
     for entity, driver in settings.get("drivers", {}).items():
         # A study file must not make us import a module.
         if isinstance(driver, str) and may_be_named_in_file(driver):

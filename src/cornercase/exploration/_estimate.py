@@ -18,7 +18,7 @@ from cornercase._common.io.files import check_output_differs_from_source
 from cornercase._common.option import check_options, document_options
 from cornercase._common.typing import FloatArray
 from cornercase._common.validation import check_bool, check_float, check_int, check_path
-from cornercase.drivers import Driver
+from cornercase.drivers._resolve import DriverLike
 from cornercase.evidence._rare_events import ImportanceSampling, initial_proposal
 from cornercase.exploration._config import ExplorationConfig, config_from_study, require_same_settings
 from cornercase.exploration._estimation import Estimation
@@ -51,7 +51,7 @@ def estimate(
     seed: int = 0,
     scenario: Path | str | ScenarioFile | None = None,
     simulator: str | Simulator | None = None,
-    drivers: Mapping[str, str | Driver] | None = None,
+    drivers: Mapping[str, DriverLike] | None = None,
     metrics: Sequence[Metric | str] = (),
     progress: bool = False,
     **options: Unpack[RunKeywords],
@@ -82,7 +82,7 @@ def estimate(
         folder, and recognized by its fingerprint.
     simulator : str or Simulator, optional
         Default: that of the study, without options.
-    drivers : mapping of str to str or Driver, optional
+    drivers : mapping of str to str, SystemUnderTest or Driver, optional
         Your own drivers by entity, if the study was explored with any; presets are taken from the study.
     metrics : sequence of Metric or str, optional
         All metrics of the study, if one is of your own class; by default they are taken from the study.
@@ -153,7 +153,7 @@ def _estimate_config(
     critical: float | None,
     seed: int,
     simulator: str | Simulator | None,
-    drivers: Mapping[str, str | Driver],
+    drivers: Mapping[str, DriverLike],
     metrics: Sequence[Metric | str],
 ) -> ExplorationConfig:
     """Return the study's configuration with another budget and seed."""

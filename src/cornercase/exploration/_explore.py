@@ -16,7 +16,7 @@ from cornercase._common.option import check_options, document_options, refuse_un
 from cornercase._common.process.dask import open_connection
 from cornercase._common.validation import check_bool, check_path
 from cornercase.drivers import Driver
-from cornercase.drivers._resolve import resolve_driver
+from cornercase.drivers._resolve import DriverLike, resolve_driver
 from cornercase.exploration._asynchronous import AsynchronousExplorer
 from cornercase.exploration._config import ExplorationConfig
 from cornercase.exploration._explore_options import CALL_OPTIONS, CONFIG_OPTIONS, OPTIONS, SPACE_OPTIONS, ExploreOptions
@@ -257,11 +257,11 @@ def reference_simulators(config: ExplorationConfig) -> Iterator[dict[str, Simula
         yield simulators
 
 
-def _resolve_drivers(drivers: Mapping[str, str | Driver]) -> dict[str, str | Driver]:
+def _resolve_drivers(drivers: Mapping[str, DriverLike]) -> dict[str, str | Driver]:
     return {entity: resolve_driver(driver) for entity, driver in drivers.items()}
 
 
-def _create_simulator(config: ExplorationConfig, drivers: Mapping[str, str | Driver]) -> Simulator:
+def _create_simulator(config: ExplorationConfig, drivers: Mapping[str, DriverLike]) -> Simulator:
     options: dict[str, Any] = {
         "time_step": config.time_step,
         "duration": config.duration,

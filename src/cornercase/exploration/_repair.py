@@ -21,7 +21,7 @@ from cornercase._common.io.files import atomic_write
 from cornercase._common.memory import DEFAULT_MEMORY, MemoryLimit, format_size, report_memory_need
 from cornercase._common.platform import fsync_file, lock_folder
 from cornercase._common.validation import check_int, check_path
-from cornercase.drivers import Driver
+from cornercase.drivers._resolve import DriverLike
 from cornercase.exploration._asynchronous import AsynchronousExplorer
 from cornercase.exploration._config import config_from_study, require_same_settings
 from cornercase.exploration._explore import reference_simulators, simulator_from_config
@@ -64,7 +64,7 @@ def repair(
     *,
     scenario: Path | str | ScenarioFile | None = None,
     simulator: str | None = None,
-    drivers: Mapping[str, str | Driver] | None = None,
+    drivers: Mapping[str, DriverLike] | None = None,
     workers: int = 1,
     memory: str | float = DEFAULT_MEMORY,
 ) -> RepairResult:
@@ -82,7 +82,7 @@ def repair(
         folder, and recognized by its fingerprint.
     simulator : str, optional
         Default: that of the study, without options.
-    drivers : mapping of str to str or Driver, optional
+    drivers : mapping of str to str, SystemUnderTest or Driver, optional
         Your own drivers by entity, if the study was explored with any; presets are taken from the study.
     workers : int, default 1
         Number of simulators that run in parallel.
@@ -257,7 +257,7 @@ def _rerun_lost_scenarios(
     recovered: RecoveredStudy,
     scenario: Path | str | ScenarioFile | None,
     simulator: str | None,
-    drivers: Mapping[str, str | Driver],
+    drivers: Mapping[str, DriverLike],
     workers: int,
 ) -> None:
     with StudyFile.open(repaired_file, readonly=False) as opened:

@@ -209,7 +209,10 @@ def _format_settings(options: dict[str, list[str]]) -> Iterator[str]:
             values = [values[0].partition(":")[0]]
         if option.name == "drivers":
             unregistered = [driver for driver in values if not may_be_named_in_file(driver.partition("=")[2])]
-            yield from (f"# A class of one's own has to be given again: --driver {driver}" for driver in unregistered)
+            yield from (
+                f"# A class of one's own has to be given again: --driver {shlex.quote(driver)}"
+                for driver in unregistered
+            )
             values = [driver for driver in values if driver not in unregistered]
         if option.is_list:
             if values:

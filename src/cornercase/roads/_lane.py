@@ -15,6 +15,7 @@ from cornercase._common.io.tracked_xml import find_untracked, note_adaptation
 from cornercase._common.text.source_lines import replace_line
 from cornercase._common.typing import FloatArray
 from cornercase.roads._reference_line import match_enumeration, read_finite_number, record_wrong_order
+from cornercase.roads._signs import SpeedLimits, read_lane_speed_limits
 
 # Largest lane number.
 _MAX_LANE_NUMBER: Final = 200
@@ -75,6 +76,7 @@ class Lane:
     predecessors: tuple[int, ...]
     successors: tuple[int, ...]
     is_reversed: bool = False
+    speed_limits: SpeedLimits = ()
 
     @property
     def is_drivable(self) -> bool:
@@ -167,6 +169,7 @@ def _side_lanes_at(
             borders=_shift_polynomials(lane.borders, starts[index] - current.start),
             predecessors=lane.predecessors if current.start == starts[index] else (number,),
             successors=(number,) if goes_on else lane.successors,
+            speed_limits=tuple((s - (starts[index] - current.start), limit) for s, limit in lane.speed_limits),
         )
         for number, lane in current.lanes.items()
     }
@@ -202,6 +205,7 @@ def _read_lanes(section: etree._Element, side: str, location: str) -> dict[int, 
             _read_linked_lanes(element, "link/predecessor", location),
             _read_linked_lanes(element, "link/successor", location),
             element.get("direction") == "reversed",
+            read_lane_speed_limits(element),
         )
     for number, element in elements.items():
         inner = number + (1 if number < 0 else -1)

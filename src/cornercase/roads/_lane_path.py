@@ -64,6 +64,11 @@ class LanePath:
     jumps: tuple[float, ...] = ()
 
     @cached_property
+    def cache(self) -> dict[str, Any]:
+        """Values derived from the path."""
+        return {}
+
+    @cached_property
     def arrays(self) -> tuple[npt.NDArray[Any], ...]:
         """The arrays of the path for kernels, shape (P,) or (K,), in the order of the attributes."""
         names = [field.name for field in fields(self) if field.default is MISSING]

@@ -32,6 +32,7 @@ from cornercase.roads._reference_line import (
     read_geometry,
     record_wrong_order,
 )
+from cornercase.roads._signs import RoadSignal, SpeedLimits, read_road_speed_limits, read_signals, speed_limit_at
 
 _MIN_ROAD_LENGTH: Final = 1e-9
 _MAX_ROAD_LENGTH: Final = 1e5
@@ -70,6 +71,8 @@ class Road:
     sections: tuple[LaneSection, ...]
     predecessor: RoadLink | None
     successor: RoadLink | None
+    speed_limits: SpeedLimits = ()
+    signals: tuple[RoadSignal, ...] = ()
 
     def reference_pose(self, s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return x, y and heading of the reference line, shape (N,) each."""
@@ -191,6 +194,12 @@ class Road:
         reverse = np.array([lane in lanes and lanes[lane].is_reversed for _, lanes in self.sections])
         return usual ^ reverse[self.section_at(s)]
 
+    def speed_limit(self, section: int, lane: int, s: FloatArray) -> FloatArray:
+        """Return the speed limit of a lane in m/s, shape (N,): its own, else that of the road; NaN if unknown."""
+        start, lanes = self.sections[section]
+        of_lane = speed_limit_at(lanes[lane].speed_limits if lane in lanes else (), s - start)
+        return np.where(np.isnan(of_lane), speed_limit_at(self.speed_limits, s), of_lane)
+
     def lane_edge_offsets(
         self, section: int, lane: int, s: FloatArray, derivative: bool = False
     ) -> tuple[FloatArray, FloatArray]:
@@ -249,6 +258,8 @@ def read_road(element: etree._Element, location: str, forced_starts: Iterable[fl
         tuple(read_lane_sections(sections, length, forced_starts, location)),
         _read_road_link(element.find("link/predecessor"), location),
         _read_road_link(element.find("link/successor"), location),
+        read_road_speed_limits(element),
+        read_signals(element),
     )
 
 

@@ -12,9 +12,8 @@ from cornercase._common.errors import InputError, SimulationError
 from cornercase._common.io.support_table import Notice, issue_notice_warning
 from cornercase._common.plugin_errors import convert_plugin_errors
 from cornercase._common.validation import check_float, check_str
-from cornercase.drivers import Behaviour, Driver
 from cornercase.drivers._description import serialize_driver
-from cornercase.drivers._resolve import check_drivers
+from cornercase.drivers._resolve import DriverLike, check_drivers
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario, Value
 from cornercase.scenario._file import ScenarioFile
@@ -242,7 +241,7 @@ def check_seed(seed: int, owner: str) -> int:
 
 
 def check_settings(
-    time_step: float, duration: float, on_collision: str, drivers: Mapping[str, str | Driver | Behaviour] | None
+    time_step: float, duration: float, on_collision: str, drivers: Mapping[str, DriverLike] | None
 ) -> dict[str, object]:
     """Return the settings common to all simulators with a storyboard, as plain values.
 
@@ -251,7 +250,7 @@ def check_settings(
     time_step, duration : float
         In s.
     on_collision : str
-    drivers : mapping of str to str, Driver or Behaviour, or None
+    drivers : mapping of str to str, SystemUnderTest, Driver or Behaviour, or None
         By entity.
 
     Returns

@@ -10,14 +10,17 @@ import cloudpickle
 
 from cornercase._common.current_folder import unpickle_with_current_folder
 from cornercase._common.errors import InputError
+from cornercase._common.registry import Registry
 from cornercase._common.text.sanitize import format_exception
-from cornercase.drivers import DRIVERS, Driver
+from cornercase.drivers import DRIVERS, SENSORS, VEHICLES, Driver
 from cornercase.drivers._description import serialize_driver, user_driver_spec
+from cornercase.drivers._registry import SEPARATOR
 from cornercase.drivers._resolve import driver_by_name
 from cornercase.simulators._base import Simulator
 from cornercase.simulators._registry import SIMULATORS
 
 _DRIVERS_OPTION: Final = "drivers"
+_DRIVER_REGISTRIES: Final[tuple[Registry[Any], ...]] = (DRIVERS, SENSORS, VEHICLES)
 
 
 @dataclass(frozen=True)
@@ -55,7 +58,9 @@ def pickle_simulator(simulator: str | type[Simulator], options: Mapping[str, Any
         for entity, driver_spec in (options.get(_DRIVERS_OPTION) or {}).items()
     }
     sent = {**options, _DRIVERS_OPTION: drivers} if drivers else dict(options)
-    registrations = SIMULATORS.export([simulator]), DRIVERS.export((options.get(_DRIVERS_OPTION) or {}).values())
+    names = [spec.name if isinstance(spec, DriverSpec) else spec for spec in drivers.values()]
+    parts = [part for name in names if isinstance(name, str) for part in name.split(SEPARATOR)]
+    registrations = SIMULATORS.export([simulator]), *(registry.export(parts) for registry in _DRIVER_REGISTRIES)
     try:
         return bytes(cloudpickle.dumps((registrations, simulator, sent)))
     except Exception as error:
@@ -71,9 +76,9 @@ def unpickle_simulator(content: bytes) -> tuple[str | type[Simulator], dict[str,
 
     The user's modules are also searched in the current folder. Raises `InputError` if a driver cannot be created.
     """
-    (simulators, drivers), simulator, options = unpickle_with_current_folder(content)
-    SIMULATORS.restore(simulators)
-    DRIVERS.restore(drivers)
+    registrations, simulator, options = unpickle_with_current_folder(content)
+    for registry, registered in zip((SIMULATORS, *_DRIVER_REGISTRIES), registrations, strict=True):
+        registry.restore(registered)
     return simulator, _create_drivers_from_specs(options)
 
 

@@ -12,7 +12,7 @@ from cornercase._common.option import option, read_options
 if TYPE_CHECKING:
     from distributed import Client
 
-    from cornercase.drivers import Driver
+    from cornercase.drivers._resolve import DriverLike
     from cornercase.simulators._base import Simulator
 
 DEFAULT_MAX_FAILURES: Final = 5
@@ -39,7 +39,7 @@ class SimulationOptions:
     on_collision: str = _simulation(
         "continue", "What a collision does to the run.", metavar="stop|continue", choices=("continue", "stop"),
         stored="simulator")
-    drivers: Mapping[str, str | Driver] = _simulation(
+    drivers: Mapping[str, DriverLike] = _simulation(
         dict, "Driver of an entity: normal, normal:horizon=4, or a class of your own, package.module:Class:option=3.",
         docs="By entity: a preset or ``package.module:Class``, both with options after a colon, or a driver object.",
         flag="--driver", metavar="ENTITY=NAME", stored=lambda meta: meta.drivers)
@@ -87,7 +87,7 @@ class SimulationKeywords(RunKeywords, total=False):
     time_step: float
     duration: float
     on_collision: str
-    drivers: Mapping[str, str | Driver] | None
+    drivers: Mapping[str, DriverLike] | None
 
 
 RUN_OPTIONS: Final = read_options(RunOptions)

@@ -11,8 +11,7 @@ from cornercase._common.io.support_table import warn_notices
 from cornercase._common.process.signals import collect_interrupts
 from cornercase._common.text.source_lines import prefix_file
 from cornercase._common.validation import check_int, check_parameter_values
-from cornercase.drivers import Driver
-from cornercase.drivers._resolve import resolve_driver
+from cornercase.drivers._resolve import DriverLike, resolve_driver
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario, Value
 from cornercase.scenario._file import ScenarioFile
@@ -31,7 +30,7 @@ def simulate(
     time_step: float = 0.05,
     duration: float = 60.0,
     on_collision: str = "continue",
-    drivers: Mapping[str, str | Driver] | None = None,
+    drivers: Mapping[str, DriverLike] | None = None,
     simulator: str | Simulator = "builtin",
     ego: str = "Ego",
     timeout: float | None = None,
@@ -51,7 +50,7 @@ def simulate(
         Maximum duration in s.
     on_collision : {"continue", "stop"}, default "continue"
         Whether entities pass through each other, or the run ends. The file's own stop trigger holds either way.
-    drivers : mapping of str to str or Driver, optional
+    drivers : mapping of str to str, SystemUnderTest or Driver, optional
         By entity: a name as on the command line, or a driver object. Overrides the file's controller properties.
     simulator : str or Simulator, default "builtin"
         Such as ``Esmini(seed=3)``, or its name with options after a colon: ``"esmini:seed=3"``.

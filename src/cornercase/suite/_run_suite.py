@@ -17,7 +17,7 @@ from cornercase._common.text.sanitize import escape_control_characters, remove_f
 from cornercase._common.validation import check_bool, check_mapping, check_str, check_str_sequence
 from cornercase._common.validation import check_path as path_argument
 from cornercase.drivers import Driver
-from cornercase.drivers._resolve import check_drivers, resolve_driver
+from cornercase.drivers._resolve import DriverLike, check_drivers, resolve_driver
 from cornercase.exploration._explore_options import OPTIONS
 from cornercase.metrics import METRICS, Metric
 from cornercase.metrics._critical_if import find_critical_if_condition
@@ -57,7 +57,7 @@ class SuiteKeywords(RunKeywords, total=False):
     time_step: float | None
     duration: float | None
     on_collision: str | None
-    drivers: Mapping[str, str | Driver] | None
+    drivers: Mapping[str, DriverLike] | None
 
 
 SUITE_OPTIONS: Final = {name: OPTIONS[name] for name in SuiteKeywords.__annotations__}
@@ -345,7 +345,7 @@ def _choose_simulator(suite: SuiteContents, requested: str | Simulator | None) -
     return name or "builtin"
 
 
-def _resolve_drivers(suite: SuiteContents, requested: Mapping[str, str | Driver] | None) -> dict[str, str | Driver]:
+def _resolve_drivers(suite: SuiteContents, requested: Mapping[str, DriverLike] | None) -> dict[str, str | Driver]:
     drivers = {entity: resolve_driver(driver) for entity, driver in check_drivers(requested).items()}
     for entity, command in suite.custom_drivers.items():
         if entity not in drivers:

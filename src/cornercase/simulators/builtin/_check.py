@@ -12,9 +12,10 @@ from typing import Final
 
 from lxml import etree
 
-from cornercase._common.errors import InputError
+from cornercase._common.errors import InputError, suggest_name
 from cornercase._common.io.support_table import Notice, NoticeLabel
 from cornercase._common.text.source_lines import prefix_file
+from cornercase.drivers._resolve import DriverLike, check_drivers, resolve_driver
 from cornercase.scenario import ConcreteScenario, LogicalScenario, ParameterSpace
 from cornercase.scenario._file import ScenarioFile
 from cornercase.scenario._xml import read_xml
@@ -84,11 +85,17 @@ class Check:
         return "\n  ".join([*lines, *self.schema_errors, *self.standard_violations, *self.run_errors]) + ">"
 
 
-def check(scenario: Path | str | ScenarioFile, space: Path | str | None = None, *, strict: bool = False) -> Check:
+def check(
+    scenario: Path | str | ScenarioFile,
+    space: Path | str | None = None,
+    *,
+    strict: bool = False,
+    drivers: Mapping[str, DriverLike] | None = None,
+) -> Check:
     """Check what a scenario file contains, what has no effect here, and whether it is valid and can be run.
 
     It is validated by ASAM's schema if the extra ``cornercase[validate]`` is installed, and run for one time step: with
-    the parameters' own values, or those in the middle of the space.
+    the parameters' own values, or those in the middle of the space, and with the given drivers.
 
     Parameters
     ----------
@@ -98,6 +105,8 @@ def check(scenario: Path | str | ScenarioFile, space: Path | str | None = None, 
         ParameterValueDistribution file.
     strict : bool, default False
         Also reject violations of the standard that can be read: all notices with the label ``adapted``.
+    drivers : mapping of str to str, SystemUnderTest or Driver, optional
+        By entity, as for `simulate`.
 
     Returns
     -------
@@ -116,9 +125,15 @@ def check(scenario: Path | str | ScenarioFile, space: Path | str | None = None, 
     (True, 2)
     """
     file = scenario if isinstance(scenario, ScenarioFile) else ScenarioFile.read(scenario)
+    given = {entity: resolve_driver(driver) for entity, driver in check_drivers(drivers).items()}
+    for entity in given:
+        if entity not in file.entities:
+            raise InputError(
+                f"`drivers` {entity}: {file.path} has no entity '{entity}'; {suggest_name(entity, file.entities)}"
+            )
     tags = Counter(str(e.tag) for e in file.root.iter() if isinstance(e.tag, str))
     run_errors, parameter_space = [], None
-    drivers: dict[str, str | None] = {}
+    own_drivers: dict[str, str | None] = {}
     try:
         concrete = ConcreteScenario(file.path, {}, file)
         if space is not None:
@@ -127,13 +142,13 @@ def check(scenario: Path | str | ScenarioFile, space: Path | str | None = None, 
             # The drivers of the file need not be those that the search is given.
             own = {name: value for name, value in values.items() if name in file.parameters}
             concrete = ConcreteScenario(file.path, own, file)
-        (result,) = Builtin(duration=0.05).run([concrete])
+        (result,) = Builtin(duration=0.05, drivers=given).run([concrete])
         if isinstance(result, Exception):
             run_errors.append(prefix_file(file.path, f"{result}."))
     except InputError as error:
         run_errors.append(str(error))
     with suppress(InputError):
-        drivers = {name: file.drivers.get(name) for name in file.entities}
+        own_drivers = {name: file.drivers.get(name) for name in file.entities}
     version, schema_violations = _validate_by_schema(file.parse_unnormalized() if strict else file.root)
     if space is not None:
         _, space_violations = _validate_by_schema(read_xml(Path(space)))
@@ -144,7 +159,7 @@ def check(scenario: Path | str | ScenarioFile, space: Path | str | None = None, 
         contents={tag: tags[tag] for tag in _COUNTED_ELEMENTS},
         parameters=file.parameters,
         variables=tuple(e.get("name", "") for e in file.root.iterfind("VariableDeclarations/VariableDeclaration")),
-        drivers=drivers,
+        drivers=own_drivers,
         notices=notices,
         schema=version,
         schema_errors=tuple(schema_violations),

@@ -16,8 +16,7 @@ from cornercase._common.io.support_table import Notice
 from cornercase._common.platform import count_available_cpus
 from cornercase._common.text.source_lines import prefix_file
 from cornercase._common.version import __version__
-from cornercase.drivers import Behaviour, Driver
-from cornercase.drivers._resolve import check_drivers, is_compiled_driver_name
+from cornercase.drivers._resolve import DriverLike, check_drivers, is_compiled_driver_name
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario, Value
 from cornercase.scenario._batch_split import BatchSplitError
@@ -50,7 +49,7 @@ class Builtin(Simulator):
     on_collision : {"continue", "stop"}, default "continue"
         Whether entities pass through each other, as in CarMaker, or the run ends, as in CARLA. A scenario file's own
         stop trigger applies in both cases.
-    drivers : mapping of str to str, Driver or Behaviour, optional
+    drivers : mapping of str to str, SystemUnderTest, Driver or Behaviour, optional
         Driver of each entity: the name of a preset (``"normal"``), also with options (``"normal:horizon=4"``), a
         driver, or the parameters of one (``cornercase.drivers.CAUTIOUS``). Overrides the file's controllers.
 
@@ -73,7 +72,7 @@ class Builtin(Simulator):
         time_step: float = 0.05,
         duration: float = 60.0,
         on_collision: str = "continue",
-        drivers: Mapping[str, str | Driver | Behaviour] | None = None,
+        drivers: Mapping[str, DriverLike] | None = None,
     ) -> None:
         self.settings = check_settings(time_step, duration, on_collision, drivers)
         self._time_step, self._duration, self._on_collision = time_step, duration, on_collision

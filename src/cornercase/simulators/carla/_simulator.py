@@ -15,8 +15,7 @@ from typing import Final, Literal
 
 from cornercase._common.errors import InputError, SimulationError, SimulatorError, suggest_name
 from cornercase._common.io.support_table import Notice, merge_notices
-from cornercase.drivers import Behaviour, Driver
-from cornercase.drivers._resolve import check_drivers
+from cornercase.drivers._resolve import DriverLike, check_drivers
 from cornercase.recordings import Recording
 from cornercase.recordings.formats._carla_log import read_carla_log
 from cornercase.scenario import ConcreteScenario, Value
@@ -119,7 +118,7 @@ class Carla(Simulator):
         time_step: float = 0.05,
         duration: float = 60.0,
         on_collision: str = "continue",
-        drivers: Mapping[str, str | Driver | Behaviour] | None = None,
+        drivers: Mapping[str, DriverLike] | None = None,
         ego: str = "Ego",
         hosts: str = "localhost",
         port: int = 2000,

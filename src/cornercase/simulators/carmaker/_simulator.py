@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Final, Literal
 
 from cornercase._common.errors import InputError, SimulationError, suggest_name
-from cornercase.drivers import Driver
+from cornercase.drivers._resolve import DriverLike
 from cornercase.recordings import Recording
 from cornercase.recordings._from_samples import EntityBox
 from cornercase.recordings.formats._erg import read_erg
@@ -90,7 +90,7 @@ class CarMaker(Simulator):
         time_step: float = 0.05,
         duration: float = 60.0,
         on_collision: str = "continue",
-        drivers: Mapping[str, str | Driver] | None = None,
+        drivers: Mapping[str, DriverLike] | None = None,
         testrun: str = "",
         project: str = "",
         hosts: str = "localhost",

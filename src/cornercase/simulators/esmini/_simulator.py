@@ -14,9 +14,9 @@ import numpy as np
 
 from cornercase._common.errors import InputError, SimulationError
 from cornercase._common.geometry.boxes import box_corners, boxes_overlap
-from cornercase.drivers import Behaviour, Driver
+from cornercase.drivers import Driver
 from cornercase.drivers._attachment import DriverError
-from cornercase.drivers._resolve import check_drivers
+from cornercase.drivers._resolve import DriverLike, check_drivers
 from cornercase.recordings import Collision, Recording
 from cornercase.scenario import ConcreteScenario, Value
 from cornercase.scenario._file import ScenarioFile
@@ -81,7 +81,7 @@ class Esmini(Simulator):
         time_step: float = 0.05,
         duration: float = 60.0,
         on_collision: str = "continue",
-        drivers: Mapping[str, str | Driver | Behaviour] | None = None,
+        drivers: Mapping[str, DriverLike] | None = None,
         seed: int = 0,
         controllers: bool = True,
         undriven: bool = False,

@@ -13,9 +13,9 @@ from cornercase._common.errors import InputError, SimulationError, suggest_name
 from cornercase._common.io.support_table import Notice
 from cornercase._common.text.sanitize import remove_folders
 from cornercase._common.typing import FloatArray
-from cornercase.drivers import DRIVERS, Behaviour, Driver, Situation
+from cornercase.drivers import DRIVERS, Driver, Situation
 from cornercase.drivers._registry import is_registered_driver, split_spec
-from cornercase.drivers._resolve import check_drivers
+from cornercase.drivers._resolve import DriverLike, check_drivers
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario, Value
 from cornercase.scenario._file import ScenarioFile
@@ -46,7 +46,7 @@ class Sumo(Simulator):
         Maximum duration of a scenario in s.
     on_collision : {"continue", "stop"}, default "continue"
         As for the builtin simulator: overlapping boxes collide.
-    drivers : mapping of str to str or Driver, optional
+    drivers : mapping of str to str, SystemUnderTest or Driver, optional
         By entity: a vehicle type of SUMO, or a driver of cornercase.
     seed : int, default 0
         Seed of SUMO. It has no effect with the built-in vehicle types, which are deterministic.
@@ -70,7 +70,7 @@ class Sumo(Simulator):
         time_step: float = 0.05,
         duration: float = 60.0,
         on_collision: str = "continue",
-        drivers: Mapping[str, str | Driver | Behaviour] | None = None,
+        drivers: Mapping[str, DriverLike] | None = None,
         seed: int = 0,
         network: str | None = None,
     ) -> None:

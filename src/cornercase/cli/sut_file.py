@@ -1,0 +1,82 @@
+"""A file ``sut.toml`` that says who drives entities, and with what sensors and vehicle."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from pathlib import Path
+from typing import Any, Final
+
+from cornercase._common.configurable import format_option_value
+from cornercase._common.errors import InputError, suggest_name
+from cornercase._common.io.files import parse_toml, read_utf8
+from cornercase.drivers._registry import SEPARATOR
+
+_MAX_BYTES: Final = 1_000_000
+_ENTITY_KEYS: Final = ("driver", "sut", "options", "sensors", "vehicle")
+_PART_KEYS: Final = ("name", "options")
+
+
+def read_sut_file(path: Path) -> dict[str, str]:
+    """Return, by entity, the text ``DRIVER + SENSOR + VEHICLE`` that a file describes.
+
+    The user names the file on the command line, so it may name code.
+    """
+    specs = {
+        entity: _read_entity(f"{path}: [{entity}]", table)
+        for entity, table in parse_toml(path, read_utf8(path, _MAX_BYTES)).items()
+    }
+    if not specs:
+        raise InputError(f'{path}: has no entity; write a table for each, as in [Ego] with driver = "normal".')
+    return specs
+
+
+def _read_entity(where: str, table: Any) -> str:
+    if not isinstance(table, Mapping):
+        raise InputError(f'{where}: is no table; write [Ego] on a line, and below it driver = "normal".')
+    _check_keys(where, table, _ENTITY_KEYS)
+    names = [key for key in ("driver", "sut") if key in table]
+    if len(names) != 1:
+        problem = "has both 'driver' and 'sut', which mean the same; keep one" if names else "has no 'driver'; add one"
+        raise InputError(f"{where}: {problem}.")
+    parts = [_join(f"{where}, {names[0]}", table[names[0]], table.get("options", {}))]
+    sensors = table.get("sensors", [])
+    if not isinstance(sensors, list):
+        raise InputError(f"{where}: 'sensors' is no list; write sensors = [\"radar:range=120\"].")
+    parts += [_read_part(f"{where}, sensors {k}", sensor) for k, sensor in enumerate(sensors, 1)]
+    if "vehicle" in table:
+        parts.append(_read_part(f"{where}, vehicle", table["vehicle"]))
+    return SEPARATOR.join(parts)
+
+
+def _read_part(where: str, part: Any) -> str:
+    """Return the text of a sensor or a vehicle, which is a text or a table with name and options."""
+    if not isinstance(part, Mapping):
+        return _join(where, part, {})
+    _check_keys(where, part, _PART_KEYS)
+    if "name" not in part:
+        raise InputError(f"{where}: has no 'name'; add one.")
+    return _join(where, part["name"], part.get("options", {}))
+
+
+def _join(where: str, name: Any, options: Any) -> str:
+    """Return a name with options, as on the command line."""
+    if not isinstance(name, str) or not name.strip():
+        raise InputError(f'{where}: is no text; write it as on the command line, as in "normal:horizon=4".')
+    if not isinstance(options, Mapping):
+        raise InputError(f"{where}: its options are no table; write options = {{ reaction = 0.3 }}.")
+    texts = []
+    for key, value in options.items():
+        if not isinstance(value, bool | int | float | str):
+            raise InputError(f"{where}: the option '{key}' is no number, text, true or false.")
+        text = format_option_value(value)
+        if "," in text or SEPARATOR in text:
+            raise InputError(f"{where}: the option '{key}' contains '{text}'; a comma or ' + ' cannot be in a value.")
+        texts.append(f"{key}={text}")
+    has_options = name.count(":") > 1 or (":" in name and "=" in name)
+    return f"{name}{',' if has_options else ':'}{','.join(texts)}" if texts else name
+
+
+def _check_keys(where: str, table: Mapping[str, Any], allowed: Collection[str]) -> None:
+    for key in table:
+        if key not in allowed:
+            raise InputError(f"{where}: has '{key[:60]}', which is not known; {suggest_name(key, allowed)}")

@@ -1,0 +1,61 @@
+"""Say who drives an entity, with what, and which options can be searched."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from inspect import Parameter
+from typing import Any
+
+from cornercase._common.configurable import declared_options, format_option_value, given_options
+from cornercase.drivers._compiled import CompiledDriver
+from cornercase.drivers._function import DrivingFunction
+from cornercase.drivers._parameters import fixed_options, name_parts
+from cornercase.drivers._resolve import DriverLike, driver_by_name, resolve_driver
+from cornercase.drivers._system_under_test import ScalarFunction
+
+
+def describe_driver(entity: str, driver: DriverLike) -> Iterator[str]:
+    """Yield lines about the driver of an entity: its parts, their options, and the names of these in a search."""
+    resolved = resolve_driver(driver)
+    made = driver_by_name(resolved) if isinstance(resolved, str) else resolved
+    yield f"{entity}: driven by {driver if isinstance(driver, str) else made}"
+    parts = name_parts(made)
+    for name, part in parts.items():
+        texts = [f"{option}={format_option_value(value)}" for option, value in _options_of(part).items()]
+        yield f"  {name}: {', '.join(texts) or 'no options'}"
+        if isinstance(part, DrivingFunction):
+            yield from (f"  {line}" for line in part.describe())
+    if names := list(_searchable_names(parts)):
+        yield f"  can be searched, as in --range {entity}.{names[0]}=LOW:HIGH: {', '.join(names)}"
+
+
+def _options_of(part: Any) -> Mapping[str, bool | int | float | str]:
+    """Return the options of a part with their values."""
+    if isinstance(part, CompiledDriver):
+        options: dict[str, Any] = {name: value for name, value in part.settings.items() if name != "driver"}
+    else:
+        made = part.prototype if isinstance(part, ScalarFunction) else part
+        given = given_options(made)
+        options = {
+            name: given.get(name, parameter.default)
+            for name, parameter in declared_options(type(made)).items()
+            if name != "name" and (name in given or parameter.default is not Parameter.empty)
+        }
+    return {name: value for name, value in options.items() if isinstance(value, bool | int | float | str)}
+
+
+def _searchable_names(parts: Mapping[str, Any]) -> Iterator[str]:
+    """Yield the names of options that are numbers and not given: without its part, if only one part has such a one."""
+    numbers = {
+        part: [
+            option
+            for option, value in _options_of(made).items()
+            if isinstance(value, int | float) and not isinstance(value, bool) and option not in fixed_options(made)
+        ]
+        for part, made in parts.items()
+    }
+    counts = Counter(option for options in numbers.values() for option in options)
+    for part, options in numbers.items():
+        for option in options:
+            yield option if counts[option] == 1 else f"{part}.{option}"

@@ -1,0 +1,187 @@
+"""Lanes, speed limits and signals around the egos of a batch."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cornercase._common.typing import BoolArray, FloatArray, IntArray
+from cornercase.drivers._base import Situation
+from cornercase.drivers._kernels.look import ALONG, LATERAL
+from cornercase.drivers._kernels.path_projection import project_onto_path
+from cornercase.drivers._lanes import PathAlongLanes, driven_path
+from cornercase.roads._cross_sections import NO_LANE, CrossSections
+
+if TYPE_CHECKING:
+    from cornercase.roads._lane_path import LanePath
+    from cornercase.roads._network import RoadNetwork
+
+
+@dataclass(frozen=True, slots=True)
+class LaneView:
+    """A lane of the ego's road, where the ego is.
+
+    Attributes
+    ----------
+    number : int
+        0 for the ego's own lane, 1 for the next to the left, -1 for the next to the right.
+    lane_type : str
+        Type of OpenDRIVE, such as ``"driving"`` or ``"shoulder"``.
+    same_direction : bool
+        Whether its traffic runs in the direction in which the ego's path runs.
+    width : float
+        In m.
+    offset : float
+        Distance of its centre from the ego's reference point, across the path, in m; positive to the left.
+    curvature : float
+        Of its centre line in 1/m, positive to the left in the direction of the ego's path.
+    speed_limit : float
+        In m/s; infinite without limit, NaN if the road file has none.
+    """
+
+    number: int
+    lane_type: str
+    same_direction: bool
+    width: float
+    offset: float
+    curvature: float
+    speed_limit: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Group:
+    """Egos on the same path along lanes: distance along it and offset from it, of the egos (n,) and others (n, A)."""
+
+    sections: CrossSections
+    along: FloatArray
+    offset: FloatArray
+    column: IntArray
+    others_along: FloatArray
+    others_offset: FloatArray
+
+    @cached_property
+    def edges(self) -> tuple[IntArray, FloatArray, FloatArray]:
+        """Sample of the path, and edges of all lanes there."""
+        return self.sections.edges_at(self.along)
+
+    @cached_property
+    def others_column(self) -> IntArray:
+        """Columns of the lanes of the others (n, A)."""
+        return self.sections.columns_at(self.others_along, self.others_offset)
+
+
+class Surroundings:
+    """What egos of N scenarios have around them; `own` (N, 3) and `objects` (N, A, 8) are what `look` fills in."""
+
+    def __init__(self, situation: Situation, network: RoadNetwork | None, own: FloatArray, objects: FloatArray) -> None:
+        self._situation, self._network = situation, network
+        self._group_of: dict[int, tuple[_Group, int]] = {}
+        if network is None:
+            return
+        rows = np.flatnonzero(situation.active & np.isfinite(situation.x))
+        if isinstance(situation.path, PathAlongLanes):
+            along, offset = own[rows, 0], own[rows, 1]
+            others = objects[rows, :, ALONG], objects[rows, :, LATERAL]
+            rows = self._join(network, situation.path.lane_path, rows, along, offset, *others)
+        if len(rows):
+            self._locate(network, rows)
+
+    def _join(
+        self,
+        network: RoadNetwork,
+        path: LanePath,
+        rows: IntArray,
+        along: FloatArray,
+        offset: FloatArray,
+        others_along: FloatArray,
+        others_offset: FloatArray,
+    ) -> IntArray:
+        """Group scenarios whose ego is on a lane of a path's roads; return those whose ego is not."""
+        sections = CrossSections.along(network, path)
+        column = sections.columns_at(along, offset)
+        group = _Group(sections, along, offset, column, others_along, others_offset)
+        is_on: BoolArray = column != NO_LANE
+        self._group_of |= {n: (group, i) for i, n in enumerate(rows.tolist()) if is_on[i]}
+        others: IntArray = rows[~is_on]
+        return others
+
+    def _locate(self, network: RoadNetwork, rows: IntArray) -> None:
+        """Group scenarios by the lane that the ego is on, wherever its path leads."""
+        s = self._situation
+        x, y, heading = s.x[rows], s.y[rows], s.heading[rows]
+        road, at = network.track_road(np.full(len(rows), -1), np.zeros(len(rows)), x, y, heading)
+        lane, forward = np.zeros(len(rows), dtype=np.int64), np.zeros(len(rows), dtype=np.bool_)
+        section = np.zeros(len(rows), dtype=np.int64)
+        for r in np.unique(road):
+            of_road = road == r
+            px, py, direction = network.roads[r].reference_pose(at[of_road])
+            t = (y[of_road] - py) * np.cos(direction) - (x[of_road] - px) * np.sin(direction)
+            lane[of_road], _ = network.find_lane(int(r), at[of_road], t)
+            forward[of_road] = np.cos(heading[of_road] - direction) >= 0.0
+            section[of_road] = network.roads[r].section_at(at[of_road])
+        keys, which = np.unique(np.stack((road, section, lane, forward)), axis=1, return_inverse=True)
+        for k, (r, _, number, along_s) in enumerate(keys.T.tolist()):
+            same = which.reshape(-1) == k
+            path = network.lane_path_from(r, number, float(at[same][0]), bool(along_s))
+            if path is None:
+                continue
+            center = s.others_center_x
+            points = (
+                np.column_stack((x[same], s.others_x[rows[same]] + center * np.cos(s.others_heading[rows[same]]))),
+                np.column_stack((y[same], s.others_y[rows[same]] + center * np.sin(s.others_heading[rows[same]]))),
+            )
+            along, offset, _, is_within = project_onto_path(driven_path(path), path.distance_of_s(at[same]), *points)
+            along[~is_within] = np.nan
+            self._join(network, path, rows[same], along[:, 0], offset[:, 0], along[:, 1:], offset[:, 1:])
+
+    def lanes(self, scenario: int) -> tuple[LaneView, ...]:
+        """All lanes of the road where the ego is, from left to right; none if it is on no lane."""
+        if scenario not in self._group_of:
+            return ()
+        group, i = self._group_of[scenario]
+        sections, (samples, lefts, rights) = group.sections, group.edges
+        k, own, ego_offset = int(samples[i]), int(group.column[i]), float(group.offset[i])
+        curvature = float(sections.path.curvature[k])
+        lanes = []
+        for column, (left, right) in enumerate(zip(lefts[i].tolist(), rights[i].tolist(), strict=True)):
+            if not left > right:
+                continue
+            center = 0.5 * (left + right)
+            lanes.append(
+                LaneView(
+                    own - column,
+                    sections.types[sections.lane_type[k, column]],
+                    bool(sections.is_along[k, column]),
+                    left - right,
+                    center - ego_offset,
+                    curvature / (1.0 - curvature * center) if curvature * center < 1.0 else math.nan,
+                    float(sections.speed_limit[k, column]),
+                )
+            )
+        return tuple(lanes)
+
+    def lane_of(self, scenario: int, other: int) -> int | None:
+        """Number of the lane that another entity is on, counted from the ego's own; None if it is on none."""
+        if scenario not in self._group_of:
+            return None
+        group, i = self._group_of[scenario]
+        column = int(group.others_column[i, other])
+        return None if column == NO_LANE else int(group.column[i]) - column
+
+    def speed_limit(self, scenario: int) -> float:
+        """Speed limit of the ego's lane in m/s; NaN if unknown."""
+        if scenario not in self._group_of:
+            return math.nan
+        group, i = self._group_of[scenario]
+        return float(group.sections.speed_limit[group.edges[0][i], group.column[i]])
+
+    def signals(self, scenario: int) -> list[tuple[str, str, float]]:
+        """Name, type, and distance along the path in m from the ego's reference point, of signals along the path."""
+        if scenario not in self._group_of:
+            return []
+        group, i = self._group_of[scenario]
+        return [(name, kind, at - float(group.along[i])) for name, kind, at in group.sections.signals]

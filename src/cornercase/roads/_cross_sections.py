@@ -1,0 +1,138 @@
+"""Lanes beside a path along lanes, and the signals along it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from cornercase._common.typing import BoolArray, FloatArray, IntArray
+from cornercase.roads._lane_path import LanePath
+from cornercase.roads._network import RoadNetwork
+from cornercase.roads._road import Road
+
+NO_LANE: Final = -1
+"""Column of a point that is on no lane."""
+
+
+@dataclass(frozen=True, eq=False)
+class CrossSections:
+    """The lanes at the P samples of a path, in L columns from left to right, as seen along the path.
+
+    `own` is the column of the lanes that the path follows; lane 0 has no column. Arrays (P, L): `left` and `right` are
+    the offsets of a lane's edges from the path in m, positive to the left, NaN where there is no lane; `lane_type` is
+    an index in `types`; `is_along` says whether traffic runs along the path; `speed_limit` is in m/s, NaN if unknown.
+    `signals` are name, type and distance along the path in m of those that concern traffic on the path.
+    """
+
+    path: LanePath
+    own: int
+    left: FloatArray
+    right: FloatArray
+    lane_type: IntArray
+    is_along: BoolArray
+    speed_limit: FloatArray
+    types: tuple[str, ...]
+    signals: tuple[tuple[str, str, float], ...]
+    _stretch: IntArray
+
+    @classmethod
+    def along(cls, network: RoadNetwork, path: LanePath) -> CrossSections:
+        """Return the cross-sections along a path on a network; they are computed once."""
+        if "cross-sections" not in path.cache:
+            path.cache["cross-sections"] = cls._compute(network, path)
+        sections: CrossSections = path.cache["cross-sections"]
+        return sections
+
+    @classmethod
+    def _compute(cls, network: RoadNetwork, path: LanePath) -> CrossSections:
+        stretches = list(_iter_stretches(network, path))
+        numbers = [0, *(number for *_, columns in stretches for number in columns.values())]
+        to_left, to_right = max(numbers), -min(numbers)
+        shape = len(path.distance), to_left + to_right + 1
+        left, right, limit = (np.full(shape, np.nan) for _ in range(3))
+        lane_type, is_along = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=np.bool_)
+        types = dict[str, int]()
+        for rows, road, section, columns in stretches:
+            s, lane, forward = path.s[rows], int(path.lane[rows.start]), bool(path.forward[rows.start])
+            center, sign = road.lane_center(section, lane, s), 1.0 if forward else -1.0
+            for number, to_the_left in columns.items():
+                column = to_left - to_the_left
+                edges = [sign * (edge - center) for edge in road.lane_edge_offsets(section, number, s)]
+                left[rows, column], right[rows, column] = np.maximum(*edges), np.minimum(*edges)
+                lane_type[rows, column] = types.setdefault(road.sections[section][1][number].lane_type, len(types))
+                is_along[rows, column] = road.is_traffic_forward(number, s) == forward
+                limit[rows, column] = road.speed_limit(section, number, s)
+        return cls(
+            path,
+            to_left,
+            left,
+            right,
+            lane_type,
+            is_along,
+            limit,
+            tuple(types),
+            tuple(_find_signals(network, path)),
+            np.repeat(range(len(stretches)), [rows.stop - rows.start for rows, *_ in stretches]),
+        )
+
+    def edges_at(self, distance: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
+        """Return the sample before each distance along the path (…), and both edges of all lanes there (…, L)."""
+        stations = self.path.distance
+        k = np.clip(np.searchsorted(stations, distance, "right") - 1, 0, len(stations) - 2)
+        share = np.clip((distance - stations[k]) / (stations[k + 1] - stations[k]), 0.0, 1.0)
+        share = np.where(self._stretch[k] == self._stretch[k + 1], share, np.round(share))[..., None]
+        left, right = (
+            np.where(share == 1.0, edge[k + 1], edge[k] + share * (edge[k + 1] - edge[k]))
+            for edge in (self.left, self.right)
+        )
+        return k + (share[..., 0] == 1.0), left, right
+
+    def columns_at(self, distance: FloatArray, offset: FloatArray) -> IntArray:
+        """Return the column of the lane at points, `NO_LANE` if there is none; of two that touch, the left signal."""
+        _, left, right = self.edges_at(distance)
+        holds = (right <= offset[..., None]) & (offset[..., None] <= left) & (right < left)
+        return np.where(holds.any(axis=-1), holds.argmax(axis=-1), NO_LANE)
+
+
+def _iter_stretches(network: RoadNetwork, path: LanePath) -> Iterator[tuple[slice, Road, int, dict[int, int]]]:
+    """Yield the samples of each lane of a path, its road and section, and for each lane there how far left it is."""
+    section = np.zeros(len(path.road), dtype=np.int64)
+    for r in np.unique(path.road):
+        rows = path.road == r
+        section[rows] = network.roads[r].section_at(path.s[rows])
+    for rows in _runs_of_equal(path.road, section, path.lane, path.forward):
+        road, k, lane = network.roads[path.road[rows.start]], int(section[rows.start]), int(path.lane[rows.start])
+        sign = 1 if path.forward[rows.start] else -1
+        yield rows, road, k, {n: sign * (_rank(n) - _rank(lane)) for n in road.sections[k][1]}
+
+
+def _runs_of_equal(*values: npt.NDArray[Any]) -> Iterator[slice]:
+    """Yield the runs of samples in which no value changes."""
+    changes = np.any([value[1:] != value[:-1] for value in values], axis=0)
+    ends = [*(np.flatnonzero(changes) + 1).tolist(), len(values[0])]
+    yield from (slice(start, end) for start, end in zip([0, *ends[:-1]], ends, strict=True))
+
+
+def _rank(lane: int) -> int:
+    """Position of a lane among all: there is none between 1 and -1."""
+    return lane - 1 if lane > 0 else lane
+
+
+def _find_signals(network: RoadNetwork, path: LanePath) -> Iterator[tuple[str, str, float]]:
+    """Yield name, type and distance of the signals along a path, in this order."""
+    types = {signal.name: signal.signal_type for road in network.roads for signal in road.signals if signal.signal_type}
+    # Roads begin and end between samples.
+    margin = 1.5 * float(path.distance[1] - path.distance[0])
+    for rows in _runs_of_equal(path.road, path.forward):
+        forward, s = bool(path.forward[rows.start]), path.s[rows]
+        signals = network.roads[path.road[rows.start]].signals
+        for signal in signals if forward else reversed(signals):
+            if s.min() - margin <= signal.s <= s.max() + margin:
+                k = int(np.abs(s - signal.s).argmin())
+                beyond = signal.s - s[k] if forward else s[k] - signal.s
+                if signal.concerns(int(path.lane[rows][k]), forward):
+                    yield signal.name, types.get(signal.name, ""), float(path.distance[rows][k] + beyond)
