@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import shlex
 import shutil
 import signal
 import subprocess
@@ -159,6 +160,13 @@ def block_interrupts(*other_signals: signal.Signals) -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def split_command(command: str) -> list[str]:
+    """Split a command into words as a shell does; backslashes separate folders on Windows."""
+    if not _WINDOWS:
+        return shlex.split(command)
+    return [word.strip('"') for word in shlex.split(command, posix=False)]
 
 
 def find_program(name: str, folders: Sequence[str] | None = None) -> str | None:

@@ -159,7 +159,8 @@ def _runs_by_room(folder: Path) -> Iterator[tuple[str, Callable[[], Any]]]:
     yield "clustering", partial(find_outcome, _crossing_recording(), "Ego", "Other")
     simulate = partial(simulators.simulate, scenario, duration=_DURATION)
     for plugin in drivers.DRIVERS.names():
-        yield "drivers", partial(simulate, drivers={"Ego": plugin})
+        if not drivers.DRIVERS.takes_text(plugin):
+            yield "drivers", partial(simulate, drivers={"Ego": plugin})
     yield "metrics", partial(metrics.measure, simulate(), config.ego, config.other)
     for plugin in optimizers.OPTIMIZERS.names():
         changed = replace(config, optimizer=plugin, critical=1.0, metrics=as_items(config.metrics)[:1])

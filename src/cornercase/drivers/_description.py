@@ -68,7 +68,7 @@ def serialize_driver(driver: str | Driver) -> str | dict[str, Any]:
     cls = type(own)
     class_path = f"{cls.__module__}:{cls.__qualname__}"
     spec = getattr(own, "__dict__", {}).get(_SPEC_ATTRIBUTE)
-    if spec is None and cls.__module__.startswith("cornercase."):
+    if cls.__module__.startswith("cornercase."):
         return dict(own.settings)
     given = dict(sorted(plain_options(own).items())) if isinstance(own, Configurable) else {}
     name, options = (class_path, given or None) if spec is None else spec

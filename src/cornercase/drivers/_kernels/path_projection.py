@@ -17,6 +17,9 @@ from cornercase.drivers._base import DrivenPath
 # m along the path, from the driven entity, in which the nearest point is searched.
 _BEHIND: Final = 100.0
 _AHEAD: Final = 300.0
+# Samples between those that are looked at first; bound of the distance of two samples per m along the path.
+_STRIDE: Final = 16
+_LONGEST_CHORD: Final = 1.05
 
 
 def project_onto_path(
@@ -45,11 +48,20 @@ def _project(distance, path_x, path_y, heading, own, x, y, along, offset, direct
         last = min(np.searchsorted(stations, own[n] + _AHEAD) + 1, stations.size - 1)
         for a in range(x.shape[1]):
             best, nearest = math.inf, first
-            for k in range(first, last + 1):
-                dx, dy = x[n, a] - path_x[row, k], y[n, a] - path_y[row, k]
-                squared = dx * dx + dy * dy
+            for k in range(first, last + 1, _STRIDE):
+                squared = (x[n, a] - path_x[row, k]) ** 2 + (y[n, a] - path_y[row, k]) ** 2
                 if squared < best:
                     best, nearest = squared, k
+            k = first
+            while k <= last:
+                squared = (x[n, a] - path_x[row, k]) ** 2 + (y[n, a] - path_y[row, k]) ** 2
+                if squared < best or (squared == best and k < nearest):
+                    best, nearest = squared, k
+                # No sample that is nearer on the path than this can be nearer to the point than the best one.
+                skipped = (math.sqrt(squared) - math.sqrt(best)) / _LONGEST_CHORD
+                k += 1
+                if skipped > 2.0:
+                    k = max(k, np.searchsorted(stations, stations[k - 1] + skipped))
             best = math.inf
             is_within[n, a] = False
             for k in range(max(nearest - 1, first), min(nearest + 1, last)):

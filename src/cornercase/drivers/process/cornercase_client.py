@@ -1,0 +1,355 @@
+"""The other end of cornercase's protocol, for a driving function in a Python of its own.
+
+Copy this file next to your function. It needs Python 3.7 or later and msgpack, and neither cornercase nor NumPy::
+
+    from cornercase_client import Control, serve
+
+    class MyFunction:
+        def __init__(self, reaction=0.3):
+            self.reaction = reaction
+
+        def step(self, view, dt):
+            leader = view.leader
+            if leader is not None and leader.gap < 1.5 * leader.closing:
+                return Control(acceleration=-8.0)
+            return 0.0
+
+    serve(MyFunction)
+
+An object is made for each concrete scenario, from the options of ``exec:python my_function.py:reaction=0.2``. If it has
+a method ``start(ego, rng)``, this is called first, with the vehicle and a ``random.Random``.
+"""
+
+import array
+import bisect
+import math
+import os
+import random
+import socket
+import struct
+import sys
+import traceback
+from collections import namedtuple
+
+import msgpack
+
+PROTOCOL_VERSION = 1
+LANE_CHANGES = {None: 0.0, "left": 1.0, "right": -1.0}
+
+Ego = namedtuple(
+    "Ego",
+    "name object_type length width center_x wheelbase max_steering max_speed max_acceleration max_deceleration values",
+)
+EgoState = namedtuple("EgoState", "x y heading speed acceleration distance offset turn")
+ObjectView = namedtuple("ObjectView", "name object_type x y heading speed length width gap closing lateral in_path")
+PathPoint = namedtuple("PathPoint", "x y heading curvature")
+Trajectory = namedtuple("Trajectory", "time x y")
+_Control = namedtuple("_Control", "acceleration steering throttle brake trajectory lane_change")
+
+
+class Control(_Control):
+    """What a function decides: an acceleration; throttle and brake; or a trajectory. See `cornercase.Control`."""
+
+    __slots__ = ()
+
+    def __new__(cls, acceleration=None, steering=None, throttle=None, brake=None, trajectory=None, lane_change=None):
+        """Check which of them are given."""
+        pedals = throttle is not None or brake is not None
+        if (acceleration is not None) + pedals + (trajectory is not None) != 1:
+            raise ValueError("a control needs one of: acceleration; throttle and brake; trajectory")
+        if lane_change not in LANE_CHANGES:
+            raise ValueError("lane_change is %r; it is 'left' or 'right'" % (lane_change,))
+        if lane_change is not None and steering is not None:
+            raise ValueError("a lane change steers by itself; leave out the steering")
+        return super().__new__(cls, acceleration, steering, throttle, brake, trajectory, lane_change)
+
+
+class Batch:
+    """N concrete scenarios that run together, as the message ``start`` describes them."""
+
+    def __init__(self, message, options):
+        self.scenarios = message["scenarios"]
+        self.time_step = message["time_step"]
+        self.ego = message["ego"]
+        self.values = message["values"]
+        self.seeds = message["seeds"]
+        self.friction = doubles(message["friction"])
+        self.options = options
+        self.parameters = {name: doubles(values) for name, values in message["parameters"].items()}
+        self.others = []
+
+    def options_of(self, scenario):
+        """Options of the function in a scenario, with the parameters that differ between scenarios."""
+        return dict(self.options, **{name: values[scenario] for name, values in self.parameters.items()})
+
+
+class Step:
+    """One time step of M scenarios: `columns` are flat ``array('d')`` of M, M * A or M * K numbers, row by row."""
+
+    def __init__(self, message, batch, ahead):
+        self.batch = batch
+        self.time = message["time"]
+        self.time_step = message["time_step"]
+        self.scenarios = message["scenarios"]
+        self.columns = {name: doubles(values) for name, values in message["columns"].items()}
+        self.others = batch.others
+        self.signals = message.get("signals", {})
+        self.ahead = ahead
+
+
+class View:
+    """What a function sees of one scenario; the attributes are those of `cornercase.View`."""
+
+    def __init__(self, step, row):
+        self._step, self._row = step, row
+        self.time = step.time
+        self._objects = None
+
+    def _own(self, name):
+        return self._step.columns[name][self._row]
+
+    def _points(self, name, count):
+        return self._step.columns[name][self._row * count : (self._row + 1) * count]
+
+    @property
+    def target_speed(self):
+        """Speed in m/s that the scenario asks for; infinite or NaN if it asks for none."""
+        return self._own("target_speed")
+
+    @property
+    def ego(self):
+        """State of the ego."""
+        return EgoState(*(self._own(name) for name in EgoState._fields))
+
+    @property
+    def objects(self):
+        """All other entities that are sensed, the nearest first."""
+        if self._objects is None:
+            others = self._step.others
+            names = ("x", "y", "heading", "speed", "gap", "closing", "lateral", "in_path")
+            rows = zip(others, *(self._points("other_" + name, len(others)) for name in names))
+            objects = [
+                ObjectView(
+                    other["name"], other["object_type"], x, y, heading, speed, other["length"], other["width"],
+                    gap, closing, lateral, in_path != 0.0,
+                )
+                for other, x, y, heading, speed, gap, closing, lateral, in_path in rows
+                if not math.isnan(x)
+            ]  # fmt: skip
+            self._objects = tuple(sorted(objects, key=lambda other: math.hypot(other.x, other.y)))
+        return self._objects
+
+    @property
+    def leader(self):
+        """The nearest of those ahead in the ego's path; None if there is none."""
+        ahead = [other for other in self.objects if other.in_path and other.gap >= 0.0 and other.x > 0.0]
+        return min(ahead, key=lambda other: other.gap) if ahead else None
+
+    @property
+    def signals(self):
+        """State of each traffic signal by its name."""
+        return {name: states[self._row] for name, states in self._step.signals.items()}
+
+    def path(self, ahead):
+        """Return the point of the ego's path at a distance ahead in m, between the nearest of ``serve(ahead=…)``."""
+        distances = self._step.ahead
+        if not distances:
+            raise ValueError("give the distances at which the path is sent: serve(MyFunction, ahead=range(0, 101))")
+        high = min(max(bisect.bisect_left(distances, ahead), 1), len(distances) - 1)
+        low = high - 1
+        share = min(max((ahead - distances[low]) / (distances[high] - distances[low]), 0.0), 1.0)
+        values = []
+        for name in PathPoint._fields:
+            points = self._points("path_" + name, len(distances))
+            change = points[high] - points[low]
+            if name == "heading":
+                change = (change + math.pi) % (2.0 * math.pi) - math.pi
+            values.append(points[low] + share * change)
+        return PathPoint(*values)
+
+
+class ScalarAdapter:
+    """Drives each scenario of a batch by an object of its own."""
+
+    columns = None
+
+    def __init__(self, make):
+        self.make = make
+
+    def start(self, batch):
+        """Make one object per scenario; return failures by scenario."""
+        self.objects, failures = [], {}
+        for n in range(batch.scenarios):
+            function = None
+            try:
+                function = self.make(**batch.options_of(n))
+                if hasattr(function, "start"):
+                    function.start(Ego(values=batch.values[n], **batch.ego), random.Random(batch.seeds[n]))
+            except Exception as error:
+                failures[n] = describe(error)
+            self.objects.append(function)
+        return failures
+
+    def step(self, step):
+        """Let each object decide."""
+        count, nan = len(step.scenarios), float("nan")
+        numbers = {name: array.array("d", [nan]) * count for name in ("acceleration", "steering", "throttle", "brake")}
+        numbers["lane_change"] = array.array("d", [0.0]) * count
+        answer = dict(numbers, trajectories={}, failures={})
+        for row, n in enumerate(step.scenarios):
+            try:
+                control = self.objects[n].step(View(step, row), step.time_step)
+                if not isinstance(control, Control):
+                    control = Control(acceleration=float(control))
+                for name in ("acceleration", "steering", "throttle", "brake"):
+                    value = getattr(control, name)
+                    if value is not None:
+                        if not math.isfinite(value):
+                            raise ValueError("%s is %r, which is not a finite number" % (name, value))
+                        numbers[name][row] = value
+                numbers["lane_change"][row] = LANE_CHANGES[control.lane_change]
+                if control.trajectory is not None:
+                    answer["trajectories"][row] = control.trajectory
+            except Exception as error:
+                answer["failures"][row] = describe(error)
+        return answer
+
+
+def serve(make, ahead=(), port=None, host="localhost"):
+    """Answer cornercase until it closes the connection.
+
+    `make` is the class of a function, with ``step(view, dt)``, or a function that makes an object of it. `ahead` are
+    distances in m at which the path is sent, for `View.path`. With `port`, listen there for ``exec:tcp://HOST:PORT``
+    instead of stdin and stdout, one connection after the other.
+    """
+    serve_batches(ScalarAdapter(make), ahead, port, host)
+
+
+def serve_batches(function, ahead=(), port=None, host="localhost"):
+    """Answer by a function of whole batches, for speed.
+
+    `function.start(batch)`, which may be missing, gets a `Batch`. `function.step(step)` gets a `Step` and returns a dict
+    with some of ``acceleration``, ``steering``, ``throttle``, ``brake`` and ``lane_change`` (M numbers each: a list, an
+    array, a NumPy array), ``trajectories`` and ``failures`` (by row). `function.columns` lists the columns that it
+    needs; None, or nothing, for all.
+    """
+    if port is None:
+        _converse(function, ahead, *_take_over_stdout())
+        return
+    with socket.socket() as listener:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind((host, port))
+        listener.listen(1)
+        while True:
+            connection, _ = listener.accept()
+            with connection:
+                connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                try:
+                    _converse(function, ahead, connection.makefile("rb"), connection.makefile("wb"))
+                except OSError:
+                    # It is gone; the next one may come.
+                    pass
+
+
+def _take_over_stdout():
+    """Return stdin and stdout as binary files; what the function prints goes to stderr from now on."""
+    answers = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)
+    sys.stdout = sys.stderr
+    if os.name == "nt":
+        import msvcrt
+
+        for stream in (sys.stdin, answers):
+            msvcrt.setmode(stream.fileno(), os.O_BINARY)
+    return sys.stdin.buffer, answers
+
+
+def _converse(function, ahead, messages, answers):
+    ahead = sorted(float(distance) for distance in ahead)
+    options, batch = {}, None
+    while True:
+        message = _receive(messages)
+        if message is None:
+            return
+        kind = message.get("type")
+        if kind == "hello":
+            options = message["options"]
+            _send(answers, _hello(message, function, ahead))
+        elif kind == "start":
+            batch = Batch(message, options)
+            failures = (function.start(batch) if hasattr(function, "start") else None) or {}
+            _send(answers, {"type": "ready", "failures": sorted(failures.items())})
+        elif kind == "step":
+            batch.others = message.get("others", batch.others)
+            answer = function.step(Step(message, batch, ahead))
+            _send(answers, _pack_answer(answer))
+
+
+def _hello(message, function, ahead):
+    if message["protocol"] != PROTOCOL_VERSION:
+        return {
+            "type": "hello",
+            "protocol": PROTOCOL_VERSION,
+            "error": "this cornercase_client.py speaks version %d, cornercase %s speaks %s; copy its own again"
+            % (PROTOCOL_VERSION, message.get("cornercase"), message["protocol"]),
+        }
+    return {
+        "type": "hello",
+        "protocol": PROTOCOL_VERSION,
+        "columns": getattr(function, "columns", None),
+        "ahead": list(ahead),
+    }
+
+
+def _pack_answer(answer):
+    packed = {"type": "control"}
+    for name, value in answer.items():
+        if name == "trajectories":
+            packed[name] = [[row] + [pack_doubles(column) for column in line] for row, line in sorted(value.items())]
+        elif name == "failures":
+            packed[name] = [[row, str(text)] for row, text in sorted(value.items())]
+        else:
+            packed[name] = pack_doubles(value)
+    return packed
+
+
+def doubles(content):
+    """Return binary data as an ``array('d')``."""
+    values = array.array("d")
+    values.frombytes(content)
+    if sys.byteorder == "big":
+        values.byteswap()
+    return values
+
+
+def pack_doubles(values):
+    """Return numbers as little-endian doubles."""
+    packed = array.array("d", values)
+    if sys.byteorder == "big":
+        packed.byteswap()
+    return packed.tobytes()
+
+
+def describe(error):
+    """Return an exception as one line, with the place in the function."""
+    place = traceback.extract_tb(error.__traceback__)[-1]
+    text = "%s: %s" % (type(error).__name__, error)
+    return "%s (%s line %s in %s: %s)" % (
+        text.rstrip(": "), os.path.basename(place.filename), place.lineno, place.name, place.line,
+    )  # fmt: skip
+
+
+def _receive(stream):
+    """Return the next message; None at the end."""
+    head = stream.read(4)
+    if len(head) < 4:
+        return None
+    (length,) = struct.unpack("<I", head)
+    content = stream.read(length)
+    return msgpack.unpackb(content, raw=False, strict_map_key=False) if len(content) == length else None
+
+
+def _send(stream, message):
+    content = msgpack.packb(message, use_bin_type=True)
+    stream.write(struct.pack("<I", len(content)) + content)
+    stream.flush()
