@@ -36,9 +36,9 @@ PYTHON = f'"{sys.executable}"'
 DURATION = 6.0
 FUNCTION = """
 import os, sys, time
-from cornercase_client import Control, serve
+from cornercase_client import Control, Function, serve
 
-class Aeb:
+class Aeb(Function):
     def __init__(self, time_to_brake=1.5, wrong=""):
         self.time_to_brake, self.wrong = time_to_brake, wrong
 
@@ -148,16 +148,19 @@ def answering(folder, code, name="other.py"):
 @pytest.mark.parametrize(
     ("code", "words"),
     [
-        ("client.PROTOCOL_VERSION = 7\nclient.serve(int)", "this cornercase_client.py speaks version 7, cornercase "),
         (
-            "client._hello = lambda *_: {'type': 'hello', 'protocol': 7}\nclient.serve(int)",
+            "client.PROTOCOL_VERSION = 7\nclient.serve(client.Function)",
+            "this cornercase_client.py speaks version 7, cornercase ",
+        ),
+        (
+            "client._hello = lambda *_: {'type': 'hello', 'protocol': 7}\nclient.serve(client.Function)",
             "cannot be used: it has version 7, cornercase has 1.",
         ),
         ("print('Hello there, how are you?')", "its output begins with 'Hello there"),
         ("sys.exit('no licence')", "it ended with exit code 1; its last lines: no licence."),
         ("import time; time.sleep(60)", "it did not answer within 0.6 s"),
         (
-            "f = client.ScalarAdapter(int); f.columns = ['sped']; client.serve_batches(f)",
+            "f = client.ScalarAdapter(client.Function); f.columns = ['sped']; client.serve_batches(f)",
             "it wants the columns ['sped']; known are x, y",
         ),
     ],

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Mapping
+from dataclasses import replace
 from io import BufferedReader
 from typing import Any, BinaryIO, Final
 
@@ -14,9 +15,10 @@ from cornercase._common.typing import FloatArray
 from cornercase.drivers._controls import Controls, Trajectory
 
 PROTOCOL_VERSION: Final = 1
+ANSWER_COLUMNS: Final = ("acceleration", "steering", "throttle", "brake", "lane_change")
+"""Columns of numbers in an answer to a step, all of which may be missing."""
 _LENGTH: Final = struct.Struct("<I")
 _MAX_BYTES, _SHOWN_BYTES = 2**28, 20
-_ANSWER_COLUMNS: Final = ("acceleration", "steering", "throttle", "brake", "lane_change")
 
 
 class ProtocolError(Exception):
@@ -48,8 +50,8 @@ def read_message(stream: BufferedReader) -> dict[str, Any] | None:
         head += content
     else:
         head += stream.peek()
-    beginning = ascii(head[:_SHOWN_BYTES].decode(errors="replace"))
-    raise ProtocolError(f"its output begins with {beginning}, which is no message; it must print to stderr")
+    text = ascii(head[:_SHOWN_BYTES].decode(errors="replace"))
+    raise ProtocolError(f"its output begins with {text}, which is no message; it must print to stderr")
 
 
 def pack_column(values: Any) -> bytes:
@@ -60,7 +62,8 @@ def pack_column(values: Any) -> bytes:
 def read_answer(answer: Mapping[str, Any], n_rows: int) -> tuple[Controls, dict[int, str]]:
     """Return the controls and failures in an answer to a step, by row; `ProtocolError` if it cannot be used."""
     controls = Controls.empty(n_rows)
-    for name in _ANSWER_COLUMNS:
+    trajectories: dict[int, Trajectory] = {}
+    for name in ANSWER_COLUMNS:
         if (content := answer.get(name)) is not None:
             getattr(controls, name)[:] = _unpack_answer_column(name, content, n_rows)
     for name in ("throttle", "brake"):
@@ -68,14 +71,13 @@ def read_answer(answer: Mapping[str, Any], n_rows: int) -> tuple[Controls, dict[
         if bool(((pedal < 0.0) | (pedal > 1.0)).any()):
             raise ProtocolError(f"its {name} is {pedal[(pedal < 0.0) | (pedal > 1.0)][0]:g}; it goes from 0 to 1")
     failures = {_read_row(row, n_rows): str(text) for row, text in _read_list(answer, "failures", 2)}
-    trajectories = {}
     for row, *columns in _read_list(answer, "trajectories", 4):
         try:
             points = (_unpack("trajectory", column) for column in columns)
             trajectories[_read_row(row, n_rows)] = Trajectory(*points)
         except ValueError as error:
             raise ProtocolError(f"its trajectory cannot be used: {error}") from error
-    return Controls(*(getattr(controls, name) for name in _ANSWER_COLUMNS), trajectories=trajectories), failures
+    return replace(controls, trajectories=trajectories), failures
 
 
 def _unpack_answer_column(name: str, content: object, n_rows: int) -> FloatArray:

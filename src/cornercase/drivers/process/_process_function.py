@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import hashlib
-import shlex
 import weakref
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
@@ -23,7 +23,13 @@ from cornercase.drivers._base import Situation
 from cornercase.drivers._controls import Controls
 from cornercase.drivers._function import DrivingFunction, Start
 from cornercase.drivers.process._columns import COLUMNS, compute_columns, select_rows
-from cornercase.drivers.process._messages import PROTOCOL_VERSION, ProtocolError, pack_column, read_answer
+from cornercase.drivers.process._messages import (
+    ANSWER_COLUMNS,
+    PROTOCOL_VERSION,
+    ProtocolError,
+    pack_column,
+    read_answer,
+)
 from cornercase.drivers.process._program import TCP_PREFIX, Connection, Peer, Program, find_executable, parse_address
 
 _MAX_FAILURE_LENGTH, _MAX_POINTS = 500, 1000
@@ -98,7 +104,7 @@ class ProcessFunction(DrivingFunction):
         shown = {option: value for option, value in given.items() if value != defaults[option]} | self.options
         texts = [f"{option}={format_option_value(value)}" for option, value in shown.items()]
         self._text = f"exec:{self._command}" + (f":{','.join(texts)}" if texts else "")
-        self.settings = {"driver": self._text, "options": {}} | _fingerprint(self._words)
+        self.settings = {"driver": self._text, "options": {}, **_fingerprint(self._words)}
         self._peer: Peer | None = None
 
     def __str__(self) -> str:
@@ -111,7 +117,7 @@ class ProcessFunction(DrivingFunction):
     def prepare(self, start: Start) -> None:
         """Start the program if it does not run, and tell it about the batch."""
         self._display_name = f"the driver of {quote_name(start.body.name)} ({remove_folders(self._text)})"
-        self._others, self._failures = None, dict[int, SimulationError]()
+        self._others: list[tuple[Any, ...]] | None = None
         if self._peer is None:
             self._connect()
         message = {
@@ -159,25 +165,20 @@ class ProcessFunction(DrivingFunction):
             decided, failures = read_answer(answer, len(rows))
         except ProtocolError as error:
             raise self._fail(str(error), situation.time) from error
-        controls = Controls.empty(n_scenarios)
-        for name in ("acceleration", "steering", "throttle", "brake", "lane_change"):
+        controls, numbers = Controls.empty(n_scenarios), rows.tolist()
+        for name in ANSWER_COLUMNS:
             getattr(controls, name)[rows] = getattr(decided, name)
-        numbers = rows.tolist()
-        return Controls(
-            controls.acceleration,
-            controls.steering,
-            controls.throttle,
-            controls.brake,
-            controls.lane_change,
-            {numbers[row]: trajectory for row, trajectory in decided.trajectories.items()},
-            {n: failure for n, failure in self._failures.items() if situation.active[n]}
+        return replace(
+            controls,
+            trajectories={numbers[row]: trajectory for row, trajectory in decided.trajectories.items()},
+            failures={n: failure for n, failure in self._failures.items() if situation.active[n]}
             | {numbers[row]: self._describe_failure(text, situation.time) for row, text in failures.items()},
         )
 
     def release(self) -> None:
         """Tell the program that the batch has ended; it waits for the next one."""
         if self._peer is not None:
-            self._peer.tell({"type": "end"})
+            self._peer.send({"type": "end"})
 
     def close(self) -> None:
         """End the program; it is started again if it is needed."""
@@ -252,7 +253,7 @@ class ProcessFunction(DrivingFunction):
         return RunLostError(message) if was_killed else PluginError(message)
 
     def _describe_failure(self, text: str, time: float) -> SimulationError:
-        """Return the failure of one scenario, of which the program says why."""
+        """Return the failure of one scenario, for the reason that the program gives."""
         return PluginError(f"{self._display_name} failed{format_time_of_failure(time)}: {_on_one_line(text)}")
 
 

@@ -30,8 +30,8 @@ from cornercase.drivers.process._messages import ProtocolError, read_message, wr
 
 # Seconds: interval in which time limits are checked; time to end after the last message.
 _POLL_INTERVAL, _GRACE_PERIOD = 0.05, 2.0
-# Of what a program writes to stderr: bytes that are kept, lines and characters that a failure shows.
-_KEPT_BYTES, _SHOWN_LINES, _SHOWN_CHARACTERS = 4096, 3, 400
+# Of what a program writes to stderr: bytes that are stored, lines and characters that a failure shows.
+_STDERR_BYTES, _SHOWN_LINES, _SHOWN_CHARACTERS = 4096, 3, 400
 # Bytes, so that a message is written by one call.
 _BUFFER_SIZE: Final = 2**20
 TCP_PREFIX: Final = "tcp://"
@@ -68,7 +68,7 @@ class Peer(ABC):
             raise ProtocolError(f"{self._describe_end()}{self._describe_stderr()}")
         return answer
 
-    def tell(self, message: Mapping[str, Any]) -> None:
+    def send(self, message: Mapping[str, Any]) -> None:
         """Send a message that has no answer."""
         with suppress(OSError, ValueError):
             write_message(self._output, message)
@@ -115,17 +115,16 @@ class Program(Peer):
         self._reaper = Reaper()
         self._reaper.watch_process(self._process.pid)
         self._stderr = b""
-        assert self._process.stdin is not None
         self._stderr_reader = Thread(target=self._read_stderr, args=(log,), daemon=True, name="stderr of a driver")
         self._stderr_reader.start()
-        super().__init__(self._process.stdin, cast("BufferedReader", self._process.stdout))
+        super().__init__(cast("BinaryIO", self._process.stdin), cast("BufferedReader", self._process.stdout))
 
     def _read_stderr(self, log: Path | None) -> None:
         pipe = self._process.stderr
         assert pipe is not None
         with pipe, open(log or os.devnull, "ab") as copy:
-            while piece := os.read(pipe.fileno(), _KEPT_BYTES):
-                self._stderr = (self._stderr + piece)[-_KEPT_BYTES:]
+            while piece := os.read(pipe.fileno(), _STDERR_BYTES):
+                self._stderr = (self._stderr + piece)[-_STDERR_BYTES:]
                 copy.write(piece)
                 copy.flush()
 
@@ -170,7 +169,8 @@ class Connection(Peer):
         self._socket = socket.create_connection((host, port), timeout)
         self._socket.settimeout(None)
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        super().__init__(self._socket.makefile("wb", _BUFFER_SIZE), self._socket.makefile("rb"))
+        output = cast("BinaryIO", self._socket.makefile("wb", _BUFFER_SIZE))
+        super().__init__(output, self._socket.makefile("rb"))
 
     def _break_off(self) -> None:
         with suppress(OSError):
@@ -201,9 +201,9 @@ def find_executable(command: str, words: Sequence[str]) -> list[str]:
     path = shutil.which(program) if is_path else find_program(program)
     if path is None:
         if Path(program).is_file():
-            way = f"give it by its folder, exec:./{program}" if not is_path else "make it executable"
+            advice = f"give it by its folder, exec:./{program}" if not is_path else "make it executable"
             raise InputError(
-                f"The driver 'exec:{command}' cannot be started since '{program}' is not executable; {way}, or name"
+                f"The driver 'exec:{command}' cannot be started since '{program}' is not executable; {advice}, or name"
                 f" its interpreter, as in exec:python {program}."
             )
         raise InputError(f"The driver 'exec:{command}' cannot be started since there is no program '{program}'.")

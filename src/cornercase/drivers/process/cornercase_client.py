@@ -2,9 +2,9 @@
 
 Copy this file next to your function. It needs Python 3.7 or later and msgpack, and neither cornercase nor NumPy::
 
-    from cornercase_client import Control, serve
+    from cornercase_client import Control, Function, serve
 
-    class MyFunction:
+    class MyFunction(Function):
         def __init__(self, reaction=0.3):
             self.reaction = reaction
 
@@ -16,9 +16,10 @@ Copy this file next to your function. It needs Python 3.7 or later and msgpack, 
 
     serve(MyFunction)
 
-An object is made for each concrete scenario, from the options of ``exec:python my_function.py:reaction=0.2``. If it has
-a method ``start(ego, rng)``, this is called first, with the vehicle and a ``random.Random``.
+An object is made for each concrete scenario, from the options of ``exec:python my_function.py:reaction=0.2``.
 """
+
+from __future__ import annotations
 
 import array
 import bisect
@@ -30,6 +31,8 @@ import struct
 import sys
 import traceback
 from collections import namedtuple
+from contextlib import suppress
+from typing import Any, BinaryIO, Callable, Dict, List, Mapping, Optional, Sequence, Tuple
 
 import msgpack
 
@@ -52,7 +55,15 @@ class Control(_Control):
 
     __slots__ = ()
 
-    def __new__(cls, acceleration=None, steering=None, throttle=None, brake=None, trajectory=None, lane_change=None):
+    def __new__(
+        cls,
+        acceleration: Optional[float] = None,
+        steering: Optional[float] = None,
+        throttle: Optional[float] = None,
+        brake: Optional[float] = None,
+        trajectory: Optional[Trajectory] = None,
+        lane_change: Optional[str] = None,
+    ) -> Control:
         """Check which of them are given."""
         pedals = throttle is not None or brake is not None
         if (acceleration is not None) + pedals + (trajectory is not None) != 1:
@@ -67,18 +78,18 @@ class Control(_Control):
 class Batch:
     """N concrete scenarios that run together, as the message ``start`` describes them."""
 
-    def __init__(self, message, options):
-        self.scenarios = message["scenarios"]
-        self.time_step = message["time_step"]
+    def __init__(self, message: Mapping[str, Any], options: Dict[str, Any]) -> None:
+        self.scenarios: int = message["scenarios"]
+        self.time_step: float = message["time_step"]
         self.ego = message["ego"]
         self.values = message["values"]
         self.seeds = message["seeds"]
         self.friction = doubles(message["friction"])
         self.options = options
         self.parameters = {name: doubles(values) for name, values in message["parameters"].items()}
-        self.others = []
+        self.others: List[Dict[str, Any]] = []
 
-    def options_of(self, scenario):
+    def options_of(self, scenario: int) -> Dict[str, Any]:
         """Options of the function in a scenario, with the parameters that differ between scenarios."""
         return dict(self.options, **{name: values[scenario] for name, values in self.parameters.items()})
 
@@ -86,11 +97,11 @@ class Batch:
 class Step:
     """One time step of M scenarios: `columns` are flat ``array('d')`` of M, M * A or M * K numbers, row by row."""
 
-    def __init__(self, message, batch, ahead):
+    def __init__(self, message: Mapping[str, Any], batch: Batch, ahead: List[float]) -> None:
         self.batch = batch
-        self.time = message["time"]
-        self.time_step = message["time_step"]
-        self.scenarios = message["scenarios"]
+        self.time: float = message["time"]
+        self.time_step: float = message["time_step"]
+        self.scenarios: List[int] = message["scenarios"]
         self.columns = {name: doubles(values) for name, values in message["columns"].items()}
         self.others = batch.others
         self.signals = message.get("signals", {})
@@ -100,33 +111,34 @@ class Step:
 class View:
     """What a function sees of one scenario; the attributes are those of `cornercase.View`."""
 
-    def __init__(self, step, row):
+    def __init__(self, step: Step, row: int) -> None:
         self._step, self._row = step, row
         self.time = step.time
-        self._objects = None
+        self._objects: Optional[Tuple[ObjectView, ...]] = None
 
-    def _own(self, name):
+    def _own(self, name: str) -> float:
         return self._step.columns[name][self._row]
 
-    def _points(self, name, count):
+    def _points(self, name: str, count: int) -> array.array[float]:
         return self._step.columns[name][self._row * count : (self._row + 1) * count]
 
     @property
-    def target_speed(self):
+    def target_speed(self) -> float:
         """Speed in m/s that the scenario asks for; infinite or NaN if it asks for none."""
         return self._own("target_speed")
 
     @property
-    def ego(self):
+    def ego(self) -> EgoState:
         """State of the ego."""
         return EgoState(*(self._own(name) for name in EgoState._fields))
 
     @property
-    def objects(self):
+    def objects(self) -> Tuple[ObjectView, ...]:
         """All other entities that are sensed, the nearest first."""
         if self._objects is None:
             others = self._step.others
             names = ("x", "y", "heading", "speed", "gap", "closing", "lateral", "in_path")
+            # All have one length; `zip` has no `strict` before Python 3.10.
             rows = zip(others, *(self._points("other_" + name, len(others)) for name in names))
             objects = [
                 ObjectView(
@@ -140,17 +152,17 @@ class View:
         return self._objects
 
     @property
-    def leader(self):
+    def leader(self) -> Optional[ObjectView]:
         """The nearest of those ahead in the ego's path; None if there is none."""
         ahead = [other for other in self.objects if other.in_path and other.gap >= 0.0 and other.x > 0.0]
         return min(ahead, key=lambda other: other.gap) if ahead else None
 
     @property
-    def signals(self):
+    def signals(self) -> Dict[str, str]:
         """State of each traffic signal by its name."""
         return {name: states[self._row] for name, states in self._step.signals.items()}
 
-    def path(self, ahead):
+    def path(self, ahead: float) -> PathPoint:
         """Return the point of the ego's path at a distance ahead in m, between the nearest of ``serve(ahead=…)``."""
         distances = self._step.ahead
         if not distances:
@@ -168,34 +180,64 @@ class View:
         return PathPoint(*values)
 
 
-class ScalarAdapter:
+class Function:
+    """A driving function of one scenario: derive from it. Its constructor takes its options."""
+
+    def start(self, ego: Ego, rng: random.Random) -> None:
+        """Begin a scenario; all random numbers come from `rng`. Does nothing by default."""
+
+    def step(self, view: View, dt: float) -> Any:
+        """Return a `Control` or an acceleration in m/s² for the coming `dt` s."""
+        raise NotImplementedError
+
+
+class BatchFunction:
+    """A driving function of all scenarios of a batch at once, for speed: derive from it.
+
+    `columns` are the names of the columns that it needs; None for all.
+    """
+
+    columns: Optional[Sequence[str]] = None
+
+    def start(self, batch: Batch) -> Optional[Mapping[int, str]]:
+        """Begin a batch; may return why scenarios fail, by scenario."""
+        return None
+
+    def step(self, step: Step) -> Mapping[str, Any]:
+        """Return what is decided.
+
+        ``acceleration``, ``steering``, ``throttle``, ``brake`` and ``lane_change`` are M numbers each: a list, or an array
+        such as one of NumPy. ``trajectories`` and ``failures`` are by row. All may be left out.
+        """
+        raise NotImplementedError
+
+
+class ScalarAdapter(BatchFunction):
     """Drives each scenario of a batch by an object of its own."""
 
-    columns = None
-
-    def __init__(self, make):
+    def __init__(self, make: Callable[..., Function]) -> None:
         self.make = make
 
-    def start(self, batch):
-        """Make one object per scenario; return failures by scenario."""
-        self.objects, failures = [], {}
+    def start(self, batch: Batch) -> Dict[int, str]:
+        """Make one object per scenario."""
+        self.objects: List[Any] = []
+        failures: Dict[int, str] = {}
         for n in range(batch.scenarios):
             function = None
             try:
                 function = self.make(**batch.options_of(n))
-                if hasattr(function, "start"):
-                    function.start(Ego(values=batch.values[n], **batch.ego), random.Random(batch.seeds[n]))
+                function.start(Ego(values=batch.values[n], **batch.ego), random.Random(batch.seeds[n]))
             except Exception as error:
                 failures[n] = describe(error)
             self.objects.append(function)
         return failures
 
-    def step(self, step):
+    def step(self, step: Step) -> Dict[str, Any]:
         """Let each object decide."""
         count, nan = len(step.scenarios), float("nan")
         numbers = {name: array.array("d", [nan]) * count for name in ("acceleration", "steering", "throttle", "brake")}
         numbers["lane_change"] = array.array("d", [0.0]) * count
-        answer = dict(numbers, trajectories={}, failures={})
+        answer: Dict[str, Any] = dict(numbers, trajectories={}, failures={})
         for row, n in enumerate(step.scenarios):
             try:
                 control = self.objects[n].step(View(step, row), step.time_step)
@@ -215,24 +257,22 @@ class ScalarAdapter:
         return answer
 
 
-def serve(make, ahead=(), port=None, host="localhost"):
+def serve(
+    make: Callable[..., Function], ahead: Sequence[float] = (), port: Optional[int] = None, host: str = "localhost"
+) -> None:
     """Answer cornercase until it closes the connection.
 
-    `make` is the class of a function, with ``step(view, dt)``, or a function that makes an object of it. `ahead` are
-    distances in m at which the path is sent, for `View.path`. With `port`, listen there for ``exec:tcp://HOST:PORT``
-    instead of stdin and stdout, one connection after the other.
+    `make` is a class that derives from `Function`, or a function that makes an object of one. `ahead` are distances in m
+    at which the path is sent, for `View.path`. With `port`, listen there for ``exec:tcp://HOST:PORT`` instead of stdin
+    and stdout, one connection after the other.
     """
     serve_batches(ScalarAdapter(make), ahead, port, host)
 
 
-def serve_batches(function, ahead=(), port=None, host="localhost"):
-    """Answer by a function of whole batches, for speed.
-
-    `function.start(batch)`, which may be missing, gets a `Batch`. `function.step(step)` gets a `Step` and returns a dict
-    with some of ``acceleration``, ``steering``, ``throttle``, ``brake`` and ``lane_change`` (M numbers each: a list, an
-    array, a NumPy array), ``trajectories`` and ``failures`` (by row). `function.columns` lists the columns that it
-    needs; None, or nothing, for all.
-    """
+def serve_batches(
+    function: BatchFunction, ahead: Sequence[float] = (), port: Optional[int] = None, host: str = "localhost"
+) -> None:
+    """Answer by a function of whole batches, in the same ways as `serve`."""
     if port is None:
         _converse(function, ahead, *_take_over_stdout())
         return
@@ -244,29 +284,22 @@ def serve_batches(function, ahead=(), port=None, host="localhost"):
             connection, _ = listener.accept()
             with connection:
                 connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-                try:
+                # It may be gone; the next one may come.
+                with suppress(OSError):
                     _converse(function, ahead, connection.makefile("rb"), connection.makefile("wb"))
-                except OSError:
-                    # It is gone; the next one may come.
-                    pass
 
 
-def _take_over_stdout():
+def _take_over_stdout() -> Tuple[BinaryIO, BinaryIO]:
     """Return stdin and stdout as binary files; what the function prints goes to stderr from now on."""
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
     sys.stdout = sys.stderr
-    if os.name == "nt":
-        import msvcrt
-
-        for stream in (sys.stdin, answers):
-            msvcrt.setmode(stream.fileno(), os.O_BINARY)
     return sys.stdin.buffer, answers
 
 
-def _converse(function, ahead, messages, answers):
-    ahead = sorted(float(distance) for distance in ahead)
-    options, batch = {}, None
+def _converse(function: BatchFunction, ahead: Sequence[float], messages: BinaryIO, answers: BinaryIO) -> None:
+    distances = sorted(float(distance) for distance in ahead)
+    options: Dict[str, Any] = {}
     while True:
         message = _receive(messages)
         if message is None:
@@ -274,18 +307,18 @@ def _converse(function, ahead, messages, answers):
         kind = message.get("type")
         if kind == "hello":
             options = message["options"]
-            _send(answers, _hello(message, function, ahead))
+            _send(answers, _hello(message, function, distances))
         elif kind == "start":
             batch = Batch(message, options)
-            failures = (function.start(batch) if hasattr(function, "start") else None) or {}
+            failures = function.start(batch) or {}
             _send(answers, {"type": "ready", "failures": sorted(failures.items())})
         elif kind == "step":
             batch.others = message.get("others", batch.others)
-            answer = function.step(Step(message, batch, ahead))
+            answer = function.step(Step(message, batch, distances))
             _send(answers, _pack_answer(answer))
 
 
-def _hello(message, function, ahead):
+def _hello(message: Mapping[str, Any], function: BatchFunction, ahead: List[float]) -> Dict[str, Any]:
     if message["protocol"] != PROTOCOL_VERSION:
         return {
             "type": "hello",
@@ -296,13 +329,13 @@ def _hello(message, function, ahead):
     return {
         "type": "hello",
         "protocol": PROTOCOL_VERSION,
-        "columns": getattr(function, "columns", None),
+        "columns": None if function.columns is None else list(function.columns),
         "ahead": list(ahead),
     }
 
 
-def _pack_answer(answer):
-    packed = {"type": "control"}
+def _pack_answer(answer: Mapping[str, Any]) -> Dict[str, Any]:
+    packed: Dict[str, Any] = {"type": "control"}
     for name, value in answer.items():
         if name == "trajectories":
             packed[name] = [[row] + [pack_doubles(column) for column in line] for row, line in sorted(value.items())]
@@ -313,7 +346,7 @@ def _pack_answer(answer):
     return packed
 
 
-def doubles(content):
+def doubles(content: bytes) -> array.array[float]:
     """Return binary data as an ``array('d')``."""
     values = array.array("d")
     values.frombytes(content)
@@ -322,7 +355,7 @@ def doubles(content):
     return values
 
 
-def pack_doubles(values):
+def pack_doubles(values: Any) -> bytes:
     """Return numbers as little-endian doubles."""
     packed = array.array("d", values)
     if sys.byteorder == "big":
@@ -330,16 +363,16 @@ def pack_doubles(values):
     return packed.tobytes()
 
 
-def describe(error):
+def describe(error: BaseException) -> str:
     """Return an exception as one line, with the place in the function."""
-    place = traceback.extract_tb(error.__traceback__)[-1]
+    frame = traceback.extract_tb(error.__traceback__)[-1]
     text = "%s: %s" % (type(error).__name__, error)
     return "%s (%s line %s in %s: %s)" % (
-        text.rstrip(": "), os.path.basename(place.filename), place.lineno, place.name, place.line,
+        text.rstrip(": "), os.path.basename(frame.filename), frame.lineno, frame.name, frame.line,
     )  # fmt: skip
 
 
-def _receive(stream):
+def _receive(stream: BinaryIO) -> Any:
     """Return the next message; None at the end."""
     head = stream.read(4)
     if len(head) < 4:
@@ -349,7 +382,7 @@ def _receive(stream):
     return msgpack.unpackb(content, raw=False, strict_map_key=False) if len(content) == length else None
 
 
-def _send(stream, message):
+def _send(stream: BinaryIO, message: Mapping[str, Any]) -> None:
     content = msgpack.packb(message, use_bin_type=True)
     stream.write(struct.pack("<I", len(content)) + content)
     stream.flush()
