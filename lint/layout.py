@@ -41,6 +41,7 @@ LARGE_FUNCTIONS = {
 # Modules that other programs start by their names.
 PUBLIC_MODULES = (
     "drivers/process/cornercase_client.py",
+    "simulators/carla/cornercase_agent.py",
     "simulators/carla/cornercase_driver.py",
     "simulators/carla/cornercase_trajectory.py",
 )

@@ -206,8 +206,8 @@ class BatchFunction:
     def step(self, step: Step) -> Mapping[str, Any]:
         """Return what is decided.
 
-        ``acceleration``, ``steering``, ``throttle``, ``brake`` and ``lane_change`` are M numbers each: a list, or an array
-        such as one of NumPy. ``trajectories`` and ``failures`` are by row. All may be left out.
+        ``acceleration``, ``steering``, ``throttle``, ``brake`` and ``lane_change`` are M numbers each: a list, or an
+        array such as one of NumPy. ``trajectories`` and ``failures`` are by row. All may be left out.
         """
         raise NotImplementedError
 
@@ -262,9 +262,9 @@ def serve(
 ) -> None:
     """Answer cornercase until it closes the connection.
 
-    `make` is a class that derives from `Function`, or a function that makes an object of one. `ahead` are distances in m
-    at which the path is sent, for `View.path`. With `port`, listen there for ``exec:tcp://HOST:PORT`` instead of stdin
-    and stdout, one connection after the other.
+    `make` is a class that derives from `Function`, or a function that makes an object of one. `ahead` are distances in
+    m at which the path is sent, for `View.path`. With `port`, listen there for ``exec:tcp://HOST:PORT``, one connection
+    after the other, instead of using stdin and stdout.
     """
     serve_batches(ScalarAdapter(make), ahead, port, host)
 
