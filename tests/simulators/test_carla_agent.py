@@ -70,6 +70,8 @@ class Vehicle:
 class Agent:
     """The base class of ScenarioRunner's agents, as far as ours needs it."""
 
+    setup: Any
+
     def __init__(self, path_to_conf_file):
         self.setup(path_to_conf_file)
 

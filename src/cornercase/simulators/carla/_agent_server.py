@@ -111,7 +111,9 @@ class AgentServer:
             self._begin_time = now
         self._situation = situation = self._make_situation(now - self._begin_time, states)
         # A driver may change the arrays that it is given.
-        arrays = {name: value.copy() for name, value in vars(situation).items() if isinstance(value, np.ndarray)}
+        arrays: dict[str, Any] = {
+            name: value.copy() for name, value in vars(situation).items() if isinstance(value, np.ndarray)
+        }
         controls = self._attachment.decide(replace(situation, **arrays))
         if 0 in controls.failures:
             raise controls.failures[0]
