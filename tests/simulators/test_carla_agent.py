@@ -24,7 +24,6 @@ carla = pytest.importorskip("carla", reason="the extra 'carla' is not installed"
 
 RUNNER = ROOT / "tests" / "fake_scenario_runner"
 STEP = 0.05
-MAX_STEER = 60.0
 
 
 class Vehicle:
@@ -37,7 +36,7 @@ class Vehicle:
         length, width, center_x = box
         extent = carla.Vector3D(length / 2, width / 2, 0.7)
         self.bounding_box = carla.BoundingBox(carla.Location(center_x, 0.0, 0.7), extent)
-        self.yaw_rate, self.control = 0.0, None
+        self.yaw_rate = 0.0
         self.put(x, y, heading, speed)
 
     def put(self, x, y, heading, speed):
@@ -58,9 +57,6 @@ class Vehicle:
 
     def set_target_angular_velocity(self, velocity):
         self.yaw_rate = velocity.z
-
-    def get_physics_control(self):
-        return SimpleNamespace(wheels=[SimpleNamespace(max_steer_angle=MAX_STEER)])
 
     def move(self):
         self.transform.location += STEP * carla.Location(self.velocity)
@@ -106,7 +102,7 @@ def reference_poses(concrete, driver, duration):
     return recording
 
 
-def drive(world, driver, folder, duration=5.0, control=None):
+def drive(world, driver, folder, duration=5.0):
     """Drive the ego on the stand-in, while all others move as in the builtin simulator; return centres of the ego."""
     checked = ScalarFunction(driver)
     concrete = ConcreteScenario(X, {})
@@ -124,11 +120,7 @@ def drive(world, driver, folder, duration=5.0, control=None):
             for instant in range(round(duration / STEP)):
                 for k in range(1, len(world)):
                     world[k].put(*(getattr(expected, name)[k, instant] for name in ("x", "y", "heading", "speed")))
-                returned = agent.run_step({}, 7.0 + instant * STEP)
-                world[0].control = returned
-                if control is not None:
-                    control(returned)
-                    break
+                agent.run_step({}, 7.0 + instant * STEP)
                 world[0].move()
                 position = world[0].transform.location
                 centers.append((position.x, -position.y))
@@ -165,9 +157,9 @@ class Failing(cc.SystemUnderTest):
         return 0.0
 
 
-class Planning(cc.SystemUnderTest):
+class Idle(cc.SystemUnderTest):
     def step(self, view, dt):
-        return cc.Control(trajectory=cc.drivers.Trajectory(*np.array([[0.0, 1.0], [0.0, 1.0], [0.0, 0.0]])))
+        return float("nan")
 
 
 def test_the_ego_moves_as_on_the_builtin_simulator(world, tmp_path):
@@ -206,20 +198,21 @@ def test_a_curve_is_followed_without_a_steering_angle(world, tmp_path):
     assert max(gaps) < 0.1
 
 
-def test_pedals_and_steering_become_a_control_of_the_vehicle(world, tmp_path):
-    def check(control):
-        assert (control.throttle, control.brake) == (pytest.approx(0.4), pytest.approx(0.1))
-        # To the left, which is negative on CARLA.
-        assert control.steer == pytest.approx(-15.0 / MAX_STEER)
-
-    drive(world, Pedals(), tmp_path, control=check)
+def test_steering_leaves_the_path_and_pedals_change_the_speed(world, tmp_path):
+    server, centers, _ = drive(world, Pedals(), tmp_path, duration=2.0)
+    assert server.failure is None
+    # North with 10 m/s, and to the left in a circle.
+    moved = centers[-1] - centers[0]
+    assert moved[0] < -3.0
+    assert 5.0 < moved[1] < 25.0
+    assert world[0].yaw_rate < -5.0
 
 
 @pytest.mark.parametrize(
     ("driver", "words"),
     [
         (Failing(), "failed at t = 1 s: RuntimeError: no gap"),
-        (Planning(), "returned a trajectory at t = 0 s, which its agent on CARLA cannot follow"),
+        (Idle(), "acceleration is nan, which is not a finite number"),
     ],
 )
 def test_a_driver_that_fails_ends_the_run_with_its_failure(world, tmp_path, driver, words):

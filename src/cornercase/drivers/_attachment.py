@@ -208,7 +208,7 @@ class Attachment:
     def _failure(self, error: BaseException, requests: int, time: float) -> DriverError:
         """Return the failure of the batch that an exception of the driver causes."""
         if is_built_in(type(self.driver)) and isinstance(self.driver, DrivingFunction):
-            if isinstance(error, InputError):
+            if isinstance(error, InputError | DriverError):
                 raise error
             if isinstance(error, SimulationError):
                 return DriverError(error, splits=True)

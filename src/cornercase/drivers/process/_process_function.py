@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import sys
 import weakref
 from collections.abc import Mapping
 from dataclasses import replace
@@ -19,6 +20,7 @@ from cornercase._common.text.sanitize import escape_control_characters, quote_na
 from cornercase._common.typing import FloatArray
 from cornercase._common.validation import check_float
 from cornercase._common.version import __version__
+from cornercase.drivers._attachment import DriverError
 from cornercase.drivers._base import Situation
 from cornercase.drivers._controls import Controls
 from cornercase.drivers._function import DrivingFunction, Start
@@ -120,6 +122,9 @@ class ProcessFunction(DrivingFunction):
         self._others: list[tuple[Any, ...]] | None = None
         if self._peer is None:
             self._connect()
+        if start.scenarios > self._at_once:
+            # The simulator then runs them one by one.
+            raise DriverError(PluginError(f"{self._display_name} drives one scenario at a time"), splits=False)
         message = {
             "type": "start",
             "scenarios": start.scenarios,
@@ -220,6 +225,7 @@ class ProcessFunction(DrivingFunction):
             raise ProtocolError(f"its first message is of the type {answer.get('type')!r}, not 'hello'")
         if answer.get("protocol") != PROTOCOL_VERSION:
             raise ProtocolError(f"it has version {answer.get('protocol')!r}, cornercase has {PROTOCOL_VERSION}")
+        self._at_once = 1 if answer.get("one_at_a_time") is True else sys.maxsize
         wanted, ahead = answer.get("columns"), answer.get("ahead")
         self._wanted = [*COLUMNS] if wanted is None else wanted
         if not isinstance(self._wanted, list) or any(name not in COLUMNS for name in self._wanted):

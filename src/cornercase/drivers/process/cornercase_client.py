@@ -194,10 +194,12 @@ class Function:
 class BatchFunction:
     """A driving function of all scenarios of a batch at once, for speed: derive from it.
 
-    `columns` are the names of the columns that it needs; None for all.
+    `columns` are the names of the columns that it needs; None for all. `one_at_a_time`: whether it drives one scenario
+    at a time, as its state cannot be held for several.
     """
 
     columns: Optional[Sequence[str]] = None
+    one_at_a_time = False
 
     def start(self, batch: Batch) -> Optional[Mapping[int, str]]:
         """Begin a batch; may return why scenarios fail, by scenario."""
@@ -215,8 +217,8 @@ class BatchFunction:
 class ScalarAdapter(BatchFunction):
     """Drives each scenario of a batch by an object of its own."""
 
-    def __init__(self, make: Callable[..., Function]) -> None:
-        self.make = make
+    def __init__(self, make: Callable[..., Function], one_at_a_time: bool = False) -> None:
+        self.make, self.one_at_a_time = make, one_at_a_time
 
     def start(self, batch: Batch) -> Dict[int, str]:
         """Make one object per scenario."""
@@ -258,15 +260,20 @@ class ScalarAdapter(BatchFunction):
 
 
 def serve(
-    make: Callable[..., Function], ahead: Sequence[float] = (), port: Optional[int] = None, host: str = "localhost"
+    make: Callable[..., Function],
+    ahead: Sequence[float] = (),
+    port: Optional[int] = None,
+    host: str = "localhost",
+    one_at_a_time: bool = False,
 ) -> None:
     """Answer cornercase until it closes the connection.
 
     `make` is a class that derives from `Function`, or a function that makes an object of one. `ahead` are distances in
     m at which the path is sent, for `View.path`. With `port`, listen there for ``exec:tcp://HOST:PORT``, one connection
-    after the other, instead of using stdin and stdout.
+    after the other, instead of using stdin and stdout. `one_at_a_time`: whether only one scenario may run at a time, as
+    the objects share something.
     """
-    serve_batches(ScalarAdapter(make), ahead, port, host)
+    serve_batches(ScalarAdapter(make, one_at_a_time), ahead, port, host)
 
 
 def serve_batches(
@@ -331,6 +338,7 @@ def _hello(message: Mapping[str, Any], function: BatchFunction, ahead: List[floa
         "protocol": PROTOCOL_VERSION,
         "columns": None if function.columns is None else list(function.columns),
         "ahead": list(ahead),
+        "one_at_a_time": function.one_at_a_time,
     }
 
 

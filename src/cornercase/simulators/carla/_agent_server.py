@@ -17,9 +17,8 @@ import numpy as np
 
 from cornercase._common.errors import InputError, PluginError, SimulationError
 from cornercase._common.geometry.boxes import wrap_angle
-from cornercase._common.plugin_errors import format_time_of_failure
 from cornercase._common.text.source_lines import prefix_file
-from cornercase.drivers import Controls, Driver, DrivingFunction, EgoState, Situation, Start, View
+from cornercase.drivers import Controls, Driver, DrivingFunction, Situation, Start, View
 from cornercase.drivers._attachment import Attachment, DriverError
 from cornercase.drivers._view import SharedView
 from cornercase.scenario import ConcreteScenario
@@ -27,8 +26,6 @@ from cornercase.simulators.builtin._simulator import Builtin
 
 AGENT_FILE: Final = Path(__file__).with_name("cornercase_agent.py")
 CONFIG_FILE: Final = "cornercase_agent.json"
-# Distance in m to the point of the path at which an ego without a steering angle aims: at least, and per m/s.
-_LOOKAHEAD, _LOOKAHEAD_TIME = 3.0, 0.2
 # Time in s in which a distance from the path fades away.
 _FADING_TIME: Final = 0.5
 
@@ -114,25 +111,17 @@ class AgentServer:
         arrays: dict[str, Any] = {
             name: value.copy() for name, value in vars(situation).items() if isinstance(value, np.ndarray)
         }
-        controls = self._attachment.decide(replace(situation, **arrays))
-        if 0 in controls.failures:
-            raise controls.failures[0]
-        view = View(SharedView(situation), 0)
-        steering, acceleration = float(controls.steering[0]), float(controls.acceleration[0])
-        if math.isfinite(acceleration) and math.isfinite(steering):
-            return self._move(view.ego, acceleration, steering)
-        if math.isfinite(acceleration):
-            return self._follow(view, acceleration)
-        pedals = np.array([controls.throttle[0], controls.brake[0]])
-        if np.isfinite(pedals).any():
-            throttle, brake = np.nan_to_num(pedals).tolist()
-            steering = steering if math.isfinite(steering) else self._steer_along_path(view)
-            return {"throttle": throttle, "brake": brake, "steering": steering}
-        what = "a trajectory" if controls.trajectories else "no acceleration in m/s² and no pedals"
-        instant = format_time_of_failure(situation.time)
-        raise PluginError(
-            f"{self._attachment.display_name} returned {what}{instant}, which its agent on CARLA cannot follow"
-        )
+        decision = self._attachment.step(replace(situation, **arrays))
+        if 0 in decision.failures:
+            raise decision.failures[0]
+        motion, ego = decision.motion.state, View(SharedView(situation), 0)
+        if not decision.motion.is_steered[0]:
+            return self._follow(ego, float(motion.speed[0]))
+        heading = float(situation.heading[0])
+        dx, dy = float(motion.x[0] - situation.x[0]), float(motion.y[0] - situation.y[0])
+        cos, sin = math.cos(heading), math.sin(heading)
+        turn = float(wrap_angle(motion.heading[0] - heading))
+        return self._motion(heading, dx * cos + dy * sin, dy * cos - dx * sin, turn)
 
     def _make_situation(self, time: float, states: Mapping[str, list[float]]) -> Situation:
         first, last = self._first, self._situation
@@ -167,27 +156,14 @@ class AgentServer:
         )
         return replace(situation, distance=SharedView(situation).own_pose_on_path[0])
 
-    def _next_speed(self, ego: EgoState, acceleration: float) -> float:
-        body = self._start.body
-        acceleration = min(max(acceleration, -body.max_deceleration), body.max_acceleration)
-        return min(max(ego.speed + acceleration * self._time_step, 0.0), body.max_speed)
-
-    def _follow(self, view: View, acceleration: float) -> dict[str, Any]:
+    def _follow(self, view: View, speed: float) -> dict[str, Any]:
         """Return the motion along the path; a distance from it fades away."""
         ego, step = view.ego, self._time_step
-        target, rest = view.path(self._next_speed(ego, acceleration) * step), max(1.0 - step / _FADING_TIME, 0.0)
+        target, rest = view.path(speed * step), max(1.0 - step / _FADING_TIME, 0.0)
         turn = target.heading + rest * ego.turn
         x = target.x - rest * ego.offset * math.sin(target.heading)
         y = target.y + rest * ego.offset * math.cos(target.heading)
         return self._motion(ego.heading, x, y, turn)
-
-    def _move(self, ego: EgoState, acceleration: float, steering: float) -> dict[str, Any]:
-        """Return the motion of a kinematic single-track model."""
-        distance = self._next_speed(ego, acceleration) * self._time_step
-        turn = distance * math.tan(steering) / self._start.body.wheelbase
-        # The chord of the arc.
-        chord = distance * float(np.sinc(0.5 * turn / math.pi))
-        return self._motion(ego.heading, chord * math.cos(0.5 * turn), chord * math.sin(0.5 * turn), turn)
 
     def _motion(self, heading: float, x: float, y: float, turn: float) -> dict[str, Any]:
         """Return the velocity of the box's centre and the yaw rate.
@@ -199,14 +175,6 @@ class AgentServer:
         left = y + center_x * math.sin(turn)
         cos, sin = math.cos(heading) / step, math.sin(heading) / step
         return {"velocity": [ahead * cos - left * sin, ahead * sin + left * cos], "yaw_rate": turn / step}
-
-    def _steer_along_path(self, view: View) -> float:
-        """Return the angle of the front wheels that leads back to the path in an arc (pure pursuit), in rad."""
-        target = view.path(_LOOKAHEAD + _LOOKAHEAD_TIME * max(view.ego.speed, 0.0))
-        squared = target.x**2 + target.y**2
-        curvature = 2.0 * target.y / squared if squared > 0.0 and target.x > 0.0 else 0.0
-        limit = self._start.body.max_steering
-        return min(max(math.atan(self._start.body.wheelbase * curvature), -limit), limit)
 
 
 def _measure_speed(last: Situation, time: float, x: float, y: float, heading: float) -> float:

@@ -15,7 +15,7 @@ from typing import Final, Literal
 
 from cornercase._common.errors import InputError, SimulationError, SimulatorError, suggest_name
 from cornercase._common.io.support_table import Notice, merge_notices
-from cornercase.drivers import Behaviour, Driver, EquippedDriver
+from cornercase.drivers import Behaviour, Driver
 from cornercase.drivers._description import serialize_driver
 from cornercase.drivers._resolve import check_drivers, driver_by_name
 from cornercase.recordings import Recording
@@ -367,10 +367,6 @@ def _read_drivers(
             )
         else:
             attached = driver_by_name(driver) if isinstance(driver, str) else driver
-            if isinstance(attached, EquippedDriver) and attached.vehicle is not None:
-                raise InputError(
-                    f"`drivers` {entity}: CARLA moves the vehicle itself; leave out '{attached.vehicle}' here."
-                )
     return behaviors, attached
 
 

@@ -1,7 +1,7 @@
 """Agent that drives the ego on CARLA by a driver of cornercase, which decides in cornercase's own process.
 
 ScenarioRunner loads this file by its name, in its own environment with an older Python, so it must not import
-cornercase. In each tick it sends the state of all entities as a line of JSON, and receives a motion or pedals.
+cornercase. In each tick it sends the state of all entities as a line of JSON, and receives a velocity and a yaw rate.
 """
 
 from __future__ import annotations
@@ -14,9 +14,6 @@ from typing import Any, Dict, List
 import carla
 from srunner.autoagents.autonomous_agent import AutonomousAgent
 from srunner.scenariomanager.carla_data_provider import CarlaDataProvider
-
-# Largest angle of the front wheels in degrees, if CARLA does not tell it.
-_DEFAULT_STEERING_ANGLE = 70.0
 
 
 class CornercaseAgent(AutonomousAgent):  # type: ignore[misc]
@@ -49,19 +46,10 @@ class CornercaseAgent(AutonomousAgent):  # type: ignore[misc]
         ego = self._actors[self._ego]
         if not self._is_placed:
             self._move_to_center(ego)
-        if "velocity" not in decided:
-            return carla.VehicleControl(
-                throttle=decided["throttle"],
-                brake=decided["brake"],
-                # CARLA steers to the right.
-                steer=max(-1.0, min(1.0, -math.degrees(decided["steering"]) / _largest_steering_angle(ego))),
-            )
         vx, vy = decided["velocity"]
         # From the centre of the box to the origin of the actor.
-        yaw, sideways = (
-            math.radians(ego.get_transform().rotation.yaw),
-            decided["yaw_rate"] * ego.bounding_box.location.x,
-        )
+        yaw = math.radians(ego.get_transform().rotation.yaw)
+        sideways = decided["yaw_rate"] * ego.bounding_box.location.x
         vx, vy = vx - sideways * math.sin(yaw), vy - sideways * math.cos(yaw)
         ego.set_target_velocity(carla.Vector3D(vx, -vy, ego.get_velocity().z))
         ego.set_target_angular_velocity(carla.Vector3D(0.0, 0.0, -math.degrees(decided["yaw_rate"])))
@@ -96,10 +84,3 @@ def _state_of(actor: Any) -> List[float]:
     y = transform.location.y + box.location.x * sin + box.location.y * cos
     speed = velocity.x * cos + velocity.y * sin
     return [x, -y, -yaw, speed, 2.0 * box.extent.x, 2.0 * box.extent.y]
-
-
-def _largest_steering_angle(vehicle: Any) -> float:
-    try:
-        return float(max(wheel.max_steer_angle for wheel in vehicle.get_physics_control().wheels))
-    except (RuntimeError, ValueError):
-        return _DEFAULT_STEERING_ANGLE
