@@ -22,13 +22,14 @@ from cornercase._common.errors import InputError, PluginError
 from cornercase.drivers import DRIVERS, ProcessFunction, Trajectory
 from cornercase.drivers import process as process_package
 from cornercase.drivers._resolve import create_driver_named_in_file, driver_by_name, may_be_named_in_file
-from cornercase.drivers.process._columns import COLUMNS
-from cornercase.drivers.process._messages import ProtocolError, pack_column, read_answer
+from cornercase.drivers.process._columns import COLUMNS, PATH_COLUMNS
+from cornercase.drivers.process._messages import PROTOCOL_VERSION, ProtocolError, pack_column, read_answer
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import Builtin
 from cornercase.simulators._create import create_simulator
 from cornercase.study import StudyFile
 from helpers.command_line import SPACE, X, cornercase
+from helpers.isolation import ROOT
 from helpers.waiting import until
 
 CLIENTS = Path(process_package.__file__).parent
@@ -416,3 +417,77 @@ def test_a_function_in_cpp_drives_as_the_same_class_does(folder):
     ):
         (failed,) = Builtin(duration=2.0, drivers={"Ego": f"exec:./aeb:{option}=1"}).run(concretes(0.0))
         assert re.search(words, str(failed)), str(failed)
+
+
+EXAMPLES = X.parents[1] / "process"
+RCLPY = '''
+"""Stand-in for rclpy with an emergency brake as the node that listens."""
+
+answers, listeners = [], []
+
+def init(): pass
+def create_node(name): return Node()
+def spin_once(node, timeout_sec=None):
+    if answers:
+        listeners[0](answers.pop(0))
+
+class Node:
+    def create_publisher(self, kind, topic, depth):
+        assert (kind.__name__, topic) == ("Float64MultiArray", "situation")
+        return Publisher()
+    def create_subscription(self, kind, topic, listener, depth):
+        assert (kind.__name__, topic) == ("Float64", "acceleration")
+        listeners.append(listener)
+
+class Publisher:
+    subscriptions = 0
+    last_time = None
+    def get_subscription_count(self):
+        self.subscriptions += 1
+        return self.subscriptions - 1
+    def publish(self, message):
+        from std_msgs.msg import Float64
+        time, speed, gap, closing = message.data
+        assert time == 0.0 or self.last_time < time < self.last_time + 0.06
+        self.last_time = time
+        answers.append(Float64(-8.0 if gap < 2.0 * closing else 0.0))
+'''
+STD_MSGS = """
+class Float64:
+    def __init__(self, data): self.data = data
+class Float64MultiArray:
+    def __init__(self, data): self.data = data
+"""
+
+
+class PlainAeb(cc.SystemUnderTest):
+    def step(self, view, dt):
+        leader = view.leader
+        return -8.0 if leader is not None and leader.gap < 2.0 * leader.closing else 0.0
+
+
+@pytest.mark.parametrize("command", ["aeb.py", "aeb_numpy.py", "ros2_bridge.py", "./aeb"])
+def test_examples_of_the_page_drive_as_the_class_does(folder, monkeypatch, command):
+    if command == "./aeb" and shutil.which("g++") is None:
+        pytest.skip("g++ is not installed")
+    for file in EXAMPLES.iterdir():
+        shutil.copy(file, folder)
+    for name, text in (("rclpy.py", RCLPY), ("std_msgs/__init__.py", ""), ("std_msgs/msg.py", STD_MSGS)):
+        (folder / name).parent.mkdir(exist_ok=True)
+        (folder / name).write_text(text)
+    if command == "./aeb":
+        subprocess.run(["g++", "-std=c++17", "-Wall", "-Werror", "aeb.cpp", "-o", "aeb"], check=True)
+    text = "exec:./aeb" if command == "./aeb" else spec(program=command)
+    text += "" if command == "ros2_bridge.py" else ":time_to_brake=2"
+    expected = run(PlainAeb(), 0.0, 3.0, duration=7.0)
+    assert expected[1].acceleration[0].min() == pytest.approx(-8.0)
+    assert all(same(one, other) for one, other in zip(expected, run(text, 0.0, 3.0, duration=7.0), strict=True))
+
+
+def test_the_page_lists_all_columns():
+    page = (ROOT / "docs" / "process.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `(\w+)` \| (M(?:, [AK])?) \| (.*?) \| (.*?) \|$", page, re.MULTILINE)
+    expected = [(c.name, c.shape, c.unit, c.meaning) for c in COLUMNS.values()]
+    expected += [(name, "M, K", unit, meaning) for name, (unit, meaning) in PATH_COLUMNS.items()]
+    assert rows == expected
+    assert f"Version {PROTOCOL_VERSION}." in page
