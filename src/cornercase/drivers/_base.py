@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from cornercase._common.configurable import Configurable, describe_as_text, numeric_values
+from cornercase._common.configurable import Configurable, describe_as_text, numeric_options, numeric_values
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.drivers._mutation import Mutation
 

@@ -112,6 +112,15 @@ class ProcessFunction(DrivingFunction):
     def __str__(self) -> str:
         return self._text
 
+    @property
+    def searchable_options(self) -> tuple[str, ...]:
+        """Names of the numeric options that the program is given."""
+        return tuple(
+            name
+            for name, value in self.options.items()
+            if isinstance(value, int | float) and not isinstance(value, bool)
+        )
+
     def __getstate__(self) -> dict[str, Any]:
         """Return what another process needs: it starts a program of its own."""
         return {name: value for name, value in vars(self).items() if name != "_end"} | {"_peer": None}
