@@ -126,7 +126,20 @@ class ProcessFunction(DrivingFunction):
         return {name: value for name, value in vars(self).items() if name != "_end"} | {"_peer": None}
 
     def prepare(self, start: Start) -> None:
-        """Start the program if it does not run, and tell it about the batch."""
+        """Start the program if it does not run, and tell it about the batch.
+
+        Parameters
+        ----------
+        start : Start
+            What is known then.
+
+        Raises
+        ------
+        InputError
+            The program cannot be used.
+        DriverError
+            It drives one scenario at a time.
+        """
         self._display_name = f"the driver of {quote_name(start.body.name)} ({remove_folders(self._text)})"
         self._others: list[tuple[Any, ...]] | None = None
         if self._peer is None:
