@@ -40,12 +40,20 @@ LARGE_FUNCTIONS = {
     "simulators/carla/_simulator.py __init__": _SIMULATOR,
 }
 # Modules that other programs start by their names.
-PUBLIC_MODULES = ("simulators/carla/cornercase_driver.py", "simulators/carla/cornercase_trajectory.py")
+PUBLIC_MODULES = (
+    "drivers/process/cornercase_client.py",
+    "simulators/carla/cornercase_agent.py",
+    "simulators/carla/cornercase_driver.py",
+    "simulators/carla/cornercase_trajectory.py",
+)
 # Names that several modules or classes have, and why.
 SHARED_STEMS: dict[str, str] = {"study": "cli has the commands, api the object"}
 SHARED_CLASSES: dict[str, str] = {
     "Encounter": "metrics measure the motion of two entities, an outcome says how their paths met",
     "Trajectory": "a system under test plans one, a storyboard prescribes one",
+    "Batch": "scenarios that the builtin simulator runs together, and what a program is told about them",
+    "Control": "a program in another Python has its own, without importing cornercase",
+    "View": "a program in another Python has its own, without importing cornercase",
     "Comparison": "suite compares studies, api writes the page too; a formula compares numbers",
 }
 

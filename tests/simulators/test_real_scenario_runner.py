@@ -7,15 +7,18 @@ folder in which PythonAPI/carla/agents lies.
 from __future__ import annotations
 
 import os
+from typing import Any
 
 import numpy as np
 import pytest
 
+import cornercase as cc
 from cornercase.scenario import ConcreteScenario
 from cornercase.scenario._file import ScenarioFile
 from cornercase.simulators import Carla, simulate
 from cornercase.simulators.carla._openscenario_1_0 import ConversionOptions, write_openscenario_1_0
 from helpers.carla_or_stand_in import Served
+from helpers.command_line import X
 from helpers.isolation import REFERENCE
 
 FOLDER = os.environ.get("CORNERCASE_SCENARIO_RUNNER", "")
@@ -68,3 +71,26 @@ def test_the_real_tree_of_each_protocol_is_built_and_moves_as_the_scenario_says(
     assert set(found.names) == set(scenario.entities)
     for name in sampled:
         assert apart(centers(found, name), centers(expected, name)) < NEAR, name
+
+
+class Approach(cc.SystemUnderTest):
+    """Accelerates up to 12 m/s."""
+
+    def step(self, view, dt):
+        assert len(view.objects) == 3
+        return 0.5 if view.ego.speed < 12.0 else 0.0
+
+
+def test_a_driver_of_ones_own_drives_the_ego_as_on_the_builtin_simulator():
+    concrete = ConcreteScenario(X, {})
+    options: dict[str, Any] = {"duration": DURATION, "drivers": {"Ego": Approach()}}
+    with Served(X.with_suffix(".xodr")) as server:
+        simulator = Carla(
+            hosts=server.host, port=server.port, scenario_runner=FOLDER, ego="Ego", patience=20.0, undriven=True,
+            open_loop=True, **options,
+        )  # fmt: skip
+        (found,) = simulator.run([concrete])
+    assert not isinstance(found, Exception), found
+    (expected,) = cc.simulators.Builtin(**options).run([concrete])
+    # The first frames are those before it is placed.
+    assert apart(centers(found, "Ego")[:, 5:], centers(expected, "Ego")) < 0.05

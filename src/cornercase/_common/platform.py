@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import errno
 import os
+import shlex
 import shutil
 import signal
 import subprocess
@@ -171,6 +172,13 @@ def search_libraries_in(folder: Path) -> None:
 def load_c_library() -> ctypes.CDLL:
     """Return the C library of this process, such as for ``calloc`` and ``free``."""
     return ctypes.CDLL("msvcrt" if _WINDOWS else None)
+
+
+def split_command(command: str) -> list[str]:
+    """Split a command into words as a shell does; backslashes separate folders on Windows."""
+    if not _WINDOWS:
+        return shlex.split(command)
+    return [word.strip('"') for word in shlex.split(command, posix=False)]
 
 
 def find_program(name: str, folders: Sequence[str] | None = None) -> str | None:

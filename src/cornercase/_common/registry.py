@@ -180,7 +180,7 @@ class Registry(Generic[T]):
             check_options(self._kind, base, factory, options)
             with convert_plugin_errors(f"The {self._kind} '{base}'", unwrap_factory(factory), "when it was created"):
                 return factory(**options)
-        if any(parameter.kind is parameter.POSITIONAL_ONLY for parameter in signature(factory).parameters.values()):
+        if self.takes_text(base):
             with convert_plugin_errors(f"The {self._kind} '{name}'", unwrap_factory(factory), "when it was created"):
                 instance: Any = factory(text, **options)
             instance.name = name
@@ -196,6 +196,21 @@ class Registry(Generic[T]):
                 raise InputError(f"The {self._kind} '{base}' does not take the options '{text}' ({error}).") from error
         configured.name = name
         return cast(T, configured)
+
+    def takes_text(self, name: str | type[T]) -> bool:
+        """Return whether a factory gets the whole text after the colon, which may name a file or a program.
+
+        Parameters
+        ----------
+        name : str or type
+            Without options.
+
+        Returns
+        -------
+        bool
+        """
+        parameters = signature(self.get_factory(name)).parameters.values()
+        return any(parameter.kind is parameter.POSITIONAL_ONLY for parameter in parameters)
 
     def resolve(self, value: str | T, parameter: str) -> T:
         """Create the object that a text describes; return an object as it is.

@@ -159,9 +159,10 @@ def _runs_by_room(folder: Path) -> Iterator[tuple[str, Callable[[], Any]]]:
     # Short runs never reach a crossing.
     yield "clustering", partial(find_outcome, _crossing_recording(), "Ego", "Other")
     simulate = partial(simulators.simulate, scenario, duration=_DURATION)
-    # An FMU is a file of the user.
-    for plugin in (name for name in drivers.DRIVERS.names() if name != "fmu"):
-        yield "drivers", partial(simulate, drivers={"Ego": plugin})
+    for plugin in drivers.DRIVERS.names():
+        # An FMU and a program are files of the user.
+        if not drivers.DRIVERS.takes_text(plugin):
+            yield "drivers", partial(simulate, drivers={"Ego": plugin})
     for plugin in drivers.VEHICLES.names():
         # Its driver is not compiled, so that the vehicle's own kernels are.
         yield "drivers", partial(simulate, drivers={"Ego": f"cc-human + {plugin}"})

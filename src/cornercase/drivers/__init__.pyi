@@ -28,6 +28,7 @@ from ._view import SignalView as SignalView
 from ._view import View as View
 from .fmu._driver import FmuDriver as FmuDriver
 from .fmu._mapping import MappedVariable as MappedVariable
+from .process._process_function import ProcessFunction as ProcessFunction
 from .references.r157._reference_driver import ReferenceDriver as ReferenceDriver
 from .references.r157._scenarios import EncounterOutcome as EncounterOutcome
 from .references.r157._scenarios import drive_cut_in as drive_cut_in

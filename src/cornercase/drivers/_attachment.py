@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from cornercase._common.configurable import with_numbers
-from cornercase._common.errors import PluginError, SimulationError
+from cornercase._common.errors import InputError, PluginError, SimulationError
 from cornercase._common.plugin_errors import (
     format_time_of_failure,
     is_built_in,
@@ -117,7 +117,7 @@ class Attachment:
             sensors = [own for part, own in parameters.items() if part not in (DRIVER, VEHICLE)]
             self._start_driver(replace(self._sensors.start(start, sensors), parameters=parameters[DRIVER]))
         except BaseException as error:
-            raise DriverError(make_scenario_failure(self.display_name, error, requests, 0.0), splits=True) from error
+            raise self._failure(error, requests, 0.0) from error
         if is_compiled(self.driver):
             # It plans with the limits.
             bounds = {"acceleration": start.body.max_acceleration, "deceleration": start.body.max_deceleration}
@@ -187,9 +187,7 @@ class Attachment:
                 else self.driver.acceleration(sensed)
             )
         except BaseException as error:
-            raise DriverError(
-                make_scenario_failure(self.display_name, error, requests, situation.time), splits=True
-            ) from error
+            raise self._failure(error, requests, situation.time) from error
         if isinstance(returned, Controls):
             return returned
         try:
@@ -204,6 +202,15 @@ class Attachment:
             why = f"{self.display_name} returned no acceleration {expectation}{instant}, but {_safe_repr(returned)}"
             raise DriverError(PluginError(why), splits=False) from error
         return replace(Controls.empty(expected), acceleration=acceleration)
+
+    def _failure(self, error: BaseException, requests: int, time: float) -> DriverError:
+        """Return the failure of the batch that an exception of the driver causes."""
+        if is_built_in(type(self.driver)) and isinstance(self.driver, DrivingFunction):
+            if isinstance(error, InputError | DriverError):
+                raise error
+            if isinstance(error, SimulationError):
+                return DriverError(error, splits=True)
+        return DriverError(make_scenario_failure(self.display_name, error, requests, time), splits=True)
 
     def _clip_acceleration(self, acceleration: FloatArray, rows: BoolArray, time: float) -> FloatArray:
         highest, lowest = self._start.body.max_acceleration, -self._start.body.max_deceleration

@@ -61,7 +61,7 @@ def _check_driver(entity: str, driver: object) -> str | Driver:
         return resolve_driver(driver)
     if driver and isinstance(driver, str):
         if ":" not in split_spec(driver)[0] or is_registered_driver(driver):
-            _create_registered(driver)
+            return resolve_driver(driver)
         return driver
     if is_driver(driver):
         return driver
@@ -77,6 +77,10 @@ def create_driver_named_in_file(name: str) -> Driver:
     if not is_registered_driver(name):
         hint = suggest_name(name.partition(":")[0], DRIVERS.names())
         raise InputError(f"asks for the driver '{name}', which does not exist; {hint}")
+    if takes_text(name):
+        raise InputError(
+            f"asks for the driver '{name}'; a program that a file names is not run, so give it yourself with `drivers`."
+        )
     if (other := find_non_numeric_option(name)) is not None:
         raise InputError(f"asks for the driver '{name}' with the option '{other}'; in a file, options are numbers.")
     return _create_registered(name)
@@ -86,6 +90,17 @@ def _create_registered(spec: str) -> Driver:
     """Create a registered driver with its equipment."""
     name, equipment = split_spec(spec)
     return equip(DRIVERS.create(name), equipment)
+
+
+def takes_text(name: str) -> bool:
+    """Return whether a registered driver runs the program or file that its name contains."""
+    return DRIVERS.takes_text(split_spec(name)[0].partition(":")[0])
+
+
+def check_reference_driver(name: str) -> None:
+    """Refuse a reference driver that runs a program or file: the conditions of studies and suites name it."""
+    if is_registered_driver(name) and takes_text(name):
+        raise InputError(f"the driver '{name}' runs a program or file, which no condition may name; give a class.")
 
 
 def may_be_named_in_file(name: str) -> bool:
@@ -100,6 +115,8 @@ def may_be_named_in_file(name: str) -> bool:
 def find_non_numeric_option(name: str) -> str | None:
     """Return the first option of a driver that is no number, true or false; None if there is none."""
     driver, equipment = split_spec(name)
+    if takes_text(driver):
+        return driver.partition(":")[2]
     for part in (driver, *equipment):
         options = part.partition(":")[2]
         for option in options.split(",") if options else ():

@@ -16,7 +16,7 @@ from cornercase._common.option import check_options, document_options, refuse_un
 from cornercase._common.process.dask import open_connection
 from cornercase._common.validation import check_bool, check_path
 from cornercase.drivers import Driver
-from cornercase.drivers._resolve import DriverLike, resolve_driver
+from cornercase.drivers._resolve import DriverLike, check_reference_driver, resolve_driver
 from cornercase.exploration._asynchronous import AsynchronousExplorer
 from cornercase.exploration._config import ExplorationConfig
 from cornercase.exploration._explore_options import CALL_OPTIONS, CONFIG_OPTIONS, OPTIONS, SPACE_OPTIONS, ExploreOptions
@@ -251,6 +251,7 @@ def reference_simulators(config: ExplorationConfig) -> Iterator[dict[str, Simula
         simulators = {}
         for name in () if condition is None else condition.reference_drivers:
             try:
+                check_reference_driver(name)
                 simulators[name] = stack.enter_context(_create_simulator(config, {**config.drivers, config.ego: name}))
             except InputError as error:
                 raise InputError(f"`critical_if`, reference:{name}: {error}") from error

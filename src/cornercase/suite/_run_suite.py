@@ -17,7 +17,7 @@ from cornercase._common.text.sanitize import escape_control_characters, remove_f
 from cornercase._common.validation import check_bool, check_mapping, check_str, check_str_sequence
 from cornercase._common.validation import check_path as path_argument
 from cornercase.drivers import Driver
-from cornercase.drivers._resolve import DriverLike, check_drivers, resolve_driver
+from cornercase.drivers._resolve import DriverLike, check_drivers, check_reference_driver, resolve_driver
 from cornercase.exploration._explore_options import OPTIONS
 from cornercase.metrics import METRICS, Metric
 from cornercase.metrics._critical_if import find_critical_if_condition
@@ -200,6 +200,7 @@ def _start_with_reference(
     factory: Callable[..., Simulator], options: dict[str, Any], ego: str, reference: str
 ) -> Simulator:
     try:
+        check_reference_driver(reference)
         return factory(options | {"drivers": {**options["drivers"], ego: resolve_driver(reference)}})
     except InputError as error:
         raise InputError(f"`require` no collision unless {reference} collides: {error}") from error

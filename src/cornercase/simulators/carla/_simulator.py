@@ -15,13 +15,16 @@ from typing import Final, Literal
 
 from cornercase._common.errors import InputError, SimulationError, SimulatorError, suggest_name
 from cornercase._common.io.support_table import Notice, merge_notices
-from cornercase.drivers._resolve import DriverLike, check_drivers
+from cornercase.drivers import Behaviour, Driver
+from cornercase.drivers._description import serialize_driver
+from cornercase.drivers._resolve import DriverLike, check_drivers, driver_by_name
 from cornercase.recordings import Recording
 from cornercase.recordings.formats._carla_log import read_carla_log
 from cornercase.scenario import ConcreteScenario, Value
 from cornercase.scenario._file import ScenarioFile
 from cornercase.simulators._base import Availability, Simulator, check_seed, check_settings
 from cornercase.simulators._server_addresses import worker_address
+from cornercase.simulators.carla._agent_server import AGENT_FILE, AgentServer
 from cornercase.simulators.carla._dialect import BEHAVIORS, DrivingAgents
 from cornercase.simulators.carla._openscenario_1_0 import (
     ConversionOptions,
@@ -70,8 +73,8 @@ class Carla(Simulator):
         Maximum duration of a scenario in s.
     on_collision : {"continue", "stop"}, default "continue"
         Whether the first collision of two entities ends the run. CARLA's sensors detect collisions.
-    drivers : mapping of str to str, optional
-        Behaviour agent by entity.
+    drivers : mapping of str to str or Driver, optional
+        Behaviour agent by entity. Any other driver, also one of your own, can drive the ego.
     ego : str, default "Ego"
         Entity that becomes ScenarioRunner's ego vehicle.
     hosts : str, default "localhost"
@@ -136,23 +139,20 @@ class Carla(Simulator):
         patience: float = 20.0,
     ) -> None:
         self._common_settings = check_settings(time_step, duration, on_collision, None)
-        for entity, driver in (drivers or {}).items():
-            if driver not in BEHAVIORS:
-                raise InputError(
-                    f"`drivers` {entity}: CARLA does not have this driver; {suggest_name(str(driver), BEHAVIORS)}"
-                )
+        self._drivers, self._attached = _read_drivers(drivers, ego)
         if record not in ("client", "recorder"):
             raise InputError(f"record={record}: {suggest_name(str(record), ('client', 'recorder'))}")
         if not patience > 0.0:
             raise InputError(f"patience={patience:g}: give a time above 0 s.")
         self._time_step, self._duration, self._stop_on_collision = time_step, duration, on_collision == "stop"
-        self._drivers = {entity: str(driver) for entity, driver in check_drivers(drivers).items()}
         self._ego, self._record, self._seed = ego, record, check_seed(seed, "CARLA's traffic manager")
         self._undriven, self._open_loop = bool(undriven), bool(open_loop)
         self._server = CarlaServer(*worker_address(hosts, port, worker, _PORTS_PER_SERVER), patience)
         self._runner_folders = scenario_runner, python, carla_root
         self._traffic_port, self._folder = 8000 + worker, folder
         self._last_scenario: ScenarioFile | None = None
+        if self._attached is not None and agent:
+            raise InputError(f"`drivers` {ego}: the agent {agent} drives the ego; leave out one of them.")
         self._agent = None if not agent else _existing_file(agent, "agent")
         self._agent_config = None if not agent_config else _existing_file(agent_config, "agent_config")
 
@@ -167,7 +167,8 @@ class Carla(Simulator):
         # A missing ScenarioRunner is told before anything is run.
         _ = self._runner
         return self._common_settings | {
-            "drivers": self._drivers,
+            "drivers": self._drivers
+            | ({} if self._attached is None else {self._ego: serialize_driver(self._attached)}),
             "ego": self._ego,
             "record": self._record,
             "seed": self._seed,
@@ -243,7 +244,7 @@ class Carla(Simulator):
         scenario.require_entity(self._ego, "ego")
         for entity in self._drivers:
             scenario.require_entity(entity, "driven entity")
-        behaviors = {}
+        behaviors: dict[str, str] = {}
         for element in scenario.root.iterfind("Entities/ScenarioObject"):
             name = element.get("name", "")
             vehicle = element.find("Vehicle")
@@ -253,9 +254,9 @@ class Carla(Simulator):
                     " use another category."
                 )
             driver = self._drivers.get(name, scenario.drivers.get(name, ""))
-            if driver in BEHAVIORS:
+            if driver in BEHAVIORS and not (name == self._ego and self._attached):
                 behaviors[name] = driver
-            elif driver and not self._undriven and not (name == self._ego and self._agent):
+            elif driver and not self._undriven and not (name == self._ego and (self._agent or self._attached)):
                 raise InputError(
                     f"{scenario.path}: '{name}' has the driver '{driver}', which CARLA does not support; `simulator`"
                     " carla:undriven=true runs it with the storyboard only."
@@ -269,20 +270,33 @@ class Carla(Simulator):
             Path(self._folder).mkdir(parents=True, exist_ok=True)
         folder = Path(tempfile.mkdtemp(prefix="cornercase-", dir=self._folder or None))
         try:
-            return self._run_in_folder(folder, scenario, concrete, behaviors)
+            if self._attached is None:
+                agents = DrivingAgents(behaviors, self._agent, self._agent_config)
+                return self._run_in_folder(folder, scenario, concrete, agents)
+            located = replace(concrete, file=scenario)
+            with AgentServer(self._attached, located, self._ego, self._time_step, folder) as server:
+                agents = DrivingAgents(behaviors, AGENT_FILE, server.config_file)
+                try:
+                    recording = self._run_in_folder(folder, scenario, concrete, agents)
+                except SimulationError as error:
+                    # ScenarioRunner fails too if the driver does.
+                    raise server.failure or error from error
+                if server.failure is not None:
+                    raise server.failure
+                return recording
         finally:
             if not self._folder:
                 shutil.rmtree(folder, ignore_errors=True)
 
     def _run_in_folder(
-        self, folder: Path, scenario: ScenarioFile, concrete: ConcreteScenario, behaviors: Mapping[str, str]
+        self, folder: Path, scenario: ScenarioFile, concrete: ConcreteScenario, agents: DrivingAgents
     ) -> Recording:
         file, drivers = folder / "cornercase.xosc", folder / "drivers"
         write_openscenario_1_0(
             scenario, concrete.values, file, ego=self._ego,
             options=ConversionOptions(
-                DrivingAgents(behaviors, self._agent, self._agent_config), self._time_step, self._duration,
-                open_loop=self._open_loop, road_file=_ROAD_FILE, controllers=drivers.name,
+                agents, self._time_step, self._duration, open_loop=self._open_loop, road_file=_ROAD_FILE,
+                controllers=drivers.name,
             ),
         )  # fmt: skip
         drivers.mkdir(exist_ok=True)
@@ -336,6 +350,24 @@ class Carla(Simulator):
             **{name: getattr(recording, name)[:, :count] for name in ("x", "y", "heading", "speed", "acceleration")},
             collisions=tuple(collision for collision in recording.collisions if collision.time <= end),
         )
+
+
+def _read_drivers(
+    drivers: Mapping[str, str | Driver | Behaviour] | None, ego: str
+) -> tuple[dict[str, str], Driver | None]:
+    """Return CARLA's behaviour agents by entity, and the driver of cornercase or of the user that drives the ego."""
+    behaviors, attached = {}, None
+    for entity, driver in check_drivers(drivers).items():
+        if isinstance(driver, str) and driver in BEHAVIORS:
+            behaviors[entity] = driver
+        elif entity != ego:
+            raise InputError(
+                f"`drivers` {entity}: CARLA does not have this driver; {suggest_name(str(driver), BEHAVIORS)} Any other"
+                f" driver can drive the ego ({ego}) only."
+            )
+        else:
+            attached = driver_by_name(driver) if isinstance(driver, str) else driver
+    return behaviors, attached
 
 
 def _existing_file(text: str, option: str) -> Path:

@@ -1,0 +1,1 @@
+"""Driving functions in a process of their own, which speaks a protocol."""

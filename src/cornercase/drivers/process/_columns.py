@@ -1,0 +1,140 @@
+"""What a program is told about the traffic in each step: a table of columns of numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any, Final, Literal
+
+import numpy as np
+
+from cornercase._common.geometry.boxes import wrap_angle
+from cornercase._common.typing import FloatArray, IntArray
+from cornercase.drivers._base import DrivenPath, Situation
+from cornercase.drivers._view import SharedView
+
+# Fields of a situation that have one value, or one row, per scenario.
+_PER_SCENARIO: Final = (
+    "distance", "x", "y", "heading", "speed", "acceleration", "target_speed", "others_x", "others_y", "others_heading",
+    "others_speed", "active",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Column:
+    """Numbers of a step, one per scenario (`M`), and per other entity (`M, A`) or point ahead (`M, K`)."""
+
+    name: str
+    shape: Literal["M", "M, A", "M, K"]
+    unit: str
+    meaning: str
+    compute: Callable[[SharedView], Any]
+
+
+def _turn(shared: SharedView) -> FloatArray:
+    return np.asarray(wrap_angle(shared.situation.heading - shared.own_pose_on_path[2]))
+
+
+def _leader(shared: SharedView) -> IntArray:
+    """Number of the leader among the others, as `View.leader`; -1 if there is none."""
+    gap, _, _, in_path = shared.along_path
+    x, y, _ = shared.relative
+    if not gap.shape[1]:
+        return np.full(len(gap), -1)
+    is_ahead = in_path & (gap >= 0.0) & (x > 0.0)
+    nearest_gap = np.where(is_ahead, gap, np.inf).min(axis=1, keepdims=True)
+    is_nearest = is_ahead & (gap == nearest_gap)
+    leader = np.where(is_nearest, np.hypot(x, y), np.inf).argmin(axis=1)
+    return np.where(is_ahead.any(axis=1), leader, -1)
+
+
+def _of_leader(values: FloatArray, shared: SharedView) -> FloatArray:
+    leader = _leader(shared)
+    if not values.shape[1]:
+        return np.full(len(values), np.nan)
+    return np.where(leader >= 0, values[np.arange(len(values)), leader], np.nan)
+
+
+COLUMNS: Final = {
+    column.name: column
+    for column in (
+        Column("x", "M", "m", "the ego's reference point, in the axes of the map", lambda v: v.situation.x),
+        Column("y", "M", "m", "", lambda v: v.situation.y),
+        Column("heading", "M", "rad", "the ego's heading, in the axes of the map", lambda v: v.situation.heading),
+        Column("speed", "M", "m/s", "the ego's speed", lambda v: v.situation.speed),
+        Column("acceleration", "M", "m/s²", "the ego's acceleration", lambda v: v.situation.acceleration),
+        Column("target_speed", "M", "m/s", "the speed that the scenario asks for; infinite or NaN if it asks for none",
+               lambda v: v.situation.target_speed),
+        Column("distance", "M", "m", "the ego's distance along its path", lambda v: v.own_pose_on_path[0]),
+        Column("offset", "M", "m", "the ego's distance from its path, positive to the left",
+               lambda v: v.own_pose_on_path[1]),
+        Column("turn", "M", "rad", "the ego's heading relative to its path, positive to the left", _turn),
+        Column("leader", "M", "", "number of the nearest of those ahead in the ego's path; -1 if there is none",
+               _leader),
+        Column("leader_gap", "M", "m", "the leader's `other_gap`; NaN without a leader",
+               lambda v: _of_leader(v.along_path[0], v)),
+        Column("leader_closing", "M", "m/s", "the leader's `other_closing`; NaN without a leader",
+               lambda v: _of_leader(v.along_path[1], v)),
+        Column("other_x", "M, A", "m", "centre of the other's box, ahead of the ego's reference point; NaN while there"
+               " is no such entity", lambda v: v.relative[0]),
+        Column("other_y", "M, A", "m", "centre of the other's box, to the left of the ego's reference point",
+               lambda v: v.relative[1]),
+        Column("other_heading", "M, A", "rad", "the other's heading relative to the ego's", lambda v: v.relative[2]),
+        Column("other_speed", "M, A", "m/s", "the other's speed", lambda v: v.situation.others_speed),
+        Column("other_gap", "M, A", "m", "distance of the boxes along the ego's path, negative behind; NaN if it is"
+               " nowhere along the path", lambda v: v.along_path[0]),
+        Column("other_closing", "M, A", "m/s", "speed at which the gap shrinks", lambda v: v.along_path[1]),
+        Column("other_lateral", "M, A", "m", "distance of the box's centre from the ego's path, positive to the left",
+               lambda v: v.along_path[2]),
+        Column("other_in_path", "M, A", "", "1 if its box reaches into the strip that the ego's box sweeps along its"
+               " path, else 0", lambda v: v.along_path[3]),
+    )
+}  # fmt: skip
+"""Columns by name."""
+PATH_COLUMNS: Final = {
+    "path_x": ("m", "point of the ego's path, ahead of the ego's reference point"),
+    "path_y": ("m", "point of the ego's path, to the left of the ego's reference point"),
+    "path_heading": ("rad", "direction of the path there, relative to the ego's heading"),
+    "path_curvature": ("1/m", "curvature of the path there, positive to the left"),
+}
+"""Unit and meaning of the columns (M, K) about the K points of the path that a program asks for."""
+
+
+def select_rows(situation: Situation, rows: IntArray) -> Situation:
+    """Return the situation of some scenarios only."""
+    if len(rows) == len(situation.active):
+        return situation
+    path = situation.path
+    if path.distance.ndim == 2:
+        path = DrivenPath(**{item.name: getattr(path, item.name)[rows] for item in fields(path)})
+    return replace(
+        situation,
+        path=path,
+        signals={name: states[rows] for name, states in situation.signals.items()},
+        **{name: getattr(situation, name)[rows] for name in _PER_SCENARIO},
+    )
+
+
+def compute_columns(situation: Situation, names: Sequence[str], ahead: FloatArray) -> dict[str, FloatArray]:
+    """Return columns by name; the path's points are at the distances `ahead` (K,) along it."""
+    shared = SharedView(situation)
+    columns = {name: COLUMNS[name].compute(shared) for name in names}
+    if len(ahead):
+        columns |= dict(zip(PATH_COLUMNS, _sample_path(shared, ahead), strict=True))
+    return columns
+
+
+def _sample_path(shared: SharedView, ahead: FloatArray) -> tuple[FloatArray, ...]:
+    """Return points of the path as seen from the ego, as `View.path` does: x, y, heading, curvature, (M, K) each."""
+    s = shared.situation
+    at = shared.own_pose_on_path[0][:, None] + ahead
+    columns = (s.path.x, s.path.y, s.path.heading, s.path.curvature)
+    if s.path.distance.ndim == 1:
+        x, y, direction, curvature = (np.interp(at, s.path.distance, values) for values in columns)
+    else:
+        x, y, direction, curvature = (
+            np.stack([np.interp(*row) for row in zip(at, s.path.distance, values, strict=True)]) for values in columns
+        )
+    dx, dy, heading = x - s.x[:, None], y - s.y[:, None], s.heading[:, None]
+    cos, sin = np.cos(heading), np.sin(heading)
+    return dx * cos + dy * sin, dy * cos - dx * sin, np.asarray(wrap_angle(direction - heading)), curvature

@@ -1,0 +1,321 @@
+"""A driving function in a program of its own."""
+
+from __future__ import annotations
+
+import hashlib
+import sys
+import weakref
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cornercase._common.configurable import format_option_value
+from cornercase._common.errors import InputError, PluginError, RunLostError, SimulationError
+from cornercase._common.platform import split_command
+from cornercase._common.plugin_errors import format_time_of_failure
+from cornercase._common.text.sanitize import escape_control_characters, quote_name, remove_folders, shorten
+from cornercase._common.typing import FloatArray
+from cornercase._common.validation import check_float
+from cornercase._common.version import __version__
+from cornercase.drivers._attachment import DriverError
+from cornercase.drivers._base import Situation
+from cornercase.drivers._controls import Controls
+from cornercase.drivers._function import DrivingFunction, Start
+from cornercase.drivers.process._columns import COLUMNS, compute_columns, select_rows
+from cornercase.drivers.process._messages import (
+    ANSWER_COLUMNS,
+    PROTOCOL_VERSION,
+    ProtocolError,
+    pack_column,
+    read_answer,
+)
+from cornercase.drivers.process._program import TCP_PREFIX, Connection, Peer, Program, find_executable, parse_address
+
+_MAX_FAILURE_LENGTH, _MAX_POINTS = 500, 1000
+# Of the options below.
+_TIMEOUT, _START_TIMEOUT = 10.0, 60.0
+
+
+class ProcessFunction(DrivingFunction):
+    """A driving function in a program of its own, which speaks a protocol in lock-step: see the page about processes.
+
+    The program is started when the first batch starts, is told the situation of all scenarios of the batch in each
+    step, and answers with controls. If it crashes, hangs, or answers something else, it is started again.
+
+    Parameters
+    ----------
+    command : str
+        The program and its arguments, as in a shell; no shell runs it. Or ``tcp://HOST:PORT`` of a program that listens
+        there. Options may follow after the last colon, as in ``"./function --fast:timeout=2,reaction=0.3"``.
+    timeout : float, default 10
+        Time limit of an answer in s.
+    start_timeout : float, default 60
+        Time limit in s for the program to start, and to prepare a batch.
+    log : str, optional
+        File to which is appended what the program writes to stderr.
+    **options : bool, int, float or str
+        Options of the program itself.
+
+    Raises
+    ------
+    InputError
+        There is no such program, or an option is wrong.
+
+    Examples
+    --------
+    >>> from cornercase.drivers import ProcessFunction
+    >>> str(ProcessFunction("python my_function.py", timeout=2.0, reaction=0.3))
+    'exec:python my_function.py:timeout=2.0,reaction=0.3'
+    """
+
+    name = "exec"
+
+    def __init__(
+        self, command: str = "", /, *, timeout: float = _TIMEOUT, start_timeout: float = _START_TIMEOUT, log: str = "",
+        **options: Any,
+    ) -> None:  # fmt: skip
+        self._command, in_text = _split_options(command)
+        defaults = {"timeout": _TIMEOUT, "start_timeout": _START_TIMEOUT, "log": ""}
+        own = {"timeout": timeout, "start_timeout": start_timeout, "log": log}
+        given = {
+            option: in_text.pop(option, defaults[option]) if value == defaults[option] else value
+            for option, value in own.items()
+        }
+        self.options: dict[str, bool | float | str] = in_text | options
+        """Options of the program itself."""
+        for option, value in self.options.items():
+            if not isinstance(value, bool | int | float | str):
+                raise InputError(f"The option `{option}` of a program is no number, text, True or False.")
+        self._timeout, self._start_timeout = (
+            check_float(option, given[option], above=0.0) for option in ("timeout", "start_timeout")
+        )
+        self._log = Path(str(given["log"])) if given["log"] else None
+        try:
+            self._words = [] if self._command.startswith(TCP_PREFIX) else split_command(self._command)
+        except ValueError as error:
+            raise InputError(f"The driver 'exec:{self._command}' cannot be split into words: {error}.") from error
+        if self._words:
+            find_executable(self._command, self._words)
+        elif self._command.startswith(TCP_PREFIX):
+            parse_address(self._command)
+        else:
+            raise InputError("The driver 'exec:' needs a command, as in exec:./function or exec:python my_function.py.")
+        shown = {option: value for option, value in given.items() if value != defaults[option]} | self.options
+        texts = [f"{option}={format_option_value(value)}" for option, value in shown.items()]
+        self._text = f"exec:{self._command}" + (f":{','.join(texts)}" if texts else "")
+        self.settings = {"driver": self._text, "options": {}, **_fingerprint(self._words)}
+        self._peer: Peer | None = None
+
+    def __str__(self) -> str:
+        return self._text
+
+    @property
+    def searchable_options(self) -> tuple[str, ...]:
+        """Names of the numeric options that the program is given."""
+        return tuple(
+            name
+            for name, value in self.options.items()
+            if isinstance(value, int | float) and not isinstance(value, bool)
+        )
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what another process needs: it starts a program of its own."""
+        return {name: value for name, value in vars(self).items() if name != "_end"} | {"_peer": None}
+
+    def prepare(self, start: Start) -> None:
+        """Start the program if it does not run, and tell it about the batch.
+
+        Parameters
+        ----------
+        start : Start
+            What is known then.
+
+        Raises
+        ------
+        InputError
+            The program cannot be used.
+        DriverError
+            It drives one scenario at a time.
+        """
+        self._display_name = f"the driver of {quote_name(start.body.name)} ({remove_folders(self._text)})"
+        self._others: list[tuple[Any, ...]] | None = None
+        if self._peer is None:
+            self._connect()
+        if start.scenarios > self._at_once:
+            # The simulator then runs them one by one.
+            raise DriverError(PluginError(f"{self._display_name} drives one scenario at a time"), splits=False)
+        message = {
+            "type": "start",
+            "scenarios": start.scenarios,
+            "time_step": start.time_step,
+            "ego": vars(start.body),
+            "parameters": {name: pack_column(values) for name, values in start.parameters.items()},
+            "values": [dict(values) for values in start.values],
+            "seeds": [int(start.generator(n, "driver").integers(2**53)) for n in range(start.scenarios)],
+            "friction": pack_column(start.friction),
+        }
+        answer = self._ask(message, "ready", self._start_timeout, 0.0)
+        try:
+            _, failures = read_answer(answer, start.scenarios)
+        except ProtocolError as error:
+            raise self._fail(str(error), 0.0) from error
+        self._failures = {n: self._describe_failure(text, 0.0) for n, text in failures.items()}
+
+    def decide(self, situation: Situation) -> Controls:
+        """Let the program decide in all active scenarios."""
+        n_scenarios, rows = len(situation.active), np.flatnonzero(situation.active)
+        seen = select_rows(situation, rows)
+        columns = compute_columns(seen, self._wanted, self._ahead)
+        message: dict[str, Any] = {
+            "type": "step",
+            "time": situation.time,
+            "time_step": situation.time_step,
+            "scenarios": rows.tolist(),
+            "columns": {name: pack_column(values) for name, values in columns.items()},
+        }
+        boxes = (situation.others_length, situation.others_width, situation.others_center_x)
+        others = list(
+            zip(situation.others_name, situation.others_object_type, *(box.tolist() for box in boxes), strict=True)
+        )
+        # Only false objects of sensors change them.
+        if others != self._others:
+            self._others = others
+            names = ("name", "object_type", "length", "width", "center_x")
+            message["others"] = [dict(zip(names, other, strict=True)) for other in others]
+        if seen.signals:
+            message["signals"] = {name: states.tolist() for name, states in seen.signals.items()}
+        answer = self._ask(message, "control", self._timeout, situation.time)
+        try:
+            decided, failures = read_answer(answer, len(rows))
+        except ProtocolError as error:
+            raise self._fail(str(error), situation.time) from error
+        controls, numbers = Controls.empty(n_scenarios), rows.tolist()
+        for name in ANSWER_COLUMNS:
+            getattr(controls, name)[rows] = getattr(decided, name)
+        return replace(
+            controls,
+            trajectories={numbers[row]: trajectory for row, trajectory in decided.trajectories.items()},
+            failures={n: failure for n, failure in self._failures.items() if situation.active[n]}
+            | {numbers[row]: self._describe_failure(text, situation.time) for row, text in failures.items()},
+        )
+
+    def release(self) -> None:
+        """Tell the program that the batch has ended; it waits for the next one."""
+        if self._peer is not None:
+            self._peer.send({"type": "end"})
+
+    def close(self) -> None:
+        """End the program; it is started again if it is needed."""
+        if self._peer is not None:
+            self._end()
+            self._peer = None
+
+    def _connect(self) -> None:
+        """Start the program and agree on the protocol; `InputError` if that fails."""
+        where = f"The driver '{remove_folders(self._text)}'"
+        try:
+            if self._words:
+                peer: Peer = Program(find_executable(self._command, self._words), self._log)
+            else:
+                peer = Connection(*parse_address(self._command), self._start_timeout)
+        except OSError as error:
+            raise InputError(f"{where} cannot be started: {error.strerror or error}.") from error
+        self._end, self._peer = weakref.finalize(self, peer.close), peer
+        hello = {
+            "type": "hello",
+            "protocol": PROTOCOL_VERSION,
+            "cornercase": __version__,
+            "options": self.options,
+            "columns": [*COLUMNS],
+        }
+        try:
+            self._read_hello(peer.ask(hello, self._start_timeout))
+        except ProtocolError as error:
+            self.close()
+            raise InputError(f"{where} cannot be used: {error}.") from error
+        except BaseException:
+            self.close()
+            raise
+
+    def _read_hello(self, answer: Mapping[str, Any]) -> None:
+        if isinstance(answer.get("error"), str):
+            raise ProtocolError(_on_one_line(answer["error"]))
+        if answer.get("type") != "hello":
+            raise ProtocolError(f"its first message is of the type {answer.get('type')!r}, not 'hello'")
+        if answer.get("protocol") != PROTOCOL_VERSION:
+            raise ProtocolError(f"it has version {answer.get('protocol')!r}, cornercase has {PROTOCOL_VERSION}")
+        self._at_once = 1 if answer.get("one_at_a_time") is True else sys.maxsize
+        wanted, ahead = answer.get("columns"), answer.get("ahead")
+        self._wanted = [*COLUMNS] if wanted is None else wanted
+        if not isinstance(self._wanted, list) or any(name not in COLUMNS for name in self._wanted):
+            raise ProtocolError(f"it wants the columns {self._wanted!r:.200}; known are {', '.join(COLUMNS)}")
+        try:
+            self._ahead: FloatArray = np.array([] if ahead is None else ahead, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise ProtocolError("its 'ahead' is not a list of distances in m") from None
+        if self._ahead.ndim != 1 or len(self._ahead) > _MAX_POINTS or not np.isfinite(self._ahead).all():
+            raise ProtocolError(f"its 'ahead' is not a list of at most {_MAX_POINTS} distances in m")
+
+    def _ask(self, message: Mapping[str, Any], expected: str, timeout: float, time: float) -> dict[str, Any]:
+        assert self._peer is not None
+        try:
+            answer = self._peer.ask(message, timeout)
+            if answer.get("type") != expected:
+                raise ProtocolError(f"it answered with the type {answer.get('type')!r}, not {expected!r}")
+        except ProtocolError as error:
+            raise self._fail(str(error), time) from error
+        except BaseException:
+            # An answer that is pending would be taken for that of the next message.
+            self.close()
+            raise
+        return answer
+
+    def _fail(self, reason: str, time: float) -> SimulationError:
+        """Return the failure of all scenarios of the batch, and end the program."""
+        was_killed = self._peer is not None and self._peer.was_killed
+        self.close()
+        message = f"{self._display_name} failed{format_time_of_failure(time)}: {reason}"
+        return RunLostError(message) if was_killed else PluginError(message)
+
+    def _describe_failure(self, text: str, time: float) -> SimulationError:
+        """Return the failure of one scenario, for the reason that the program gives."""
+        return PluginError(f"{self._display_name} failed{format_time_of_failure(time)}: {_on_one_line(text)}")
+
+
+def _on_one_line(text: str) -> str:
+    sanitized = " ".join(remove_folders(escape_control_characters(text)).split()).rstrip(".: ")
+    return shorten(sanitized or "it does not say why", _MAX_FAILURE_LENGTH)
+
+
+def _split_options(text: str) -> tuple[str, dict[str, Any]]:
+    """Return command and options of a text; what follows the last colon are options if all have a name and a value."""
+    command, colon, ending = text.rpartition(":")
+    pairs = [option.partition("=") for option in ending.split(",")]
+    if not colon or not all(name.strip().isidentifier() and equals for name, equals, _ in pairs):
+        return text.strip(), {}
+    return command.strip(), {name.strip(): _parse_value(value.strip()) for name, _, value in pairs}
+
+
+def _parse_value(text: str) -> bool | float | str:
+    if text in ("true", "false"):
+        return text == "true"
+    try:
+        number = float(text)
+    except ValueError:
+        return text
+    return int(number) if number.is_integer() and text.lstrip("+-").isdecimal() else number
+
+
+def _fingerprint(words: list[str]) -> dict[str, str]:
+    """Return the SHA-256 of the files among the words of a command, in their order; empty if there are none."""
+    digests = [
+        hashlib.sha256(path.read_bytes()).hexdigest()
+        for word in words
+        if (path := Path(word.rpartition("=")[2])).is_file()
+    ]
+    if len(digests) > 1:
+        return {"sha256": hashlib.sha256("".join(digests).encode()).hexdigest()}
+    return {"sha256": digests[0]} if digests else {}

@@ -1,0 +1,86 @@
+"""Agent that drives the ego on CARLA by a driver of cornercase, which decides in cornercase's own process.
+
+ScenarioRunner loads this file by its name, in its own environment with an older Python, so it must not import
+cornercase. In each tick it sends the state of all entities as a line of JSON, and receives a velocity and a yaw rate.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import socket
+from typing import Any, Dict, List
+
+import carla
+from srunner.autoagents.autonomous_agent import AutonomousAgent
+from srunner.scenariomanager.carla_data_provider import CarlaDataProvider
+
+
+class CornercaseAgent(AutonomousAgent):  # type: ignore[misc]
+    """Asks cornercase in each tick; `config` is the JSON file with its port and the names of all entities."""
+
+    def setup(self, path_to_conf_file: str) -> None:
+        """Connect to cornercase."""
+        with open(path_to_conf_file, encoding="utf-8") as file:
+            config = json.load(file)
+        self._ego: str = config["ego"]
+        self._names: List[str] = config["names"]
+        self._token: str = config["token"]
+        self._center_x: float = config["center_x"]
+        self._is_placed = False
+        self._actors: Dict[str, Any] = {}
+        self._socket = socket.create_connection(("127.0.0.1", config["port"]))
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._answers = self._socket.makefile("r", encoding="utf-8")
+
+    def run_step(self, input_data: Any, timestamp: float) -> Any:
+        """Move the ego in one tick."""
+        self._find_actors()
+        states = {name: _state_of(actor) for name, actor in self._actors.items() if actor.is_alive}
+        question = json.dumps({"token": self._token, "time": timestamp, "states": states})
+        self._socket.sendall(question.encode() + b"\n")
+        line = self._answers.readline()
+        if not line:
+            raise RuntimeError("cornercase has ended the run")
+        decided = json.loads(line)
+        ego = self._actors[self._ego]
+        if not self._is_placed:
+            self._move_to_center(ego)
+        vx, vy = decided["velocity"]
+        # From the centre of the box to the origin of the actor.
+        yaw = math.radians(ego.get_transform().rotation.yaw)
+        sideways = decided["yaw_rate"] * ego.bounding_box.location.x
+        vx, vy = vx - sideways * math.sin(yaw), vy - sideways * math.cos(yaw)
+        ego.set_target_velocity(carla.Vector3D(vx, -vy, ego.get_velocity().z))
+        ego.set_target_angular_velocity(carla.Vector3D(0.0, 0.0, -math.degrees(decided["yaw_rate"])))
+        return carla.VehicleControl()
+
+    def destroy(self) -> None:
+        """Close the connection."""
+        self._answers.close()
+        self._socket.close()
+
+    def _move_to_center(self, ego: Any) -> None:
+        """Move the ego so that the centre of its box is where the scenario has it; so far its origin is at the axle."""
+        self._is_placed = True
+        transform = ego.get_transform()
+        transform.location += (self._center_x - ego.bounding_box.location.x) * transform.get_forward_vector()
+        ego.set_transform(transform)
+
+    def _find_actors(self) -> None:
+        if len(self._actors) < len(self._names):
+            for actor in CarlaDataProvider.get_world().get_actors():
+                name = actor.attributes.get("role_name", "")
+                if name in self._names:
+                    self._actors[name] = actor
+
+
+def _state_of(actor: Any) -> List[float]:
+    """Return centre of the box, heading, speed, and size of the box, in right-handed axes: m, rad, m/s."""
+    transform, velocity, box = actor.get_transform(), actor.get_velocity(), actor.bounding_box
+    yaw = math.radians(transform.rotation.yaw)
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    x = transform.location.x + box.location.x * cos - box.location.y * sin
+    y = transform.location.y + box.location.x * sin + box.location.y * cos
+    speed = velocity.x * cos + velocity.y * sin
+    return [x, -y, -yaw, speed, 2.0 * box.extent.x, 2.0 * box.extent.y]
