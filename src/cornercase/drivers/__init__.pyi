@@ -24,6 +24,8 @@ from ._view import EgoState as EgoState
 from ._view import ObjectView as ObjectView
 from ._view import PathPoint as PathPoint
 from ._view import View as View
+from .fmu._driver import FmuDriver as FmuDriver
+from .fmu._mapping import MappedVariable as MappedVariable
 from .references.r157._reference_driver import ReferenceDriver as ReferenceDriver
 from .references.r157._scenarios import EncounterOutcome as EncounterOutcome
 from .references.r157._scenarios import drive_cut_in as drive_cut_in

@@ -17,7 +17,7 @@ from cornercase._common.plugin_errors import is_built_in, unwrap_factory
 from cornercase.drivers._base import Driver
 from cornercase.drivers._equipment import EquippedDriver
 from cornercase.drivers._preset_name import nearest_preset_name
-from cornercase.drivers._registry import DRIVERS, SEPARATOR, split_spec
+from cornercase.drivers._registry import DRIVERS, SEPARATOR, is_registered_driver, split_spec
 from cornercase.drivers._system_under_test import ScalarFunction
 from cornercase.drivers.references.r157._models import REFERENCES
 
@@ -68,7 +68,7 @@ def serialize_driver(driver: str | Driver) -> str | dict[str, Any]:
     cls = type(own)
     class_path = f"{cls.__module__}:{cls.__qualname__}"
     spec = getattr(own, "__dict__", {}).get(_SPEC_ATTRIBUTE)
-    if spec is None and cls.__module__.startswith("cornercase."):
+    if cls.__module__.startswith("cornercase.") and (spec is None or is_registered_driver(spec[0])):
         return dict(own.settings)
     given = dict(sorted(plain_options(own).items())) if isinstance(own, Configurable) else {}
     name, options = (class_path, given or None) if spec is None else spec

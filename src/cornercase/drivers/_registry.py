@@ -13,6 +13,7 @@ DRIVERS: Final[Registry[Driver]] = Registry("driver", "cornercase.drivers")
 for _preset in ("cautious", "normal", "aggressive"):
     DRIVERS.register(_preset, f"cornercase.drivers._behaviour:{_preset}")
 DRIVERS.register("simple", "cornercase.drivers._simple:SimpleDriver")
+DRIVERS.register("fmu", "cornercase.drivers.fmu._driver:fmu_from_text")
 for _reference in ("cc-human", "fsm", "rss", "reg157"):
     DRIVERS.register(
         _reference, "cornercase.drivers.references.r157._reference_driver:ReferenceDriver", name=_reference

@@ -110,6 +110,9 @@ def _find_non_numeric_option(name: str) -> str | None:
                 float({"true": 1, "false": 0}.get(value.lower(), value))
             except ValueError:
                 return key
+            # The file of an FMU may be followed by another colon.
+            if not key.strip().isidentifier():
+                return key
     return None
 
 

@@ -1,0 +1,325 @@
+"""A driver that asks an FMU what to do."""
+
+from __future__ import annotations
+
+import re
+import weakref
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from cornercase._common.configurable import given_options
+from cornercase._common.errors import InputError, PluginError, SimulationError, suggest_name
+from cornercase._common.plugin_errors import format_time_of_failure
+from cornercase._common.text.sanitize import quote_name, remove_folders
+from cornercase._common.typing import BoolArray, FloatArray
+from cornercase._common.validation import check_float
+from cornercase.drivers._base import Situation
+from cornercase.drivers._controls import Controls
+from cornercase.drivers._function import DrivingFunction, Start
+from cornercase.drivers.fmu._mapping import MappedVariable, VariableMap
+from cornercase.drivers.fmu._model import FmuVariable, read_fmu
+from cornercase.drivers.fmu._processes import FmuProcessError, FmuProcesses, guardian
+from cornercase.drivers.fmu._quantities import Traffic
+
+# Path of an FMU, and options behind a colon.
+_SPEC: Final = re.compile(r"(?P<file>.*?\.fmu)(?::(?P<options>.+))?", re.IGNORECASE | re.DOTALL)
+_ROUNDING: Final = 1e-6
+_Scalar = bool | int | float | str
+
+
+class FmuDriver(DrivingFunction):
+    """Drives by a functional mock-up unit (FMI 2.0 or 3.0, co-simulation).
+
+    Each concrete scenario has an instance of its own. The instances run in a process of their own, so that a crash of
+    the FMU fails only the scenario at fault.
+
+    Parameters
+    ----------
+    file : str
+        Path of the FMU.
+    map : str, optional
+        TOML file that says what its inputs are given and what its outputs decide; without one, names and units of its
+        variables say it.
+    step : float, optional
+        Size of its steps in s, by which the time step of the simulator can be divided; by default that of the FMU, or
+        else the time step of the simulator.
+    timeout : float, optional
+        Longest time in s that a call of the FMU may take.
+    **parameters
+        Parameters of the FMU by name, in its units.
+
+    Raises
+    ------
+    InputError
+        The file is no such FMU, a parameter does not exist, or the map does not fit.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> from cornercase.drivers import FmuDriver
+    >>> aeb = FmuDriver("aeb.fmu", map="aeb.toml", reaction=0.3)  # doctest: +SKIP
+    >>> cc.simulate("cut_in.xosc", drivers={"Ego": aeb})  # doctest: +SKIP
+    """
+
+    def __init__(
+        self,
+        file: str,
+        /,
+        map: str = "",  # noqa: A002
+        step: float | None = None,
+        timeout: float = 10.0,
+        **parameters: _Scalar,
+    ) -> None:
+        self._model = read_fmu(Path(file).absolute())
+        self._map = VariableMap(self._model, Path(map).absolute() if map else None)
+        self.step = None if step is None else check_float("step", step, above=0.0)
+        self.timeout = check_float("timeout", timeout, above=0.0)
+        self._parameters = {name: self._parse_parameter(name, value) for name, value in parameters.items()}
+        self._processes: FmuProcesses | None = None
+        options = {name: value for name, value in given_options(self).items() if name != "file"}
+        text = ",".join(f"{name}={_format_value(value)}" for name, value in options.items())
+        self.name = f"fmu:{file}:{text}" if text else f"fmu:{file}"
+        self.settings = {
+            "driver": self.name,
+            "options": {},
+            "sha256": self._model.sha256,
+            "model": self._model.name,
+            "fmi": self._model.fmi_version,
+            "guid": self._model.token,
+            **({"map_sha256": self._map.sha256} if map else {}),
+        }
+
+    def __str__(self) -> str:
+        return self.name
+
+    def __getstate__(self) -> dict[str, Any]:
+        # The receiver starts processes of its own.
+        return vars(self) | {"_processes": None}
+
+    @property
+    def parameters(self) -> dict[str, str]:
+        """Start values of the FMU's parameters, by name."""
+        return {variable.name: variable.start for variable in self._model.with_causality("parameter")}
+
+    def describe(self) -> tuple[MappedVariable, ...]:
+        """Return what the FMU's variables are given and decide.
+
+        Returns
+        -------
+        tuple of MappedVariable
+            Inputs, outputs and parameters; `MappedVariable.source` is empty for those that are not used.
+        """
+        parameters = []
+        for variable in self._model.with_causality("parameter"):
+            given = self._parameters.get(variable.name)
+            source = "" if given is None else _format_value(given)
+            remark = f"start value {variable.start}" if variable.start and given is None else ""
+            parameters.append(MappedVariable(variable.name, "parameter", variable.unit_name, source, remark))
+        return (*self._map.listing, *parameters)
+
+    def prepare(self, start: Start) -> None:
+        """Load the FMU for a batch.
+
+        Parameters
+        ----------
+        start : Start
+            Its parameters are parameters of the FMU.
+        """
+        self._start = start
+        self._display_name = f"the driver of {quote_name(start.body.name)} ({remove_folders(self.name)})"
+        self._failure: str | None = None
+        size, n_steps = self._divide_time_step(start.time_step)
+        kinds = {name: self._find_parameter(name) for name in (*self._parameters, *start.parameters)}
+        values: dict[str, list[Any]] = {name: [value] for name, value in self._parameters.items()}
+        for name, given in start.parameters.items():
+            values[name] = [self._parse_parameter(name, float(value)) for value in given]
+        try:
+            if self._processes is None:
+                folder = guardian().make_temporary_folder()
+                weakref.finalize(self, guardian().remove_folder, folder)
+                self._processes = FmuProcesses(
+                    self._model.unpack(folder), once_per_process=self._model.once_per_process, timeout=self.timeout
+                )
+            self._processes.begin(
+                start.scenarios,
+                self._map.input_layouts,
+                self._map.output_layouts,
+                [(kinds[name].kind, kinds[name].reference, given) for name, given in values.items()],
+                size,
+                n_steps,
+            )
+        except FmuProcessError as error:
+            if start.scenarios > 1:
+                raise
+            self._failure = str(error)
+
+    def decide(self, situation: Situation) -> Controls:
+        """Let the FMU decide, in all active scenarios.
+
+        Parameters
+        ----------
+        situation : Situation
+            What its inputs are made from.
+
+        Returns
+        -------
+        Controls
+        """
+        assert self._processes is not None
+        n = len(situation.active)
+        if self._failure is not None:
+            return self._fail_all(self._failure, situation)
+        inputs = self._map.fill_inputs(Traffic(situation, self._start.body))
+        try:
+            failed = self._processes.step(situation.active, inputs)
+        except FmuProcessError as error:
+            if n > 1:
+                # Smaller batches find out in which scenario.
+                raise
+            self._failure = str(error)
+            return self._fail_all(self._failure, situation)
+        tables = [self._processes.read_outputs(k) for k in range(len(self._map.output_layouts))]
+        decisions = self._map.read_outputs(tables)
+        failed |= self._find_unusable(decisions, situation.active, failed)
+        controls = replace(Controls.empty(n), failures=self._failures(failed, situation.time))
+        for name, values in decisions.items():
+            target = getattr(controls, name)
+            target[:] = np.rint(np.nan_to_num(values)) if name == "lane_change" else values
+        return controls
+
+    def release(self) -> None:
+        """End the batch; the processes stay for the next one."""
+        if self._processes is not None:
+            self._processes.end()
+
+    def _fail_all(self, text: str, situation: Situation) -> Controls:
+        failed = dict.fromkeys(np.flatnonzero(situation.active).tolist(), text)
+        return replace(Controls.empty(len(situation.active)), failures=self._failures(failed, situation.time))
+
+    def _failures(self, texts: Mapping[int, str], time: float) -> dict[int, SimulationError]:
+        instant, failures = format_time_of_failure(time), dict[int, SimulationError]()
+        for row, text in texts.items():
+            what, colon, why = text.partition(":")
+            failures[row] = PluginError(f"{self._display_name} {what}{instant}{colon}{why}")
+        return failures
+
+    def _find_unusable(
+        self, decisions: Mapping[str, FloatArray], active: BoolArray, failed: Mapping[int, str]
+    ) -> dict[int, str]:
+        """Return by scenario what is wrong with its decisions."""
+        unusable: dict[int, str] = {}
+        for output in self._map.outputs:
+            values = decisions[output.decision]
+            limits = {"throttle": (0.0, 1.0), "brake": (0.0, 1.0), "lane_change": (-1.0, 1.0)}
+            low, high = limits.get(output.decision, (-np.inf, np.inf))
+            is_bad = active & (~np.isfinite(values) | (values < low - _ROUNDING) | (values > high + _ROUNDING))
+            values.clip(low, high, out=values)
+            for row in np.flatnonzero(is_bad).tolist():
+                if row not in failed:
+                    bounds = "" if low == -np.inf else f"; it goes from {low:g} to {high:g}"
+                    unusable[row] = (
+                        f"failed: its output {output.variable.name} is not usable as {output.decision}{bounds}"
+                    )
+        return unusable
+
+    def _divide_time_step(self, time_step: float) -> tuple[float, int]:
+        """Return the size of the FMU's steps, and their number in a time step of the simulator."""
+        size = self.step or self._model.step_size or time_step
+        count = round(time_step / size)
+        if count < 1 or abs(count * size - time_step) > _ROUNDING * time_step:
+            whose = "the option `step`" if self.step else "the FMU's own step size"
+            raise InputError(
+                f"{self._model.path.name}: {whose}, {size:g} s, does not divide the time step of {time_step:g} s; give"
+                " `step`, or another time step to the simulator."
+            )
+        return time_step / count, count
+
+    def _find_parameter(self, name: str) -> FmuVariable:
+        known = {variable.name: variable for variable in self._model.with_causality("parameter")}
+        if name not in known:
+            if name in self._model.by_name:
+                causality = self._model.by_name[name].causality
+                raise InputError(
+                    f"{self._model.path.name}: '{name}' is no parameter of the FMU, but of kind {causality}."
+                )
+            hint = suggest_name(name, [*known, "map", "step", "timeout"])
+            raise InputError(f"{self._model.path.name}: the FMU has no parameter '{name}'; {hint}")
+        return known[name]
+
+    def _parse_parameter(self, name: str, value: _Scalar) -> _Scalar:
+        """Return a parameter's value in the type that the FMU declares."""
+        variable = self._find_parameter(name)
+        wrong = InputError(f"{self._model.path.name}: the parameter '{name}' is a {variable.kind}, not '{value}'.")
+        if variable.size > 1 or variable.kind == "Binary":
+            raise InputError(
+                f"{self._model.path.name}: the parameter '{name}' is an array or binary, which cannot be set."
+            )
+        if variable.kind == "String":
+            return str(value)
+        if variable.kind == "Boolean":
+            if str(value).lower() in ("true", "false", "1", "0", "1.0", "0.0"):
+                return str(value).lower() in ("true", "1", "1.0")
+            raise wrong
+        if isinstance(value, str) and value in variable.items:
+            return variable.items[value]
+        try:
+            number = float(value)
+        except ValueError:
+            raise wrong from None
+        if not np.isfinite(number):
+            raise wrong
+        if "Real" in variable.kind or "Float" in variable.kind:
+            return number
+        if not number.is_integer():
+            raise wrong
+        return int(number)
+
+
+def fmu_from_text(text: str = "", /) -> FmuDriver:
+    """Create the driver that stands behind ``fmu:``, such as ``"controller.fmu:map=aeb.toml,reaction=0.3"``.
+
+    Parameters
+    ----------
+    text : str
+        Path of the FMU, and its options behind another colon.
+
+    Returns
+    -------
+    FmuDriver
+
+    Raises
+    ------
+    InputError
+        As `FmuDriver`, or the text is not of this form.
+    """
+    match = _SPEC.fullmatch(text)
+    if match is None:
+        raise InputError(f"The driver 'fmu:{text}' names no FMU; give its file as in 'fmu:controller.fmu:option=1'.")
+    options: dict[str, _Scalar] = {}
+    for option in match["options"].split(",") if match["options"] else ():
+        name, equals, value = (part.strip() for part in option.partition("="))
+        if not (name and equals):
+            raise InputError(
+                f"The driver 'fmu:{text}' has the option '{option}' without a name or value; give options as in"
+                f" 'fmu:{match['file']}:name=value'."
+            )
+        if name in options:
+            raise InputError(f"The driver 'fmu:{text}' has the option '{name}' twice; give it once.")
+        options[name] = value
+    for name in ("step", "timeout"):
+        if name in options:
+            try:
+                options[name] = float(options[name])
+            except ValueError:
+                raise InputError(
+                    f"The driver 'fmu:{text}' takes a number for '{name}', not '{options[name]}'."
+                ) from None
+    return FmuDriver(match["file"], **options)  # type: ignore[arg-type]
+
+
+def _format_value(value: object) -> str:
+    return str(value).lower() if isinstance(value, bool) else str(value)

@@ -1,0 +1,215 @@
+"""A small process with the instances of an FMU, one per scenario; values come and go through shared memory.
+
+Nothing but the standard library is imported, so that the process starts within a moment.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import mmap
+import os
+import sys
+import threading
+import time
+from collections import deque
+from ctypes import c_int64, c_uint8, c_uint32
+from pathlib import Path
+from typing import Any, Final
+
+from cornercase.drivers.fmu._instance import C_TYPES, FATAL, WARNING, Fmu, FmuError, FmuSource, Instance
+
+PROGRESS_BYTES: Final = 16
+"""Beginning of the shared memory: a count that grows with each call of the FMU, and the scenario that is stepped."""
+_MAX_LINES: Final = 20
+# Time in s between two looks for the parent.
+_LIFE_INTERVAL: Final = 1.0
+
+
+class _Table:
+    """Variables of one type in the shared memory: a row per scenario."""
+
+    def __init__(self, fmu: Fmu, verb: str, kind: str, references: list[int], width: int, address: int) -> None:
+        functions = fmu.setters if verb == "Set" else fmu.getters
+        if kind not in functions:
+            raise FmuError(f"its library has no function fmi{fmu.version}{verb}{kind}")
+        self.name, self.call = f"{verb}{kind}", functions[kind]
+        self.references, self.count = (c_uint32 * len(references))(*references), len(references)
+        self.stride = width * ctypes.sizeof(C_TYPES[fmu.version][kind])
+        self.address = address
+        self.tail = (width,) if fmu.version == 3 else ()
+
+    def read_row(self, row: int) -> bytes:
+        return ctypes.string_at(self.address + row * self.stride, self.stride)
+
+
+class Host:
+    """The instances of an FMU for the scenarios of a batch."""
+
+    def __init__(self, fmu: Fmu) -> None:
+        self._fmu = fmu
+        fmu.on_log = self._log
+        self._lines: deque[str] = deque(maxlen=_MAX_LINES)
+        self._idle: list[Instance] = []
+        self._instances: list[Instance | None] = []
+
+    def _log(self, line: str) -> None:
+        self._lines.append(line)
+        # Read if this process does not survive.
+        print(line, file=sys.stderr, flush=True)
+
+    def begin(self, message: dict[str, Any]) -> None:
+        """Begin a batch; the message tells the layout of the shared memory, parameters, steps."""
+        with Path(message["memory"]).open("r+b") as file:
+            self._memory = mmap.mmap(file.fileno(), 0)
+        base = ctypes.addressof(ctypes.c_char.from_buffer(self._memory))
+        n = message["scenarios"]
+        self._progress = (c_int64 * 2).from_address(base)
+        self._active = (c_uint8 * n).from_address(base + PROGRESS_BYTES)
+        self._inputs = [_Table(self._fmu, "Set", *table, base + offset) for *table, offset in message["inputs"]]
+        self._outputs = [_Table(self._fmu, "Get", *table, base + offset) for *table, offset in message["outputs"]]
+        self._parameters = message["parameters"]
+        self._size, self._n_steps = message["step"], message["steps"]
+        self._instances, self._steps = [None] * n, [0] * n
+        self._failed: set[int] = set()
+        # Inputs and outputs of one scenario, to find out whether a reset gives the same bytes.
+        self._is_reset_known = message["reset"] is not None
+        self._recorded_row, self._recorded = -1, list[tuple[list[bytes], list[bytes]]]()
+
+    def step(self) -> dict[int, tuple[str, list[str], bool]]:
+        """Step the active scenarios; return by scenario what failed, the lines of the log, and whether it is fatal."""
+        failures: dict[int, tuple[str, list[str], bool]] = {}
+        for row, is_active in enumerate(self._active):
+            if not is_active or row in self._failed:
+                continue
+            self._progress[1] = row
+            self._lines.clear()
+            try:
+                self._step_row(row)
+            except FmuError as error:
+                failures[row] = str(error), list(self._lines), error.status == FATAL
+                self._failed.add(row)
+                instance, self._instances[row] = self._instances[row], None
+                if instance is not None and error.status != FATAL:
+                    instance.free(terminate=False)
+        return failures
+
+    def _step_row(self, row: int) -> None:
+        instance = self._instances[row] or self._set_up(row)
+        self._set_inputs(instance, row)
+        self._do_steps(instance, self._steps[row])
+        self._steps[row] += self._n_steps
+        self._get_outputs(instance, row)
+        if not self._is_reset_known and self._recorded_row in (-1, row):
+            self._recorded_row = row
+            self._recorded.append(
+                ([table.read_row(row) for table in self._inputs], [table.read_row(row) for table in self._outputs])
+            )
+
+    def _set_up(self, row: int) -> Instance:
+        self._progress[0] += 1
+        if self._idle:
+            instance = self._idle.pop()
+            instance.reset()
+        else:
+            instance = self._fmu.instantiate("cornercase")
+        self._instances[row] = instance
+        self._initialize(instance, row)
+        return instance
+
+    def _initialize(self, instance: Instance, row: int) -> None:
+        self._progress[0] += 1
+        for kind, reference, values in self._parameters:
+            instance.set(kind, [reference], [values[row % len(values)]])
+        instance.enter_initialization()
+        self._set_inputs(instance, row)
+        instance.exit_initialization()
+
+    def _set_inputs(self, instance: Instance, row: int) -> None:
+        for table in self._inputs:
+            address = table.address + row * table.stride
+            if table.call(instance.component, table.references, table.count, address, *table.tail) > WARNING:
+                raise FmuError(f"fmi{self._fmu.version}{table.name} returned an error")
+
+    def _get_outputs(self, instance: Instance, row: int) -> None:
+        for table in self._outputs:
+            address = table.address + row * table.stride
+            if table.call(instance.component, table.references, table.count, address, *table.tail) > WARNING:
+                raise FmuError(f"fmi{self._fmu.version}{table.name} returned an error")
+
+    def _do_steps(self, instance: Instance, first: int) -> None:
+        for k in range(first, first + self._n_steps):
+            self._progress[0] += 1
+            self._fmu.step(instance.component, k * self._size, self._size)
+
+    def end(self, reset: bool | None) -> bool | None:
+        """End a batch; return whether instances may be reset, or None as long as that is not known."""
+        running = [instance for instance in self._instances if instance is not None]
+        recorded = self._instances[self._recorded_row] if self._recorded else None
+        if reset is None and recorded is not None:
+            # The last one has driven another scenario, and must not remember it either.
+            checked = [recorded] if running[-1] is recorded else [recorded, running[-1]]
+            reset = all(self._is_repeated_after_reset(instance) for instance in checked)
+        for instance in running:
+            if reset:
+                self._idle.append(instance)
+            else:
+                instance.free()
+        self._instances = []
+        return reset
+
+    def _is_repeated_after_reset(self, instance: Instance) -> bool:
+        row = self._recorded_row
+        try:
+            instance.reset()
+            for k, (inputs, outputs) in enumerate(self._recorded):
+                for table, values in zip(self._inputs, inputs, strict=True):
+                    ctypes.memmove(table.address + row * table.stride, values, table.stride)
+                if k == 0:
+                    self._initialize(instance, row)
+                self._set_inputs(instance, row)
+                self._do_steps(instance, k * self._n_steps)
+                self._get_outputs(instance, row)
+                if [table.read_row(row) for table in self._outputs] != outputs:
+                    return False
+        except FmuError:
+            return False
+        return True
+
+
+def main() -> None:
+    """Serve requests, one per line of the standard input: an empty line is a step, all others are JSON."""
+    # What the FMU prints must not come between the answers, nor must it read the requests.
+    requests, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)
+    with open(os.devnull, "rb") as nothing:
+        os.dup2(nothing.fileno(), 0)
+    threading.Thread(target=_exit_with_parent, args=(os.getppid(),), daemon=True).start()
+    host: Host | None = None
+    for line in requests:
+        answer: Any = None
+        try:
+            if line == b"\n":
+                assert host is not None
+                answer = host.step() or None
+            else:
+                message = json.loads(line)
+                if message["do"] == "load":
+                    source = FmuSource(**message["source"])
+                    # Some libraries look for others here.
+                    os.chdir(Path(source.library).parent)
+                    host = Host(Fmu(source))
+                else:
+                    assert host is not None
+                    answer = host.begin(message) if message["do"] == "begin" else host.end(message["reset"])
+        except FmuError as error:
+            answer = {"error": str(error)}
+        answers.write(json.dumps(answer).encode() + b"\n")
+        answers.flush()
+
+
+def _exit_with_parent(parent: int) -> None:
+    """End this process when its parent has died, even while the FMU hangs."""
+    while os.getppid() == parent:
+        time.sleep(_LIFE_INTERVAL)
+    os._exit(1)

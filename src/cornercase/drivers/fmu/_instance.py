@@ -1,0 +1,271 @@
+"""An FMU in this process: its library and its instances, through the C interface of FMI 2.0 and 3.0 for co-simulation.
+
+Nothing but the standard library is imported, since this runs in small processes of their own.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import sys
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from ctypes import POINTER, byref, c_char_p, c_double, c_int, c_size_t, c_uint32, c_void_p
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+OK, WARNING, DISCARD, ERROR, FATAL, PENDING = range(6)
+_STATUS_NAMES: Final = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
+# C types of the values that the functions of each type take, by major version.
+C_TYPES: Final[dict[int, dict[str, Any]]] = {
+    2: {"Real": c_double, "Integer": c_int, "Boolean": c_int, "String": c_char_p},
+    3: {
+        "Float32": ctypes.c_float,
+        "Float64": c_double,
+        "Int8": ctypes.c_int8,
+        "UInt8": ctypes.c_uint8,
+        "Int16": ctypes.c_int16,
+        "UInt16": ctypes.c_uint16,
+        "Int32": ctypes.c_int32,
+        "UInt32": c_uint32,
+        "Int64": ctypes.c_int64,
+        "UInt64": ctypes.c_uint64,
+        "Boolean": ctypes.c_bool,
+        "String": c_char_p,
+    },
+}
+_CO_SIMULATION: Final = 1
+
+
+class FmuError(Exception):
+    """A function of the FMU returned an error; `status` is that of FMI."""
+
+    def __init__(self, what: str, status: int = ERROR) -> None:
+        super().__init__(what)
+        self.status = status
+
+
+@dataclass(frozen=True)
+class FmuSource:
+    """What has to be known to load an unpacked FMU.
+
+    `version` is the major version of FMI, `folder` where the FMU is unpacked, `library` its shared library, `token` its
+    GUID or instantiation token. `log_categories` are those of errors and warnings, if it declares them. `log_proxy` is
+    a library that puts the arguments into the log messages of FMI 2.0; empty if there is none.
+    """
+
+    version: int
+    folder: str
+    library: str
+    token: str
+    log_categories: tuple[str, ...] = ()
+    log_proxy: str = ""
+
+
+class _Callbacks2(ctypes.Structure):
+    LOGGER = ctypes.CFUNCTYPE(None, c_void_p, c_char_p, c_int, c_char_p, c_char_p)
+    _fields_ = (
+        ("logger", LOGGER),
+        ("allocateMemory", c_void_p),
+        ("freeMemory", c_void_p),
+        ("stepFinished", c_void_p),
+        ("componentEnvironment", c_void_p),
+    )
+
+
+_LOGGER_3: Final = ctypes.CFUNCTYPE(None, c_void_p, c_int, c_char_p, c_char_p)
+
+
+class Fmu:
+    """An FMU whose library is loaded into this process; raises `FmuError` if it cannot be loaded.
+
+    `setters` and `getters` are the C functions by type (``"Real"``, ``"Integer"``, …): they take an instance, the value
+    references and their number, a pointer to values, and in FMI 3.0 the number of values. `on_log` gets each line that
+    the FMU logs.
+    """
+
+    def __init__(self, source: FmuSource, on_log: Callable[[str], None] = lambda line: None) -> None:
+        self.source, self.version, self.on_log = source, source.version, on_log
+        self._prefix = f"fmi{source.version}"
+        folder = str(Path(source.library).parent)
+        if sys.platform == "win32":
+            os.add_dll_directory(folder)
+        try:
+            self._dll = ctypes.CDLL(source.library)
+        except OSError as error:
+            raise FmuError(f"its library cannot be loaded: {error}") from error
+        pointers = (c_void_p, c_void_p, c_size_t, c_void_p, *((c_size_t,) if self.version == 3 else ()))
+        self.setters, self.getters = (
+            {kind: self.function(f"{verb}{kind}", *pointers) for kind in C_TYPES[self.version] if self._has(verb, kind)}
+            for verb in ("Set", "Get")
+        )
+        self.reset = self.function("Reset", c_void_p)
+        self._terminate = self.function("Terminate", c_void_p)
+        self._free = self.function("FreeInstance", c_void_p, returns=None)
+        self._exit_initialization = self.function("ExitInitializationMode", c_void_p)
+        if self.version == 2:
+            self._setup_experiment = self.function(
+                "SetupExperiment", c_void_p, c_int, c_double, c_double, c_int, c_double
+            )
+            self._enter_initialization = self.function("EnterInitializationMode", c_void_p)
+            self._do_step = self.function("DoStep", c_void_p, c_double, c_double, c_int)
+            self._callbacks = self._make_callbacks()
+        else:
+            self._enter_initialization = self.function(
+                "EnterInitializationMode", c_void_p, ctypes.c_bool, c_double, c_double, ctypes.c_bool, c_double
+            )
+            flags = (POINTER(ctypes.c_bool),) * 3
+            self._do_step = self.function(
+                "DoStep", c_void_p, c_double, c_double, ctypes.c_bool, *flags, POINTER(c_double)
+            )
+            self._event, self._ended, self._early = (ctypes.c_bool() for _ in range(3))
+            self._reached = c_double()
+            self._logger_3 = _LOGGER_3(self._log_3)
+
+    def _has(self, verb: str, kind: str) -> bool:
+        return hasattr(self._dll, f"{self._prefix}{verb}{kind}")
+
+    def function(self, name: str, *arguments: Any, returns: Any = c_int) -> Any:
+        """Return a C function by its name without the prefix."""
+        try:
+            function = getattr(self._dll, f"{self._prefix}{name}")
+        except AttributeError:
+            raise FmuError(f"its library has no function {self._prefix}{name}") from None
+        function.argtypes, function.restype = arguments, returns
+        return function
+
+    def check(self, name: str, status: int) -> None:
+        """Raise `FmuError` for a status that is neither OK nor a warning."""
+        if status > WARNING:
+            known = _STATUS_NAMES[status] if status < len(_STATUS_NAMES) else str(status)
+            raise FmuError(f"{self._prefix}{name} returned {self._prefix}{known}", status)
+
+    def instantiate(self, name: str) -> Instance:
+        """Return a new instance; raises `FmuError`."""
+        source, categories = self.source, self.source.log_categories
+        resources = Path(source.folder, "resources")
+        if self.version == 2:
+            instantiate = self.function(
+                "Instantiate", c_char_p, c_int, c_char_p, c_char_p, c_void_p, c_int, c_int, returns=c_void_p
+            )
+            component = instantiate(
+                name.encode(),
+                _CO_SIMULATION,
+                source.token.encode(),
+                resources.as_uri().encode(),
+                ctypes.addressof(self._callbacks),
+                0,
+                bool(categories),
+            )
+        else:
+            bools = (ctypes.c_bool,) * 4
+            instantiate = self.function(
+                "InstantiateCoSimulation",
+                *(c_char_p, c_char_p, c_char_p, *bools, c_void_p, c_size_t, c_void_p, _LOGGER_3, c_void_p),
+                returns=c_void_p,
+            )
+            component = instantiate(
+                name.encode(),
+                source.token.encode(),
+                os.fsencode(os.path.join(resources, "")),
+                *(False, bool(categories), False, False),
+                None,
+                0,
+                None,
+                self._logger_3,
+                None,
+            )
+        if not component:
+            raise FmuError("it gave no instance")
+        if categories:
+            names = (c_char_p * len(categories))(*(category.encode() for category in categories))
+            flag = c_int if self.version == 2 else ctypes.c_bool
+            set_logging = self.function("SetDebugLogging", c_void_p, flag, c_size_t, c_void_p)
+            set_logging(component, 1, len(categories), names)
+        return Instance(self, component)
+
+    def step(self, component: int, time: float, size: float) -> None:
+        """Let an instance do a step of `size` s from `time`; raises `FmuError`."""
+        if self.version == 2:
+            status = self._do_step(component, time, size, 1)
+        else:
+            status = self._do_step(
+                component, time, size, True, byref(self._event), byref(self._ended), byref(self._early), self._reached
+            )
+        if status > WARNING:
+            self.check("DoStep", status)
+        if self.version == 3 and self._ended.value:
+            raise FmuError("fmi3DoStep asked to end the simulation")
+
+    def _make_callbacks(self) -> _Callbacks2:
+        c_library = ctypes.CDLL("msvcrt") if sys.platform == "win32" else ctypes.CDLL(None)
+        memory = (ctypes.cast(function, c_void_p) for function in (c_library.calloc, c_library.free))
+        callbacks = _Callbacks2(_Callbacks2.LOGGER(self._log_2), *memory, None, None)
+        if self.source.log_proxy:
+            with suppress(OSError, AttributeError):
+                ctypes.CDLL(self.source.log_proxy).addLoggerProxy(byref(callbacks))
+        return callbacks
+
+    def _log_2(self, _: object, name: bytes, status: int, category: bytes, message: bytes) -> None:
+        self.on_log((message or b"").decode(errors="replace"))
+
+    def _log_3(self, _: object, status: int, category: bytes, message: bytes) -> None:
+        self.on_log((message or b"").decode(errors="replace"))
+
+
+class Instance:
+    """An instance of an FMU; `component` is its pointer. Each method raises `FmuError`."""
+
+    def __init__(self, fmu: Fmu, component: int) -> None:
+        self.fmu, self.component = fmu, component
+
+    def set(self, kind: str, references: Sequence[int], values: Sequence[Any]) -> None:
+        """Set variables of one type; texts as `str`, numbers and booleans as such."""
+        array = (C_TYPES[self.fmu.version][kind] * len(values))(
+            *(value.encode() if isinstance(value, str) else value for value in values)
+        )
+        self._call("Set", kind, references, array)
+
+    def get(self, kind: str, references: Sequence[int], count: int | None = None) -> list[Any]:
+        """Return the values of variables of one type; `count` is their number, if one of them is an array."""
+        array = (C_TYPES[self.fmu.version][kind] * (count or len(references)))()
+        self._call("Get", kind, references, array)
+        return [value.decode() if isinstance(value, bytes) else value for value in array]
+
+    def _call(self, verb: str, kind: str, references: Sequence[int], array: Any) -> None:
+        functions = self.fmu.setters if verb == "Set" else self.fmu.getters
+        if kind not in functions:
+            raise FmuError(f"its library has no function fmi{self.fmu.version}{verb}{kind}")
+        numbers = (c_uint32 * len(references))(*references)
+        n_values = (len(array),) if self.fmu.version == 3 else ()
+        status = functions[kind](self.component, numbers, len(references), array, *n_values)
+        self.fmu.check(f"{verb}{kind}", status)
+
+    def enter_initialization(self) -> None:
+        """Begin the initialization at time 0; parameters are set before, inputs after it."""
+        fmu = self.fmu
+        if fmu.version == 2:
+            fmu.check("SetupExperiment", fmu._setup_experiment(self.component, 0, 0.0, 0.0, 0, 0.0))
+            status = fmu._enter_initialization(self.component)
+        else:
+            status = fmu._enter_initialization(self.component, False, 0.0, 0.0, False, 0.0)
+        fmu.check("EnterInitializationMode", status)
+
+    def exit_initialization(self) -> None:
+        """End the initialization; steps follow."""
+        self.fmu.check("ExitInitializationMode", self.fmu._exit_initialization(self.component))
+
+    def step(self, time: float, size: float) -> None:
+        """Do a step of `size` s from `time`."""
+        self.fmu.step(self.component, time, size)
+
+    def reset(self) -> None:
+        """Return to the state after the instantiation."""
+        self.fmu.check("Reset", self.fmu.reset(self.component))
+
+    def free(self, *, terminate: bool = True) -> None:
+        """Release the instance; it is not terminated first if it has returned an error."""
+        if terminate:
+            self.fmu._terminate(self.component)
+        self.fmu._free(self.component)

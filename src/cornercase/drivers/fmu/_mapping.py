@@ -1,0 +1,321 @@
+"""Which quantity each variable of an FMU is given, and which of its variables decide what."""
+
+from __future__ import annotations
+
+import hashlib
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from cornercase._common.errors import InputError, suggest_name
+from cornercase._common.text.sanitize import format_exception
+from cornercase._common.typing import FloatArray
+from cornercase.drivers.fmu._model import FmuModel, FmuVariable
+from cornercase.drivers.fmu._processes import TableLayout
+from cornercase.drivers.fmu._quantities import (
+    OUTPUTS,
+    QUANTITIES,
+    Quantity,
+    Traffic,
+    find_quantities,
+    find_quantity,
+    recognize_input,
+    recognize_output,
+)
+from cornercase.drivers.fmu._units import KNOWN_UNITS, SI, Unit, fits
+
+_PEDALS: Final = ("throttle", "brake")
+_INPUT_KEYS: Final = ("from", "none", "unit", "factor")
+_OUTPUT_KEYS: Final = ("from", "unit", "factor")
+
+
+@dataclass(frozen=True)
+class MappedVariable:
+    """A variable of an FMU, as a driver uses it.
+
+    Attributes
+    ----------
+    name : str
+        Name in the FMU.
+    causality : {"input", "output", "parameter"}
+        What it is in the FMU; everything that a map reads is an output.
+    unit : str
+        Unit of the FMU, or the one that is taken in its place.
+    source : str
+        Quantity that it is given, decision that it makes, or value of a parameter; empty if it is not used.
+    remark : str
+        Such as a unit that the FMU does not name, or the start value that an input keeps; may be empty.
+    """
+
+    name: str
+    causality: str
+    unit: str
+    source: str
+    remark: str = ""
+
+
+@dataclass(frozen=True)
+class Column:
+    """A value that an input is given: ``(quantity - offset) * factor``, or `none` where the quantity does not exist.
+
+    A constant has no quantity.
+    """
+
+    quantity: Quantity | None
+    factor: float
+    offset: float
+    none: float
+
+    def compute(self, traffic: Traffic) -> FloatArray | float:
+        """Return the values of all scenarios, in the unit of the FMU."""
+        if self.quantity is None:
+            return self.none
+        values = self.quantity.compute(traffic)
+        return np.where(np.isfinite(values), (values - self.offset) * self.factor, self.none)
+
+
+@dataclass(frozen=True)
+class Input:
+    """An input of the FMU, with a column per value."""
+
+    variable: FmuVariable
+    columns: tuple[Column, ...]
+
+
+@dataclass(frozen=True)
+class Output:
+    """A decision of the FMU: ``factor * value + offset``, in SI units."""
+
+    variable: FmuVariable
+    decision: str
+    factor: float
+    offset: float
+
+
+class VariableMap:
+    """The inputs and outputs of an FMU that are mapped, with tables of one type each for shared memory."""
+
+    def __init__(self, model: FmuModel, path: Path | None) -> None:
+        self._model, self._where = model, path or model.path
+        document, self.sha256 = _read_map(path) if path is not None else ({}, "")
+        self.listing: list[MappedVariable] = []
+        self.inputs = self._map_inputs(document.get("inputs"))
+        self.outputs = self._map_outputs(document.get("outputs"))
+        self._check_decisions()
+        self._input_kinds = _group([one.variable for one in self.inputs])
+        self._output_kinds = _group([one.variable for one in self.outputs])
+        self.input_layouts = [self._layout(self.inputs, members) for members in self._input_kinds]
+        self.output_layouts = [self._layout(self.outputs, members) for members in self._output_kinds]
+
+    def fill_inputs(self, traffic: Traffic) -> list[npt.NDArray[Any]]:
+        """Return the tables of all inputs, with a row per scenario."""
+        n, tables = len(traffic.situation.speed), list[npt.NDArray[Any]]()
+        for layout, members in zip(self.input_layouts, self._input_kinds, strict=True):
+            values = np.empty((n, layout.width))
+            columns = [column for k in members for column in self.inputs[k].columns]
+            for k, column in enumerate(columns):
+                values[:, k] = column.compute(traffic)
+            dtype = np.dtype(layout.dtype)
+            tables.append((values if dtype.kind == "f" else np.rint(values)).astype(dtype))
+        return tables
+
+    def read_outputs(self, tables: Sequence[npt.NDArray[Any]]) -> dict[str, FloatArray]:
+        """Return the decisions in SI units, (N,) each."""
+        decisions: dict[str, FloatArray] = {}
+        for table, members in zip(tables, self._output_kinds, strict=True):
+            for k, member in enumerate(members):
+                output = self.outputs[member]
+                decisions[output.decision] = output.factor * table[:, k].astype(np.float64) + output.offset
+        return decisions
+
+    def _layout(self, mapped: Sequence[Input | Output], members: Sequence[int]) -> TableLayout:
+        variables = [mapped[k].variable for k in members]
+        return TableLayout(
+            variables[0].kind,
+            tuple(variable.reference for variable in variables),
+            sum(variable.size for variable in variables),
+            variables[0].dtype(self._model.version),
+        )
+
+    def _map_inputs(self, table: Mapping[str, Any] | None) -> list[Input]:
+        """Map the inputs that a map names, or those whose names say what they are."""
+        variables = self._model.with_causality("input")
+        if table is None:
+            named = {
+                variable.name: recognize_input(variable.name, is_array=variable.size > 1) for variable in variables
+            }
+            table = {name: source for name, source in named.items() if source is not None}
+        inputs = []
+        for name, entry in table.items():
+            variable = self._find_variable(name, variables, "input")
+            inputs.append(self._map_input(variable, entry))
+        for variable in variables:
+            if variable.name not in table:
+                remark = f"keeps its start value {variable.start}" if variable.start else "keeps its start value"
+                self.listing.append(MappedVariable(variable.name, "input", variable.unit_name, "", remark))
+        return inputs
+
+    def _map_input(self, variable: FmuVariable, entry: object) -> Input:
+        where = f"{self._where}: input '{variable.name}'"
+        if isinstance(entry, bool | int | float):
+            self.listing.append(MappedVariable(variable.name, "input", variable.unit_name, str(entry).lower()))
+            return Input(variable, (Column(None, 1.0, 0.0, float(entry)),) * variable.size)
+        options = _check_entry(where, entry, _INPUT_KEYS, "leader.gap")
+        source = options["from"]
+        quantities = find_quantities(source, variable.size) if variable.size > 1 else None
+        if quantities is None and variable.size == 1 and (quantity := find_quantity(source)) is not None:
+            quantities = [quantity]
+        if quantities is None:
+            if variable.size > 1:
+                raise InputError(
+                    f"{where} is an array of {variable.size} values, which '{source}' does not fill; give it a list of"
+                    " objects, as in 'object.x'."
+                )
+            raise InputError(
+                f"{where} is to get '{source}', which does not exist; {suggest_name(source, [*QUANTITIES, 'object[1].x'])}"
+            )
+        unit, remark = self._unit_of(variable, options.get("unit"), quantities[0].unit, where)
+        factor = options.get("factor", 1.0)
+        columns = []
+        for quantity in quantities:
+            none = options.get("none", (quantity.none - unit.offset) / unit.factor * factor)
+            columns.append(Column(quantity, factor / unit.factor, unit.offset, none))
+        name = options.get("unit") or variable.unit_name or quantities[0].unit
+        source = source if factor == 1.0 else f"{factor:g} * {source}"
+        self.listing.append(MappedVariable(variable.name, "input", name, source, remark))
+        return Input(variable, tuple(columns))
+
+    def _map_outputs(self, table: Mapping[str, Any] | None) -> list[Output]:
+        variables = self._model.with_causality("output")
+        if table is None:
+            table = {}
+            for variable in variables:
+                decision = recognize_output(variable.name) if variable.size == 1 else None
+                if decision in table:
+                    raise InputError(
+                        f"{self._where}: its outputs '{table[decision]}' and '{variable.name}' both seem to be the"
+                        f" {decision}; say which one is in a map, `map=FILE.toml`."
+                    )
+                if decision is not None:
+                    table[decision] = variable.name
+        outputs, readable = [], [*variables, *self._model.with_causality("local")]
+        for decision, entry in table.items():
+            if decision not in OUTPUTS:
+                raise InputError(f"{self._where}: there is no decision '{decision}'; {suggest_name(decision, OUTPUTS)}")
+            where = f"{self._where}: {decision}"
+            options = _check_entry(where, entry, _OUTPUT_KEYS, "a_cmd")
+            variable = self._find_variable(options["from"], readable, "output")
+            if variable.size > 1:
+                raise InputError(f"{where}: '{variable.name}' is an array; name an output with one value.")
+            unit, remark = self._unit_of(variable, options.get("unit"), OUTPUTS[decision], where)
+            factor = options.get("factor", 1.0)
+            name = options.get("unit") or variable.unit_name or OUTPUTS[decision]
+            decides = decision if factor == 1.0 else f"{decision} = {factor:g} * it"
+            self.listing.append(MappedVariable(variable.name, "output", name, decides, remark))
+            outputs.append(Output(variable, decision, unit.factor * factor, unit.offset))
+        used = {output.variable.name for output in outputs}
+        self.listing += [
+            MappedVariable(variable.name, "output", variable.unit_name, "")
+            for variable in variables
+            if variable.name not in used
+        ]
+        return outputs
+
+    def _check_decisions(self) -> None:
+        given = {output.decision for output in self.outputs}
+        has_pedals = not given.isdisjoint(_PEDALS)
+        if not given:
+            names = ", ".join(variable.name for variable in self._model.with_causality("output")) or "none"
+            raise InputError(
+                f"{self._where}: none of its outputs ({names}) is known as one of {', '.join(OUTPUTS)}; say in a map"
+                " what they are, `map=FILE.toml`."
+            )
+        if ("acceleration" in given) == has_pedals:
+            raise InputError(
+                f"{self._where}: its outputs decide {', '.join(sorted(given))}; a driver decides either the acceleration"
+                " or throttle and brake: say which in a map, `map=FILE.toml`."
+            )
+        if {"steering", "lane_change"} <= given:
+            raise InputError(
+                f"{self._where}: its outputs decide both steering and lane changes, which steer by themselves; leave one"
+                " out in a map, `map=FILE.toml`."
+            )
+
+    def _find_variable(self, name: str, known: Sequence[FmuVariable], what: str) -> FmuVariable:
+        variable = next((one for one in known if one.name == name), None)
+        if variable is None:
+            names = [one.name for one in known]
+            raise InputError(f"{self._where}: the FMU has no {what} '{name}'; {suggest_name(name, names)}")
+        if not variable.is_number:
+            raise InputError(f"{self._where}: the {what} '{name}' is a {variable.kind}, not a number; leave it out.")
+        return variable
+
+    def _unit_of(self, variable: FmuVariable, given: str | None, symbol: str, where: str) -> tuple[Unit, str]:
+        """Return the unit of a variable that is measured in an SI unit, and a remark for the listing."""
+        if given is not None:
+            if given not in KNOWN_UNITS:
+                raise InputError(f"{where} has the unit '{given}'; {suggest_name(given, KNOWN_UNITS)}")
+            if variable.unit_name and variable.unit_name != given:
+                raise InputError(
+                    f"{where} has the unit '{given}', but the FMU says '{variable.unit_name}'; leave out the unit."
+                )
+            unit: Unit | None = KNOWN_UNITS[given]
+        elif not variable.unit_name:
+            return SI[symbol], "" if symbol == "1" else f"has no unit: taken as {symbol}"
+        else:
+            unit = variable.unit
+        name = given or variable.unit_name
+        if unit is None:
+            raise InputError(
+                f"{where}: '{variable.name}' has the unit '{name}', whose meaning the FMU does not define; define it"
+                " there by its base units."
+            )
+        if not fits(unit, symbol):
+            raise InputError(f"{where}: '{variable.name}' has the unit '{name}', which does not fit {symbol}.")
+        return unit, ""
+
+
+def _group(variables: Sequence[FmuVariable]) -> list[list[int]]:
+    """Return the indices of the variables of each type."""
+    kinds: dict[str, list[int]] = {}
+    for k, variable in enumerate(variables):
+        kinds.setdefault(variable.kind, []).append(k)
+    return list(kinds.values())
+
+
+def _check_entry(where: str, entry: object, keys: Sequence[str], example: str) -> dict[str, Any]:
+    """Return an entry of a map as a dict with ``from``; `InputError` for keys and values that are no such thing."""
+    options = {"from": entry} if isinstance(entry, str) else entry
+    if not isinstance(options, dict) or not isinstance(options.get("from"), str):
+        raise InputError(f'{where}: give a name, as in "{example}" or {{ from = "{example}" }}.')
+    for key, value in options.items():
+        if key not in keys:
+            raise InputError(f"{where}: has the key '{key}'; {suggest_name(key, keys)}")
+        if key in ("none", "factor"):
+            if isinstance(value, bool) or not isinstance(value, int | float) or (key == "factor" and not value):
+                raise InputError(
+                    f"{where}: `{key}` is {value!r}; give a number{' other than 0' if key == 'factor' else ''}."
+                )
+        elif not isinstance(value, str):
+            raise InputError(f"{where}: `{key}` is {value!r}; give a text.")
+    return options
+
+
+def _read_map(path: Path) -> tuple[dict[str, Any], str]:
+    """Return the content of a map and its SHA-256."""
+    try:
+        content = path.read_bytes()
+        document = tomllib.loads(content.decode())
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error}).") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: is no TOML file ({format_exception(error)}).") from error
+    for name, table in document.items():
+        if name not in ("inputs", "outputs") or not isinstance(table, dict):
+            raise InputError(f"{path}: has '{name}'; a map has the tables [inputs] and [outputs].")
+    return document, hashlib.sha256(content).hexdigest()

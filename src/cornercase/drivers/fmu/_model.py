@@ -1,0 +1,201 @@
+"""What the model description of an FMU says, as far as it matters for a driver."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import Any, Final
+
+from cornercase._common.errors import InputError
+from cornercase._common.text.sanitize import format_exception, shorten
+from cornercase.drivers.fmu._instance import FmuSource
+from cornercase.drivers.fmu._units import KNOWN_UNITS, Unit
+
+_LOG_CATEGORIES: Final = ("logStatusWarning", "logStatusDiscard", "logStatusError", "logStatusFatal")
+# dtypes of the values of each FMI type, as in shared memory.
+_DTYPES: Final = {
+    "Real": "f8", "Integer": "i4", "Float32": "f4", "Float64": "f8", "Int8": "i1", "UInt8": "u1", "Int16": "i2",
+    "UInt16": "u2", "Int32": "i4", "UInt32": "u4", "Int64": "i8", "UInt64": "u8",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class FmuVariable:
+    """A variable of an FMU.
+
+    `kind` names the functions that set and get it, such as ``"Real"``. `size` is its number of values, more than one
+    for an array of FMI 3.0. `unit_name` is as in the file, and `unit` what it means; None if it is not known.
+    `items` are the numbers of an enumeration by name.
+    """
+
+    name: str
+    reference: int
+    kind: str
+    causality: str
+    size: int
+    unit_name: str
+    unit: Unit | None
+    start: str
+    items: Mapping[str, int]
+
+    @property
+    def is_number(self) -> bool:
+        """Whether its values are numbers or booleans."""
+        return self.kind in _DTYPES or self.kind == "Boolean"
+
+    def dtype(self, version: int) -> str:
+        """Return the NumPy type of its values; `version` is that of FMI."""
+        return _DTYPES.get(self.kind, "i4" if version == 2 else "?")
+
+
+@dataclass(frozen=True, eq=False)
+class FmuModel:
+    """An FMU for co-simulation, as its file describes it."""
+
+    path: Path
+    sha256: str
+    name: str
+    fmi_version: str
+    token: str
+    identifier: str
+    once_per_process: bool
+    step_size: float | None
+    variables: tuple[FmuVariable, ...]
+    log_categories: tuple[str, ...]
+
+    @property
+    def version(self) -> int:
+        """Major version of FMI."""
+        return int(self.fmi_version[0])
+
+    @cached_property
+    def by_name(self) -> dict[str, FmuVariable]:
+        """Its variables by name."""
+        return {variable.name: variable for variable in self.variables}
+
+    def with_causality(self, causality: str) -> list[FmuVariable]:
+        """Return the variables with a causality, such as ``"input"``."""
+        return [variable for variable in self.variables if variable.causality == causality]
+
+    def unpack(self, folder: Path) -> FmuSource:
+        """Unpack the FMU into a folder; `InputError` if the file has changed, or has no library for this platform."""
+        import fmpy
+
+        content = _read(self.path)
+        if hashlib.sha256(content).hexdigest() != self.sha256:
+            raise InputError(f"{self.path}: has changed since the command started; run it again.")
+        try:
+            fmpy.extract(io.BytesIO(content), str(folder))
+        except Exception as error:
+            raise InputError(f"{self.path}: cannot be unpacked ({format_exception(error)}).") from error
+        platform = fmpy.platform if self.version == 2 else fmpy.platform_tuple
+        library = folder / "binaries" / platform / f"{self.identifier}{fmpy.sharedLibraryExtension}"
+        if not library.is_file():
+            with_library = sorted(entry.name for entry in folder.glob("binaries/*") if entry.is_dir())
+            has = f"only for {', '.join(with_library)}" if with_library else "but source code at most"
+            raise InputError(
+                f"{self.path}: has no library for {platform}, {has}; export or compile it for this platform."
+            )
+        proxy = Path(fmpy.__file__).parent / "logging" / fmpy.platform / f"logging{fmpy.sharedLibraryExtension}"
+        return FmuSource(
+            self.version,
+            str(folder),
+            str(library),
+            self.token,
+            self.log_categories,
+            str(proxy) if self.version == 2 and proxy.is_file() else "",
+        )
+
+
+def read_fmu(path: Path) -> FmuModel:
+    """Read an FMU; `InputError` if it is none, or none for co-simulation with FMI 2.0 or 3.0."""
+    try:
+        status = path.stat()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error}); give the file of an FMU.") from error
+    return _read_fmu(path, status.st_mtime_ns, status.st_size)
+
+
+@lru_cache(maxsize=8)
+def _read_fmu(path: Path, modified: int, size: int) -> FmuModel:
+    try:
+        import fmpy
+    except ModuleNotFoundError as error:
+        raise InputError(f"{path}: an FMU needs FMPy; install it with 'pip install cornercase[fmu]'.") from error
+    content = _read(path)
+    try:
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            xml = archive.read("modelDescription.xml")
+    except (zipfile.BadZipFile, KeyError) as error:
+        raise InputError(f"{path}: is not an FMU, which is a zip file with a modelDescription.xml.") from error
+    try:
+        description = fmpy.read_model_description(io.BytesIO(content), validate=False)
+    except Exception as error:
+        reason = shorten(format_exception(error), 200)
+        raise InputError(f"{path}: its modelDescription.xml cannot be read ({reason}).") from error
+    version = str(description.fmiVersion)
+    if not version.startswith(("2.", "3.")):
+        raise InputError(f"{path}: is of FMI {version}; export it for co-simulation with FMI 2.0 or 3.0.")
+    interface = description.coSimulation
+    if interface is None:
+        raise InputError(f"{path}: is not for co-simulation, but for model exchange; export it for co-simulation.")
+    if interface.needsExecutionTool:
+        raise InputError(f"{path}: needs the tool that made it to run; export it with its own solver.")
+    experiment = description.defaultExperiment
+    step_size = interface.fixedInternalStepSize or (experiment.stepSize if experiment is not None else None)
+    units = {unit.name: unit.baseUnit for unit in description.unitDefinitions}
+    return FmuModel(
+        path=path,
+        sha256=hashlib.sha256(content).hexdigest(),
+        name=str(description.modelName),
+        fmi_version=version,
+        token=str(description.guid),
+        identifier=str(interface.modelIdentifier),
+        once_per_process=bool(interface.canBeInstantiatedOnlyOncePerProcess),
+        step_size=None if step_size is None else float(step_size),
+        variables=tuple(_make_variable(variable, units, int(version[0])) for variable in description.modelVariables),
+        log_categories=tuple(name for name in _LOG_CATEGORIES if f'name="{name}"'.encode() in xml),
+    )
+
+
+def _read(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error}).") from error
+
+
+def _make_variable(variable: Any, units: Mapping[str, Any], version: int) -> FmuVariable:
+    declared, kind = variable.declaredType, str(variable.type)
+    if kind == "Enumeration":
+        kind = "Integer" if version == 2 else "Int64"
+    size = 1
+    for length in getattr(variable, "shape", None) or ():
+        size *= length
+    unit_name = str(variable.unit or (declared.unit if declared is not None else None) or "")
+    items = () if declared is None else declared.items
+    return FmuVariable(
+        name=str(variable.name),
+        reference=int(variable.valueReference),
+        kind=kind,
+        causality=str(variable.causality),
+        size=size,
+        unit_name=unit_name,
+        unit=_read_unit(units.get(unit_name), unit_name),
+        start="" if variable.start is None else str(variable.start),
+        items={str(item.name): int(item.value or k) for k, item in enumerate(items, 1)},
+    )
+
+
+def _read_unit(base: Any, name: str) -> Unit | None:
+    """Return a unit by its definition in the FMU, else by its name; None if it is unknown."""
+    if base is None:
+        return KNOWN_UNITS.get(name)
+    if any((base.kg, base.A, base.K, base.mol, base.cd)):
+        return None
+    return Unit(float(base.factor), (int(base.m), int(base.s), int(base.rad)), float(base.offset))

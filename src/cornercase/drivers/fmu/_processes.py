@@ -1,0 +1,309 @@
+"""Processes with the instances of an FMU, so that what the FMU does wrong costs no more than its scenario."""
+
+from __future__ import annotations
+
+import json
+import mmap
+import subprocess
+import sys
+import threading
+import time
+import weakref
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from cornercase._common.platform import describe_exit_code, detached_process_options
+from cornercase._common.process.reaper import Reaper
+from cornercase._common.text.sanitize import escape_control_characters, remove_folders, shorten
+from cornercase._common.typing import BoolArray
+from cornercase.drivers.fmu._host import PROGRESS_BYTES
+from cornercase.drivers.fmu._instance import FmuSource
+
+MAX_PROCESSES: Final = 32
+"""Most processes at the same time, for an FMU that wants one for each instance."""
+# Log lines that a failure shows, and their length together; bytes of the log that are kept.
+_MAX_LINES, _MAX_LOG_LENGTH, _MAX_LOG_BYTES = 3, 300, 1_000_000
+# Finds the package where this process found it.
+_HOST_CODE: Final = "import sys; sys.path.insert(0, sys.argv[1]); from cornercase.drivers.fmu._host import main; main()"
+
+
+class FmuProcessError(Exception):
+    """The process of an FMU crashed or hung, or its FMU cannot be used any more."""
+
+
+@dataclass(frozen=True)
+class TableLayout:
+    """Variables of one type that are set or read at once: `width` values per scenario."""
+
+    kind: str
+    references: tuple[int, ...]
+    width: int
+    dtype: str
+
+
+@lru_cache(maxsize=1)
+def guardian() -> Reaper:
+    """Return what ends the processes, and removes the unpacked FMUs, when this process has ended."""
+    reaper = Reaper()
+    # At the end of the program, finalizers run in reverse order: those of processes come first.
+    weakref.finalize(guardian, reaper.close)
+    return reaper
+
+
+class FmuProcesses:
+    """The instances of an FMU for the scenarios of a batch: in one process, or in one each if `once_per_process`.
+
+    `timeout` is the time in s that a call of the FMU may take.
+    """
+
+    def __init__(self, source: FmuSource, *, once_per_process: bool, timeout: float) -> None:
+        self._source, self._once, self._timeout = source, once_per_process, timeout
+        self._processes: list[_Process] = []
+        self._reset: bool | None = None
+
+    def begin(
+        self,
+        scenarios: int,
+        inputs: Sequence[TableLayout],
+        outputs: Sequence[TableLayout],
+        parameters: Sequence[tuple[str, int, Sequence[object]]],
+        step: float,
+        steps: int,
+    ) -> None:
+        """Begin a batch; `FmuProcessError` if the FMU cannot be loaded, or if this needs too many processes.
+
+        Parameters are (type, value reference, values); the values are one for all scenarios, or one for each.
+        """
+        if self._once and scenarios > MAX_PROCESSES:
+            raise FmuProcessError(f"the FMU wants a process for each of {scenarios} scenarios")
+        self._rows = [slice(n, n + 1) for n in range(scenarios)] if self._once else [slice(0, scenarios)]
+        self._processes = [process for process in self._processes if process.is_usable]
+        while len(self._processes) < len(self._rows):
+            self._processes.append(_Process(self._source, self._timeout))
+        self._used = self._processes[: len(self._rows)]
+        for process, rows in zip(self._used, self._rows, strict=True):
+            own = [(kind, vr, values[rows] if len(values) > 1 else values) for kind, vr, values in parameters]
+            process.begin(rows.stop - rows.start, inputs, outputs, own, step, steps, self._reset)
+
+    def step(self, active: BoolArray, inputs: Sequence[npt.NDArray[Any]]) -> dict[int, str]:
+        """Step the active scenarios; return by scenario how it failed. `FmuProcessError` if a process did not survive.
+
+        Outputs are in `read_outputs` then.
+        """
+        failures: dict[int, str] = {}
+        try:
+            for process, rows in zip(self._used, self._rows, strict=True):
+                process.start_step(active[rows], [table[rows] for table in inputs])
+            for process, rows in zip(self._used, self._rows, strict=True):
+                failures |= {rows.start + row: text for row, text in process.finish_step().items()}
+        except BaseException:
+            # Answers of the others would be taken for those of the next step.
+            self.close()
+            raise
+        return failures
+
+    def read_outputs(self, table: int) -> npt.NDArray[Any]:
+        """Return the outputs of one table after a step, a row per scenario."""
+        return np.concatenate([process.outputs[table] for process in self._used])
+
+    def end(self) -> None:
+        """End a batch; instances are kept if a reset of them gives the same bytes."""
+        for process in self._used if self._processes else ():
+            try:
+                self._reset = process.end(self._reset)
+            except FmuProcessError:
+                self._reset = False
+            if self._once and not self._reset:
+                process.close()
+
+    def close(self) -> None:
+        """End the processes."""
+        for process in self._processes:
+            process.close()
+        self._processes = []
+
+
+class _Process:
+    """A process with instances of an FMU; it is started at once."""
+
+    def __init__(self, source: FmuSource, timeout: float) -> None:
+        self._timeout = timeout
+        self._folder = guardian().make_temporary_folder()
+        self._memory_path = self._folder / "values"
+        self._memory: mmap.mmap | None = None
+        self._log = (self._folder / "log").open("ab+")
+        self._process = subprocess.Popen(
+            [sys.executable, "-P", "-c", _HOST_CODE, str(Path(__file__).parents[3])],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=self._log,
+            **detached_process_options(),
+        )
+        guardian().watch_process(self._process.pid)
+        self._close = weakref.finalize(self, _end_process, self._process, self._log, self._folder)
+        self._requests, self._is_busy, self._is_hung = 0, False, False
+        watch = threading.Thread(target=_kill_when_hung, args=(weakref.ref(self), timeout), daemon=True)
+        watch.start()
+        self._ask({"do": "load", "source": asdict(source)})
+
+    @property
+    def is_usable(self) -> bool:
+        """Whether the process still runs."""
+        return self._close.alive and self._process.poll() is None
+
+    def begin(
+        self,
+        scenarios: int,
+        inputs: Sequence[TableLayout],
+        outputs: Sequence[TableLayout],
+        parameters: Sequence[tuple[str, int, Sequence[object]]],
+        step: float,
+        steps: int,
+        reset: bool | None,
+    ) -> None:
+        """Begin a batch, as `FmuProcesses.begin`."""
+        size, layouts = PROGRESS_BYTES + scenarios, list[list[Any]]()
+        places = list[int]()
+        for table in (*inputs, *outputs):
+            # Numbers of 8 bytes begin at multiples of 8.
+            size = -(-size // 8) * 8
+            places.append(size)
+            layouts.append([table.kind, table.references, table.width, size])
+            size += scenarios * table.width * np.dtype(table.dtype).itemsize
+        self._memory_path.write_bytes(bytes(size))
+        with self._memory_path.open("r+b") as file:
+            self._memory = mmap.mmap(file.fileno(), 0)
+        self._progress = np.frombuffer(self._memory, np.int64, 2)
+        self._active = np.frombuffer(self._memory, np.bool_, scenarios, PROGRESS_BYTES)
+        arrays = [
+            np.frombuffer(self._memory, table.dtype, scenarios * table.width, place).reshape(scenarios, table.width)
+            for table, place in zip((*inputs, *outputs), places, strict=True)
+        ]
+        self._inputs, self.outputs = arrays[: len(inputs)], arrays[len(inputs) :]
+        self._log.truncate(0)
+        self._ask(
+            {
+                "do": "begin",
+                "memory": str(self._memory_path),
+                "scenarios": scenarios,
+                "inputs": layouts[: len(inputs)],
+                "outputs": layouts[len(inputs) :],
+                "parameters": list(parameters),
+                "step": step,
+                "steps": steps,
+                "reset": reset,
+            }
+        )
+
+    def start_step(self, active: BoolArray, inputs: Sequence[npt.NDArray[Any]]) -> None:
+        """Let the active scenarios step."""
+        self._active[:] = active
+        for own, table in zip(self._inputs, inputs, strict=True):
+            own[:] = table
+        self._send(b"\n")
+
+    def finish_step(self) -> dict[int, str]:
+        """Wait for the step, and return by scenario how it failed."""
+        answer = self._receive()
+        for row, (text, lines, is_fatal) in (answer or {}).items():
+            if is_fatal:
+                raise FmuProcessError(f"failed: {text}{_format_log(lines)}")
+            answer[row] = f"failed: {text}{_format_log(lines)}"
+        return {int(row): text for row, text in (answer or {}).items()}
+
+    def end(self, reset: bool | None) -> bool | None:
+        """End a batch; return whether instances may be reset, or None if that is not known."""
+        answer: bool | None = self._ask({"do": "end", "reset": reset})
+        return answer
+
+    def close(self) -> None:
+        """End the process."""
+        self._close()
+
+    def _ask(self, message: dict[str, object]) -> Any:
+        self._send(json.dumps(message).encode() + b"\n")
+        answer = self._receive()
+        if isinstance(answer, dict) and "error" in answer:
+            raise FmuProcessError(f"failed: {answer['error']}")
+        return answer
+
+    def _send(self, line: bytes) -> None:
+        assert self._process.stdin is not None
+        self._requests, self._is_busy = self._requests + 1, True
+        # If the process has ended, there is no answer.
+        with suppress(OSError, ValueError):
+            self._process.stdin.write(line)
+            self._process.stdin.flush()
+
+    def _receive(self) -> Any:
+        assert self._process.stdout is not None
+        line = self._process.stdout.readline()
+        self._is_busy = False
+        if line.endswith(b"\n"):
+            return json.loads(line)
+        code = self._process.wait()
+        lines = self._read_log()
+        self.close()
+        if self._is_hung:
+            raise FmuProcessError(f"hung: a call took more than {self._timeout:g} s{_format_log(lines)}")
+        raise FmuProcessError(f"crashed: its process {describe_exit_code(code)}{_format_log(lines)}")
+
+    def _read_log(self) -> list[str]:
+        size = self._log.seek(0, 2)
+        self._log.seek(max(size - _MAX_LOG_BYTES, 0))
+        return self._log.read().decode(errors="replace").splitlines()
+
+    def look(self) -> tuple[bool, tuple[int, int]]:
+        """Return whether the process is at work, and a mark that changes as the work proceeds."""
+        progress = 0 if self._memory is None else int(self._progress[0])
+        with suppress(OSError, ValueError):
+            if self._log.seek(0, 2) > 10 * _MAX_LOG_BYTES:
+                self._log.truncate(0)
+        return self._is_busy, (self._requests, progress)
+
+    def kill_as_hung(self) -> None:
+        """Kill the process, which does not answer."""
+        self._is_hung = True
+        self._process.kill()
+
+
+def _kill_when_hung(reference: weakref.ref[_Process], timeout: float) -> None:
+    """Run in a thread: kill the process if a call takes longer than `timeout` s."""
+    mark, since = (-1, -1), 0.0
+    while True:
+        process = reference()
+        if process is None or not process.is_usable:
+            return
+        is_busy, current = process.look()
+        now = time.monotonic()
+        if not is_busy or current != mark:
+            mark, since = current, now
+        elif now - since > timeout:
+            process.kill_as_hung()
+            return
+        del process
+        time.sleep(min(0.1 * timeout, 0.5))
+
+
+def _end_process(process: subprocess.Popen[bytes], log: Any, folder: Path) -> None:
+    process.kill()
+    process.wait()
+    for stream in (process.stdin, process.stdout, log):
+        with suppress(OSError):
+            stream.close()
+    guardian().release_process(process.pid)
+    guardian().remove_folder(folder)
+
+
+def _format_log(lines: Sequence[str]) -> str:
+    """Return the last lines of a log for a message; an empty text if there are none."""
+    kept = [" ".join(escape_control_characters(remove_folders(line)).split()) for line in lines[-_MAX_LINES:]]
+    kept = [line for line in kept if line]
+    return f"; its log: {shorten(' | '.join(kept), _MAX_LOG_LENGTH)}" if kept else ""

@@ -1,0 +1,91 @@
+"""FMUs for tests, compiled from C."""
+
+from __future__ import annotations
+
+import functools
+import shutil
+import subprocess
+import tempfile
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+
+import fmpy
+import pytest
+
+SOURCE = Path(__file__).parents[1] / "data" / "fmu" / "aeb.c"
+HEADERS = Path(fmpy.__file__).parent / "c-code"
+COMPILER = shutil.which("cc") or shutil.which("gcc")
+# Name, causality, value reference, start value, unit.
+REALS = {
+    "v_ego": ("input", 0, "0", "m/s"),
+    "gap": ("input", 1, "1000", "m"),
+    "closing": ("input", 2, "0", "m/s"),
+    "reaction": ("parameter", 3, "0.1", "s"),
+    "threshold": ("parameter", 4, "2", "s"),
+    "fault_time": ("parameter", 5, "1", "s"),
+    "acceleration": ("output", 6, None, "m/s2"),
+}
+UNITS = """
+  <UnitDefinitions>
+    <Unit name="m/s"><BaseUnit m="1" s="-1"/></Unit>
+    <Unit name="speed"><BaseUnit m="1" s="-1" factor="0.2777777777777778"/></Unit>
+    <Unit name="kg"><BaseUnit kg="1"/></Unit>
+  </UnitDefinitions>"""
+LOGGING = """
+  <LogCategories><Category name="logStatusError"/></LogCategories>"""
+
+
+@functools.cache
+def _library(fmi: int, once: bool) -> Path:
+    if COMPILER is None:
+        pytest.skip("there is no C compiler")
+    built = Path(tempfile.mkdtemp(prefix="cornercase-tests-fmu-")) / "aeb.so"
+    definitions = [f"-DFMI={fmi}", *(["-DONCE"] if once else [])]
+    command = [COMPILER, "-O1", "-shared", "-fPIC", "-w", *definitions, f"-I{HEADERS}", str(SOURCE), "-o", str(built)]
+    subprocess.run(command, check=True)
+    return built
+
+
+def make_fmu(
+    path: Path,
+    fmi: int = 2,
+    *,
+    once: bool = False,
+    rename: Mapping[str, str] | None = None,
+    units: Mapping[str, str] | None = None,
+    step_size: float | None = None,
+    library: bool = True,
+) -> Path:
+    """Write the FMU of ``tests/data/fmu/aeb.c``, with other names and units of its variables if wanted."""
+    names, given = dict(rename or {}), dict(units or {})
+    variables = []
+    for name, (causality, reference, start, unit) in REALS.items():
+        shown, unit = names.get(name, name), given.get(name, unit)
+        head = f'name="{shown}" valueReference="{reference}" causality="{causality}"'
+        tail = (f' unit="{unit}"' if unit else "") + ("" if start is None else f' start="{start}"')
+        variability = ' variability="fixed"' if causality == "parameter" else ""
+        variables.append(
+            f"<ScalarVariable {head}{variability}><Real{tail}/></ScalarVariable>"
+            if fmi == 2
+            else f"<Float64 {head}{variability}{tail}/>"
+        )
+    head = 'name="fault" valueReference="20" causality="parameter" variability="fixed"'
+    variables.append(
+        f'<ScalarVariable {head}><Integer start="0"/></ScalarVariable>' if fmi == 2 else f'<Int32 {head} start="0"/>'
+    )
+    attributes = ' canBeInstantiatedOnlyOncePerProcess="true"' if once else ""
+    token = 'guid="{aeb}"' if fmi == 2 else 'instantiationToken="{aeb}"'
+    experiment = "" if step_size is None else f'\n  <DefaultExperiment stepSize="{step_size}"/>'
+    text = f"""<?xml version="1.0"?>
+<fmiModelDescription fmiVersion="{fmi}.0" modelName="Emergency brake" {token}>
+  <CoSimulation modelIdentifier="aeb"{attributes}/>{UNITS}{LOGGING}{experiment}
+  <ModelVariables>{"".join(variables)}</ModelVariables>
+  <ModelStructure/>
+</fmiModelDescription>"""
+    platform = fmpy.platform if fmi == 2 else fmpy.platform_tuple
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("modelDescription.xml", text)
+        if library:
+            archive.write(_library(fmi, once), f"binaries/{platform}/aeb{fmpy.sharedLibraryExtension}")
+    return path
