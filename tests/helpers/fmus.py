@@ -89,3 +89,38 @@ def make_fmu(
         if library:
             archive.write(_library(fmi, once), f"binaries/{platform}/aeb{fmpy.sharedLibraryExtension}")
     return path
+
+
+PYTHON_AEB = '''
+from pythonfmu import Fmi2Causality, Fmi2Slave, Fmi2Variability, Real
+
+
+class PythonAeb(Fmi2Slave):
+    """As the one in C."""
+
+    def __init__(self, **options):
+        super().__init__(**options)
+        self.ego_speed, self.gap, self.closing_speed = 0.0, 1000.0, 0.0
+        self.reaction, self.acceleration = 0.1, 0.0
+        self.since, self.braking = 0.0, False
+        for name in ("ego_speed", "gap", "closing_speed"):
+            self.register_variable(Real(name, causality=Fmi2Causality.input))
+        self.register_variable(
+            Real("reaction", causality=Fmi2Causality.parameter, variability=Fmi2Variability.tunable)
+        )
+        self.register_variable(Real("acceleration", causality=Fmi2Causality.output))
+
+    def do_step(self, time, size):
+        is_short = self.closing_speed > 0.0 and self.gap / self.closing_speed < 2.0
+        self.since = self.since + size if is_short else 0.0
+        self.braking = self.braking or self.since > self.reaction
+        self.acceleration = -8.0 if self.braking else 0.0
+        return True
+'''
+
+
+def make_python_fmu(folder: Path) -> Path:
+    """Build an FMU with pythonfmu."""
+    builder = pytest.importorskip("pythonfmu.builder")
+    (folder / "python_aeb.py").write_text(PYTHON_AEB)
+    return Path(builder.FmuBuilder.build_FMU(folder / "python_aeb.py", dest=folder))

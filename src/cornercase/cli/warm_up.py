@@ -158,7 +158,8 @@ def _runs_by_room(folder: Path) -> Iterator[tuple[str, Callable[[], Any]]]:
     # Short runs never reach a crossing.
     yield "clustering", partial(find_outcome, _crossing_recording(), "Ego", "Other")
     simulate = partial(simulators.simulate, scenario, duration=_DURATION)
-    for plugin in drivers.DRIVERS.names():
+    # An FMU is a file of the user.
+    for plugin in (name for name in drivers.DRIVERS.names() if name != "fmu"):
         yield "drivers", partial(simulate, drivers={"Ego": plugin})
     yield "metrics", partial(metrics.measure, simulate(), config.ego, config.other)
     for plugin in optimizers.OPTIMIZERS.names():

@@ -82,9 +82,8 @@ class FmuDriver(DrivingFunction):
         self._processes: FmuProcesses | None = None
         options = {name: value for name, value in given_options(self).items() if name != "file"}
         text = ",".join(f"{name}={_format_value(value)}" for name, value in options.items())
-        self.name = f"fmu:{file}:{text}" if text else f"fmu:{file}"
         self.settings = {
-            "driver": self.name,
+            "driver": f"fmu:{file}:{text}" if text else f"fmu:{file}",
             "options": {},
             "sha256": self._model.sha256,
             "model": self._model.name,
@@ -94,7 +93,7 @@ class FmuDriver(DrivingFunction):
         }
 
     def __str__(self) -> str:
-        return self.name
+        return str(self.settings["driver"])
 
     def __getstate__(self) -> dict[str, Any]:
         # The receiver starts processes of its own.
@@ -130,7 +129,7 @@ class FmuDriver(DrivingFunction):
             Its parameters are parameters of the FMU.
         """
         self._start = start
-        self._display_name = f"the driver of {quote_name(start.body.name)} ({remove_folders(self.name)})"
+        self._display_name = f"the driver of {quote_name(start.body.name)} ({remove_folders(str(self))})"
         self._failure: str | None = None
         size, n_steps = self._divide_time_step(start.time_step)
         kinds = {name: self._find_parameter(name) for name in (*self._parameters, *start.parameters)}

@@ -176,9 +176,8 @@ class VariableMap:
                     f"{where} is an array of {variable.size} values, which '{source}' does not fill; give it a list of"
                     " objects, as in 'object.x'."
                 )
-            raise InputError(
-                f"{where} is to get '{source}', which does not exist; {suggest_name(source, [*QUANTITIES, 'object[1].x'])}"
-            )
+            hint = suggest_name(source, [*QUANTITIES, "object[1].x"])
+            raise InputError(f"{where} is to get '{source}', which does not exist; {hint}")
         unit, remark = self._unit_of(variable, options.get("unit"), quantities[0].unit, where)
         factor = options.get("factor", 1.0)
         columns = []
@@ -237,13 +236,13 @@ class VariableMap:
             )
         if ("acceleration" in given) == has_pedals:
             raise InputError(
-                f"{self._where}: its outputs decide {', '.join(sorted(given))}; a driver decides either the acceleration"
-                " or throttle and brake: say which in a map, `map=FILE.toml`."
+                f"{self._where}: its outputs decide {', '.join(sorted(given))}; a driver decides either the"
+                " acceleration or throttle and brake: say which in a map, `map=FILE.toml`."
             )
         if {"steering", "lane_change"} <= given:
             raise InputError(
-                f"{self._where}: its outputs decide both steering and lane changes, which steer by themselves; leave one"
-                " out in a map, `map=FILE.toml`."
+                f"{self._where}: its outputs decide both steering and lane changes, which steer by themselves; leave"
+                " one out in a map, `map=FILE.toml`."
             )
 
     def _find_variable(self, name: str, known: Sequence[FmuVariable], what: str) -> FmuVariable:

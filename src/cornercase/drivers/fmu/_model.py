@@ -144,8 +144,6 @@ def _read_fmu(path: Path, modified: int, size: int) -> FmuModel:
     interface = description.coSimulation
     if interface is None:
         raise InputError(f"{path}: is not for co-simulation, but for model exchange; export it for co-simulation.")
-    if interface.needsExecutionTool:
-        raise InputError(f"{path}: needs the tool that made it to run; export it with its own solver.")
     experiment = description.defaultExperiment
     step_size = interface.fixedInternalStepSize or (experiment.stepSize if experiment is not None else None)
     units = {unit.name: unit.baseUnit for unit in description.unitDefinitions}

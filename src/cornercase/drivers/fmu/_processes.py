@@ -136,7 +136,7 @@ class _Process:
     def __init__(self, source: FmuSource, timeout: float) -> None:
         self._timeout = timeout
         self._folder = guardian().make_temporary_folder()
-        self._memory_path = self._folder / "values"
+        self._n_batches = 0
         self._memory: mmap.mmap | None = None
         self._log = (self._folder / "log").open("ab+")
         self._process = subprocess.Popen(
@@ -177,9 +177,15 @@ class _Process:
             places.append(size)
             layouts.append([table.kind, table.references, table.width, size])
             size += scenarios * table.width * np.dtype(table.dtype).itemsize
-        self._memory_path.write_bytes(bytes(size))
-        with self._memory_path.open("r+b") as file:
+        # Each batch has memory of its own: that of the last one may still be in use.
+        path, last = (self._folder / f"values-{self._n_batches - k}" for k in (0, 1))
+        self._n_batches += 1
+        path.write_bytes(bytes(size))
+        with path.open("r+b") as file:
             self._memory = mmap.mmap(file.fileno(), 0)
+        # Windows keeps it as long as it is in use.
+        with suppress(OSError):
+            last.unlink()
         self._progress = np.frombuffer(self._memory, np.int64, 2)
         self._active = np.frombuffer(self._memory, np.bool_, scenarios, PROGRESS_BYTES)
         arrays = [
@@ -191,7 +197,7 @@ class _Process:
         self._ask(
             {
                 "do": "begin",
-                "memory": str(self._memory_path),
+                "memory": str(path),
                 "scenarios": scenarios,
                 "inputs": layouts[: len(inputs)],
                 "outputs": layouts[len(inputs) :],

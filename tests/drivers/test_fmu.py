@@ -1,0 +1,382 @@
+"""FMUs that drive: values in and out, faults, and that nothing depends on processes."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import cornercase as cc
+from conftest import EXAMPLES
+from cornercase.drivers import DRIVERS, FmuDriver
+from cornercase.drivers._description import driver_command_option, format_driver, serialize_driver
+from cornercase.drivers._resolve import create_driver_named_in_file, may_be_named_in_file
+from cornercase.drivers.fmu._instance import Fmu, FmuError
+from cornercase.drivers.fmu._model import read_fmu
+from cornercase.study import StudyFile
+from helpers.command_line import cornercase
+from helpers.fmus import make_fmu, make_python_fmu
+
+DECELERATION = EXAMPLES / "r157" / "deceleration.xosc"
+NCAP = Path(__file__).parents[3] / "shared" / "reference" / "openscenario" / "ncap" / "OpenSCENARIO" / "NCAP"
+CCRS = NCAP / "CA-FC_2026" / "CCRs.xosc"
+NOTICES = pytest.mark.filterwarnings("ignore::cornercase.NoticeWarning")
+RANGES = ("--range", "ego_kmh=60:130", "--range", "gap=15:90", "--range", "deceleration=0.5:8", "--other", "Other")
+CCRS_RANGES = ("--range", "Ego_speed_kph=10:80", "--range", "ImpactLocation=0:100", "--other", "Target")
+
+
+def explore(
+    folder: Path,
+    driver: str,
+    *more: object,
+    budget: int = 60,
+    duration: float = 12.0,
+    scenario: Path = DECELERATION,
+    ranges=RANGES,
+):
+    return cornercase(
+        "-q", "explore", scenario, "--ego", "Ego", *ranges, "--metric", "ttc", "--optimizer", "sobol",
+        "--budget", budget, "--duration", duration, "--driver", f"Ego={driver}", *more, cwd=folder,
+    )  # fmt: skip
+
+
+def recordings(study: Path) -> list[bytes]:
+    """All motion in a study, as bytes."""
+    with StudyFile.open(study, readonly=True) as opened:
+        return [opened.recording(k).speed.tobytes() + opened.recording(k).x.tobytes() for k in opened.table().index]
+
+
+def drive(driver, duration: float = 6.0, **options):
+    return cc.simulate(
+        DECELERATION, {"gap": 30, "deceleration": 6}, drivers={"Ego": driver}, duration=duration, **options
+    )
+
+
+def ego(recording, quantity: str = "acceleration"):
+    return getattr(recording, quantity)[recording.entity_index("Ego")]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    """FMUs of both versions, and one that can be instantiated once per process."""
+    folder = tmp_path_factory.mktemp("fmus")
+    make_fmu(folder / "aeb2.fmu", 2)
+    make_fmu(folder / "aeb3.fmu", 3)
+    make_fmu(folder / "once.fmu", 2, once=True)
+    return folder
+
+
+class Aeb(cc.SystemUnderTest):
+    """As ``tests/data/fmu/aeb.c``."""
+
+    def __init__(self, reaction: float = 0.1):
+        self.reaction, self.since, self.braking = reaction, 0.0, False
+
+    def step(self, view, dt):
+        leader = view.leader
+        is_short = leader is not None and leader.closing > 0.0 and leader.gap / leader.closing < 2.0
+        self.since = self.since + dt if is_short else 0.0
+        self.braking = self.braking or self.since > self.reaction
+        return -8.0 if self.braking else 0.0
+
+
+@NOTICES
+@pytest.mark.parametrize("version", [2, 3])
+def test_it_drives_as_the_same_function_in_python(folder, version):
+    fmu, python = drive(FmuDriver(str(folder / f"aeb{version}.fmu"), reaction=0.17)), drive(Aeb(reaction=0.17))
+    assert ego(fmu).min() == pytest.approx(-8.0)
+    np.testing.assert_allclose(ego(fmu, "x"), ego(python, "x"), rtol=0.0, atol=1e-9)
+
+
+@NOTICES
+def test_both_versions_of_the_interface_drive_alike(folder):
+    one, other = (drive(f"fmu:{folder / name}:reaction=0.3") for name in ("aeb2.fmu", "aeb3.fmu"))
+    assert ego(one).min() < -7.0
+    assert ego(one, "x").tobytes() == ego(other, "x").tobytes()
+
+
+@NOTICES
+@pytest.mark.parametrize("scenario", ["example", pytest.param("ccrs", marks=pytest.mark.slow)])
+def test_60_scenarios_have_the_same_bytes_with_any_workers_and_a_delay_is_found(folder, tmp_path, scenario):
+    given: dict = {}
+    if scenario == "ccrs":
+        if not CCRS.exists():
+            pytest.skip("Euro NCAP's files are not beside the checkout")
+        given = {"scenario": CCRS, "ranges": CCRS_RANGES}
+    aeb = f"fmu:{folder / 'aeb2.fmu'}"
+    for name, more in {"one": [], "two": ["--workers", 2]}.items():
+        ended = explore(tmp_path, aeb, *more, "-o", f"{name}.db", **given)
+        assert ended.returncode == 0, ended.stderr
+    one = recordings(tmp_path / "one.db")
+    assert len(one) == 60
+    assert recordings(tmp_path / "two.db") == one
+    assert explore(tmp_path, f"{aeb}:reaction=0.4", "-o", "late.db", **given).returncode == 0
+    told = cornercase("compare", "one.db", "late.db", cwd=tmp_path)
+    assert told.stdout.startswith("Worse"), told.stdout
+    assert "reaction=0.4" in told.stdout
+
+
+@NOTICES
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["aeb3.fmu", "once.fmu"])
+def test_a_cluster_gives_the_same_bytes(folder, tmp_path, name):
+    pytest.importorskip("distributed")
+    aeb = f"fmu:{folder / name}"
+    for study, more in {"here": [], "there": ["--cluster", "local", "--workers", 2]}.items():
+        ended = explore(tmp_path, aeb, *more, "-o", f"{study}.db")
+        assert ended.returncode == 0, ended.stderr
+    assert recordings(tmp_path / "there.db") == recordings(tmp_path / "here.db")
+
+
+@NOTICES
+def test_a_process_for_each_instance_if_the_fmu_wants_it(folder, tmp_path):
+    """Also with more scenarios than there may be processes."""
+    for name in ("aeb2", "once"):
+        assert explore(tmp_path, f"fmu:{folder / name}.fmu", "-o", f"{name}.db", budget=40).returncode == 0
+    assert recordings(tmp_path / "once.db") == recordings(tmp_path / "aeb2.db")
+
+
+@NOTICES
+@pytest.mark.parametrize("name", ["aeb2.fmu", "once.fmu"])
+@pytest.mark.parametrize("fault", [0, 6])
+def test_a_batch_leaves_nothing_to_the_next_one(folder, name, fault):
+    """Fault 6 is an instance that remembers, after a reset, that it has braked."""
+    driver = FmuDriver(str(folder / name), fault=fault)
+    first, second, third = (drive(driver) for _ in range(3))
+    assert ego(first)[5] == 0.0
+    assert ego(first, "x").tobytes() == ego(second, "x").tobytes() == ego(third, "x").tobytes()
+
+
+FAULTS = {
+    1: "crashed at t = 0.95 s: its process was ended by SIGABRT; its log: about to crash 1",
+    2: "hung at t = 0.95 s: a call took more than 0.5 s; its log: about to hang 2",
+    3: r"failed at t = 0.95 s: fmi{}DoStep returned fmi{}Error; its log: lost the\x1b[31m sensor 3",
+    4: "failed at t = 0.95 s: fmi{}DoStep returned fmi{}Fatal; its log: broken 4",
+    5: "failed at t = 0.95 s: its output acceleration is not usable as acceleration",
+}
+
+
+@NOTICES
+@pytest.mark.parametrize("fault", FAULTS)
+@pytest.mark.parametrize("version", [2, 3])
+def test_a_fault_says_its_instant_and_the_log(folder, version, fault):
+    driver = f"fmu:{folder}/aeb{version}.fmu:fault={fault},timeout=0.5"
+    with pytest.raises(cc.InputError) as raised:
+        drive(driver)
+    assert FAULTS[fault].format(version, version) in str(raised.value)
+    assert f"the driver of Ego (fmu:aeb{version}.fmu:fault={fault}" in str(raised.value)
+    assert str(folder) not in str(raised.value)
+
+
+@NOTICES
+@pytest.mark.parametrize("fault", [1, 3])
+def test_a_fault_costs_only_the_scenarios_in_which_it_happens(folder, tmp_path, fault):
+    aeb, more = f"fmu:{folder / 'aeb2.fmu'}", ("--max-failures", 0)
+    assert explore(tmp_path, aeb, "-o", "good.db", budget=16, duration=1.5).returncode == 0
+    ended = explore(tmp_path, f"{aeb}:fault={fault},fault_time=-1", "-o", "bad.db", *more, budget=16, duration=1.5)
+    assert ended.returncode == 0, ended.stderr
+    with StudyFile.open(tmp_path / "good.db") as good, StudyFile.open(tmp_path / "bad.db") as bad:
+        states = dict(bad.table()["state"])
+        for k, state in states.items():
+            recording = good.recording(k)
+            has_braked = ego(recording).min() < -7.0
+            assert (state == "failed") == has_braked
+            if not has_braked:
+                assert ego(bad.recording(k), "x").tobytes() == ego(recording, "x").tobytes()
+    assert set(states.values()) == {"done", "failed"}
+
+
+@NOTICES
+def test_units_and_sub_steps(tmp_path, folder):
+    """Closing speed in an own unit of 1/3.6 m/s, and three steps within one."""
+    make_fmu(tmp_path / "kmh.fmu", rename={"closing": "rate"}, units={"closing": "speed"}, step_size=0.01)
+    (tmp_path / "aeb.toml").write_text(
+        '[inputs]\nv_ego = 1\ngap = { from = "object[1].gap", none = 500 }\nrate = { from = "leader.closing", factor = 0.2777777777777778 }\n'
+    )
+    mapped = FmuDriver(str(tmp_path / "kmh.fmu"), map=str(tmp_path / "aeb.toml"), reaction=0.3)
+    assert [(one.name, one.unit, one.source) for one in mapped.describe()[:4]] == [
+        ("v_ego", "m/s", "1"),
+        ("gap", "m", "object[1].gap"),
+        ("rate", "speed", "0.277778 * leader.closing"),
+        ("acceleration", "m/s2", "acceleration"),
+    ]
+    # The factor undoes the unit, so it brakes as the other does, but for the steps within a step.
+    fine, plain = drive(mapped), drive(f"fmu:{folder / 'aeb2.fmu'}:step=0.01,reaction=0.3")
+    assert ego(fine).min() < -7.0
+    assert ego(fine, "x").tobytes() == ego(plain, "x").tobytes()
+
+
+@NOTICES
+def test_what_names_do_not_say_is_listed(tmp_path):
+    path = make_fmu(tmp_path / "odd.fmu", rename={"gap": "foo"}, units={"v_ego": ""})
+    listed = {one.name: one for one in FmuDriver(str(path), reaction=0.3).describe()}
+    assert (listed["v_ego"].source, listed["v_ego"].remark) == ("ego.speed", "has no unit: taken as m/s")
+    assert (listed["foo"].source, listed["foo"].remark) == ("", "keeps its start value 1000")
+    assert (listed["reaction"].causality, listed["reaction"].source) == ("parameter", "0.3")
+    assert (listed["threshold"].source, listed["threshold"].remark) == ("", "start value 2")
+    # So it never brakes.
+    assert ego(drive(f"fmu:{path}")).min() == 0.0
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        ("[inputs", "is no TOML file"),
+        ("[ins]\na = 1", "has 'ins'; a map has the tables [inputs] and [outputs]"),
+        ('[inputs]\ngaap = "leader.gap"', "the FMU has no input 'gaap'; did you mean 'gap'?"),
+        ('[inputs]\ngap = "leader.gab"', "is to get 'leader.gab', which does not exist; did you mean 'leader.gap'?"),
+        ('[inputs]\ngap = "leader.speed"', "input 'gap': 'gap' has the unit 'm', which does not fit m/s"),
+        ('[inputs]\ngap = { from = "leader.gap", unit = "km" }', "has the unit 'km', but the FMU says 'm'"),
+        ('[inputs]\ngap = { from = "leader.gap", unit = "furlong" }', "has the unit 'furlong'; known are"),
+        ('[inputs]\ngap = { from = "leader.gap", factor = 0 }', "`factor` is 0; give a number other than 0"),
+        ('[inputs]\ngap = { from = "leader.gap", none = "far" }', "`none` is 'far'; give a number"),
+        ('[inputs]\ngap = { form = "leader.gap" }', "give a name, as in"),
+        ('[inputs]\ngap = { from = "leader.gap", scale = 2 }', "has the key 'scale'"),
+        ('[inputs]\ngap = "object.gap"', "is to get 'object.gap', which does not exist"),
+        ('[outputs]\nspeed = "acceleration"', "there is no decision 'speed'"),
+        ('[outputs]\nacceleration = "acc"', "the FMU has no output 'acc'; known are: acceleration."),
+        ('[outputs]\nsteering = "acceleration"', "'acceleration' has the unit 'm/s2', which does not fit rad"),
+        ("[outputs]", "none of its outputs (acceleration) is known as one of"),
+    ],
+)
+def test_a_bad_map_gives_a_sentence(folder, tmp_path, content, says):
+    (tmp_path / "map.toml").write_text(content)
+    with pytest.raises(cc.InputError, match=r"map\.toml: ") as raised:
+        FmuDriver(str(folder / "aeb2.fmu"), map=str(tmp_path / "map.toml"))
+    assert says in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"units": {"gap": "kg"}}, "'gap' has the unit 'kg', whose meaning the FMU does not define"),
+        ({"units": {"gap": "furlong"}}, "'gap' has the unit 'furlong', whose meaning the FMU does not define"),
+        ({"units": {"gap": "m/s"}}, "'gap' has the unit 'm/s', which does not fit m"),
+        ({"rename": {"acceleration": "torque"}}, "none of its outputs (torque) is known as one of"),
+        ({"rename": {"acceleration": "lane_change"}, "units": {"acceleration": ""}}, "its outputs decide lane_change"),
+    ],
+)
+def test_an_fmu_that_does_not_say_what_it_means_gives_a_sentence(tmp_path, changes, says):
+    path = make_fmu(tmp_path / "aeb.fmu", library=False, **changes)
+    with pytest.raises(cc.InputError) as raised:
+        FmuDriver(str(path))
+    assert says in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (":reactoin=1", "the FMU has no parameter 'reactoin'; did you mean 'reaction'?"),
+        (":gap=1", "'gap' is no parameter of the FMU, but of kind input"),
+        (":fault=0.5", "the parameter 'fault' is a Integer, not '0.5'"),
+        (":reaction=soon", "the parameter 'reaction' is a Real, not 'soon'"),
+        (":reaction", "has the option 'reaction' without a name or value"),
+        (":reaction=1,reaction=2", "has the option 'reaction' twice"),
+        (":step=fast", "takes a number for 'step', not 'fast'"),
+        (":step=0", "step"),
+        (":", "names no FMU"),
+        (":map=nowhere.toml", "nowhere.toml: cannot be read"),
+    ],
+)
+def test_a_bad_option_gives_a_sentence(folder, options, says):
+    with pytest.raises(cc.InputError) as raised:
+        DRIVERS.create(f"fmu:{folder / 'aeb2.fmu'}{options}")
+    assert says in str(raised.value)
+
+
+@NOTICES
+def test_files_that_are_no_such_fmu_give_a_sentence(tmp_path):
+    (tmp_path / "text.fmu").write_text("no zip")
+    with pytest.raises(cc.InputError, match="is not an FMU"):
+        FmuDriver(str(tmp_path / "text.fmu"))
+    with pytest.raises(cc.InputError, match="cannot be read"):
+        FmuDriver(str(tmp_path / "nowhere.fmu"))
+    with pytest.raises(cc.InputError, match=r"has no library for .*, but source code at most"):
+        drive(FmuDriver(str(make_fmu(tmp_path / "source.fmu", library=False))))
+    with pytest.raises(cc.InputError, match="names no FMU; give its file"):
+        DRIVERS.create("fmu")
+
+
+@NOTICES
+def test_the_fmus_steps_divide_the_time_step(folder, tmp_path):
+    with pytest.raises(cc.InputError, match=r"the option `step`, 0\.03 s, does not divide the time step of 0\.05 s"):
+        drive(f"fmu:{folder / 'aeb2.fmu'}:step=0.03")
+    path = make_fmu(tmp_path / "slow.fmu", step_size=0.1)
+    with pytest.raises(cc.InputError, match=r"the FMU's own step size, 0\.1 s, does not divide the time step of 0\.05"):
+        drive(f"fmu:{path}")
+    assert ego(drive(f"fmu:{path}", time_step=0.1)).min() < -7.0
+
+
+def test_a_file_never_names_an_fmu(folder):
+    for name in (
+        "fmu:aeb2.fmu",
+        "fmu:aeb2.fmu:reaction=0.3",
+        "fmu:aeb2.fmu=1",
+        f"fmu:{folder}/aeb2.fmu:fault=1",
+        "fmu",
+    ):
+        assert not may_be_named_in_file(name)
+        with pytest.raises(cc.InputError):
+            create_driver_named_in_file(name)
+
+
+@NOTICES
+def test_a_study_says_what_drove(folder, tmp_path):
+    (tmp_path / "map.toml").write_text('[inputs]\ngap = "leader.gap"\nclosing = "leader.closing"\n')
+    spec = f"fmu:{folder / 'aeb2.fmu'}:map=map.toml,reaction=0.3"
+    ended = explore(tmp_path, spec, "-o", "s.db", budget=2)
+    assert ended.returncode == 0, ended.stderr
+    with StudyFile.open(tmp_path / "s.db") as study:
+        stored = study.meta.settings["drivers"]["Ego"]
+    model = read_fmu(folder / "aeb2.fmu")
+    assert stored["sha256"] == model.sha256
+    assert (stored["model"], stored["fmi"], stored["guid"]) == ("Emergency brake", "2.0", "{aeb}")
+    assert len(stored["map_sha256"]) == 64
+    assert driver_command_option(stored) == spec
+    assert format_driver(stored) == f"{spec}, sha256 {model.sha256[:8]}…"
+    (tmp_path / "map.toml").write_text('[inputs]\ngap = "leader.gap"\n')
+    again = explore(tmp_path, spec, "-o", "s.db", budget=4)
+    assert again.returncode == 2
+    assert "driver" in again.stderr
+
+
+def test_an_object_and_a_name_are_the_same_driver(folder):
+    path = str(folder / "aeb2.fmu")
+    named, made = DRIVERS.create(f"fmu:{path}:reaction=0.3"), FmuDriver(path, reaction=0.3)
+    assert serialize_driver(named) == serialize_driver(made)
+    assert str(made.with_options(reaction=0.4)) == f"fmu:{path}:reaction=0.4"
+    assert made.parameters == {"reaction": "0.1", "threshold": "2", "fault_time": "1", "fault": "0"}
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_an_fmu_in_this_process(folder, tmp_path, version):
+    """What other adapters build on."""
+    lines: list[str] = []
+    fmu = Fmu(read_fmu(folder / f"aeb{version}.fmu").unpack(tmp_path), lines.append)
+    real, integer = ("Real", "Integer") if version == 2 else ("Float64", "Int32")
+    instance = fmu.instantiate("aeb")
+    instance.set(integer, [20], [3])
+    instance.enter_initialization()
+    instance.exit_initialization()
+    instance.set(real, [1, 2], [10.0, 20.0])
+    assert instance.get(real, [2, 1]) == [20.0, 10.0]
+    assert instance.get(integer, [20]) == [3]
+    for k in range(3):
+        instance.step(0.05 * k, 0.05)
+    assert instance.get(real, [6]) == [-8.0]
+    with pytest.raises(FmuError, match=rf"fmi{version}DoStep returned fmi{version}Error"):
+        instance.step(1.0, 0.05)
+    assert lines[-1].endswith("sensor 3")
+    instance.reset()
+    assert instance.get(integer, [20]) == [0]
+    instance.free()
+
+
+@NOTICES
+def test_an_fmu_made_by_pythonfmu_drives_as_the_one_in_c(folder, tmp_path):
+    path = make_python_fmu(tmp_path)
+    given = [drive(f"fmu:{one}:reaction=0.3") for one in (path, folder / "aeb2.fmu")]
+    assert ego(given[0]).min() < -7.0
+    assert math.isclose(float(np.abs(ego(given[0], "x") - ego(given[1], "x")).max()), 0.0, abs_tol=1e-9)
