@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -59,7 +60,7 @@ def ego(recording, quantity: str = "acceleration"):
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory) -> Path:
+def folder(tmp_path_factory):
     """FMUs of both versions, and one that can be instantiated once per process."""
     folder = tmp_path_factory.mktemp("fmus")
     make_fmu(folder / "aeb2.fmu", 2)
@@ -100,7 +101,7 @@ def test_both_versions_of_the_interface_drive_alike(folder):
 @NOTICES
 @pytest.mark.parametrize("scenario", ["example", pytest.param("ccrs", marks=pytest.mark.slow)])
 def test_60_scenarios_have_the_same_bytes_with_any_workers_and_a_delay_is_found(folder, tmp_path, scenario):
-    given: dict = {}
+    given: dict[str, Any] = {}
     if scenario == "ccrs":
         if not CCRS.exists():
             pytest.skip("Euro NCAP's files are not beside the checkout")

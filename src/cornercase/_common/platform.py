@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import errno
 import os
 import shutil
@@ -159,6 +160,17 @@ def block_interrupts(*other_signals: signal.Signals) -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def search_libraries_in(folder: Path) -> None:
+    """Let shared libraries that are loaded from now on find others in a folder, if the platform does not do so."""
+    if sys.platform == "win32":
+        os.add_dll_directory(str(folder))
+
+
+def load_c_library() -> ctypes.CDLL:
+    """Return the C library of this process, such as for ``calloc`` and ``free``."""
+    return ctypes.CDLL("msvcrt" if _WINDOWS else None)
 
 
 def find_program(name: str, folders: Sequence[str] | None = None) -> str | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -53,6 +54,15 @@ class DrivenPath:
             raise ValueError("all arrays of a path must have the same shape")
         if self.distance[..., 0].any() or not (np.diff(self.distance) > 0.0).all():
             raise ValueError("the distances of a path must increase from 0")
+
+    @cached_property
+    def chord_sum(self) -> FloatArray:
+        """Sum of the chords between its samples, from the first one on, in m, of the shape of `distance`.
+
+        Where the path jumps sideways, this grows by more than the distance.
+        """
+        chords = np.hypot(np.diff(self.x), np.diff(self.y))
+        return np.concatenate((np.zeros_like(self.distance[..., :1]), np.cumsum(chords, axis=-1)), axis=-1)
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,6 +17,10 @@ from cornercase.drivers._base import DrivenPath
 # m along the path, from the driven entity, in which the nearest point is searched.
 _BEHIND: Final = 100.0
 _AHEAD: Final = 300.0
+# Samples of a first look; m that are skipped at once, at least; rounding errors of distances in m.
+_N_COARSE: Final = 64
+_LEAP: Final = 1.0
+_ROUNDING: Final = 1e-6
 
 
 def project_onto_path(
@@ -27,7 +31,9 @@ def project_onto_path(
     The last array tells which points are next to it from 100 m behind to 300 m ahead of `own_distance` (N,); others are
     projected onto the straight line beyond the nearest end.
     """
-    arrays = (np.ascontiguousarray(np.atleast_2d(a)) for a in (path.distance, path.x, path.y, path.heading))
+    arrays = (
+        np.ascontiguousarray(np.atleast_2d(a)) for a in (path.distance, path.x, path.y, path.heading, path.chord_sum)
+    )
     shape = np.shape(x)
     along, offset, direction = np.empty(shape), np.empty(shape), np.empty(shape)
     is_within = np.empty(shape, dtype=np.bool_)
@@ -37,19 +43,30 @@ def project_onto_path(
 
 
 @kernel(error_model="numpy")
-def _project(distance, path_x, path_y, heading, own, x, y, along, offset, direction, is_within):
+def _project(distance, path_x, path_y, heading, chord_sum, own, x, y, along, offset, direction, is_within):
     for n in range(x.shape[0]):
         row = n if distance.shape[0] > 1 else 0
         stations = distance[row]
         first = max(np.searchsorted(stations, own[n] - _BEHIND) - 1, 0)
         last = min(np.searchsorted(stations, own[n] + _AHEAD) + 1, stations.size - 1)
+        stride = (last - first) // _N_COARSE + 1
         for a in range(x.shape[1]):
             best, nearest = math.inf, first
-            for k in range(first, last + 1):
+            bound = math.inf
+            for k in range(first, last + 1, stride):
+                bound = min(bound, (x[n, a] - path_x[row, k]) ** 2 + (y[n, a] - path_y[row, k]) ** 2)
+            bound, k = math.sqrt(bound), first
+            while k <= last:
                 dx, dy = x[n, a] - path_x[row, k], y[n, a] - path_y[row, k]
                 squared = dx * dx + dy * dy
                 if squared < best:
                     best, nearest = squared, k
+                # Points within so much of the path cannot be nearer than the best.
+                spare = math.sqrt(squared) - min(math.sqrt(best), bound) - _ROUNDING
+                if spare > _LEAP:
+                    k += np.searchsorted(chord_sum[row, k : last + 1], chord_sum[row, k] + spare)
+                else:
+                    k += 1
             best = math.inf
             is_within[n, a] = False
             for k in range(max(nearest - 1, first), min(nearest + 1, last)):

@@ -20,10 +20,10 @@ from cornercase._common.validation import check_float
 from cornercase.drivers._base import Situation
 from cornercase.drivers._controls import Controls
 from cornercase.drivers._function import DrivingFunction, Start
+from cornercase.drivers.fmu._input_quantities import Traffic
 from cornercase.drivers.fmu._mapping import MappedVariable, VariableMap
 from cornercase.drivers.fmu._model import FmuVariable, read_fmu
-from cornercase.drivers.fmu._processes import FmuProcessError, FmuProcesses, guardian
-from cornercase.drivers.fmu._quantities import Traffic
+from cornercase.drivers.fmu._processes import FmuProcessError, FmuProcesses, process_reaper
 
 # Path of an FMU, and options behind a colon.
 _SPEC: Final = re.compile(r"(?P<file>.*?\.fmu)(?::(?P<options>.+))?", re.IGNORECASE | re.DOTALL)
@@ -138,8 +138,8 @@ class FmuDriver(DrivingFunction):
             values[name] = [self._parse_parameter(name, float(value)) for value in given]
         try:
             if self._processes is None:
-                folder = guardian().make_temporary_folder()
-                weakref.finalize(self, guardian().remove_folder, folder)
+                folder = process_reaper().make_temporary_folder()
+                weakref.finalize(self, process_reaper().remove_folder, folder)
                 self._processes = FmuProcesses(
                     self._model.unpack(folder), once_per_process=self._model.once_per_process, timeout=self.timeout
                 )
@@ -238,16 +238,16 @@ class FmuDriver(DrivingFunction):
         return time_step / count, count
 
     def _find_parameter(self, name: str) -> FmuVariable:
-        known = {variable.name: variable for variable in self._model.with_causality("parameter")}
-        if name not in known:
+        parameters = {variable.name: variable for variable in self._model.with_causality("parameter")}
+        if name not in parameters:
             if name in self._model.by_name:
                 causality = self._model.by_name[name].causality
                 raise InputError(
                     f"{self._model.path.name}: '{name}' is no parameter of the FMU, but of kind {causality}."
                 )
-            hint = suggest_name(name, [*known, "map", "step", "timeout"])
+            hint = suggest_name(name, [*parameters, "map", "step", "timeout"])
             raise InputError(f"{self._model.path.name}: the FMU has no parameter '{name}'; {hint}")
-        return known[name]
+        return parameters[name]
 
     def _parse_parameter(self, name: str, value: _Scalar) -> _Scalar:
         """Return a parameter's value in the type that the FMU declares."""
@@ -279,22 +279,7 @@ class FmuDriver(DrivingFunction):
 
 
 def fmu_from_text(text: str = "", /) -> FmuDriver:
-    """Create the driver that stands behind ``fmu:``, such as ``"controller.fmu:map=aeb.toml,reaction=0.3"``.
-
-    Parameters
-    ----------
-    text : str
-        Path of the FMU, and its options behind another colon.
-
-    Returns
-    -------
-    FmuDriver
-
-    Raises
-    ------
-    InputError
-        As `FmuDriver`, or the text is not of this form.
-    """
+    """Create the driver behind ``fmu:``, such as ``"controller.fmu:map=aeb.toml,reaction=0.3"``; `InputError`."""
     match = _SPEC.fullmatch(text)
     if match is None:
         raise InputError(f"The driver 'fmu:{text}' names no FMU; give its file as in 'fmu:controller.fmu:option=1'.")

@@ -1,6 +1,6 @@
 """A small process with the instances of an FMU, one per scenario; values come and go through shared memory.
 
-Nothing but the standard library is imported, so that the process starts within a moment.
+Nothing big is imported, so that the process starts within a moment.
 """
 
 from __future__ import annotations
@@ -66,8 +66,13 @@ class Host:
         n = message["scenarios"]
         self._progress = (c_int64 * 2).from_address(base)
         self._active = (c_uint8 * n).from_address(base + PROGRESS_BYTES)
-        self._inputs = [_Table(self._fmu, "Set", *table, base + offset) for *table, offset in message["inputs"]]
-        self._outputs = [_Table(self._fmu, "Get", *table, base + offset) for *table, offset in message["outputs"]]
+        self._inputs, self._outputs = (
+            [
+                _Table(self._fmu, verb, kind, references, width, base + position)
+                for kind, references, width, position in message[name]
+            ]
+            for verb, name in (("Set", "inputs"), ("Get", "outputs"))
+        )
         self._parameters = message["parameters"]
         self._size, self._n_steps = message["step"], message["steps"]
         self._instances, self._steps = [None] * n, [0] * n
@@ -201,7 +206,10 @@ def main() -> None:
                     host = Host(Fmu(source))
                 else:
                     assert host is not None
-                    answer = host.begin(message) if message["do"] == "begin" else host.end(message["reset"])
+                    if message["do"] == "begin":
+                        host.begin(message)
+                    else:
+                        answer = host.end(message["reset"])
         except FmuError as error:
             answer = {"error": str(error)}
         answers.write(json.dumps(answer).encode() + b"\n")

@@ -1,19 +1,20 @@
 """An FMU in this process: its library and its instances, through the C interface of FMI 2.0 and 3.0 for co-simulation.
 
-Nothing but the standard library is imported, since this runs in small processes of their own.
+Nothing big is imported, since this runs in small processes of their own.
 """
 
 from __future__ import annotations
 
 import ctypes
 import os
-import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from ctypes import POINTER, byref, c_char_p, c_double, c_int, c_size_t, c_uint32, c_void_p
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
+
+from cornercase._common.platform import load_c_library, search_libraries_in
 
 OK, WARNING, DISCARD, ERROR, FATAL, PENDING = range(6)
 _STATUS_NAMES: Final = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
@@ -88,9 +89,7 @@ class Fmu:
     def __init__(self, source: FmuSource, on_log: Callable[[str], None] = lambda line: None) -> None:
         self.source, self.version, self.on_log = source, source.version, on_log
         self._prefix = f"fmi{source.version}"
-        folder = str(Path(source.library).parent)
-        if sys.platform == "win32":
-            os.add_dll_directory(folder)
+        search_libraries_in(Path(source.library).parent)
         try:
             self._dll = ctypes.CDLL(source.library)
         except OSError as error:
@@ -138,8 +137,8 @@ class Fmu:
     def check(self, name: str, status: int) -> None:
         """Raise `FmuError` for a status that is neither OK nor a warning."""
         if status > WARNING:
-            known = _STATUS_NAMES[status] if status < len(_STATUS_NAMES) else str(status)
-            raise FmuError(f"{self._prefix}{name} returned {self._prefix}{known}", status)
+            meaning = _STATUS_NAMES[status] if status < len(_STATUS_NAMES) else str(status)
+            raise FmuError(f"{self._prefix}{name} returned {self._prefix}{meaning}", status)
 
     def instantiate(self, name: str) -> Instance:
         """Return a new instance; raises `FmuError`."""
@@ -199,7 +198,7 @@ class Fmu:
             raise FmuError("fmi3DoStep asked to end the simulation")
 
     def _make_callbacks(self) -> _Callbacks2:
-        c_library = ctypes.CDLL("msvcrt") if sys.platform == "win32" else ctypes.CDLL(None)
+        c_library = load_c_library()
         memory = (ctypes.cast(function, c_void_p) for function in (c_library.calloc, c_library.free))
         callbacks = _Callbacks2(_Callbacks2.LOGGER(self._log_2), *memory, None, None)
         if self.source.log_proxy:

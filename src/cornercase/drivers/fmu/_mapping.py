@@ -15,19 +15,19 @@ import numpy.typing as npt
 from cornercase._common.errors import InputError, suggest_name
 from cornercase._common.text.sanitize import format_exception
 from cornercase._common.typing import FloatArray
-from cornercase.drivers.fmu._model import FmuModel, FmuVariable
-from cornercase.drivers.fmu._processes import TableLayout
-from cornercase.drivers.fmu._quantities import (
+from cornercase.drivers.fmu._input_quantities import (
     OUTPUTS,
     QUANTITIES,
-    Quantity,
+    InputQuantity,
     Traffic,
     find_quantities,
     find_quantity,
     recognize_input,
     recognize_output,
 )
-from cornercase.drivers.fmu._units import KNOWN_UNITS, SI, Unit, fits
+from cornercase.drivers.fmu._model import FmuModel, FmuVariable
+from cornercase.drivers.fmu._processes import TableLayout
+from cornercase.drivers.fmu._variable_units import KNOWN_UNITS, SI, Unit, fits
 
 _PEDALS: Final = ("throttle", "brake")
 _INPUT_KEYS: Final = ("from", "none", "unit", "factor")
@@ -47,7 +47,7 @@ class MappedVariable:
     unit : str
         Unit of the FMU, or the one that is taken in its place.
     source : str
-        Quantity that it is given, decision that it makes, or value of a parameter; empty if it is not used.
+        InputQuantity that it is given, decision that it makes, or value of a parameter; empty if it is not used.
     remark : str
         Such as a unit that the FMU does not name, or the start value that an input keeps; may be empty.
     """
@@ -66,7 +66,7 @@ class Column:
     A constant has no quantity.
     """
 
-    quantity: Quantity | None
+    quantity: InputQuantity | None
     factor: float
     offset: float
     none: float
@@ -107,8 +107,8 @@ class VariableMap:
         self.inputs = self._map_inputs(document.get("inputs"))
         self.outputs = self._map_outputs(document.get("outputs"))
         self._check_decisions()
-        self._input_kinds = _group([one.variable for one in self.inputs])
-        self._output_kinds = _group([one.variable for one in self.outputs])
+        self._input_kinds = _group([mapped.variable for mapped in self.inputs])
+        self._output_kinds = _group([mapped.variable for mapped in self.outputs])
         self.input_layouts = [self._layout(self.inputs, members) for members in self._input_kinds]
         self.output_layouts = [self._layout(self.outputs, members) for members in self._output_kinds]
 
@@ -245,10 +245,10 @@ class VariableMap:
                 " one out in a map, `map=FILE.toml`."
             )
 
-    def _find_variable(self, name: str, known: Sequence[FmuVariable], what: str) -> FmuVariable:
-        variable = next((one for one in known if one.name == name), None)
+    def _find_variable(self, name: str, variables: Sequence[FmuVariable], what: str) -> FmuVariable:
+        variable = next((variable for variable in variables if variable.name == name), None)
         if variable is None:
-            names = [one.name for one in known]
+            names = [variable.name for variable in variables]
             raise InputError(f"{self._where}: the FMU has no {what} '{name}'; {suggest_name(name, names)}")
         if not variable.is_number:
             raise InputError(f"{self._where}: the {what} '{name}' is a {variable.kind}, not a number; leave it out.")

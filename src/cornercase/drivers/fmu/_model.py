@@ -14,7 +14,7 @@ from typing import Any, Final
 from cornercase._common.errors import InputError
 from cornercase._common.text.sanitize import format_exception, shorten
 from cornercase.drivers.fmu._instance import FmuSource
-from cornercase.drivers.fmu._units import KNOWN_UNITS, Unit
+from cornercase.drivers.fmu._variable_units import KNOWN_UNITS, Unit
 
 _LOG_CATEGORIES: Final = ("logStatusWarning", "logStatusDiscard", "logStatusError", "logStatusFatal")
 # dtypes of the values of each FMI type, as in shared memory.
@@ -173,7 +173,7 @@ def _make_variable(variable: Any, units: Mapping[str, Any], version: int) -> Fmu
     if kind == "Enumeration":
         kind = "Integer" if version == 2 else "Int64"
     size = 1
-    for length in getattr(variable, "shape", None) or ():
+    for length in variable.shape:
         size *= length
     unit_name = str(variable.unit or (declared.unit if declared is not None else None) or "")
     items = () if declared is None else declared.items

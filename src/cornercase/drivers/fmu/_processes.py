@@ -49,11 +49,11 @@ class TableLayout:
 
 
 @lru_cache(maxsize=1)
-def guardian() -> Reaper:
+def process_reaper() -> Reaper:
     """Return what ends the processes, and removes the unpacked FMUs, when this process has ended."""
     reaper = Reaper()
     # At the end of the program, finalizers run in reverse order: those of processes come first.
-    weakref.finalize(guardian, reaper.close)
+    weakref.finalize(process_reaper, reaper.close)
     return reaper
 
 
@@ -66,6 +66,8 @@ class FmuProcesses:
     def __init__(self, source: FmuSource, *, once_per_process: bool, timeout: float) -> None:
         self._source, self._once, self._timeout = source, once_per_process, timeout
         self._processes: list[_Process] = []
+        # Those of the current batch.
+        self._used: list[_Process] = []
         self._reset: bool | None = None
 
     def begin(
@@ -81,6 +83,7 @@ class FmuProcesses:
 
         Parameters are (type, value reference, values); the values are one for all scenarios, or one for each.
         """
+        self._used = []
         if self._once and scenarios > MAX_PROCESSES:
             raise FmuProcessError(f"the FMU wants a process for each of {scenarios} scenarios")
         self._rows = [slice(n, n + 1) for n in range(scenarios)] if self._once else [slice(0, scenarios)]
@@ -115,7 +118,7 @@ class FmuProcesses:
 
     def end(self) -> None:
         """End a batch; instances are kept if a reset of them gives the same bytes."""
-        for process in self._used if self._processes else ():
+        for process in self._used:
             try:
                 self._reset = process.end(self._reset)
             except FmuProcessError:
@@ -127,7 +130,7 @@ class FmuProcesses:
         """End the processes."""
         for process in self._processes:
             process.close()
-        self._processes = []
+        self._processes, self._used = [], []
 
 
 class _Process:
@@ -135,7 +138,7 @@ class _Process:
 
     def __init__(self, source: FmuSource, timeout: float) -> None:
         self._timeout = timeout
-        self._folder = guardian().make_temporary_folder()
+        self._folder = process_reaper().make_temporary_folder()
         self._n_batches = 0
         self._memory: mmap.mmap | None = None
         self._log = (self._folder / "log").open("ab+")
@@ -146,7 +149,7 @@ class _Process:
             stderr=self._log,
             **detached_process_options(),
         )
-        guardian().watch_process(self._process.pid)
+        process_reaper().watch_process(self._process.pid)
         self._close = weakref.finalize(self, _end_process, self._process, self._log, self._folder)
         self._requests, self._is_busy, self._is_hung = 0, False, False
         watch = threading.Thread(target=_kill_when_hung, args=(weakref.ref(self), timeout), daemon=True)
@@ -170,11 +173,11 @@ class _Process:
     ) -> None:
         """Begin a batch, as `FmuProcesses.begin`."""
         size, layouts = PROGRESS_BYTES + scenarios, list[list[Any]]()
-        places = list[int]()
+        positions = list[int]()
         for table in (*inputs, *outputs):
             # Numbers of 8 bytes begin at multiples of 8.
             size = -(-size // 8) * 8
-            places.append(size)
+            positions.append(size)
             layouts.append([table.kind, table.references, table.width, size])
             size += scenarios * table.width * np.dtype(table.dtype).itemsize
         # Each batch has memory of its own: that of the last one may still be in use.
@@ -189,8 +192,8 @@ class _Process:
         self._progress = np.frombuffer(self._memory, np.int64, 2)
         self._active = np.frombuffer(self._memory, np.bool_, scenarios, PROGRESS_BYTES)
         arrays = [
-            np.frombuffer(self._memory, table.dtype, scenarios * table.width, place).reshape(scenarios, table.width)
-            for table, place in zip((*inputs, *outputs), places, strict=True)
+            np.frombuffer(self._memory, table.dtype, scenarios * table.width, position).reshape(scenarios, table.width)
+            for table, position in zip((*inputs, *outputs), positions, strict=True)
         ]
         self._inputs, self.outputs = arrays[: len(inputs)], arrays[len(inputs) :]
         self._log.truncate(0)
@@ -303,13 +306,14 @@ def _end_process(process: subprocess.Popen[bytes], log: Any, folder: Path) -> No
     process.wait()
     for stream in (process.stdin, process.stdout, log):
         with suppress(OSError):
-            stream.close()
-    guardian().release_process(process.pid)
-    guardian().remove_folder(folder)
+            if stream is not None:
+                stream.close()
+    process_reaper().release_process(process.pid)
+    process_reaper().remove_folder(folder)
 
 
 def _format_log(lines: Sequence[str]) -> str:
     """Return the last lines of a log for a message; an empty text if there are none."""
-    kept = [" ".join(escape_control_characters(remove_folders(line)).split()) for line in lines[-_MAX_LINES:]]
-    kept = [line for line in kept if line]
-    return f"; its log: {shorten(' | '.join(kept), _MAX_LOG_LENGTH)}" if kept else ""
+    plain = [" ".join(escape_control_characters(remove_folders(line)).split()) for line in lines[-_MAX_LINES:]]
+    text = " | ".join(filter(None, plain))
+    return f"; its log: {shorten(text, _MAX_LOG_LENGTH)}" if text else ""

@@ -37,13 +37,14 @@ class Traffic:
         if not x.shape[1]:
             return np.zeros(len(x), dtype=np.int64)
         is_ahead = (in_path > 0.0) & (gap >= 0.0) & (x > 0.0)
-        gap = np.where(is_ahead, gap, np.inf)
-        return np.where(is_ahead.any(axis=1), np.argmin(gap, axis=1), x.shape[1])
+        nearest = np.argmin(np.where(is_ahead, gap, np.inf), axis=1)
+        return np.where(is_ahead.any(axis=1), nearest, x.shape[1])
 
     def field(self, name: str) -> FloatArray:
         """Return what is known about the others, sorted, (N, A); NaN for those that do not exist."""
         if name not in self._fields:
-            self._fields[name] = np.take_along_axis(_OTHER_FIELDS[name](self), self._order, axis=1)
+            values: FloatArray = np.take_along_axis(_OTHER_FIELDS[name](self), self._order, axis=1)
+            self._fields[name] = values
         return self._fields[name]
 
     @cached_property
@@ -58,7 +59,7 @@ class Traffic:
     def of_leader(self, name: str) -> FloatArray:
         """Return what is known about the leader, (N,); NaN where there is none."""
         values = self.field(name)
-        padded = np.column_stack((values, np.full(len(values), np.nan)))
+        padded: FloatArray = np.column_stack((values, np.full(len(values), np.nan)))
         return padded[np.arange(len(values)), self._leader]
 
     @property
@@ -68,7 +69,7 @@ class Traffic:
 
 
 @dataclass(frozen=True)
-class Quantity:
+class InputQuantity:
     """Something that an FMU may be given.
 
     `unit` is that of SI. `none` is what stands for it where it does not exist, as the speed of a leader without one.
@@ -80,7 +81,7 @@ class Quantity:
     none: float
     compute: Callable[[Traffic], FloatArray]
 
-    def __reduce__(self) -> tuple[Callable[[str], Quantity | None], tuple[str]]:
+    def __reduce__(self) -> tuple[Callable[[str], InputQuantity | None], tuple[str]]:
         return find_quantity, (self.name,)
 
 
@@ -138,47 +139,47 @@ def _fill(value: Callable[[Traffic], float]) -> Callable[[Traffic], FloatArray]:
 
 
 _EGO: Final = (
-    Quantity("time", "s", 0.0, _fill(lambda traffic: traffic.situation.time)),
-    Quantity("target_speed", "m/s", 100.0, lambda traffic: traffic.situation.target_speed),
-    Quantity("ego.speed", "m/s", 0.0, lambda traffic: traffic.situation.speed),
-    Quantity("ego.acceleration", "m/s²", 0.0, lambda traffic: traffic.situation.acceleration),
-    Quantity("ego.x", "m", 0.0, lambda traffic: traffic.situation.x),
-    Quantity("ego.y", "m", 0.0, lambda traffic: traffic.situation.y),
-    Quantity("ego.heading", "rad", 0.0, lambda traffic: traffic.situation.heading),
-    Quantity("ego.distance", "m", 0.0, lambda traffic: traffic.shared.own_pose_on_path[0]),
-    Quantity("ego.offset", "m", 0.0, lambda traffic: traffic.shared.own_pose_on_path[1]),
-    Quantity("ego.length", "m", 0.0, _fill(lambda traffic: traffic.body.length)),
-    Quantity("ego.width", "m", 0.0, _fill(lambda traffic: traffic.body.width)),
-    Quantity("ego.wheelbase", "m", 0.0, _fill(lambda traffic: traffic.body.wheelbase)),
-    Quantity(
+    InputQuantity("time", "s", 0.0, _fill(lambda traffic: traffic.situation.time)),
+    InputQuantity("target_speed", "m/s", 100.0, lambda traffic: traffic.situation.target_speed),
+    InputQuantity("ego.speed", "m/s", 0.0, lambda traffic: traffic.situation.speed),
+    InputQuantity("ego.acceleration", "m/s²", 0.0, lambda traffic: traffic.situation.acceleration),
+    InputQuantity("ego.x", "m", 0.0, lambda traffic: traffic.situation.x),
+    InputQuantity("ego.y", "m", 0.0, lambda traffic: traffic.situation.y),
+    InputQuantity("ego.heading", "rad", 0.0, lambda traffic: traffic.situation.heading),
+    InputQuantity("ego.distance", "m", 0.0, lambda traffic: traffic.shared.own_pose_on_path[0]),
+    InputQuantity("ego.offset", "m", 0.0, lambda traffic: traffic.shared.own_pose_on_path[1]),
+    InputQuantity("ego.length", "m", 0.0, _fill(lambda traffic: traffic.body.length)),
+    InputQuantity("ego.width", "m", 0.0, _fill(lambda traffic: traffic.body.width)),
+    InputQuantity("ego.wheelbase", "m", 0.0, _fill(lambda traffic: traffic.body.wheelbase)),
+    InputQuantity(
         "object.count", "1", 0.0, lambda traffic: (~np.isnan(traffic.situation.others_x)).sum(axis=1).astype(np.float64)
     ),
 )
 _LEADER: Final = tuple(
-    Quantity(f"leader.{name}", unit, none, lambda traffic, name=name: traffic.of_leader(name))  # type: ignore[misc]
+    InputQuantity(f"leader.{name}", unit, none, lambda traffic, name=name: traffic.of_leader(name))  # type: ignore[misc]
     for name, (unit, none) in _OTHER_UNITS.items()
 )
-QUANTITIES: Final[Mapping[str, Quantity]] = {quantity.name: quantity for quantity in (*_EGO, *_LEADER)}
+QUANTITIES: Final[Mapping[str, InputQuantity]] = {quantity.name: quantity for quantity in (*_EGO, *_LEADER)}
 """Quantities by name, without those of the list of objects."""
 _OBJECT_NAME: Final = re.compile(r"object\[([1-9]\d{0,2})\]\.(\w+)")
 _OBJECT_ARRAY: Final = re.compile(r"object\.(\w+)")
 
 
-def find_quantity(name: str) -> Quantity | None:
+def find_quantity(name: str) -> InputQuantity | None:
     """Return a quantity by its name, such as ``"ego.speed"`` or ``"object[1].x"``."""
     if (match := _OBJECT_NAME.fullmatch(name)) is not None and match[2] in _OTHER_UNITS:
         unit, none = _OTHER_UNITS[match[2]]
-        return Quantity(name, unit, none, partial(_of_rank, match[2], int(match[1]) - 1))
+        return InputQuantity(name, unit, none, partial(_of_rank, match[2], int(match[1]) - 1))
     return QUANTITIES.get(name)
 
 
-def find_quantities(name: str, count: int) -> list[Quantity] | None:
+def find_quantities(name: str, count: int) -> list[InputQuantity] | None:
     """Return the quantities of an array by its name, such as ``"object.x"``, from the nearest object on."""
     match = _OBJECT_ARRAY.fullmatch(name)
     if match is None or match[1] not in _OTHER_UNITS:
         return None
-    found = [find_quantity(f"object[{k}].{match[1]}") for k in range(1, count + 1)]
-    return [quantity for quantity in found if quantity is not None]
+    named = (find_quantity(f"object[{k}].{match[1]}") for k in range(1, count + 1))
+    return [quantity for quantity in named if quantity is not None]
 
 
 def _of_rank(field: str, rank: int, traffic: Traffic) -> FloatArray:
