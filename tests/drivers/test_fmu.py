@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from conftest import EXAMPLES
 from cornercase.drivers import DRIVERS, FmuDriver
 from cornercase.drivers._description import driver_command_option, format_driver, serialize_driver
 from cornercase.drivers._resolve import create_driver_named_in_file, may_be_named_in_file
+from cornercase.drivers.fmu._input_quantities import QUANTITIES, find_quantity, recognize_input, recognize_output
 from cornercase.drivers.fmu._instance import Fmu, FmuError
 from cornercase.drivers.fmu._model import read_fmu
 from cornercase.study import StudyFile
@@ -152,7 +154,7 @@ def test_a_batch_leaves_nothing_to_the_next_one(folder, name, fault):
 
 FAULTS = {
     1: "crashed at t = 0.95 s: its process was ended by SIGABRT; its log: about to crash 1",
-    2: "hung at t = 0.95 s: a call took more than 0.5 s; its log: about to hang 2",
+    2: "hung at t = 0.95 s: a call took more than 2 s; its log: about to hang 2",
     3: r"failed at t = 0.95 s: fmi{}DoStep returned fmi{}Error; its log: lost the\x1b[31m sensor 3",
     4: "failed at t = 0.95 s: fmi{}DoStep returned fmi{}Fatal; its log: broken 4",
     5: "failed at t = 0.95 s: its output acceleration is not usable as acceleration",
@@ -163,7 +165,7 @@ FAULTS = {
 @pytest.mark.parametrize("fault", FAULTS)
 @pytest.mark.parametrize("version", [2, 3])
 def test_a_fault_says_its_instant_and_the_log(folder, version, fault):
-    driver = f"fmu:{folder}/aeb{version}.fmu:fault={fault},timeout=0.5"
+    driver = f"fmu:{folder}/aeb{version}.fmu:fault={fault},timeout=2"
     with pytest.raises(cc.InputError) as raised:
         drive(driver)
     assert FAULTS[fault].format(version, version) in str(raised.value)
@@ -373,6 +375,28 @@ def test_an_fmu_in_this_process(folder, tmp_path, version):
     instance.reset()
     assert instance.get(integer, [20]) == [0]
     instance.free()
+
+
+def test_the_page_lists_what_is_known():
+    page = (EXAMPLES.parent / "docs" / "fmu.md").read_text(encoding="utf-8")
+    given, decided = page.split("## What it decides")[0], page.split("## What it decides")[1].split("## Units")[0]
+    listed = {cell for row in given.split("| name |")[1].splitlines() for cell in re.findall(r"`([^`]+)`", row)}
+    assert set(QUANTITIES) <= listed
+    for row in given.splitlines():
+        if row.startswith("| `") and row.count("|") == 5 and "object" not in row:
+            name, *_ = re.findall(r"`([^`]+)`", row)
+            aliases = re.findall(r"`([^`]+)`", row.split("|")[3])
+            assert {recognize_input(alias, is_array=False) for alias in aliases} <= {name}
+            if none := row.split("|")[4].strip():
+                assert find_quantity(name).none == float(none)
+    for row in decided.splitlines():
+        if row.startswith("| `"):
+            name, *aliases = re.findall(r"`([^`]+)`", row)
+            assert {recognize_output(alias) for alias in (name, *aliases)} == {name}
+    assert {recognize_input(name, is_array=False) for name in ("EgoSpeed", "ego_speed", "v_ego")} == {"ego.speed"}
+    assert recognize_input("target[3].x", is_array=False) == "object[3].x"
+    assert recognize_input("objects_in_path", is_array=True) == "object.in_path"
+    assert recognize_input("torque", is_array=False) is None
 
 
 @NOTICES

@@ -104,6 +104,15 @@ class FmuDriver(DrivingFunction):
         """Start values of the FMU's parameters, by name."""
         return {variable.name: variable.start for variable in self._model.with_causality("parameter")}
 
+    @property
+    def searchable_options(self) -> tuple[str, ...]:
+        """Names of the FMU's parameters that take numbers."""
+        return tuple(
+            variable.name
+            for variable in self._model.with_causality("parameter")
+            if variable.is_number and variable.size == 1
+        )
+
     def describe(self) -> tuple[MappedVariable, ...]:
         """Return what the FMU's variables are given and decide.
 

@@ -28,6 +28,8 @@ from cornercase.drivers.fmu._instance import FmuSource
 
 MAX_PROCESSES: Final = 32
 """Most processes at the same time, for an FMU that wants one for each instance."""
+# Shortest time limit in s of the start of the process and of a batch.
+_START_TIMEOUT: Final = 60.0
 # Log lines that a failure shows, and their length together; bytes of the log that are kept.
 _MAX_LINES, _MAX_LOG_LENGTH, _MAX_LOG_BYTES = 3, 300, 1_000_000
 # Finds the package where this process found it.
@@ -152,8 +154,9 @@ class _Process:
         process_reaper().watch_process(self._process.pid)
         self._close = weakref.finalize(self, _end_process, self._process, self._log, self._folder)
         self._requests, self._is_busy, self._is_hung = 0, False, False
-        watch = threading.Thread(target=_kill_when_hung, args=(weakref.ref(self), timeout), daemon=True)
-        watch.start()
+        # Time limit in s of the current request.
+        self.limit = timeout
+        threading.Thread(target=_kill_when_hung, args=(weakref.ref(self), timeout), daemon=True).start()
         self._ask({"do": "load", "source": asdict(source)})
 
     @property
@@ -216,7 +219,7 @@ class _Process:
         self._active[:] = active
         for own, table in zip(self._inputs, inputs, strict=True):
             own[:] = table
-        self._send(b"\n")
+        self._send(b"\n", self._timeout)
 
     def finish_step(self) -> dict[int, str]:
         """Wait for the step, and return by scenario how it failed."""
@@ -237,15 +240,15 @@ class _Process:
         self._close()
 
     def _ask(self, message: dict[str, object]) -> Any:
-        self._send(json.dumps(message).encode() + b"\n")
+        self._send(json.dumps(message).encode() + b"\n", max(self._timeout, _START_TIMEOUT))
         answer = self._receive()
         if isinstance(answer, dict) and "error" in answer:
             raise FmuProcessError(f"failed: {answer['error']}")
         return answer
 
-    def _send(self, line: bytes) -> None:
+    def _send(self, line: bytes, limit: float) -> None:
         assert self._process.stdin is not None
-        self._requests, self._is_busy = self._requests + 1, True
+        self.limit, self._requests, self._is_busy = limit, self._requests + 1, True
         # If the process has ended, there is no answer.
         with suppress(OSError, ValueError):
             self._process.stdin.write(line)
@@ -261,7 +264,7 @@ class _Process:
         lines = self._read_log()
         self.close()
         if self._is_hung:
-            raise FmuProcessError(f"hung: a call took more than {self._timeout:g} s{_format_log(lines)}")
+            raise FmuProcessError(f"hung: a call took more than {self.limit:g} s{_format_log(lines)}")
         raise FmuProcessError(f"crashed: its process {describe_exit_code(code)}{_format_log(lines)}")
 
     def _read_log(self) -> list[str]:
@@ -284,7 +287,7 @@ class _Process:
 
 
 def _kill_when_hung(reference: weakref.ref[_Process], timeout: float) -> None:
-    """Run in a thread: kill the process if a call takes longer than `timeout` s."""
+    """Run in a thread: kill the process if a call takes longer than its limit; `timeout` is that of a step, in s."""
     mark, since = (-1, -1), 0.0
     while True:
         process = reference()
@@ -294,7 +297,7 @@ def _kill_when_hung(reference: weakref.ref[_Process], timeout: float) -> None:
         now = time.monotonic()
         if not is_busy or current != mark:
             mark, since = current, now
-        elif now - since > timeout:
+        elif now - since > process.limit:
             process.kill_as_hung()
             return
         del process
