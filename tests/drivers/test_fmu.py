@@ -15,7 +15,7 @@ from conftest import EXAMPLES
 from cornercase.drivers import DRIVERS, FmuDriver
 from cornercase.drivers._description import driver_command_option, format_driver, serialize_driver
 from cornercase.drivers._resolve import create_driver_named_in_file, may_be_named_in_file
-from cornercase.drivers.fmu._input_quantities import QUANTITIES, find_quantity, recognize_input, recognize_output
+from cornercase.drivers.fmu._input_quantities import QUANTITIES, recognize_input, recognize_output
 from cornercase.drivers.fmu._instance import Fmu, FmuError
 from cornercase.drivers.fmu._model import read_fmu
 from cornercase.study import StudyFile
@@ -388,7 +388,7 @@ def test_the_page_lists_what_is_known():
             aliases = re.findall(r"`([^`]+)`", row.split("|")[3])
             assert {recognize_input(alias, is_array=False) for alias in aliases} <= {name}
             if none := row.split("|")[4].strip():
-                assert find_quantity(name).none == float(none)
+                assert QUANTITIES[name].none == float(none)
     for row in decided.splitlines():
         if row.startswith("| `"):
             name, *aliases = re.findall(r"`([^`]+)`", row)

@@ -61,7 +61,7 @@ def _project(distance, path_x, path_y, heading, chord_sum, own, x, y, along, off
                 squared = dx * dx + dy * dy
                 if squared < best:
                     best, nearest = squared, k
-                # Points within so much of the path cannot be nearer than the best.
+                # Samples less far along the path from here cannot be nearer than the best.
                 spare = math.sqrt(squared) - min(math.sqrt(best), bound) - _ROUNDING
                 if spare > _LEAP:
                     k += np.searchsorted(chord_sum[row, k : last + 1], chord_sum[row, k] + spare)
