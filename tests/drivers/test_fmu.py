@@ -405,3 +405,16 @@ def test_an_fmu_made_by_pythonfmu_drives_as_the_one_in_c(folder, tmp_path):
     given = [drive(f"fmu:{one}:reaction=0.3") for one in (path, folder / "aeb2.fmu")]
     assert ego(given[0]).min() < -7.0
     assert math.isclose(float(np.abs(ego(given[0], "x") - ego(given[1], "x")).max()), 0.0, abs_tol=1e-9)
+
+
+@NOTICES
+def test_a_parameter_is_a_dimension_of_a_search(folder, tmp_path):
+    """Scenarios with different parameters share a batch, and drive as alone."""
+    ended = explore(tmp_path, f"fmu:{folder / 'aeb2.fmu'}", "--range", "Ego.reaction=0.1:0.6", "-o", "s.db", budget=8)
+    assert ended.returncode == 0, ended.stderr
+    with StudyFile.open(tmp_path / "s.db") as study:
+        for k, row in study.table().iterrows():
+            aeb = FmuDriver(str(folder / "aeb2.fmu"), reaction=float(row["Ego.reaction"]))
+            values = {name: float(row[name]) for name in ("ego_kmh", "gap", "deceleration")}
+            alone = cc.simulate(DECELERATION, values, drivers={"Ego": aeb}, duration=12)
+            assert ego(alone, "x").tobytes() == ego(study.recording(k), "x").tobytes()
