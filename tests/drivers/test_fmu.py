@@ -413,7 +413,7 @@ def test_a_parameter_is_a_dimension_of_a_search(folder, tmp_path):
     ended = explore(tmp_path, f"fmu:{folder / 'aeb2.fmu'}", "--range", "Ego.reaction=0.1:0.6", "-o", "s.db", budget=8)
     assert ended.returncode == 0, ended.stderr
     with StudyFile.open(tmp_path / "s.db") as study:
-        for k, row in study.table().iterrows():
+        for k, row in enumerate(study.table().to_dict("records"), 1):
             aeb = FmuDriver(str(folder / "aeb2.fmu"), reaction=float(row["Ego.reaction"]))
             values = {name: float(row[name]) for name in ("ego_kmh", "gap", "deceleration")}
             alone = cc.simulate(DECELERATION, values, drivers={"Ego": aeb}, duration=12)
