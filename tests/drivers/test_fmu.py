@@ -15,7 +15,7 @@ from conftest import EXAMPLES
 from cornercase.drivers import DRIVERS, FmuDriver
 from cornercase.drivers._description import driver_command_option, format_driver, serialize_driver
 from cornercase.drivers._resolve import create_driver_named_in_file, may_be_named_in_file
-from cornercase.drivers.fmu._input_quantities import QUANTITIES, find_quantity, recognize_input, recognize_output
+from cornercase.drivers.fmu._input_quantities import QUANTITIES, recognize_input, recognize_output
 from cornercase.drivers.fmu._instance import Fmu, FmuError
 from cornercase.drivers.fmu._model import read_fmu
 from cornercase.study import StudyFile
@@ -199,7 +199,7 @@ def test_units_and_sub_steps(tmp_path, folder):
         '[inputs]\nv_ego = 1\ngap = { from = "object[1].gap", none = 500 }\nrate = { from = "leader.closing", factor = 0.2777777777777778 }\n'
     )
     mapped = FmuDriver(str(tmp_path / "kmh.fmu"), map=str(tmp_path / "aeb.toml"), reaction=0.3)
-    assert [(one.name, one.unit, one.source) for one in mapped.describe()[:4]] == [
+    assert [(one.name, one.unit, one.source) for one in mapped.variables()[:4]] == [
         ("v_ego", "m/s", "1"),
         ("gap", "m", "object[1].gap"),
         ("rate", "speed", "0.277778 * leader.closing"),
@@ -214,7 +214,7 @@ def test_units_and_sub_steps(tmp_path, folder):
 @NOTICES
 def test_what_names_do_not_say_is_listed(tmp_path):
     path = make_fmu(tmp_path / "odd.fmu", rename={"gap": "foo"}, units={"v_ego": ""})
-    listed = {one.name: one for one in FmuDriver(str(path), reaction=0.3).describe()}
+    listed = {one.name: one for one in FmuDriver(str(path), reaction=0.3).variables()}
     assert (listed["v_ego"].source, listed["v_ego"].remark) == ("ego.speed", "has no unit: taken as m/s")
     assert (listed["foo"].source, listed["foo"].remark) == ("", "keeps its start value 1000")
     assert (listed["reaction"].causality, listed["reaction"].source) == ("parameter", "0.3")
@@ -388,7 +388,7 @@ def test_the_page_lists_what_is_known():
             aliases = re.findall(r"`([^`]+)`", row.split("|")[3])
             assert {recognize_input(alias, is_array=False) for alias in aliases} <= {name}
             if none := row.split("|")[4].strip():
-                assert find_quantity(name).none == float(none)
+                assert QUANTITIES[name].none == float(none)
     for row in decided.splitlines():
         if row.startswith("| `"):
             name, *aliases = re.findall(r"`([^`]+)`", row)
@@ -405,3 +405,16 @@ def test_an_fmu_made_by_pythonfmu_drives_as_the_one_in_c(folder, tmp_path):
     given = [drive(f"fmu:{one}:reaction=0.3") for one in (path, folder / "aeb2.fmu")]
     assert ego(given[0]).min() < -7.0
     assert math.isclose(float(np.abs(ego(given[0], "x") - ego(given[1], "x")).max()), 0.0, abs_tol=1e-9)
+
+
+@NOTICES
+def test_a_parameter_is_a_dimension_of_a_search(folder, tmp_path):
+    """Scenarios with different parameters share a batch, and drive as alone."""
+    ended = explore(tmp_path, f"fmu:{folder / 'aeb2.fmu'}", "--range", "Ego.reaction=0.1:0.6", "-o", "s.db", budget=8)
+    assert ended.returncode == 0, ended.stderr
+    with StudyFile.open(tmp_path / "s.db") as study:
+        for k, row in enumerate(study.table().to_dict("records"), 1):
+            aeb = FmuDriver(str(folder / "aeb2.fmu"), reaction=float(row["Ego.reaction"]))
+            values = {name: float(row[name]) for name in ("ego_kmh", "gap", "deceleration")}
+            alone = cc.simulate(DECELERATION, values, drivers={"Ego": aeb}, duration=12)
+            assert ego(alone, "x").tobytes() == ego(study.recording(k), "x").tobytes()

@@ -10,7 +10,7 @@ from typing import Any
 from cornercase._common.configurable import declared_options, format_option_value, given_options
 from cornercase.drivers._compiled import CompiledDriver
 from cornercase.drivers._function import DrivingFunction
-from cornercase.drivers._parameters import fixed_options, name_parts
+from cornercase.drivers._parameters import fixed_options, name_parts, searchable_options
 from cornercase.drivers._resolve import DriverLike, driver_by_name, resolve_driver
 from cornercase.drivers._system_under_test import ScalarFunction
 
@@ -48,11 +48,7 @@ def _options_of(part: Any) -> Mapping[str, bool | int | float | str]:
 def _searchable_names(parts: Mapping[str, Any]) -> Iterator[str]:
     """Yield the names of options that are numbers and not given: without its part, if only one part has such a one."""
     numbers = {
-        part: [
-            option
-            for option, value in _options_of(made).items()
-            if isinstance(value, int | float) and not isinstance(value, bool) and option not in fixed_options(made)
-        ]
+        part: [option for option in searchable_options(made) if option not in fixed_options(made)]
         for part, made in parts.items()
     }
     counts = Counter(option for options in numbers.values() for option in options)

@@ -49,7 +49,7 @@ def find_parameter(entity: str, driver: Driver, name: str) -> tuple[str, str]:
 
     `name` is without the entity: an option that only one part has, or one with its part as in ``radar.range``.
     """
-    options = {part: _searchable_options(made) for part, made in name_parts(driver).items()}
+    options = {part: searchable_options(made) for part, made in name_parts(driver).items()}
     matches = [(part, option) for part in options for option in options[part] if name in (option, f"{part}.{option}")]
     if len(matches) > 1:
         owners = " and of ".join(part for part, _ in matches)
@@ -166,8 +166,11 @@ def spec_with_values(entity: str, driver: Driver, values: Mapping[str, object]) 
     return SEPARATOR.join(texts)
 
 
-def _searchable_options(part: Part) -> tuple[str, ...]:
+def searchable_options(part: Part) -> tuple[str, ...]:
     """Return the options that take numbers; those of a driver that has numbers of its own, such as a preset, too."""
+    if isinstance(part, DrivingFunction) and not isinstance(part, ScalarFunction):
+        # Options of the attachment itself, such as a time limit, are none of what drives.
+        return tuple(part.numeric_parameters())
     made = part.prototype if isinstance(part, ScalarFunction) else part
     declared = options_for_numbers(type(made)) if isinstance(made, Configurable) else []
     return tuple(dict.fromkeys((*declared, *(part.numeric_parameters() if isinstance(part, Driver) else ()))))

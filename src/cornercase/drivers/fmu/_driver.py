@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import weakref
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
@@ -104,7 +104,35 @@ class FmuDriver(DrivingFunction):
         """Start values of the FMU's parameters, by name."""
         return {variable.name: variable.start for variable in self._model.with_causality("parameter")}
 
-    def describe(self) -> tuple[MappedVariable, ...]:
+    def numeric_parameters(self) -> dict[str, float]:
+        """Return the FMU's parameters that take numbers; they can be dimensions of a search.
+
+        Returns
+        -------
+        dict of str to float
+            Their values: those given, else the FMU's start values.
+        """
+        return {
+            variable.name: float(self._parameters.get(variable.name, variable.start or 0.0))
+            for variable in self._model.with_causality("parameter")
+            if variable.is_number and variable.size == 1
+        }
+
+    def describe(self) -> Sequence[str]:
+        """Return lines about what the FMU's variables are given and decide.
+
+        Returns
+        -------
+        sequence of str
+            One for each variable, also for those that are not used.
+        """
+        return [
+            f"{variable.causality} {variable.name}{f' [{variable.unit}]' if variable.unit else ''}:"
+            f" {variable.source or 'not used'}{f' ({variable.remark})' if variable.remark else ''}"
+            for variable in self.variables()
+        ]
+
+    def variables(self) -> tuple[MappedVariable, ...]:
         """Return what the FMU's variables are given and decide.
 
         Returns

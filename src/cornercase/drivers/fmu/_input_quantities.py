@@ -60,7 +60,8 @@ class Traffic:
         """Return what is known about the leader, (N,); NaN where there is none."""
         values = self.field(name)
         padded: FloatArray = np.column_stack((values, np.full(len(values), np.nan)))
-        return padded[np.arange(len(values)), self._leader]
+        of_leader: FloatArray = padded[np.arange(len(values)), self._leader]
+        return of_leader
 
     @property
     def exists(self) -> FloatArray:

@@ -112,14 +112,18 @@ class ProcessFunction(DrivingFunction):
     def __str__(self) -> str:
         return self._text
 
-    @property
-    def searchable_options(self) -> tuple[str, ...]:
-        """Names of the numeric options that the program is given."""
-        return tuple(
-            name
+    def numeric_parameters(self) -> dict[str, float]:
+        """Return the numeric options that the program is given; they can be dimensions of a search.
+
+        Returns
+        -------
+        dict of str to float
+        """
+        return {
+            name: float(value)
             for name, value in self.options.items()
             if isinstance(value, int | float) and not isinstance(value, bool)
-        )
+        }
 
     def __getstate__(self) -> dict[str, Any]:
         """Return what another process needs: it starts a program of its own."""
