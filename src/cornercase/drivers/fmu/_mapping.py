@@ -60,7 +60,7 @@ class MappedVariable:
 
 
 @dataclass(frozen=True)
-class Column:
+class InputColumn:
     """A value that an input is given: ``(quantity - offset) * factor``, or `none` where the quantity does not exist.
 
     A constant has no quantity.
@@ -84,7 +84,7 @@ class Input:
     """An input of the FMU, with a column per value."""
 
     variable: FmuVariable
-    columns: tuple[Column, ...]
+    columns: tuple[InputColumn, ...]
 
 
 @dataclass(frozen=True)
@@ -164,7 +164,7 @@ class VariableMap:
         where = f"{self._where}: input '{variable.name}'"
         if isinstance(entry, bool | int | float):
             self.listing.append(MappedVariable(variable.name, "input", variable.unit_name, str(entry).lower()))
-            return Input(variable, (Column(None, 1.0, 0.0, float(entry)),) * variable.size)
+            return Input(variable, (InputColumn(None, 1.0, 0.0, float(entry)),) * variable.size)
         options = _check_entry(where, entry, _INPUT_KEYS, "leader.gap")
         source = options["from"]
         quantities = find_quantities(source, variable.size) if variable.size > 1 else None
@@ -183,7 +183,7 @@ class VariableMap:
         columns = []
         for quantity in quantities:
             none = options.get("none", (quantity.none - unit.offset) / unit.factor * factor)
-            columns.append(Column(quantity, factor / unit.factor, unit.offset, none))
+            columns.append(InputColumn(quantity, factor / unit.factor, unit.offset, none))
         name = options.get("unit") or variable.unit_name or quantities[0].unit
         source = source if factor == 1.0 else f"{factor:g} * {source}"
         self.listing.append(MappedVariable(variable.name, "input", name, source, remark))

@@ -15,7 +15,7 @@ from typing import Final, Literal
 
 from cornercase._common.errors import InputError, SimulationError, SimulatorError, suggest_name
 from cornercase._common.io.support_table import Notice, merge_notices
-from cornercase.drivers import Behaviour, Driver
+from cornercase.drivers import Driver
 from cornercase.drivers._description import serialize_driver
 from cornercase.drivers._resolve import DriverLike, check_drivers, driver_by_name
 from cornercase.recordings import Recording
@@ -352,9 +352,7 @@ class Carla(Simulator):
         )
 
 
-def _read_drivers(
-    drivers: Mapping[str, str | Driver | Behaviour] | None, ego: str
-) -> tuple[dict[str, str], Driver | None]:
+def _read_drivers(drivers: Mapping[str, DriverLike] | None, ego: str) -> tuple[dict[str, str], Driver | None]:
     """Return CARLA's behaviour agents by entity, and the driver of cornercase or of the user that drives the ego."""
     behaviors, attached = {}, None
     for entity, driver in check_drivers(drivers).items():
