@@ -22,6 +22,11 @@ def parse_pairs(texts: Sequence[str], option: str) -> dict[str, str]:
                     f"{option} {text}: write it as ENTITY=NAME, as Ego={value or name or 'normal'}; {hint}."
                 )
             raise InputError(f"{option} {text}: write it as NAME=VALUE.")
+        if ":" in name and option in ("--driver", "--sut", "--sensor", "--vehicle"):
+            raise InputError(
+                f"{option} {text}: write it as ENTITY=NAME, as Ego={text}; the entity that it belongs to goes before"
+                " it."
+            )
         pairs[name] = value
     return pairs
 

@@ -190,7 +190,7 @@ def _print_entry(key: str, value: Any, indent: str = "") -> None:
         for inner_key, inner_value in value.items():
             _print_entry(inner_key, inner_value, indent + "  ")
     else:
-        text = ", ".join(map(_format_value, value)) if isinstance(value, list) else _format_value(value)
+        text = (", ".join(map(_format_value, value)) or "none") if isinstance(value, list) else _format_value(value)
         out.print(f"{indent}{key}: {text}")
 
 

@@ -34,6 +34,8 @@ def _options_of(part: Any) -> Mapping[str, bool | int | float | str]:
     """Return the options of a part with their values."""
     if isinstance(part, CompiledDriver):
         options: dict[str, Any] = {name: value for name, value in part.settings.items() if name != "driver"}
+    elif isinstance(part, DrivingFunction) and not isinstance(part, ScalarFunction):
+        options = {**part.options_in_force()}
     else:
         made = part.prototype if isinstance(part, ScalarFunction) else part
         given = given_options(made)

@@ -48,6 +48,12 @@ def recorded_options(driver: object) -> Mapping[str, object]:
     return dict(options)
 
 
+def without_driver_spec(driver: Driver) -> Driver:
+    """Return a driver that was created by name as if it had been given as an object: it runs in this process."""
+    vars(_unwrap(driver.driver if isinstance(driver, EquippedDriver) else driver)).pop(_SPEC_ATTRIBUTE, None)
+    return driver
+
+
 def serialize_driver(driver: str | Driver) -> str | dict[str, Any]:
     """Return plain JSON values that describe a driver.
 

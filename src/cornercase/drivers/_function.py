@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -112,6 +112,19 @@ class DrivingFunction(Driver):
     `numeric_parameters` that are dimensions of a search. `decide` is called in each step once per path, with the
     mask ``active`` as in `Driver.acceleration`. `release` is called when the batch has ended, also after a failure.
     """
+
+    options_may_vary: ClassVar[bool] = False
+    """Whether an option that it is given can be a dimension of a search, too."""
+
+    def options_in_force(self) -> Mapping[str, object]:
+        """Return its options with their values, for people.
+
+        Returns
+        -------
+        mapping of str to object
+            By default those that are numbers.
+        """
+        return self.numeric_parameters()
 
     def prepare(self, start: Start) -> None:
         """Reset all state at the start of a batch; does nothing by default.

@@ -87,6 +87,8 @@ def check_parameters(entity: str, driver: Driver, names: Iterable[str]) -> None:
 
 def fixed_options(part: Part) -> set[str]:
     """Return the names of the options that a part was given."""
+    if isinstance(part, DrivingFunction) and part.options_may_vary:
+        return set()
     made: object = part.prototype if isinstance(part, ScalarFunction) else part
     given_by_name = recorded_options(made)
     if not isinstance(made, Configurable):

@@ -128,7 +128,8 @@ class FmuDriver(DrivingFunction):
         """
         return [
             f"{variable.causality} {variable.name}{f' [{variable.unit}]' if variable.unit else ''}:"
-            f" {variable.source or 'not used'}{f' ({variable.remark})' if variable.remark else ''}"
+            f" {variable.source or ('not set' if variable.causality == 'parameter' else 'not used')}"
+            f"{f' ({variable.remark})' if variable.remark else ''}"
             for variable in self.variables()
         ]
 
@@ -307,7 +308,7 @@ class FmuDriver(DrivingFunction):
 
 
 def fmu_from_text(text: str = "", /) -> FmuDriver:
-    """Create the driver behind ``fmu:``, such as ``"controller.fmu:map=aeb.toml,reaction=0.3"``; `InputError`."""
+    """An FMU of FMI 2.0 or 3.0, as in ``fmu:controller.fmu:map=aeb.toml,reaction=0.3``."""
     match = _SPEC.fullmatch(text)
     if match is None:
         raise InputError(f"The driver 'fmu:{text}' names no FMU; give its file as in 'fmu:controller.fmu:option=1'.")

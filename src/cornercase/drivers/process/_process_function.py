@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import sys
 import weakref
 from collections.abc import Mapping
@@ -112,6 +113,18 @@ class ProcessFunction(DrivingFunction):
     def __str__(self) -> str:
         return self._text
 
+    options_may_vary = True
+
+    def options_in_force(self) -> Mapping[str, object]:
+        """Return the time limits in s, the log, and the options of the program.
+
+        Returns
+        -------
+        mapping of str to object
+        """
+        attachment = {"timeout": self._timeout, "start_timeout": self._start_timeout}
+        return {**attachment, **({} if self._log is None else {"log": str(self._log)}), **self.options}
+
     def numeric_parameters(self) -> dict[str, float]:
         """Return the numeric options that the program is given; they can be dimensions of a search.
 
@@ -202,8 +215,9 @@ class ProcessFunction(DrivingFunction):
         return replace(
             controls,
             trajectories={numbers[row]: trajectory for row, trajectory in decided.trajectories.items()},
-            failures={n: failure for n, failure in self._failures.items() if situation.active[n]}
-            | {numbers[row]: self._describe_failure(text, situation.time) for row, text in failures.items()},
+            # What failed at the start is the reason for what fails later.
+            failures={numbers[row]: self._describe_failure(text, situation.time) for row, text in failures.items()}
+            | {n: failure for n, failure in self._failures.items() if situation.active[n]},
         )
 
     def release(self) -> None:
@@ -309,6 +323,8 @@ def _parse_value(text: str) -> bool | float | str:
     try:
         number = float(text)
     except ValueError:
+        return text
+    if not math.isfinite(number):
         return text
     return int(number) if number.is_integer() and text.lstrip("+-").isdecimal() else number
 

@@ -189,6 +189,7 @@ class Writer {
 // N concrete scenarios that run together, as the message `start` describes them.
 struct Batch {
     std::size_t scenarios = 0;
+    std::size_t size() const { return scenarios; }
     double time_step = 0.0;
     Value ego;                                              // name, object_type, length, wheelbase, max_steering, ...
     std::vector<Value> values;                              // parameter values of the scenario file, by scenario
