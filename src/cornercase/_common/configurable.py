@@ -58,7 +58,13 @@ class Configurable:
         Configurable
         """
         options = given_options(self) | changes
-        positional = [options.pop(name) for name in _positional_options(type(self)) & options.keys()]
+        positional = []
+        if any(name in options for name in _positional_options(type(self))):
+            # A default before a given one cannot be left out.
+            parameters = signature(type(self)).parameters
+            names = _positional_options(type(self))
+            last = max(k for k, name in enumerate(names) if name in options)
+            positional = [options.pop(name, parameters[name].default) for name in names[: last + 1]]
         made = type(self)(*positional, **options)
         if made.name != self.name:
             made.name = self.name
@@ -67,7 +73,8 @@ class Configurable:
 
 def given_options(configured: object) -> dict[str, Any]:
     """Return the options that an object was constructed with, except those that have their default value."""
-    if is_dataclass(configured):
+    # A subclass of a dataclass may have a constructor of its own.
+    if is_dataclass(configured) and _GIVEN_OPTIONS not in getattr(configured, "__dict__", {}):
         # Its constructor is made when the class exists already.
         values = {field.name: getattr(configured, field.name) for field in fields(configured) if field.init}
         return _leave_out_defaults(type(configured), values)
@@ -211,9 +218,9 @@ def _is_equal(value: object, default: object) -> bool:
         return False
 
 
-def _positional_options(cls: type[Any]) -> set[str]:
+def _positional_options(cls: type[Any]) -> list[str]:
     parameters = signature(cls).parameters.values()
-    return {parameter.name for parameter in parameters if parameter.kind is parameter.POSITIONAL_ONLY}
+    return [parameter.name for parameter in parameters if parameter.kind is parameter.POSITIONAL_ONLY]
 
 
 def _format_options(configured: object, options: dict[str, Any], format_value: Callable[[object], str]) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping
 from functools import partial
 from importlib.metadata import EntryPoint, entry_points
@@ -391,6 +392,8 @@ def _parse_option_value(text: str, plain_type: type[Any] | None) -> bool | float
         if plain_type is None:
             return text
         raise ValueError("a whole number" if plain_type is int else "a number") from None
+    if math.isnan(number):
+        raise ValueError("a number")
     if plain_type is int and not number.is_integer():
         raise ValueError("a whole number")
     return int(number) if number.is_integer() and (plain_type is int or "." not in text) else number

@@ -15,6 +15,8 @@ from cornercase._common.validation import repr_short
 
 LANE_CHANGES: Final = {None: 0, "left": 1, "right": -1}
 """Number of lanes to the left, by request."""
+# m; farther away, positions are too coarse to be simulated.
+_FARTHEST: Final = 1e7
 _NUMBERS: Final = ("acceleration", "steering", "throttle", "brake")
 
 
@@ -46,6 +48,8 @@ class Trajectory:
             raise ValueError("a trajectory needs time, x and y of one shape (P,), with at least two points")
         if not np.isfinite(np.stack((self.time, self.x, self.y))).all():
             raise ValueError("a trajectory needs finite numbers")
+        if np.abs(np.stack((self.x, self.y))).max() > _FARTHEST:
+            raise ValueError(f"a trajectory stays within {_FARTHEST:g} m of the origin of the map")
         if not (np.diff(self.time) > 0.0).all():
             raise ValueError("the times of a trajectory must increase")
 

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from contextlib import suppress
+from copy import deepcopy
+from dataclasses import dataclass, is_dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
 from cornercase._common.configurable import Configurable, describe_as_text, numeric_options, with_numbers
-from cornercase._common.errors import PluginError, SimulationError
+from cornercase._common.errors import InputError, PluginError, SimulationError
 from cornercase._common.plugin_errors import format_time_of_failure, make_scenario_failure
 from cornercase._common.process.signals import count_requests
 from cornercase._common.text.sanitize import quote_name
@@ -176,15 +178,24 @@ class ScalarFunction(DrivingFunction):
         for n in range(start.scenarios):
             requests = count_requests()
             try:
-                made = with_numbers(
-                    self.prototype, {name: float(values[n]) for name, values in start.parameters.items()}
-                )
+                made = self._make({name: float(values[n]) for name, values in start.parameters.items()})
                 ego = Ego(**vars(body), values=start.values[n])
                 made.start(ego, start.network, start.generator(n, "driver"))
             except BaseException as error:
                 self._failures[n] = make_scenario_failure(self._name, error, requests, 0.0)
                 made = self.prototype
             self._objects.append(made)
+
+    def _make(self, numbers: Mapping[str, float]) -> SystemUnderTest:
+        """Return a new object with some numbers as options."""
+        if not numbers:
+            # A copy has also what a dataclass changes after its construction.
+            with suppress(Exception):
+                return deepcopy(self.prototype)
+        if is_dataclass(self.prototype) and vars(self.prototype.with_options()) != vars(self.prototype):
+            raise InputError("its __post_init__ changes its fields, so they cannot be varied; give it an __init__")
+        made: SystemUnderTest = with_numbers(self.prototype, numbers)
+        return made
 
     def decide(self, situation: Situation) -> Controls:
         """Let each active object decide."""

@@ -21,7 +21,7 @@ from cornercase._common.io.files import atomic_write
 from cornercase._common.memory import DEFAULT_MEMORY, MemoryLimit, format_size, report_memory_need
 from cornercase._common.platform import fsync_file, lock_folder
 from cornercase._common.validation import check_int, check_path
-from cornercase.drivers._resolve import DriverLike
+from cornercase.drivers._resolve import DriverLike, may_be_named_in_file
 from cornercase.exploration._asynchronous import AsynchronousExplorer
 from cornercase.exploration._config import config_from_study, require_same_settings
 from cornercase.exploration._explore import reference_simulators, simulator_from_config
@@ -262,6 +262,13 @@ def _rerun_lost_scenarios(
 ) -> None:
     with StudyFile.open(repaired_file, readonly=False) as opened:
         config = replace(config_from_study(opened, file, scenario, simulator, drivers), workers=workers)
+        condition = config.make_condition()
+        for name in () if condition is None else condition.reference_drivers:
+            if not may_be_named_in_file(name):
+                raise InputError(
+                    f"{file}: its condition names the driver '{name}', but code that a study names is not run; repeat"
+                    " the command that explored it, to run the lost scenarios again."
+                )
         objective = config.make_objective()
         optimizer = config.start_optimizer(objective)
         with simulator_from_config(config) as running, reference_simulators(config) as references:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+import shutil
 import sys
 import weakref
 from collections.abc import Mapping
@@ -94,6 +95,8 @@ class ProcessFunction(DrivingFunction):
             check_float(option, given[option], above=0.0) for option in ("timeout", "start_timeout")
         )
         self._log = Path(str(given["log"])) if given["log"] else None
+        if self._log is not None and not self._log.absolute().parent.is_dir():
+            raise InputError(f"The option `log` of a program: there is no folder {self._log.parent} for {self._log}.")
         try:
             self._words = [] if self._command.startswith(TCP_PREFIX) else split_command(self._command)
         except ValueError as error:
@@ -331,11 +334,10 @@ def _parse_value(text: str) -> bool | float | str:
 
 def _fingerprint(words: list[str]) -> dict[str, str]:
     """Return the SHA-256 of the files among the words of a command, in their order; empty if there are none."""
-    digests = [
-        hashlib.sha256(path.read_bytes()).hexdigest()
-        for word in words
-        if (path := Path(word.rpartition("=")[2])).is_file()
-    ]
+    paths = [path for word in words if (path := Path(word.rpartition("=")[2])).is_file()]
+    # Without a file, the program itself is one of PATH.
+    paths = paths or [Path(found) for word in words[:1] if (found := shutil.which(word)) is not None]
+    digests = [hashlib.sha256(path.read_bytes()).hexdigest() for path in paths]
     if len(digests) > 1:
         return {"sha256": hashlib.sha256("".join(digests).encode()).hexdigest()}
     return {"sha256": digests[0]} if digests else {}

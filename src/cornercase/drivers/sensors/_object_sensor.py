@@ -22,6 +22,7 @@ _ROUNDING: Final = 1e-6
 _LIMITS: Final[dict[str, dict[str, float]]] = {
     "fov": {"above": 0.0, "maximum": 360.0},
     "range": {"above": 0.0},
+    "latency": {"minimum": 0.0, "maximum": 60.0},
     "y": {},
     "yaw": {},
     "miss": {"minimum": 0.0, "maximum": 1.0},

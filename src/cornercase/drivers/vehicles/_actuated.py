@@ -23,6 +23,15 @@ _PARAMETERS: Final = (
 # rad; the change of the angle of the wheels for which the time is counted that it takes.
 _USUAL_STEERING: Final = 0.1
 _POSITIVE: Final = frozenset({"max_jerk", "mu", "max_steering_rate", "wheelbase"})
+# Beyond these, a step needs more memory or smaller parts than a vehicle does.
+_LIMITS: Final[dict[str, dict[str, float]]] = {
+    "delay": {"minimum": 0.0, "maximum": 60.0},
+    "steering_delay": {"minimum": 0.0, "maximum": 60.0},
+    "mass": {"minimum": 50.0},
+    "inertia": {"minimum": 50.0},
+    "front_axle": {"minimum": 0.1},
+    "rear_axle": {"minimum": 0.1},
+}
 
 
 class ActuatedVehicle(VehicleModel):
@@ -42,7 +51,8 @@ class ActuatedVehicle(VehicleModel):
                 continue
             try:
                 is_positive = name in _POSITIVE or name in self.parameter_names
-                check_float(name, value, **({"above": 0.0} if is_positive else {"minimum": 0.0}))
+                limits: dict[str, float] = {"above": 0.0} if is_positive else {"minimum": 0.0}
+                check_float(name, value, **_LIMITS.get(name, limits))
             except InputError as error:
                 raise InputError(f"The vehicle '{type(self).name}': its option {error}") from None
         self._parameters |= options
