@@ -143,6 +143,27 @@ def test_a_trajectory_is_followed_exactly_and_then_to_a_stop():
     assert ego["speed"][-1] == 0.0
 
 
+class PosedFollower(cc.SystemUnderTest):
+    """Goes straight on, and says for each point a heading and a speed of its own."""
+
+    def start(self, ego, road, rng):
+        time = np.array([0.0, 4.0])
+        heading, speed = np.array([3.0, 3.4]), np.array([10.0, 18.0])
+        self.way = Trajectory(time, 100.0 + 20.0 * time, np.full(2, LANE), heading, speed)
+
+    def step(self, view, dt):
+        return cc.Control(trajectory=self.way)
+
+
+def test_a_trajectory_may_say_heading_and_speed():
+    _, ego = drive(PosedFollower(), duration=4.0)
+    assert ego["x"] == pytest.approx(100.0 + 20.0 * ego["time"])
+    assert np.unwrap(ego["heading"][1:]) % (2.0 * np.pi) == pytest.approx(3.0 + 0.1 * ego["time"][1:])
+    assert ego["speed"][1:] == pytest.approx(10.0 + 2.0 * ego["time"][1:])
+    with pytest.raises(ValueError, match="needs time, x, y, speed of one shape"):
+        Trajectory(np.arange(2.0), np.zeros(2), np.zeros(2), speed=np.ones(1))
+
+
 def test_a_vehicle_is_steered_along_a_trajectory():
     _, ego = drive(equipped(Follower(), "kinematic"), duration=12.0)
     angle = 20.0 * ego["time"][60:81] / 200.0

@@ -30,6 +30,9 @@ class Trajectory:
         Time since the start of the scenario in s, increasing.
     x, y : ndarray of float64, shape (P,)
         Position in m, in the axes of the map.
+    heading, speed : ndarray of float64, shape (P,), optional
+        Heading in rad and speed in m/s that the ego has where it follows exactly, without a vehicle model. By default
+        they are those of its motion in a time step.
 
     Raises
     ------
@@ -40,13 +43,17 @@ class Trajectory:
     time: FloatArray
     x: FloatArray
     y: FloatArray
+    heading: FloatArray | None = None
+    speed: FloatArray | None = None
 
     def __post_init__(self) -> None:
-        for name in ("time", "x", "y"):
+        given = [name for name in ("time", "x", "y", "heading", "speed") if getattr(self, name) is not None]
+        for name in given:
             object.__setattr__(self, name, np.array(getattr(self, name), dtype=np.float64))
-        if self.time.ndim != 1 or len(self.time) < 2 or not self.time.shape == self.x.shape == self.y.shape:
-            raise ValueError("a trajectory needs time, x and y of one shape (P,), with at least two points")
-        if not np.isfinite(np.stack((self.time, self.x, self.y))).all():
+        columns: list[FloatArray] = [getattr(self, name) for name in given]
+        if self.time.ndim != 1 or len(self.time) < 2 or any(column.shape != self.time.shape for column in columns):
+            raise ValueError(f"a trajectory needs {', '.join(given)} of one shape (P,), with at least two points")
+        if not np.isfinite(np.stack(columns)).all():
             raise ValueError("a trajectory needs finite numbers")
         if np.abs(np.stack((self.x, self.y))).max() > _FARTHEST:
             raise ValueError(f"a trajectory stays within {_FARTHEST:g} m of the origin of the map")

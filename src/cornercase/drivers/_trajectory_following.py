@@ -37,6 +37,7 @@ class FollowedTrajectory:
         steps = np.hypot(np.diff(self._x), np.diff(self._y))
         self._travelled = np.concatenate([[0.0], np.cumsum(np.where(steps > _STANDSTILL, steps, 0.0))])
         self._distance = 0.0
+        self._headings = None if given.heading is None else np.unwrap(given.heading)
         self._path = self._make_path()
 
     def move(
@@ -48,9 +49,13 @@ class FollowedTrajectory:
             return x + speed * dt * math.cos(heading), y + speed * dt * math.sin(heading), heading, speed
         to_x, to_y = (float(np.interp(time + dt, self._time, values)) for values in (self._x, self._y))
         step = math.hypot(to_x - x, to_y - y)
-        if step > _STANDSTILL:
-            heading += float(wrap_angle(math.atan2(to_y - y, to_x - x) - heading))
-        return to_x, to_y, heading, step / dt
+        direction, speed = math.atan2(to_y - y, to_x - x) if step > _STANDSTILL else heading, step / dt
+        if time + dt > self.given.time[0] - _CLOCK:
+            if self._headings is not None:
+                direction = float(np.interp(time + dt, self.given.time, self._headings))
+            if self.given.speed is not None:
+                speed = float(np.interp(time + dt, self.given.time, self.given.speed))
+        return to_x, to_y, heading + float(wrap_angle(direction - heading)), speed
 
     def track(
         self,
