@@ -61,17 +61,22 @@ def fill_ground_truth(
 
     `host` is the number of the vehicle that is the host.
     """
-    from osi3 import osi_version_pb2
-
-    truth.version.CopyFrom(
-        osi_version_pb2.DESCRIPTOR.GetOptions().Extensions[osi_version_pb2.current_interface_version]
-    )
+    set_version(truth)
     set_timestamp(truth.timestamp, time)
     if host is not None:
         truth.host_vehicle_id.value = host
     for number, (entity, state) in enumerate(zip(entities, states, strict=True)):
         if math.isfinite(state.x):
             _fill_moving_object(truth.moving_object.add(), number, entity, state)
+
+
+def set_version(message: Any) -> None:
+    """Set the version of a message to that of the library."""
+    from osi3 import osi_version_pb2
+
+    message.version.CopyFrom(
+        osi_version_pb2.DESCRIPTOR.GetOptions().Extensions[osi_version_pb2.current_interface_version]
+    )
 
 
 def set_timestamp(timestamp: Any, time: float) -> None:

@@ -304,6 +304,11 @@ class RoadNetwork:
             self._paths[key] = replace(path, has_end=ahead.is_dead_end, has_start=begins)
         return self._paths[key]
 
+    def find_linked_lanes(self, road: int, section: int, lane: int, *, forward: bool) -> list[tuple[int, int, int]]:
+        """Return the lanes (road, section, lane) that follow a lane along s or, without `forward`, against it."""
+        exits = self._lane_graph.find_exits(DirectedLane(road, section, lane, forward))
+        return [(after.road, after.section, after.lane) for after in exits]
+
     @cached_property
     def _lane_graph(self) -> LaneGraph:
         return LaneGraph(self.roads, self.connections, self._road_indices)
