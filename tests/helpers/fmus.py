@@ -13,7 +13,7 @@ from pathlib import Path
 import fmpy
 import pytest
 
-SOURCE = Path(__file__).parents[1] / "data" / "fmu" / "aeb.c"
+SOURCES = Path(__file__).parents[1] / "data" / "fmu"
 HEADERS = Path(fmpy.__file__).parent / "c-code"
 COMPILER = shutil.which("cc") or shutil.which("gcc")
 # Name, causality, value reference, start value, unit.
@@ -37,13 +37,12 @@ LOGGING = """
 
 
 @functools.cache
-def _library(fmi: int, once: bool) -> Path:
+def _library(source: str, *definitions: str) -> Path:
     if COMPILER is None:
         pytest.skip("there is no C compiler")
-    built = Path(tempfile.mkdtemp(prefix="cornercase-tests-fmu-")) / "aeb.so"
-    definitions = [f"-DFMI={fmi}", *(["-DONCE"] if once else [])]
-    command = [COMPILER, "-O1", "-shared", "-fPIC", "-w", *definitions, f"-I{HEADERS}", str(SOURCE), "-o", str(built)]
-    subprocess.run(command, check=True)
+    built = Path(tempfile.mkdtemp(prefix="cornercase-tests-fmu-")) / "built.so"
+    command = [COMPILER, "-O1", "-shared", "-fPIC", "-w", *definitions, f"-I{HEADERS}", str(SOURCES / source)]
+    subprocess.run([*command, "-o", str(built), "-lm"], check=True)
     return built
 
 
@@ -87,7 +86,50 @@ def make_fmu(
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("modelDescription.xml", text)
         if library:
-            archive.write(_library(fmi, once), f"binaries/{platform}/aeb{fmpy.sharedLibraryExtension}")
+            built = _library("aeb.c", f"-DFMI={fmi}", *(["-DONCE"] if once else []))
+            archive.write(built, f"binaries/{platform}/aeb{fmpy.sharedLibraryExtension}")
+    return path
+
+
+def message_variables(name: str, message: str, causality: str, reference: int) -> str:
+    """The three variables of a message by OSMP."""
+    kind = f"application/x-open-simulation-interface; type={message}; version=3.8.0"
+    varies = f'variability="{"fixed" if causality == "parameter" else "discrete"}"'
+    start = '<Integer start="0"/>' if causality != "output" else "<Integer/>"
+    return "".join(
+        f"""
+    <ScalarVariable name="{name}.{role}" valueReference="{reference + k}" causality="{causality}" {varies}>
+      {start}<Annotations><Tool name="net.pmsf.osmp" xmlns:osmp="http://xsd.pmsf.net/OSISensorModelPackaging">
+        <osmp:osmp-binary-variable name="{name}" role="{role}" mime-type="{kind}"/></Tool></Annotations>
+    </ScalarVariable>"""
+        for k, role in enumerate(("base.lo", "base.hi", "size"))
+    )
+
+
+def make_osmp_fmu(
+    path: Path, output: str = "OSMPTrafficUpdateOut", *, init: bool = True, variables: str | None = None
+) -> Path:
+    """Write the FMU of ``tests/data/fmu/osmp.c``; `variables` replace those of its messages."""
+    message = output.removeprefix("OSMP").partition("Out")[0]
+    given = message_variables("OSMPSensorViewIn", "SensorView", "input", 0)
+    given += message_variables("OSMPGroundTruthInit", "GroundTruth", "parameter", 3) if init else ""
+    given += message_variables(output, message, "output", 6)
+    fixed = 'variability="fixed"'
+    text = f"""<?xml version="1.0"?>
+<fmiModelDescription fmiVersion="2.0" modelName="Participant" guid="{{osmp}}" variableNamingConvention="structured">
+  <CoSimulation modelIdentifier="osmp"/>{LOGGING}
+  <VendorAnnotations><Tool name="net.pmsf.osmp" xmlns:osmp="http://xsd.pmsf.net/OSISensorModelPackaging">
+    <osmp:osmp version="1.6.0" osi-version="3.8.0"/></Tool></VendorAnnotations>
+  <ModelVariables>{given if variables is None else variables}
+    <ScalarVariable name="answer" valueReference="9" causality="parameter" {fixed}><Integer start="0"/></ScalarVariable>
+    <ScalarVariable name="reaction" valueReference="0" causality="parameter" {fixed}><Real start="0.1"/></ScalarVariable>
+    <ScalarVariable name="record" valueReference="0" causality="parameter" {fixed}><String start=""/></ScalarVariable>
+  </ModelVariables>
+  <ModelStructure/>
+</fmiModelDescription>"""
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("modelDescription.xml", text)
+        archive.write(_library("osmp.c"), f"binaries/{fmpy.platform}/osmp{fmpy.sharedLibraryExtension}")
     return path
 
 

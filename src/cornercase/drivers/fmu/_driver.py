@@ -18,12 +18,14 @@ from cornercase._common.text.sanitize import quote_name, remove_folders
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase._common.validation import check_float
 from cornercase.drivers._base import Situation
-from cornercase.drivers._controls import Controls
+from cornercase.drivers._controls import Controls, Trajectory
 from cornercase.drivers._function import DrivingFunction, Start
 from cornercase.drivers.fmu._input_quantities import Traffic
 from cornercase.drivers.fmu._mapping import MappedVariable, VariableMap
 from cornercase.drivers.fmu._model import FmuVariable, read_fmu
+from cornercase.drivers.fmu._osmp_traffic import OsmpTraffic, UnusableMotionError
 from cornercase.drivers.fmu._processes import FmuProcessError, FmuProcesses, process_reaper
+from cornercase.recordings._osi_messages import require_osi
 
 # Path of an FMU, and options behind a colon.
 _SPEC: Final = re.compile(r"(?P<file>.*?\.fmu)(?::(?P<options>.+))?", re.IGNORECASE | re.DOTALL)
@@ -76,6 +78,9 @@ class FmuDriver(DrivingFunction):
     ) -> None:
         self._model = read_fmu(Path(file).absolute())
         self._map = VariableMap(self._model, Path(map).absolute() if map else None)
+        self._messages = self._map.messages
+        if self._messages:
+            require_osi(f"{self._model.path}: an FMU with OSI messages")
         self.step = None if step is None else check_float("step", step, above=0.0)
         self.timeout = check_float("timeout", timeout, above=0.0)
         self._parameters = {name: self._parse_parameter(name, value) for name, value in parameters.items()}
@@ -165,6 +170,8 @@ class FmuDriver(DrivingFunction):
         values: dict[str, list[Any]] = {name: [value] for name, value in self._parameters.items()}
         for name, given in start.parameters.items():
             values[name] = [self._parse_parameter(name, float(value)) for value in given]
+        self._traffic = OsmpTraffic(self._messages, start) if self._messages else None
+        layouts = self._messages.layouts(b"" if self._traffic is None else self._traffic.static)
         try:
             if self._processes is None:
                 folder = process_reaper().make_temporary_folder()
@@ -179,6 +186,7 @@ class FmuDriver(DrivingFunction):
                 [(kinds[name].kind, kinds[name].reference, given) for name, given in values.items()],
                 size,
                 n_steps,
+                layouts,
             )
         except FmuProcessError as error:
             if start.scenarios > 1:
@@ -202,8 +210,9 @@ class FmuDriver(DrivingFunction):
         if self._failure is not None:
             return self._fail_all(self._failure, situation)
         inputs = self._map.fill_inputs(Traffic(situation, self._start.body))
+        messages = [] if self._traffic is None else self._traffic.write(situation)
         try:
-            failed = self._processes.step(situation.active, inputs)
+            failed = self._processes.step(situation.active, inputs, messages)
         except FmuProcessError as error:
             if n > 1:
                 # Smaller batches find out in which scenario.
@@ -213,11 +222,13 @@ class FmuDriver(DrivingFunction):
         tables = [self._processes.read_outputs(k) for k in range(len(self._map.output_layouts))]
         decisions = self._map.read_outputs(tables)
         failed |= self._find_unusable(decisions, situation.active, failed)
-        controls = replace(Controls.empty(n), failures=self._failures(failed, situation.time))
+        controls, trajectories = Controls.empty(n), dict[int, Trajectory]()
+        if self._messages.motion is not None:
+            failed |= self._read_motion(situation, failed, controls.acceleration, trajectories)
         for name, values in decisions.items():
             target = getattr(controls, name)
             target[:] = np.rint(np.nan_to_num(values)) if name == "lane_change" else values
-        return controls
+        return replace(controls, trajectories=trajectories, failures=self._failures(failed, situation.time))
 
     def release(self) -> None:
         """End the batch; the processes stay for the next one."""
@@ -252,6 +263,32 @@ class FmuDriver(DrivingFunction):
                     unusable[row] = (
                         f"failed: its output {output.variable.name} is not usable as {output.decision}{bounds}"
                     )
+        return unusable
+
+    def _read_motion(
+        self,
+        situation: Situation,
+        failed: Mapping[int, str],
+        acceleration: FloatArray,
+        trajectories: dict[int, Trajectory],
+    ) -> dict[int, str]:
+        """Add what the messages of the FMU say; return by scenario what is wrong with them."""
+        assert self._processes is not None
+        assert self._traffic is not None
+        unusable: dict[int, str] = {}
+        messages = self._processes.read_messages()
+        for row in np.flatnonzero(situation.active).tolist():
+            if row in failed:
+                continue
+            try:
+                motion = self._traffic.read(messages[row][0], situation, row)
+            except UnusableMotionError as error:
+                unusable[row] = f"failed: {error}"
+                continue
+            if isinstance(motion, Trajectory):
+                trajectories[row] = motion
+            else:
+                acceleration[row] = motion
         return unusable
 
     def _divide_time_step(self, time_step: float) -> tuple[float, int]:

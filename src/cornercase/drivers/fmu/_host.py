@@ -5,6 +5,7 @@ Nothing big is imported, so that the process starts within a moment.
 
 from __future__ import annotations
 
+import base64
 import ctypes
 import json
 import mmap
@@ -15,9 +16,10 @@ import time
 from collections import deque
 from ctypes import c_int64, c_uint8, c_uint32
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, BinaryIO, Final
 
 from cornercase.drivers.fmu._instance import C_TYPES, FATAL, WARNING, Fmu, FmuError, FmuSource, Instance
+from cornercase.drivers.fmu._osmp_buffers import MessageBuffers, pass_message, read_message
 
 PROGRESS_BYTES: Final = 16
 """Beginning of the shared memory: a count that grows with each call of the FMU, and the scenario that is stepped."""
@@ -52,6 +54,8 @@ class Host:
         self._lines: deque[str] = deque(maxlen=_MAX_LINES)
         self._idle: list[Instance] = []
         self._instances: list[Instance | None] = []
+        # Messages of OSI that each scenario has written in the last step.
+        self._written: list[list[bytes]] = []
 
     def _log(self, line: str) -> None:
         self._lines.append(line)
@@ -74,12 +78,31 @@ class Host:
             for verb, name in (("Set", "inputs"), ("Get", "outputs"))
         )
         self._parameters = message["parameters"]
+        self._static = [(layout, base64.b64decode(text)) for layout, text in message["static"]]
+        self._n_messages, self._message_outputs = len(message["message_inputs"]), message["message_outputs"]
+        self._buffers = [MessageBuffers(message["message_inputs"]) for _ in range(n)]
+        self._written = [[b""] * len(self._message_outputs) for _ in range(n)]
         self._size, self._n_steps = message["step"], message["steps"]
         self._instances, self._steps = [None] * n, [0] * n
         self._failed: set[int] = set()
         # Inputs and outputs of one scenario, to find out whether a reset gives the same bytes.
         self._is_reset_known = message["reset"] is not None
-        self._recorded_row, self._recorded = -1, list[tuple[list[bytes], list[bytes]]]()
+        self._recorded_row, self._recorded = -1, list[tuple[list[bytes], list[bytes], list[bytes]]]()
+
+    def receive_messages(self, stream: BinaryIO) -> None:
+        """Read the messages for the next step: all sizes, scenario by scenario, and then all bytes."""
+        n, count = len(self._buffers), self._n_messages
+        sizes = iter((c_uint32 * (n * count)).from_buffer_copy(stream.read(4 * n * count)) if count else ())
+        for buffers, is_active in zip(self._buffers, self._active, strict=True):
+            messages = [stream.read(next(sizes)) for _ in range(count)]
+            # What a scenario was given in its own last step stays.
+            if is_active:
+                buffers.replace(messages)
+
+    def written_messages(self) -> bytes:
+        """Return the messages of the last step, in the form of `receive_messages`."""
+        messages = [message for row in self._written for message in row]
+        return bytes((c_uint32 * len(messages))(*map(len, messages))) + b"".join(messages)
 
     def step(self) -> dict[int, tuple[str, list[str], bool]]:
         """Step the active scenarios; return by scenario what failed, the lines of the log, and whether it is fatal."""
@@ -107,9 +130,12 @@ class Host:
         self._get_outputs(instance, row)
         if not self._is_reset_known and self._recorded_row in (-1, row):
             self._recorded_row = row
-            self._recorded.append(
-                ([table.read_row(row) for table in self._inputs], [table.read_row(row) for table in self._outputs])
-            )
+            inputs = [table.read_row(row) for table in self._inputs]
+            self._recorded.append((inputs, self._buffers[row].newest, self._read_row(row)))
+
+    def _read_row(self, row: int) -> list[bytes]:
+        """Return all that a scenario has decided in the last step."""
+        return [*(table.read_row(row) for table in self._outputs), *self._written[row]]
 
     def _set_up(self, row: int) -> Instance:
         self._progress[0] += 1
@@ -126,6 +152,8 @@ class Host:
         self._progress[0] += 1
         for kind, reference, values in self._parameters:
             instance.set(kind, [reference], [values[row % len(values)]])
+        for layout, static in self._static:
+            pass_message(instance, layout, static)
         instance.enter_initialization()
         self._set_inputs(instance, row)
         instance.exit_initialization()
@@ -135,12 +163,15 @@ class Host:
             address = table.address + row * table.stride
             if table.call(instance.component, table.references, table.count, address, *table.tail) > WARNING:
                 raise FmuError(f"fmi{self._fmu.version}{table.name} returned an error")
+        if self._n_messages:
+            self._buffers[row].pass_to(instance)
 
     def _get_outputs(self, instance: Instance, row: int) -> None:
         for table in self._outputs:
             address = table.address + row * table.stride
             if table.call(instance.component, table.references, table.count, address, *table.tail) > WARNING:
                 raise FmuError(f"fmi{self._fmu.version}{table.name} returned an error")
+        self._written[row] = [read_message(instance, layout) for layout in self._message_outputs]
 
     def _do_steps(self, instance: Instance, first: int) -> None:
         for k in range(first, first + self._n_steps):
@@ -167,15 +198,16 @@ class Host:
         row = self._recorded_row
         try:
             instance.reset()
-            for k, (inputs, outputs) in enumerate(self._recorded):
+            for k, (inputs, messages, outputs) in enumerate(self._recorded):
                 for table, values in zip(self._inputs, inputs, strict=True):
                     ctypes.memmove(table.address + row * table.stride, values, table.stride)
+                self._buffers[row].replace(messages)
                 if k == 0:
                     self._initialize(instance, row)
                 self._set_inputs(instance, row)
                 self._do_steps(instance, k * self._n_steps)
                 self._get_outputs(instance, row)
-                if [table.read_row(row) for table in self._outputs] != outputs:
+                if self._read_row(row) != outputs:
                     return False
         except FmuError:
             return False
@@ -183,7 +215,10 @@ class Host:
 
 
 def main() -> None:
-    """Serve requests, one per line of the standard input: an empty line is a step, all others are JSON."""
+    """Serve requests, one per line of the standard input: an empty line is a step, all others are JSON.
+
+    Messages of OSI follow the line, in both directions.
+    """
     # What the FMU prints must not come between the answers, nor must it read the requests.
     requests, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
@@ -193,10 +228,13 @@ def main() -> None:
     host: Host | None = None
     for line in requests:
         answer: Any = None
+        messages = b""
         try:
             if line == b"\n":
                 assert host is not None
+                host.receive_messages(requests)
                 answer = host.step() or None
+                messages = host.written_messages()
             else:
                 message = json.loads(line)
                 if message["do"] == "load":
@@ -212,7 +250,7 @@ def main() -> None:
                         answer = host.end(message["reset"])
         except FmuError as error:
             answer = {"error": str(error)}
-        answers.write(json.dumps(answer).encode() + b"\n")
+        answers.write(json.dumps(answer).encode() + b"\n" + messages)
         answers.flush()
 
 

@@ -26,6 +26,7 @@ from cornercase.drivers.fmu._input_quantities import (
     recognize_output,
 )
 from cornercase.drivers.fmu._model import FmuModel, FmuVariable
+from cornercase.drivers.fmu._osmp_map import OsmpMap
 from cornercase.drivers.fmu._processes import TableLayout
 from cornercase.drivers.fmu._variable_units import KNOWN_UNITS, SI, Unit, fits
 
@@ -98,15 +99,23 @@ class Output:
 
 
 class VariableMap:
-    """The inputs and outputs of an FMU that are mapped, with tables of one type each for shared memory."""
+    """The inputs and outputs of an FMU that are mapped, with tables of one type each for shared memory.
+
+    `messages` are those of OSI. They decide unless a map has outputs.
+    """
 
     def __init__(self, model: FmuModel, path: Path | None) -> None:
         self._model, self._where = model, path or model.path
         document, self.sha256 = _read_map(path) if path is not None else ({}, "")
+        self.messages = OsmpMap(model.messages, decides="outputs" not in document)
+        has_motion = self.messages.motion is not None
         self.listing: list[MappedVariable] = []
         self.inputs = self._map_inputs(document.get("inputs"))
-        self.outputs = self._map_outputs(document.get("outputs"))
-        self._check_decisions()
+        self.outputs = self._map_outputs({} if has_motion else document.get("outputs"))
+        if not has_motion:
+            self._check_decisions()
+        for variable, source, remark in self.messages.listing:
+            self.listing.append(MappedVariable(variable.name, variable.causality, "", source, remark))
         self._input_kinds = _group([mapped.variable for mapped in self.inputs])
         self._output_kinds = _group([mapped.variable for mapped in self.outputs])
         self.input_layouts = [self._layout(self.inputs, members) for members in self._input_kinds]

@@ -14,6 +14,7 @@ from typing import Any, Final
 from cornercase._common.errors import InputError
 from cornercase._common.text.sanitize import format_exception, shorten
 from cornercase.drivers.fmu._instance import FmuSource
+from cornercase.drivers.fmu._osmp_variables import MessageVariable, read_message_variables
 from cornercase.drivers.fmu._variable_units import KNOWN_UNITS, Unit
 
 _LOG_CATEGORIES: Final = ("logStatusWarning", "logStatusDiscard", "logStatusError", "logStatusFatal")
@@ -55,7 +56,10 @@ class FmuVariable:
 
 @dataclass(frozen=True, eq=False)
 class FmuModel:
-    """An FMU for co-simulation, as its file describes it."""
+    """An FMU for co-simulation, as its file describes it.
+
+    `messages` are those of OSI that it reads and writes; the integers that they consist of are no `variables`.
+    """
 
     path: Path
     sha256: str
@@ -67,6 +71,7 @@ class FmuModel:
     step_size: float | None
     variables: tuple[FmuVariable, ...]
     log_categories: tuple[str, ...]
+    messages: tuple[MessageVariable, ...] = ()
 
     @property
     def version(self) -> int:
@@ -147,6 +152,10 @@ def _read_fmu(path: Path, modified: int, size: int) -> FmuModel:
     experiment = description.defaultExperiment
     step_size = interface.fixedInternalStepSize or (experiment.stepSize if experiment is not None else None)
     units = {unit.name: unit.baseUnit for unit in description.unitDefinitions}
+    variables = [_make_variable(variable, units, int(version[0])) for variable in description.modelVariables]
+    messages, parts = read_message_variables(
+        xml, {variable.name: variable for variable in variables}, lambda sentence: InputError(f"{path}: {sentence}")
+    )
     return FmuModel(
         path=path,
         sha256=hashlib.sha256(content).hexdigest(),
@@ -156,8 +165,9 @@ def _read_fmu(path: Path, modified: int, size: int) -> FmuModel:
         identifier=str(interface.modelIdentifier),
         once_per_process=bool(interface.canBeInstantiatedOnlyOncePerProcess),
         step_size=None if step_size is None else float(step_size),
-        variables=tuple(_make_variable(variable, units, int(version[0])) for variable in description.modelVariables),
+        variables=tuple(variable for variable in variables if variable.name not in parts),
         log_categories=tuple(name for name in _LOG_CATEGORIES if f'name="{name}"'.encode() in xml),
+        messages=messages,
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import mmap
 import subprocess
@@ -14,7 +15,7 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NoReturn
 
 import numpy as np
 import numpy.typing as npt
@@ -25,6 +26,7 @@ from cornercase._common.text.sanitize import escape_control_characters, remove_f
 from cornercase._common.typing import BoolArray
 from cornercase.drivers.fmu._host import PROGRESS_BYTES
 from cornercase.drivers.fmu._instance import FmuSource
+from cornercase.drivers.fmu._osmp_buffers import MessageLayout
 
 MAX_PROCESSES: Final = 32
 """Most processes at the same time, for an FMU that wants one for each instance."""
@@ -48,6 +50,18 @@ class TableLayout:
     references: tuple[int, ...]
     width: int
     dtype: str
+
+
+@dataclass(frozen=True)
+class MessageLayouts:
+    """Messages of OSI that instances read and write, as (type, value references of address and size).
+
+    `static` are given once, before the initialization, with their bytes.
+    """
+
+    inputs: Sequence[MessageLayout] = ()
+    outputs: Sequence[MessageLayout] = ()
+    static: Sequence[tuple[MessageLayout, bytes]] = ()
 
 
 @lru_cache(maxsize=1)
@@ -80,6 +94,7 @@ class FmuProcesses:
         parameters: Sequence[tuple[str, int, Sequence[object]]],
         step: float,
         steps: int,
+        messages: MessageLayouts,
     ) -> None:
         """Begin a batch; `FmuProcessError` if the FMU cannot be loaded, or if this needs too many processes.
 
@@ -95,17 +110,19 @@ class FmuProcesses:
         self._used = self._processes[: len(self._rows)]
         for process, rows in zip(self._used, self._rows, strict=True):
             own = [(kind, vr, values[rows] if len(values) > 1 else values) for kind, vr, values in parameters]
-            process.begin(rows.stop - rows.start, inputs, outputs, own, step, steps, self._reset)
+            process.begin(rows.stop - rows.start, inputs, outputs, own, step, steps, messages, self._reset)
 
-    def step(self, active: BoolArray, inputs: Sequence[npt.NDArray[Any]]) -> dict[int, str]:
+    def step(
+        self, active: BoolArray, inputs: Sequence[npt.NDArray[Any]], messages: Sequence[Sequence[bytes]]
+    ) -> dict[int, str]:
         """Step the active scenarios; return by scenario how it failed. `FmuProcessError` if a process did not survive.
 
-        Outputs are in `read_outputs` then.
+        `messages` are those of each scenario. Outputs are in `read_outputs` and `read_messages` then.
         """
         failures: dict[int, str] = {}
         try:
             for process, rows in zip(self._used, self._rows, strict=True):
-                process.start_step(active[rows], [table[rows] for table in inputs])
+                process.start_step(active[rows], [table[rows] for table in inputs], messages[rows])
             for process, rows in zip(self._used, self._rows, strict=True):
                 failures |= {rows.start + row: text for row, text in process.finish_step().items()}
         except BaseException:
@@ -117,6 +134,10 @@ class FmuProcesses:
     def read_outputs(self, table: int) -> npt.NDArray[Any]:
         """Return the outputs of one table after a step, a row per scenario."""
         return np.concatenate([process.outputs[table] for process in self._used])
+
+    def read_messages(self) -> list[list[bytes]]:
+        """Return the messages that each scenario has written in a step."""
+        return [row for process in self._used for row in process.messages]
 
     def end(self) -> None:
         """End a batch; instances are kept if a reset of them gives the same bytes."""
@@ -172,6 +193,7 @@ class _Process:
         parameters: Sequence[tuple[str, int, Sequence[object]]],
         step: float,
         steps: int,
+        messages: MessageLayouts,
         reset: bool | None,
     ) -> None:
         """Begin a batch, as `FmuProcesses.begin`."""
@@ -199,6 +221,7 @@ class _Process:
             for table, position in zip((*inputs, *outputs), positions, strict=True)
         ]
         self._inputs, self.outputs = arrays[: len(inputs)], arrays[len(inputs) :]
+        self._n_messages, self.messages = len(messages.outputs), [[b""] * len(messages.outputs)] * scenarios
         self._log.truncate(0)
         self._ask(
             {
@@ -210,20 +233,30 @@ class _Process:
                 "parameters": list(parameters),
                 "step": step,
                 "steps": steps,
+                "message_inputs": messages.inputs,
+                "message_outputs": messages.outputs,
+                "static": [(layout, base64.b64encode(static).decode()) for layout, static in messages.static],
                 "reset": reset,
             }
         )
 
-    def start_step(self, active: BoolArray, inputs: Sequence[npt.NDArray[Any]]) -> None:
+    def start_step(
+        self, active: BoolArray, inputs: Sequence[npt.NDArray[Any]], messages: Sequence[Sequence[bytes]]
+    ) -> None:
         """Let the active scenarios step."""
         self._active[:] = active
         for own, table in zip(self._inputs, inputs, strict=True):
             own[:] = table
-        self._send(b"\n", self._timeout)
+        flat = [message for row in messages for message in row]
+        sizes = np.array([len(message) for message in flat], dtype=np.uint32)
+        self._send(b"".join((b"\n", sizes.tobytes(), *flat)), self._timeout)
 
     def finish_step(self) -> dict[int, str]:
         """Wait for the step, and return by scenario how it failed."""
         answer = self._receive()
+        sizes = np.frombuffer(self._read(4 * self._n_messages * len(self.messages)), dtype=np.uint32)
+        rows = sizes.reshape(len(self.messages), self._n_messages).tolist()
+        self.messages = [[self._read(size) for size in row] for row in rows]
         for row, (text, lines, is_fatal) in (answer or {}).items():
             if is_fatal:
                 raise FmuProcessError(f"failed: {text}{_format_log(lines)}")
@@ -258,8 +291,18 @@ class _Process:
         assert self._process.stdout is not None
         line = self._process.stdout.readline()
         self._is_busy = False
-        if line.endswith(b"\n"):
-            return json.loads(line)
+        if not line.endswith(b"\n"):
+            self._raise_ended()
+        return json.loads(line)
+
+    def _read(self, size: int) -> bytes:
+        assert self._process.stdout is not None
+        content = self._process.stdout.read(size) if size else b""
+        if len(content) < size:
+            self._raise_ended()
+        return content
+
+    def _raise_ended(self) -> NoReturn:
         code = self._process.wait()
         lines = self._read_log()
         self.close()

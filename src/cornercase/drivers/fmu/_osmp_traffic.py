@@ -1,0 +1,194 @@
+"""The traffic around an FMU as messages of ASAM OSI, and where it drives as it says in one."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Final
+
+import numpy as np
+
+from cornercase._common.geometry.boxes import wrap_angle
+from cornercase._common.typing import FloatArray
+from cornercase.drivers._base import Situation
+from cornercase.drivers._controls import Trajectory
+from cornercase.drivers._function import Start
+from cornercase.drivers.fmu._osmp_map import OsmpMap
+from cornercase.recordings._osi_messages import OsiEntity, OsiState, fill_ground_truth, set_timestamp, set_version
+from cornercase.recordings._osi_roads import fill_roads
+
+HOST: Final = 0
+"""Id of the driven vehicle; those of the others follow, and false objects of sensors come last."""
+
+
+class UnusableMotionError(Exception):
+    """A message does not say where the FMU drives."""
+
+
+class OsmpTraffic:
+    """The messages of a batch: what an FMU is given, from the situation as its sensors know it, and what it decides.
+
+    Accelerations and yaw rates of others are their changes since the step before.
+    """
+
+    def __init__(self, osmp: OsmpMap, start: Start) -> None:
+        self._osmp, self._start = osmp, start
+        # Speed and heading of all objects in the step before, the host first.
+        n_objects = 1 + len(start.others)
+        self._speed, self._heading = np.full((2, start.scenarios, n_objects), np.nan)
+        self.static = self._describe_roads()
+
+    def write(self, situation: Situation) -> list[list[bytes]]:
+        """Return the messages for each scenario, empty where it is not active."""
+        if not self._osmp.inputs:
+            return [[]] * len(situation.active)
+        entities, states = self._entities(situation), self._states(situation)
+        return [
+            self._write_row(situation.time, entities, [OsiState(*state) for state in states[row].tolist()])
+            if is_active
+            else [b""] * len(self._osmp.inputs)
+            for row, is_active in enumerate(situation.active.tolist())
+        ]
+
+    def read(self, message: bytes, situation: Situation, row: int) -> Trajectory | float:
+        """Return a trajectory or an acceleration in m/s² along the heading; raises `UnusableMotionError`.
+
+        Without a message the vehicle keeps its speed.
+        """
+        assert self._osmp.motion is not None
+        kind = self._osmp.motion.message
+        if not message:
+            return 0.0
+        from google.protobuf.message import DecodeError
+
+        try:
+            if kind == "TrafficUpdate":
+                return self._read_traffic_update(message, situation, row)
+            return self._read_motion_request(message, situation, row)
+        except DecodeError as error:
+            raise UnusableMotionError(f"its message is no {kind} of OSI") from error
+        except ValueError as error:
+            raise UnusableMotionError(f"its {kind} cannot be driven: {error}") from error
+
+    def _entities(self, situation: Situation) -> list[OsiEntity]:
+        body, names = self._start.body, situation.others_name
+        boxes = zip(
+            situation.others_length.tolist(),
+            situation.others_width.tolist(),
+            situation.others_center_x.tolist(),
+            strict=True,
+        )
+        host = OsiEntity(body.name, body.object_type, body.length, body.width, body.center_x)
+        others = zip(names, situation.others_object_type, boxes, strict=True)
+        return [host, *(OsiEntity(name, object_type, *box) for name, object_type, box in others)]
+
+    def _states(self, situation: Situation) -> FloatArray:
+        """Return x, y, heading, speed, acceleration and yaw rate of all objects, (N, 1 + A, 6)."""
+        x, y, heading, speed = (
+            np.column_stack((getattr(situation, name), getattr(situation, f"others_{name}")))
+            for name in ("x", "y", "heading", "speed")
+        )
+        dt, active = situation.time_step, situation.active
+        acceleration = np.nan_to_num((speed - self._speed) / dt)
+        acceleration[:, HOST] = situation.acceleration
+        yaw_rate = np.nan_to_num(wrap_angle(heading - self._heading) / dt)
+        self._speed[active], self._heading[active] = speed[active], heading[active]
+        return np.stack((x, y, heading, speed, acceleration, yaw_rate), axis=2)
+
+    def _write_row(self, time: float, entities: list[OsiEntity], states: list[OsiState]) -> list[bytes]:
+        from osi3.osi_groundtruth_pb2 import GroundTruth
+        from osi3.osi_sensorview_pb2 import SensorView
+
+        truth = GroundTruth()
+        fill_ground_truth(truth, time, entities, states, HOST)
+        if not self._osmp.static:
+            # Parsing what is written once is faster than copying its parts.
+            truth.MergeFromString(self.static)
+            set_timestamp(truth.timestamp, time)
+        messages = []
+        for k, variable in enumerate(self._osmp.inputs):
+            message = truth
+            if variable.message == "SensorView":
+                message = SensorView()
+                set_version(message)
+                set_timestamp(message.timestamp, time)
+                message.sensor_id.value = k
+                message.host_vehicle_id.value = HOST
+                # At the middle of the rear axle, from where the position is measured.
+                position, orientation = message.mounting_position.position, message.mounting_position.orientation
+                position.x = position.y = position.z = orientation.roll = orientation.pitch = orientation.yaw = 0.0
+                message.global_ground_truth.CopyFrom(truth)
+            messages.append(message.SerializeToString(deterministic=True))
+        return messages
+
+    def _describe_roads(self) -> bytes:
+        """Return what does not change, as a GroundTruth: the same for all scenarios of a batch."""
+        from osi3.osi_groundtruth_pb2 import GroundTruth
+
+        truth, network = GroundTruth(), self._start.network
+        set_version(truth)
+        set_timestamp(truth.timestamp, 0.0)
+        if network is not None:
+            truth.map_reference = network.path.name
+            fill_roads(truth, network)
+        content: bytes = truth.SerializeToString(deterministic=True)
+        return content
+
+    def _read_traffic_update(self, message: bytes, situation: Situation, row: int) -> Trajectory | float:
+        from osi3.osi_trafficupdate_pb2 import TrafficUpdate
+
+        updates = TrafficUpdate.FromString(message).update
+        update = next((update for update in updates if update.id.value == HOST), None)
+        if update is None:
+            ids = ", ".join(str(update.id.value) for update in updates) or "nothing"
+            raise UnusableMotionError(f"its TrafficUpdate is of {ids}, not of the host with the id {HOST}")
+        return self._reach(update.base, situation.time + situation.time_step, situation, row, self._start.body.center_x)
+
+    def _read_motion_request(self, message: bytes, situation: Situation, row: int) -> Trajectory | float:
+        from osi3.osi_motionrequest_pb2 import MotionRequest
+
+        request = MotionRequest.FromString(message)
+        if request.motion_request_type == MotionRequest.MOTION_REQUEST_TYPE_TRAJECTORY:
+            points = request.desired_trajectory.trajectory_point
+            times = [_read_time(point.timestamp) for point in points]
+            if len(points) == 1:
+                return self._reach(points[0], times[0], situation, row, 0.0)
+            headings = [point.orientation.yaw for point in points]
+            return Trajectory(
+                np.array(times),
+                np.array([point.position.x for point in points]),
+                np.array([point.position.y for point in points]),
+                np.array(headings) if all(point.HasField("orientation") for point in points) else None,
+            )
+        state = request.desired_state
+        time = _read_time(state.timestamp) if state.HasField("timestamp") else situation.time + situation.time_step
+        return self._reach(state, time, situation, row, 0.0)
+
+    def _reach(self, goal: Any, time: float, situation: Situation, row: int, center_x: float) -> Trajectory | float:
+        """Return how to reach a state, whose position is `center_x` m ahead of the reference point.
+
+        If it has no position, its acceleration counts.
+        """
+        heading = float(situation.heading[row])
+        if not goal.HasField("position"):
+            if not goal.HasField("acceleration"):
+                raise ValueError("it has neither a position nor an acceleration")
+            along: float = goal.acceleration.x * math.cos(heading) + goal.acceleration.y * math.sin(heading)
+            return along
+        yaw = goal.orientation.yaw if goal.HasField("orientation") else heading
+        x, y = goal.position.x - center_x * math.cos(yaw), goal.position.y - center_x * math.sin(yaw)
+        speed = None
+        is_moving = "velocity" in goal.DESCRIPTOR.fields_by_name and goal.HasField("velocity")
+        if is_moving:
+            forward = goal.velocity.x * math.cos(yaw) + goal.velocity.y * math.sin(yaw)
+            speed = np.array([situation.speed[row], max(forward, 0.0)])
+        return Trajectory(
+            np.array([situation.time, time]),
+            np.array([situation.x[row], x]),
+            np.array([situation.y[row], y]),
+            np.array([heading, yaw]),
+            speed,
+        )
+
+
+def _read_time(timestamp: Any) -> float:
+    return float(timestamp.seconds) + 1e-9 * float(timestamp.nanos)
