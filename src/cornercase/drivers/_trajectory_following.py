@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from functools import cached_property
 from typing import Final
 
 import numpy as np
 
 from cornercase._common.geometry.boxes import wrap_angle
+from cornercase._common.typing import FloatArray
 from cornercase.drivers._base import DrivenPath
 from cornercase.drivers._controls import Trajectory
 from cornercase.drivers._path_tracking import locate_on_path, steer_along_path
@@ -34,11 +36,8 @@ class FollowedTrajectory:
         if given.time[0] > time + _CLOCK:
             self._time = np.concatenate([[time], given.time])
             self._x, self._y = np.concatenate([[x], given.x]), np.concatenate([[y], given.y])
-        steps = np.hypot(np.diff(self._x), np.diff(self._y))
-        self._travelled = np.concatenate([[0.0], np.cumsum(np.where(steps > _STANDSTILL, steps, 0.0))])
         self._distance = 0.0
         self._headings = None if given.heading is None else np.unwrap(given.heading)
-        self._path = self._make_path()
 
     def move(
         self, time: float, x: float, y: float, heading: float, speed: float, dt: float
@@ -84,8 +83,15 @@ class FollowedTrajectory:
     def _is_over(self, time: float) -> bool:
         return time > float(self._time[-1]) + _CLOCK
 
-    def _make_path(self) -> DrivenPath | None:
-        """Return the line through its points; None if it has none."""
+    @cached_property
+    def _travelled(self) -> FloatArray:
+        """Distance along its line at each point."""
+        steps = np.hypot(np.diff(self._x), np.diff(self._y))
+        return np.concatenate([[0.0], np.cumsum(np.where(steps > _STANDSTILL, steps, 0.0))])
+
+    @cached_property
+    def _path(self) -> DrivenPath | None:
+        """The line through its points; None if it has none."""
         keep = np.concatenate([[True], np.diff(self._travelled) > 0.0])
         distance, x, y = self._travelled[keep], self._x[keep], self._y[keep]
         if len(distance) < 2:
