@@ -239,9 +239,10 @@ class VariableMap:
         has_pedals = not given.isdisjoint(_PEDALS)
         if not given:
             names = ", ".join(variable.name for variable in self._model.with_causality("output")) or "none"
+            writes = ", and it writes neither a TrafficUpdate nor a MotionRequest" if self._model.messages else ""
             raise InputError(
-                f"{self._where}: none of its outputs ({names}) is known as one of {', '.join(OUTPUTS)}; say in a map"
-                " what they are, `map=FILE.toml`."
+                f"{self._where}: none of its outputs ({names}) is known as one of {', '.join(OUTPUTS)}{writes}; say in"
+                " a map what they are, `map=FILE.toml`."
             )
         if ("acceleration" in given) == has_pedals:
             raise InputError(
