@@ -12,7 +12,7 @@ import pytest
 
 import cornercase as cc
 from conftest import EXAMPLES
-from cornercase.drivers import SENSORS, EquippedDriver, FmuDriver
+from cornercase.drivers import SENSORS, VEHICLES, EquippedDriver, FmuDriver
 from cornercase.drivers.fmu._instance import Fmu, FmuError
 from cornercase.drivers.fmu._model import read_fmu
 from cornercase.drivers.fmu._osmp_buffers import pass_message
@@ -96,6 +96,17 @@ def test_it_drives_as_the_same_function_in_python(folder, name, options):
     assert ego(python, "acceleration").min() == pytest.approx(-8.0)
     for quantity in ("x", "y", "heading", "speed", "acceleration"):
         np.testing.assert_allclose(ego(fmu, quantity), ego(python, quantity), rtol=0.0, atol=1e-9)
+
+
+def test_a_vehicle_model_follows_it(folder):
+    """As it brakes when the same function asks for an acceleration."""
+    update, request = (
+        drive(EquippedDriver(FmuDriver(str(folder / name), answer=answer), vehicle=VEHICLES.create("single-track")))
+        for name, answer in (("update.fmu", 0), ("request.fmu", ACCELERATION))
+    )
+    assert ego(request, "acceleration").min() < -7.0
+    np.testing.assert_allclose(ego(update, "x"), ego(request, "x"), rtol=0.0, atol=0.01)
+    np.testing.assert_allclose(ego(update, "speed"), ego(request, "speed"), rtol=0.0, atol=0.01)
 
 
 def test_osi_python_reads_what_it_is_given(record):

@@ -32,7 +32,7 @@ class Trajectory:
         Position in m, in the axes of the map.
     heading, speed : ndarray of float64, shape (P,), optional
         Heading in rad and speed in m/s that the ego has where it follows exactly, without a vehicle model. By default
-        they are those of its motion in a time step.
+        they are those of its motion in a time step. With a vehicle model the speeds say how it accelerates.
 
     Raises
     ------

@@ -77,7 +77,11 @@ class FollowedTrajectory:
         pose = locate_on_path(self._path, *(np.array([value]) for value in (self._distance, x, y, heading, ahead)))
         self._distance = float(pose.along[0])
         now, then = np.interp([time, time + dt], self._time, self._travelled).tolist()
-        acceleration = 2.0 * ((then - now) / dt - speed) / _CATCH_UP + (now - self._distance) / _CATCH_UP**2
+        wanted, feedforward = (then - now) / dt, 0.0
+        if self.given.speed is not None:
+            wanted, later = np.interp([time, time + dt], self.given.time, self.given.speed).tolist()
+            feedforward = (later - wanted) / dt
+        acceleration = feedforward + 2.0 * (wanted - speed) / _CATCH_UP + (now - self._distance) / _CATCH_UP**2
         return acceleration, float(steer_along_path(pose, np.array([speed]), wheelbase, response)[0])
 
     def _is_over(self, time: float) -> bool:
