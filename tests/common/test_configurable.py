@@ -35,7 +35,8 @@ NAMES = [
     for kind, registry in REGISTRIES.items()
     for name in (*registry.names(), *(text for text in OWN_OPTIONS if text.partition(":")[0] in registry))
     if name in OWN_OPTIONS or (registry.get_factory(name).__module__.startswith("cornercase.") and name != "carmaker")
-    if not (kind == "driver" and name.startswith("rss:"))
+    # Those of a file or a program are nothing without it.
+    if not (kind == "driver" and (name.startswith("rss:") or name in ("exec", "fmu")))
 ]
 
 

@@ -54,6 +54,8 @@ def test_systems_that_keep_their_contract_pass(check):
 def test_every_metric_of_cornercase_passes(name):
     if METRICS.get_class(name).required_option:
         pytest.skip("means nothing without its option")
+    if name == "lane-margin":
+        pytest.skip("measures on the roads of the scenario, which are nowhere else")
     assert problems(metric_checks(name)) == {}
 
 

@@ -336,7 +336,7 @@ def _fingerprint(words: list[str]) -> dict[str, str]:
     """Return the SHA-256 of the files among the words of a command, in their order; empty if there are none."""
     paths = [path for word in words if (path := Path(word.rpartition("=")[2])).is_file()]
     # Without a file, the program itself is one of PATH.
-    paths = paths or [Path(found) for word in words[:1] if (found := shutil.which(word)) is not None]
+    paths = paths or [Path(program) for word in words[:1] if (program := shutil.which(word)) is not None]
     digests = [hashlib.sha256(path.read_bytes()).hexdigest() for path in paths]
     if len(digests) > 1:
         return {"sha256": hashlib.sha256("".join(digests).encode()).hexdigest()}

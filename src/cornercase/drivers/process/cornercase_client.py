@@ -109,7 +109,7 @@ class Step:
 
 
 class View:
-    """What a function sees of one scenario; the attributes are those of `cornercase.View`."""
+    """What a function sees of one scenario; the attributes are those of `cornercase.drivers.View`."""
 
     def __init__(self, step: Step, row: int) -> None:
         self._step, self._row = step, row
