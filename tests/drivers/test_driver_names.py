@@ -152,7 +152,7 @@ def test_options_in_a_name_are_the_parameters_of_the_driver():
         ("normal:reaction_time=-1", "reaction_time is -1; it has to be a finite number of 0 or more"),
         ("normal:horizon=0", "horizon is 0; it has to be a finite number above zero"),
         ("normal:field_of_view=200", "field_of_view is 200; give an angle in rad"),
-        ("normal:horizon=nan", "horizon is nan"),
+        ("normal:horizon=nan", "takes a number for 'horizon', not 'nan'"),
         ("normal:horizon=long", "takes a number for 'horizon', not 'long'"),
         ("simple:sight_range=-5", "sight_range is -5"),
         ("cc-human:name=rss", "no option 'name'"),

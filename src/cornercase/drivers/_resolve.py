@@ -94,12 +94,12 @@ def _create_registered(spec: str) -> Driver:
 
 def takes_text(name: str) -> bool:
     """Return whether a registered driver runs the program or file that its name contains."""
-    return DRIVERS.takes_text(split_spec(name)[0].partition(":")[0])
+    return is_registered_driver(name) and DRIVERS.takes_text(split_spec(name)[0].partition(":")[0])
 
 
 def check_reference_driver(name: str) -> None:
     """Refuse a reference driver that runs a program or file: the conditions of studies and suites name it."""
-    if is_registered_driver(name) and takes_text(name):
+    if takes_text(name):
         raise InputError(f"the driver '{name}' runs a program or file, which no condition may name; give a class.")
 
 

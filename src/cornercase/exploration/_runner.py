@@ -128,7 +128,8 @@ class ScenarioRunner:
 
     def _is_random(self) -> bool:
         logical = self._config.logical
-        return bool(find_random_sensors(self._simulator, [logical.scenario_file], logical.space.names))
+        files = [] if logical.file is None else [logical.file]
+        return bool(find_random_sensors(self._simulator, files, logical.space.names))
 
     def _run_again(self, row: ScenarioRecord) -> Iterator[Recording | SimulationError]:
         """Repeat the runs of a scenario one after another."""

@@ -14,10 +14,12 @@ import sys
 import threading
 import time
 from collections import deque
+from collections.abc import Callable
 from ctypes import c_int64, c_uint8, c_uint32
 from pathlib import Path
 from typing import Any, BinaryIO, Final
 
+from cornercase._common.platform import make_parent_check
 from cornercase.drivers.fmu._instance import C_TYPES, FATAL, WARNING, Fmu, FmuError, FmuSource, Instance
 from cornercase.drivers.fmu._osmp_buffers import MessageBuffers, pass_message, read_message
 
@@ -224,7 +226,7 @@ def main() -> None:
     os.dup2(2, 1)
     with open(os.devnull, "rb") as nothing:
         os.dup2(nothing.fileno(), 0)
-    threading.Thread(target=_exit_with_parent, args=(os.getppid(),), daemon=True).start()
+    threading.Thread(target=_exit_with_parent, args=(make_parent_check(),), daemon=True).start()
     host: Host | None = None
     for line in requests:
         answer: Any = None
@@ -254,8 +256,8 @@ def main() -> None:
         answers.flush()
 
 
-def _exit_with_parent(parent: int) -> None:
+def _exit_with_parent(has_parent: Callable[[], bool]) -> None:
     """End this process when its parent has died, even while the FMU hangs."""
-    while os.getppid() == parent:
+    while has_parent():
         time.sleep(_LIFE_INTERVAL)
     os._exit(1)
