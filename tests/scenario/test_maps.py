@@ -208,7 +208,7 @@ def test_43_7_what_is_written_holds_the_map_and_a_study_says_that_it_needs_it(tm
 def test_43_7_esmini_refuses_a_map_that_it_would_not_find(tmp_path, maps):
     path, named = town(tmp_path / "s"), town(tmp_path / "t", "../maps/Town01.xodr")
     simulator = Esmini.__new__(Esmini)
-    simulator._undriven = True
+    simulator._undriven, simulator._drivers = True, {}
     with search_maps_in([maps]):
         simulator.check_supported(ScenarioFile.read(named))
         with pytest.raises(InputError, match=r"names the road 'Town01', which was found as .*; name that file in"):

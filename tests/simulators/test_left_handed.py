@@ -153,7 +153,7 @@ def test_43_2_a_concrete_file_stays_in_its_axes(tmp_path: Path) -> None:
 def test_43_2_esmini_which_does_not_know_such_axes_refuses_them(tmp_path: Path) -> None:
     turned, plain = written(tmp_path / "a", "CARLA:x", -1.0), written(tmp_path / "b", "x", 1.0)
     simulator = Esmini.__new__(Esmini)
-    simulator._undriven = True
+    simulator._undriven, simulator._drivers = True, {}
     simulator.check_supported(ScenarioFile.read(plain))
     with pytest.raises(InputError, match=r"scenario\.xosc: its description begins with 'CARLA:'.*`cornercase convert`"):
         simulator.check_supported(ScenarioFile.read(turned))

@@ -108,6 +108,8 @@ class ConcreteScenario:
         InputError
             The file cannot be used.
         """
+        if not any("." in name for name in self.values):
+            return self
         own = self.load_file().driver_parameters(self.values)
         values = {name: value for name, value in self.values.items() if own.get(name, ("",))[0] != entity}
         return replace(self, values=values)
