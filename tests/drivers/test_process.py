@@ -491,3 +491,44 @@ def test_the_page_lists_all_columns():
     expected += [(name, "M, K", unit, meaning) for name, (unit, meaning) in PATH_COLUMNS.items()]
     assert rows == expected
     assert f"Version {PROTOCOL_VERSION}." in page
+
+
+TWO_OPTIONS = """
+from cornercase_client import Function, serve
+
+class Brake(Function):
+    def __init__(self, brake=1.0, after=0.0, mode="soft"):
+        self.brake, self.after, self.mode = brake, after, mode
+
+    def step(self, view, dt):
+        return -self.brake if view.time >= self.after and self.mode == "nan" else 0.0
+
+serve(Brake)
+"""
+
+
+def test_each_number_in_a_command_can_vary_and_other_options_stay_texts(folder):
+    (folder / "two.py").write_text(TWO_OPTIONS)
+    driver = driver_by_name(f"exec:{PYTHON} two.py:brake=1,after=0.5,mode=nan,timeout=5")
+    simulator = Builtin(duration=2.0, drivers={"Ego": driver})
+    values = ({"Ego.brake": 2.0, "Ego.after": 1.0}, {"Ego.brake": 3.0, "Ego.after": 0.0})
+    for recording, given in zip(ran(simulator, [ConcreteScenario(X, own) for own in values]), values, strict=True):
+        braking = recording.acceleration[0] < -0.5
+        assert recording.time[braking.argmax()] == pytest.approx(given["Ego.after"] + 0.05)
+        assert recording.acceleration[0][braking].min() == pytest.approx(-given["Ego.brake"])
+    simulator.close()
+    checked = cornercase("check", X, "--sut", f"Ego=exec:{PYTHON} two.py:brake=1,after=0.5,mode=nan,timeout=5")
+    assert "timeout=5" in checked.stdout
+    assert "brake=1, after=0.5, mode=nan" in checked.stdout
+    assert "can be searched, as in --range Ego.brake=LOW:HIGH: brake, after" in checked.stdout
+
+
+def test_the_reason_why_a_program_has_no_object_stays(folder):
+    (folder / "two.py").write_text(TWO_OPTIONS)
+    with pytest.raises(InputError, match="unexpected keyword argument 'brak'"):
+        cc.simulate(X, duration=1.0, drivers={"Ego": f"exec:{PYTHON} two.py:brak=2"})
+
+
+def test_a_log_in_no_folder_is_refused(folder):
+    with pytest.raises(InputError, match="there is no folder"):
+        ProcessFunction(f"{PYTHON} my_function.py", log="nowhere/at/all.log")

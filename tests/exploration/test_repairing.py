@@ -262,3 +262,30 @@ def test_42_10_a_repair_names_the_study_where_its_scenario_is_not_found(damaged,
         f"{damaged}: the scenario file '{X.name}' was not found beside the study, in the current folder"
         in result.stderr
     )
+
+
+def test_a_repair_runs_no_driver_that_only_the_condition_of_a_study_names(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "named_only.py").write_text(
+        "from pathlib import Path\n\nimport cornercase as cc\n\nPath('was-run').write_text('')\n\n\n"
+        "class Reference(cc.SystemUnderTest):\n    def step(self, view, dt):\n        return -1.0\n"
+    )
+    study = tmp_path / "s.db"
+    explored = cornercase(
+        "explore", X, "--range", "ego_start=20:60", "--ego", "Ego", "--other", "Pedestrian", "--metric", "wttc",
+        "--critical-if", "collision and not reference:named_only:Reference", "--driver", "Ego=cautious",
+        "--optimizer", "sobol", "--budget", 4, "-o", study,
+    )  # fmt: skip
+    assert explored.returncode == 0, explored.stderr
+    assert (tmp_path / "was-run").exists()
+    (tmp_path / "was-run").unlink()
+    sys.modules.pop("named_only", None)
+    with closing(sqlite3.connect(study)) as connection, connection:
+        connection.execute("UPDATE courses SET score = score + 1 WHERE scenario = 2")
+    before = study.read_bytes()
+    result = cornercase("verify", study, "--repair", "--scenario", X)
+    assert result.returncode == 2
+    assert "its condition names the driver 'named_only:Reference'" in result.stderr
+    assert not (tmp_path / "was-run").exists()
+    assert "named_only" not in sys.modules
+    assert study.read_bytes() == before
