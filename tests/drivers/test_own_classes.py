@@ -114,7 +114,8 @@ class Positional(Configurable):
 
 @pytest.mark.parametrize("given", [(), (1, 2, 9), (7,), (4, 3, 2, 1)])
 def test_options_by_position_keep_their_places(given):
-    made = Positional(*given, e=6)
+    cls: Any = Positional
+    made = cls(*given, e=6)
     assert made.with_options().all == made.all
     assert made.with_options(c=0).all == (*made.all[:2], 0, *made.all[3:])
 
