@@ -14,6 +14,16 @@ BOXES = """(times) => {
   const { recording } = cornercase.replay.panel.panes.selected;
   return times.map((time) => boxesAt(recording, time).map((box) => box && [box.x, box.y, box.heading]));
 }"""
+# The second recording is read a while after the first one is shown.
+SLOW_SECOND = """
+const read = Response.prototype.arrayBuffer;
+let count = 0;
+Response.prototype.arrayBuffer = async function () {
+  const bytes = await read.call(this);
+  if (++count > 1) await new Promise((resolve) => setTimeout(resolve, 300));
+  return bytes;
+};
+"""
 SEEN = """(times) => {
   const { recording, ego, other } = cornercase.replay.panel.panes.selected;
   return times.map((time) => sees(boxesAt(recording, time), ego, other));
@@ -70,6 +80,14 @@ def test_two_play_on_one_clock_with_the_keyboard(tab, studies, tmp_path):
     with StudyFile.open(studies("plain"), readonly=True) as opened:
         ends = [float(opened.recording(one).time[-1]) for one in (2, 5)]
     assert np.allclose(page.evaluate(times), ends, atol=1e-3)
+
+
+def test_it_draws_one_recording_while_the_other_is_read(tab, studies, tmp_path):
+    tab.page.add_init_script(SLOW_SECOND)
+    page = tab.open(cc.replay(studies("plain"), 2, tmp_path / "run.html", beside=5).as_uri())
+    page.wait_for_timeout(400)
+    tab.settle()
+    assert page.locator("[data-replay=beside] canvas").is_visible()
 
 
 def test_names_are_shown_as_they_are(tab, studies, tmp_path):

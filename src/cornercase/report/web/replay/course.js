@@ -23,9 +23,8 @@ class CourseChart {
   // `seek(time)` is called on a click or drag.
   constructor(canvas, seek) {
     this.canvas = canvas;
-    this.courses = [];
-    this.range = [0, 1];
-    this.end = 1;
+    // An empty chart, as one recording may be drawn before the other is read.
+    this.setCourses([], 0, 1, "", null);
     let dragging = false;
     const seekTo = (event) => {
       const { width } = this.size();
