@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
+from pathlib import Path
+from random import Random
 
 import numpy as np
 import pytest
 
-from cornercase._common.typing import FloatArray
-from cornercase.drivers import BehaviourDriver, Driver, EquippedDriver, Situation
+from cornercase._common.errors import NoticeWarning
+from cornercase._common.typing import BoolArray, FloatArray
+from cornercase.drivers import BehaviourDriver, Driver, EquippedDriver, PlanarMotion, Situation
 from cornercase.drivers.vehicles._actuated import Actuators
+from cornercase.drivers.vehicles._kinematic import Kinematic
+from cornercase.drivers.vehicles._single_track import SingleTrack
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario, LogicalScenario
 from cornercase.simulators import Builtin
 from helpers.command_line import SPACE, X
+from helpers.random_storyboards import storyboard, write_roads
 
 EQUIPPED = "normal + actuators:delay=0.08,lag=0.15,max_jerk=30,mu=0.6"
 
@@ -59,10 +66,99 @@ def test_kernels_and_python_move_actuators_to_the_same_bytes() -> None:
     assert [as_bytes(one) for one in compiled] != [as_bytes(one) for one in run(chosen, "normal")]
 
 
-def test_a_scenario_gives_the_same_bytes_alone() -> None:
+STEERED = {
+    "kinematic": Kinematic(),
+    "kinematic:delay=0.08,steering_lag=0.1,mu=0.3": Kinematic(delay=0.08, steering_lag=0.1, mu=0.3),
+    "single-track": SingleTrack(),
+    "single-track:mu=0.2,steering_delay=0.2": SingleTrack(mu=0.2, steering_delay=0.2),
+}
+
+
+@pytest.mark.parametrize("vehicle", STEERED)
+def test_kernels_and_python_steer_to_the_same_bytes(vehicle: str) -> None:
+    chosen = concretes(12)
+    in_python = run(chosen, EquippedDriver(InPython(), vehicle=STEERED[vehicle]))
+    assert [as_bytes(one) for one in run(chosen, f"normal + {vehicle}")] == [as_bytes(one) for one in in_python]
+
+
+@pytest.fixture(scope="module")
+def roads(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("roads")
+    write_roads(folder)
+    return folder
+
+
+def run_file(file: Path, driver: str | Driver) -> Recording:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NoticeWarning)
+        (result,) = Builtin(duration=10.0, drivers={"Ego": driver}).run([ConcreteScenario(file, {})])
+    assert isinstance(result, Recording)
+    return result
+
+
+@pytest.mark.parametrize("seed", range(24))
+def test_kernels_and_python_steer_to_the_same_bytes_whatever_the_storyboard_does(seed: int, roads: Path) -> None:
+    file, vehicle = roads / f"{seed}.xosc", [*STEERED][seed % len(STEERED)]
+    file.write_text(storyboard(Random(seed)))
+    in_python = run_file(file, EquippedDriver(InPython(), vehicle=STEERED[vehicle]))
+    assert as_bytes(run_file(file, f"normal + {vehicle}")) == as_bytes(in_python)
+
+
+# It begins 20 m before the end of its road.
+NEAR_THE_END = """<OpenSCENARIO><FileHeader revMajor="1" revMinor="2" date="2026-01-01T00:00:00" description="" author=""/>
+<CatalogLocations/><RoadNetwork><LogicFile filepath="straight.xodr"/></RoadNetwork>
+<Entities><ScenarioObject name="Ego"><Vehicle name="car" vehicleCategory="car">
+<BoundingBox><Center x="1.4" y="0" z="0.7"/><Dimensions length="4.5" width="1.8" height="1.5"/></BoundingBox>
+<Performance maxSpeed="60" maxAcceleration="10" maxDeceleration="10"/>
+<Axles><FrontAxle maxSteering="0.5" wheelDiameter="0.6" trackWidth="1.6" positionX="2.7" positionZ="0.3"/>
+<RearAxle maxSteering="0" wheelDiameter="0.6" trackWidth="1.6" positionX="0" positionZ="0.3"/></Axles>
+<Properties/></Vehicle></ScenarioObject></Entities>
+<Storyboard><Init><Actions><Private entityRef="Ego">
+<PrivateAction><TeleportAction><Position><LanePosition roadId="1" laneId="-1" s="880"/></Position></TeleportAction></PrivateAction>
+<PrivateAction><LongitudinalAction><SpeedAction>
+<SpeedActionDynamics dynamicsShape="step" dynamicsDimension="time" value="0"/>
+<SpeedActionTarget><AbsoluteTargetSpeed value="15"/></SpeedActionTarget></SpeedAction></LongitudinalAction></PrivateAction>
+</Private></Actions></Init></Storyboard></OpenSCENARIO>"""
+
+
+def test_a_steered_vehicle_goes_on_beyond_the_end_of_its_road(roads: Path) -> None:
+    file = roads / "end.xosc"
+    file.write_text(NEAR_THE_END)
+    recording = run_file(file, "normal + kinematic")
+    gone = np.hypot(recording.x[0] - recording.x[0, 0], recording.y[0] - recording.y[0, 0])
+    assert gone == pytest.approx(np.cumsum([0.0, *(0.05 * recording.speed[0, 1:])]), abs=1e-6)
+    assert gone[-1] > 130.0
+
+
+@pytest.mark.parametrize("driver", [EQUIPPED, "normal + single-track"])
+def test_a_scenario_gives_the_same_bytes_alone(driver: str) -> None:
     chosen = concretes(6)
-    together = run(chosen, EQUIPPED)
-    assert [as_bytes(one) for one in together] == [as_bytes(run([one], EQUIPPED)[0]) for one in chosen]
+    together = run(chosen, driver)
+    assert [as_bytes(one) for one in together] == [as_bytes(run([one], driver)[0]) for one in chosen]
+
+
+class Heavy(Kinematic):
+    """Steps in Python, with its own speed."""
+
+    name = "heavy"
+
+    def step(
+        self,
+        motion: PlanarMotion,
+        acceleration: FloatArray,
+        steering: FloatArray,
+        friction: FloatArray,
+        time_step: float,
+        active: BoolArray,
+    ) -> PlanarMotion:
+        return super().step(motion, 0.5 * acceleration, steering, friction, time_step, active)
+
+
+def test_a_model_of_ones_own_that_is_derived_from_a_compiled_one_is_asked() -> None:
+    chosen = concretes(1)
+    (own,) = run(chosen, EquippedDriver(BehaviourDriver(), vehicle=Heavy()))
+    (plain,) = run(chosen, "normal + kinematic")
+    assert as_bytes(own) != as_bytes(plain)
 
 
 def test_acceleration_changes_slowly_and_within_friction() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Final
+from typing import Final, cast
 
 import numpy as np
 
@@ -36,8 +36,7 @@ from cornercase.drivers._parameters import (
 )
 from cornercase.drivers._varied_driver import VariedDriver
 from cornercase.drivers.sensors._fusion import SensorFusion
-from cornercase.drivers.vehicles._actuated import Actuators
-from cornercase.drivers.vehicles._kernels.actuators import Vehicles
+from cornercase.drivers.vehicles._actuated import ActuatedVehicle
 from cornercase.drivers.vehicles._pedals import pedals_to_acceleration
 from cornercase.drivers.vehicles._vehicle_model import PlanarMotion
 
@@ -90,12 +89,14 @@ class Attachment:
     @property
     def is_compiled(self) -> bool:
         """Whether kernels can make all its decisions, and move its vehicle."""
-        return is_compiled(self.driver) and not self._sensors and isinstance(self.vehicle, Actuators | None)
+        is_moved = self.vehicle is None or self.compiled_vehicle is not None
+        return is_compiled(self.driver) and not self._sensors and is_moved
 
     @property
-    def vehicle_tables(self) -> Vehicles | None:
-        """The started actuators of its vehicle, for kernels; None if kernels do not move it."""
-        return self.vehicle.tables if self.is_compiled and isinstance(self.vehicle, Actuators) else None
+    def compiled_vehicle(self) -> ActuatedVehicle | None:
+        """Its vehicle, if kernels can move it; they cannot move one of a derived class."""
+        is_built = isinstance(self.vehicle, ActuatedVehicle) and is_built_in(type(self.vehicle))
+        return cast(ActuatedVehicle, self.vehicle) if is_built else None
 
     @property
     def display_name(self) -> str:

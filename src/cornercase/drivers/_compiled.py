@@ -8,6 +8,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from cornercase._common.numba.pointers import memory_address
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.drivers._base import DrivenPath, Driver, Situation
 from cornercase.drivers._kernels.decide import DECISION_INPUTS, DRIVER_KERNELS, compute_accelerations
@@ -29,7 +30,9 @@ from cornercase.drivers._kernels.structs import (
 from cornercase.drivers._presets import Behaviour, FollowParameters
 from cornercase.drivers._route import count_route_samples, plan_route
 from cornercase.drivers._varied_driver import VariedDriver
-from cornercase.drivers.vehicles._kernels.actuators import Vehicles
+from cornercase.drivers.vehicles._actuated import ActuatedVehicle
+from cornercase.drivers.vehicles._kernels.actuators import ACTUATORS, Vehicles
+from cornercase.drivers.vehicles._kernels.steered import MOTION_INPUTS, VEHICLE_KERNELS
 
 _MIN_LIMIT = 1e-3
 """Lowest limit in m/s², whatever the vehicle can do."""
@@ -87,6 +90,9 @@ class CompiledDriver(VariedDriver):
             kernels=fleet.kernels,
             vehicles=fleet.vehicles,
             first_vehicle=fleet.first_vehicle[rows],
+            vehicle_kind=fleet.vehicle_kind[rows],
+            vehicle_kernels=fleet.vehicle_kernels,
+            half_widths=fleet.half_widths[rows],
             friction=fleet.friction,
         )
         view.kind[:], view.parameters[:] = own_fleet.kind, own_fleet.parameters
@@ -126,8 +132,10 @@ def is_compiled(driver: Driver) -> TypeGuard[CompiledDriver]:
 
 
 def link_drivers(fleet: Fleet) -> None:
-    """Compile the kernels of the drivers in a fleet; call it before compiled code makes their decisions."""
+    """Compile the kernels of the drivers in a fleet, and of their vehicles; call it before compiled code uses them."""
     DRIVER_KERNELS.link(fleet.kind.tolist(), fleet, *DECISION_INPUTS)
+    if len(fleet.vehicles.state):
+        VEHICLE_KERNELS.link(fleet.vehicle_kind.tolist(), fleet.vehicles, *MOTION_INPUTS)
 
 
 def limit_driver_acceleration(
@@ -161,15 +169,15 @@ def build_fleet(
     width: FloatArray,
     center_x: FloatArray,
     object_types: Sequence[str],
-    vehicles: Sequence[Vehicles | None] = (),
+    vehicles: Sequence[ActuatedVehicle | None] = (),
     friction: FloatArray | None = None,
 ) -> Fleet:
     """Create a fleet of started drivers, so that kernels and `Driver.acceleration` use the same state.
 
     The state of the drivers moves into the arrays of the fleet, and the drivers keep views; None stands for a driver
     without kernels. `driven_rows` has, for each driver, the row of its entity. `length`, `width` and `center_x` are the
-    boxes of all E entities in m. `vehicles` are the started actuators of each driver's entity, if it has some;
-    `friction` (N,) is that of the road, and may change. The new fleet has no routes.
+    boxes of all E entities in m. `vehicles` are the started ones of the drivers, if they have some, whose state moves,
+    too; `friction` (N,) is that of the road, and may change. The new fleet has no routes.
     """
     fleet = _empty_fleet(len(drivers), scenarios, max(len(object_types) - 1, 0))
     fleet = _add_vehicles(fleet, vehicles, np.ones(scenarios) if friction is None else friction)
@@ -277,21 +285,36 @@ def _empty_fleet(drivers: int, scenarios: int, others: int) -> Fleet:
         kernels=DRIVER_KERNELS.addresses,
         vehicles=Vehicles(np.empty((0, 0)), np.empty((0, 0)), np.empty((0, 0, 0))),
         first_vehicle=np.full(drivers, -1, dtype=np.int64),
+        vehicle_kind=np.full(drivers, ACTUATORS),
+        vehicle_kernels=VEHICLE_KERNELS.addresses,
+        half_widths=np.zeros((drivers, 1), dtype=np.int64),
         friction=np.ones(scenarios),
     )
 
 
-def _add_vehicles(fleet: Fleet, vehicles: Sequence[Vehicles | None], friction: FloatArray) -> Fleet:
-    """Return an empty fleet with the actuators of the entities that have some."""
-    equipped = [(d, tables) for d, tables in enumerate(vehicles) if tables is not None]
-    for k, (d, _) in enumerate(equipped):
-        fleet.first_vehicle[d] = k * len(friction)
+def _add_vehicles(fleet: Fleet, vehicles: Sequence[ActuatedVehicle | None], friction: FloatArray) -> Fleet:
+    """Return an empty fleet with the vehicles of the entities that have some; these share their tables with it."""
+    equipped = [(d, vehicle) for d, vehicle in enumerate(vehicles) if vehicle is not None]
     if equipped:
-        size = max(tables.requests.shape[2] for _, tables in equipped)
-        parameters, state = (np.concatenate([tables[k] for _, tables in equipped]) for k in range(2))
+        tables = [vehicle.tables for _, vehicle in equipped]
+        widest, size = (max(table.shape[-1] for table in column) for column in list(zip(*tables, strict=True))[::2])
+        parameters = [np.pad(rows, ((0, 0), (0, widest - rows.shape[1]))) for rows, *_ in tables]
         # No vehicle has taken a step, so its requests are yet to come.
-        fleet = fleet._replace(vehicles=Vehicles(parameters, state, np.zeros((len(state), 2, size))))
+        requests = np.zeros((len(tables) * len(friction), 2, size))
+        shared = Vehicles(np.concatenate(parameters), np.concatenate([state for _, state, _ in tables]), requests)
+        fleet = fleet._replace(vehicles=shared)
+    for k, (d, vehicle) in enumerate(equipped):
+        rows = slice(k * len(friction), (k + 1) * len(friction))
+        fleet.first_vehicle[d], fleet.vehicle_kind[d] = rows.start, vehicle.kind
+        vehicle.use_tables(Vehicles(*(column[rows] for column in fleet.vehicles)))
     return fleet._replace(friction=friction)
+
+
+def set_half_widths(fleet: Fleet, driver: int, track: int, half_widths: FloatArray) -> Fleet:
+    """Return the fleet with half the width of the lane at each sample of a track, which the caller keeps alive."""
+    addresses = np.pad(fleet.half_widths, ((0, 0), (0, max(track + 1 - fleet.half_widths.shape[1], 0))))
+    addresses[driver, track] = memory_address(half_widths)
+    return fleet._replace(half_widths=addresses)
 
 
 def _is_vulnerable(object_types: Sequence[str]) -> BoolArray:

@@ -64,6 +64,8 @@ class Mover:
             self._vehicle.start(start)
         late = 0.0 if self._vehicle is None else self._vehicle.steering_response
         self._response = np.broadcast_to(late, start.scenarios)
+        axles = None if self._vehicle is None else self._vehicle.wheelbase
+        self._wheelbase = np.broadcast_to(start.body.wheelbase if axles is None else axles, start.scenarios)
 
     def step(
         self, situation: Situation, begin: PlanarMotion, controls: Controls, acceleration: FloatArray, active: BoolArray
@@ -88,7 +90,7 @@ class Mover:
                 x[n], y[n], heading[n], speed[n] = trajectory.move(*here)
             else:
                 acceleration[n], steering[n] = trajectory.track(
-                    *here, self._start.body.wheelbase, float(self._response[n])
+                    *here, float(self._wheelbase[n]), float(self._response[n])
                 )
         acceleration = self._limit(acceleration)
         goes = active & ~is_exact
@@ -166,7 +168,7 @@ class Mover:
             return pose
         response = float(self._response[n])
         at = change.locate(x, y, float(begin.heading[n]), float(begin.speed[n]), dt, response)
-        steering[n] = float(steer_along_path(at, begin.speed[n : n + 1], self._start.body.wheelbase, response)[0])
+        steering[n] = float(steer_along_path(at, begin.speed[n : n + 1], float(self._wheelbase[n]), response)[0])
         if change.has_arrived(float(at.offset[0])):
             del self._memory.changes[n]
         return None
@@ -179,7 +181,7 @@ class Mover:
         if rows.any():
             ahead = begin.speed * (0.5 * situation.time_step + self._response)
             poses = locate_on_path(situation.path, situation.distance, begin.x, begin.y, begin.heading, ahead)
-            steering[rows] = steer_along_path(poses, begin.speed, self._start.body.wheelbase, self._response)[rows]
+            steering[rows] = steer_along_path(poses, begin.speed, self._wheelbase, self._response)[rows]
 
     def _limit(self, acceleration: FloatArray) -> FloatArray:
         body = self._start.body

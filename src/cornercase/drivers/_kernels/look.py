@@ -9,7 +9,7 @@ import math
 from typing import Final
 
 from cornercase._common.numba.kernel import kernel
-from cornercase.drivers._kernels.path_projection import project_point
+from cornercase.drivers._kernels.path_projection import project_point, project_point_nearby
 
 X, Y, TURN, GAP, CLOSING, LATERAL, IN_PATH, ALONG = range(8)
 """Columns of what is seen of an object, as in `ObjectView`; `ALONG` is the distance along the path in m."""
@@ -32,7 +32,7 @@ def look(
     for n in range(x.shape[0]):
         row = n if distance.shape[0] > 1 else 0
         path = distance[row], path_x[row], path_y[row], path_heading[row], max_chord[row]
-        own[n, 0], own[n, 1], own[n, 2], _ = project_point(*path, own_distance[n], x[n], y[n])
+        own[n, 0], own[n, 1], own[n, 2], _ = project_point_nearby(*path, own_distance[n], x[n], y[n])
         cos, sin = math.cos(heading[n]), math.sin(heading[n])
         leader[n], least_gap, least_distance = NO_LEADER, math.inf, math.inf
         for a in range(others_x.shape[1]):

@@ -17,6 +17,9 @@ from cornercase.drivers._base import DrivenPath
 # m along the path, from the driven entity, in which the nearest point is searched.
 _BEHIND: Final = 100.0
 _AHEAD: Final = 300.0
+NEARBY: Final = 5.0
+"""Distance in m up to which a path counts as near a point."""
+
 # The nearest of some samples bounds how far away the nearest of all is.
 _STRIDE: Final = 64
 
@@ -46,7 +49,30 @@ def _project(distance, path_x, path_y, heading, max_chord, own, x, y, along, off
             along[n, a], offset[n, a], direction[n, a], is_within[n, a] = project_point(*path, own[n], x[n, a], y[n, a])
 
 
-@kernel(error_model="numpy")
+@kernel(interpreted_seconds=lambda *arguments: 1e-4 * len(arguments[-1]), error_model="numpy")
+def locate_vehicles(distance, path_x, path_y, heading, max_chord, curvature, own, x, y, ahead):
+    """Return `project_point_nearby` of N vehicles, and the curvature `ahead` m (N,) further on, shape (N, 4)."""
+    result = np.empty((x.size, 4))
+    for n in range(x.size):
+        row = n if distance.shape[0] > 1 else 0
+        path = distance[row], path_x[row], path_y[row], heading[row], max_chord[row]
+        result[n, 0], result[n, 1], result[n, 2], _ = project_point_nearby(*path, own[n], x[n], y[n])
+        result[n, 3] = interpolate_on_path(distance[row], curvature[row], result[n, 0] + ahead[n])
+    return result
+
+
+@kernel(error_model="numpy", _nrt=False)
+def interpolate_on_path(distance, values, at):
+    """Return a quantity of a path's samples at a distance; beyond an end, that of its last sample."""
+    last = distance.size - 1
+    if not at < distance[last]:
+        return values[last]
+    k = max(np.searchsorted(distance, at, "right") - 1, 0)
+    share = max((at - distance[k]) / (distance[k + 1] - distance[k]), 0.0)
+    return values[k] + share * (values[k + 1] - values[k])
+
+
+@kernel(error_model="numpy", _nrt=False)
 def project_point(distance, path_x, path_y, heading, max_chord, own_distance, x, y):
     """Return where a point is along a path: distance along it, offset to the left, its direction, whether next to it.
 
@@ -67,6 +93,45 @@ def project_point(distance, path_x, path_y, heading, max_chord, own_distance, x,
             best, nearest, bound = gap, k, min(bound, gap)
         # No sample in between can be nearer.
         k += max(int((1.0 - 1e-9) * (gap - bound) / max_chord), 1)
+    return _project_onto_chords(distance, path_x, path_y, heading, first, last, nearest, x, y)
+
+
+@kernel(error_model="numpy", _nrt=False)
+def project_point_nearby(distance, path_x, path_y, heading, max_chord, own_distance, x, y):
+    """Return the same as `project_point`, but of the pass of the path near `own_distance`, if it is near the point.
+
+    So a vehicle does not change to another branch where its path crosses itself.
+    """
+    k = find_sample_nearby(path_x, path_y, np.searchsorted(distance, own_distance), x, y)
+    if not math.hypot(x - path_x[k], y - path_y[k]) < NEARBY:
+        return project_point(distance, path_x, path_y, heading, max_chord, own_distance, x, y)
+    return _project_onto_chords(distance, path_x, path_y, heading, 0, distance.size - 1, k, x, y)
+
+
+@kernel(error_model="numpy", _nrt=False)
+def find_sample_nearby(path_x, path_y, start, x, y):
+    """Return the index of the sample of a path nearest to a point, as far as gaps shrink from sample `start` on."""
+    last = path_x.size - 1
+    k = min(max(start, 0), last)
+    gap, step = _squared_gap(path_x, path_y, k, x, y), 1
+    if k == last or not _squared_gap(path_x, path_y, k + 1, x, y) < gap:
+        step = -1
+    while 0 <= k + step <= last:
+        following = _squared_gap(path_x, path_y, k + step, x, y)
+        if not following < gap:
+            break
+        k, gap = k + step, following
+    return k
+
+
+@kernel(error_model="numpy", _nrt=False, forceinline=True)
+def _squared_gap(path_x, path_y, k, x, y):
+    return (path_x[k] - x) * (path_x[k] - x) + (path_y[k] - y) * (path_y[k] - y)
+
+
+@kernel(error_model="numpy", _nrt=False)
+def _project_onto_chords(distance, path_x, path_y, heading, first, last, nearest, x, y):
+    """Return where a point is along a path between samples `first` and `last`, on a chord beside sample `nearest`."""
     best = math.inf
     along, offset, direction, is_next_to = math.nan, math.nan, math.nan, False
     for k in range(max(nearest - 1, first), min(nearest + 1, last)):

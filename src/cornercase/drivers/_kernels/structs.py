@@ -66,7 +66,10 @@ class Fleet(NamedTuple):
     the kernels that decide, by kind.
 
     `vehicles`: actuators of the driven entities that have some, N rows for each. `first_vehicle` (D,): the first of
-    these rows; -1 for an entity that does at once what its driver decides. `friction` (N,): that of the road.
+    these rows; -1 for an entity that does at once what its driver decides. `vehicle_kind` (D,): `ACTUATORS` and so on.
+    `vehicle_kernels` (3,): addresses of the kernels that move vehicles, by kind. `half_widths` (D, G): address of half
+    the width in m of the lane at each sample of a track that is a lane, for vehicles that steer; 0 if not known.
+    `friction` (N,): that of the road.
     """
 
     kind: IntArray
@@ -79,6 +82,9 @@ class Fleet(NamedTuple):
     kernels: IntArray
     vehicles: Vehicles
     first_vehicle: IntArray
+    vehicle_kind: IntArray
+    vehicle_kernels: IntArray
+    half_widths: IntArray
     friction: FloatArray
 
 

@@ -1,5 +1,8 @@
 """Vehicles whose actuators do late, slowly and within the friction of the road what a driver requests."""
 
+# Kernels are declared as plain functions, without the methods of their dispatcher.
+# mypy: disable-error-code="attr-defined"
+
 from __future__ import annotations
 
 import math
@@ -12,7 +15,16 @@ from cornercase._common.errors import InputError
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase._common.validation import check_float
 from cornercase.drivers._function import Start
-from cornercase.drivers.vehicles._kernels.actuators import N_STATE, SPEED, Vehicles, change_speeds, count_requests
+from cornercase.drivers.vehicles._kernels.actuators import (
+    ACTUATORS,
+    N_STATE,
+    SPEED,
+    WHEELBASE,
+    Vehicles,
+    change_speeds,
+    count_requests,
+    steering_response,
+)
 from cornercase.drivers.vehicles._vehicle_model import PlanarMotion, VehicleModel
 
 # Parameters in the order of the columns of `Vehicles.parameters`.
@@ -20,8 +32,6 @@ _PARAMETERS: Final = (
     *("delay", "lag", "max_jerk", "mu", "steering_delay", "steering_lag", "max_steering_rate"),
     *("max_speed", "max_steering", "wheelbase"),
 )
-# rad; the change of the angle of the wheels for which the time is counted that it takes.
-_USUAL_STEERING: Final = 0.1
 _POSITIVE: Final = frozenset({"max_jerk", "mu", "max_steering_rate", "wheelbase"})
 # Beyond these, a step needs more memory or smaller parts than a vehicle does.
 _LIMITS: Final[dict[str, dict[str, float]]] = {
@@ -38,6 +48,9 @@ class ActuatedVehicle(VehicleModel):
     """Base class of vehicles with actuators; `parameter_names` are the options of a model's own."""
 
     parameter_names: ClassVar[tuple[str, ...]] = ()
+    kind: ClassVar[int]
+    """Kind of vehicle of its kernels."""
+
     _vehicles: Vehicles
 
     def __init__(self, *, delay: float = 0.0, lag: float = 0.0, max_jerk: float = math.inf, mu: float = 1.0) -> None:
@@ -75,6 +88,21 @@ class ActuatedVehicle(VehicleModel):
         """Return parameters that follow from others."""
         return {}
 
+    @property
+    def tables(self) -> Vehicles:
+        """Parameters and state of a started vehicle, for kernels."""
+        return self._vehicles
+
+    def use_tables(self, tables: Vehicles) -> None:
+        """Keep parameters and state in tables that kernels use, too.
+
+        Parameters
+        ----------
+        tables : Vehicles
+            Parameters and state of the started vehicle.
+        """
+        self._vehicles = tables
+
 
 class Actuators(ActuatedVehicle):
     """A vehicle that stays on its path, with actuators for its speed.
@@ -99,11 +127,7 @@ class Actuators(ActuatedVehicle):
 
     name = "actuators"
     steers = False
-
-    @property
-    def tables(self) -> Vehicles:
-        """Parameters and state of a started vehicle, for kernels."""
-        return self._vehicles
+    kind = ACTUATORS
 
     def step(
         self,
@@ -156,9 +180,17 @@ class SteeredVehicle(ActuatedVehicle):
         -------
         ndarray of float64, shape (N,)
         """
-        columns = [_PARAMETERS.index(name) for name in ("steering_delay", "steering_lag", "max_steering_rate")]
-        delay, lag, rate = self._vehicles.parameters[:, columns].T
-        return np.asarray(delay + lag + _USUAL_STEERING / rate)
+        return np.asarray(steering_response.py_func(self._vehicles.parameters.T))
+
+    @property
+    def wheelbase(self) -> FloatArray:
+        """Distance of the axles in m.
+
+        Returns
+        -------
+        ndarray of float64, shape (N,)
+        """
+        return self._vehicles.parameters[:, WHEELBASE]
 
     def step(
         self,

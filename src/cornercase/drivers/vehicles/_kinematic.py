@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from cornercase.drivers.vehicles._actuated import SteeredVehicle
+from cornercase.drivers.vehicles._kernels.actuators import KINEMATIC
 from cornercase.drivers.vehicles._kernels.rolling import step_kinematic
 
 
@@ -27,6 +28,7 @@ class Kinematic(SteeredVehicle):
     """
 
     name = "kinematic"
+    kind = KINEMATIC
     _step_kernel = staticmethod(step_kinematic)
 
     def __init__(self, *, wheelbase: float | None = None, **options: Any) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any, ClassVar
 
 from cornercase.drivers.vehicles._actuated import SteeredVehicle
+from cornercase.drivers.vehicles._kernels.actuators import SINGLE_TRACK
 from cornercase.drivers.vehicles._kernels.sliding import step_sliding
 
 
@@ -43,6 +44,7 @@ class SingleTrack(SteeredVehicle):
     parameter_names: ClassVar = (
         *("mass", "inertia", "front_axle", "rear_axle", "front_stiffness", "rear_stiffness", "height"),
     )
+    kind = SINGLE_TRACK
     _step_kernel = staticmethod(step_sliding)
 
     def __init__(

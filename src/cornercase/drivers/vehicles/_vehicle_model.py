@@ -56,6 +56,16 @@ class VehicleModel(Configurable, ABC):
         """
         return 0.0
 
+    @property
+    def wheelbase(self) -> FloatArray | None:
+        """Distance of the axles in m, from which a tracker steers; None if it is that of the scenario file.
+
+        Returns
+        -------
+        ndarray of float64, shape (N,), or None
+        """
+        return None
+
     @abstractmethod
     def start(self, start: Start) -> None:
         """Reset all state for a batch.

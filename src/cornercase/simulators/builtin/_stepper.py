@@ -14,7 +14,7 @@ from numba.core.dispatcher import Dispatcher
 
 from cornercase._common.masks import any_true
 from cornercase._common.typing import BoolArray
-from cornercase.drivers._compiled import build_fleet, set_route
+from cornercase.drivers._compiled import build_fleet, set_half_widths, set_route
 from cornercase.drivers._kernels.structs import Fleet
 from cornercase.roads._kernels.heading import build_road_tables
 from cornercase.simulators.builtin._gil import release_gil_lock
@@ -45,8 +45,10 @@ from cornercase.simulators.builtin.kernels._simulation_state import SimulationSt
 from cornercase.simulators.builtin.storyboard._storyboard import Storyboard
 from cornercase.simulators.builtin.storyboard._triggers import Condition, DelayBuffer
 from cornercase.simulators.builtin.track_kernels._track_layout import TrackTable
+from cornercase.simulators.builtin.tracks._lane import LaneTrack
 from cornercase.simulators.builtin.tracks._track import Trajectory
 from cornercase.simulators.builtin.tracks._track_pool import TrackPool
+from cornercase.simulators.builtin.world._lane_following import follow_lane_at_position, half_lane_widths
 from cornercase.simulators.builtin.world._track_motion import extend_lane_paths, update_off_road_since
 from cornercase.simulators.builtin.world._trailers import place_trailers
 from cornercase.simulators.builtin.world._world import World
@@ -98,12 +100,12 @@ class Stepper:
         self.is_cancelled = False
         self._driver_actions = [driver for driver in world.drivers if isinstance(driver, DriverControl)]
         self._fleet = _build_driver_fleet(world, self._driver_actions)
-        # What sets speeds in Python, in the order of the drivers; None for compiled drivers.
-        self._speed_setters: list[Callable[[float], None] | None] = [
-            None if driver.in_fleet else driver.step for driver in self._driver_actions
-        ]
+        # What moves entities in Python, in the order of the drivers.
+        self._movers: list[Callable[[float], None]] = [driver.step for driver in self._driver_actions]
         if coupling is not None:
-            self._speed_setters.append(partial(coupling.step, world))
+            self._movers.append(partial(coupling.step, world))
+        # Which of them kernels replace, except for a vehicle that steers along something else than lanes.
+        self._is_compiled = [driver.in_fleet for driver in self._driver_actions] + [False] * (coupling is not None)
         self._options = LoopOptions(time_step, max_frames, stop_at_collision, coupling is not None)
         # Whether the storyboard has to be evaluated in each frame.
         self._python_step = world.needs_road_check
@@ -172,7 +174,7 @@ class Stepper:
         self._gil_lock = gil_lock
         n_threads = min(n_threads, self._world.scenarios // _MIN_SCENARIOS_PER_THREAD)
         # Between two questions to a driver there is too little to do for several threads.
-        if n_threads < 2 or any(self._speed_setters):
+        if n_threads < 2 or not all(self._is_compiled):
             self._run_all(map)
             return
         self._bounds = np.linspace(0, self._world.scenarios, 4 * n_threads + 1).astype(int).tolist()
@@ -244,13 +246,13 @@ class Stepper:
         waiting = waiting & (frames == frames[waiting].min())
         number = int(loop.next_driver[waiting].min())
         deciding, n_tracks = np.zeros_like(waiting), self._count_tracks()
-        for set_speeds in self._speed_setters[number:]:
-            if set_speeds is None:
+        for move in self._movers[number:]:
+            if deciding.any() and self._is_compiled[number]:
                 break
             deciding |= waiting & (loop.next_driver == number)
             loop.status[deciding] = IDLE
             world.running[:] = deciding
-            set_speeds(self._options.time_step)
+            move(self._options.time_step)
             # Scenarios that failed are no longer running.
             deciding &= world.running
             number += 1
@@ -293,12 +295,14 @@ class Stepper:
             needs_act, needs_move = status == NEEDS_LOOKUP_ACT, status == NEEDS_LOOKUP_MOVE
             needs_lookup = (needs_act | needs_move) & (self._last_lookup < world.time)
             status[:] = _FALLBACK_STATE[status]
+            status[needs_lane & (self.scene.n_frames >= self.max_frames)] = FINISHED
             if not (any_true(needs_lane) or any_true(needs_lookup)):
                 return
             if any_true(needs_lane):
                 world.running[:] = needs_lane
+                self._follow_lanes_at_positions()
                 extend_lane_paths(world)
-                status[needs_lane & ~self._loop_state.evaluates_each_frame] = MOVE
+                status[(status == NEEDS_STORYBOARD) & needs_lane & ~self._loop_state.evaluates_each_frame] = MOVE
             if any_true(needs_lookup):
                 self._last_lookup[needs_lookup] = world.time[needs_lookup]
                 self._storyboard.look_up_positions(needs_lookup)
@@ -329,6 +333,15 @@ class Stepper:
                 if self._planned_routes.get((d, k)) != version:
                     self._fleet = set_route(self._fleet, d, k, driving.path_of_track(k, track))
                     self._planned_routes[d, k] = version
+                    if driving.steers and isinstance(track, LaneTrack) and world.network is not None:
+                        self._fleet = set_half_widths(self._fleet, d, k, half_lane_widths(world.network, track.path))
+
+    def _follow_lanes_at_positions(self) -> None:
+        """Make entities that kernels steer follow the lanes in which they are, in the running scenarios."""
+        world = self._world
+        for driving in self._driver_actions:
+            if driving.in_fleet and driving.steers:
+                follow_lane_at_position(world, driving.entity, driving.find_scenarios_in_charge())
 
 
 def _bind_arguments(*arguments: Any) -> tuple[Callable[[int, int], object], bool]:
@@ -355,6 +368,6 @@ def _build_driver_fleet(world: World, driver_actions: list[DriverControl]) -> Fl
         boxes[:, 1],
         boxes[:, 2],
         [entity.kind for entity in world.entities],
-        [entity.attachment.vehicle_tables for entity in driver_actions],
+        [entity.attachment.compiled_vehicle if entity.in_fleet else None for entity in driver_actions],
         world.friction,
     )

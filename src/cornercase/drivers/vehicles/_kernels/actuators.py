@@ -19,6 +19,9 @@ plain_kernel = kernel(error_model="numpy", _nrt=False)
 GRAVITY: Final = 9.81
 """In m/s²."""
 
+ACTUATORS, KINEMATIC, SINGLE_TRACK = range(3)
+"""Kinds of vehicles; the first one stays on its path."""
+
 (
     DELAY,
     LAG,
@@ -38,6 +41,8 @@ ACCELERATION, STEERING, SPEED, STEPS, YAW_RATE, SLIP, VELOCITY = range(7)
 velocity are those of the centre of gravity, of a model in which tyres slip."""
 N_STATE: Final = 7
 
+# rad; the change of the angle of the wheels for which the time is counted that it takes.
+_USUAL_STEERING: Final = 0.1
 # A speed in m/s that differs by more from what the model returned was set by something else.
 _TOLERANCE: Final = 1e-6
 # Share of a time step that a dead time may lack to a multiple.
@@ -55,6 +60,13 @@ class Vehicles(NamedTuple):
 def count_requests(delay: FloatArray, time_step: float) -> int:
     """Return how many requests a ring must hold for these dead times in s."""
     return int(np.ceil(delay.max(initial=0.0) / time_step)) + 2
+
+
+@plain_kernel
+def steering_response(parameters):
+    """Return the time in s by which the wheels are late, of a row of `Vehicles.parameters`."""
+    late = parameters[STEERING_DELAY] + parameters[STEERING_LAG]
+    return late + _USUAL_STEERING / parameters[MAX_STEERING_RATE]
 
 
 @plain_kernel

@@ -12,11 +12,17 @@ from cornercase._common.numba.kernel import kernel
 from cornercase._common.numba.references import reference_to
 from cornercase.drivers.vehicles._kernels.actuators import (
     ACCELERATION,
+    DELAY,
     GRAVITY,
+    LAG,
+    MAX_JERK,
     MAX_SPEED,
     MAX_STEERING,
+    MAX_STEERING_RATE,
     MU,
     STEERING,
+    STEERING_DELAY,
+    STEERING_LAG,
     WHEELBASE,
     advance,
     begin_step,
@@ -31,6 +37,8 @@ X, Y, HEADING, SPEED, LAST_ACCELERATION = range(5)
 
 # s; the longest part of a step in which speed and curvature count as linear.
 _PART: Final = 0.01
+# Share of the grip across the heading up to which what is left for the acceleration hardly changes in a step.
+_MAX_SHARE: Final = 0.5
 
 
 @kernel(interpreted_seconds=lambda vehicles, motion, *_: 3e-4 * motion.shape[0], error_model="numpy")
@@ -43,16 +51,29 @@ def step_kinematic(vehicles, motion, acceleration, steering, friction, time_step
 def _step_all(vehicles, motion, acceleration, steering, friction, time_step, active):
     for n in range(active.size):
         if active[n]:
-            _step(vehicles, n, motion[n], acceleration[n], steering[n], friction[n], time_step)
+            roll_vehicle(vehicles, n, motion[n], acceleration[n], steering[n], friction[n], time_step)
 
 
 @plain_kernel
-def _step(vehicles, n, motion, acceleration, steering, friction, time_step):
+def roll_vehicle(vehicles, n, motion, acceleration, steering, friction, time_step):
+    """Move a vehicle by one time step, and return its speed; `motion` (5,) is changed."""
     begin_step(vehicles, n, motion[SPEED], motion[LAST_ACCELERATION], acceleration, steering)
-    parts, grip = math.ceil(time_step / _PART), vehicles.parameters[n, MU] * friction * GRAVITY
+    grip = vehicles.parameters[n, MU] * friction * GRAVITY
+    # A circle without slip needs no parts.
+    parts = 1 if _is_circle(vehicles.parameters[n], motion[SPEED], steering, grip) else math.ceil(time_step / _PART)
     for part in range(parts):
         roll(vehicles, n, motion, grip, part * time_step / parts, time_step / parts, time_step)
     motion[LAST_ACCELERATION] = end_step(vehicles, n, motion[SPEED])
+    return motion[SPEED]
+
+
+@plain_kernel
+def _is_circle(parameters, speed, steering, grip):
+    """Whether actuators without delay keep a vehicle on a circle that asks for much less than its tyres can do."""
+    is_late = max(parameters[DELAY], parameters[LAG], parameters[STEERING_DELAY], parameters[STEERING_LAG]) > 0.0
+    is_slow = min(parameters[MAX_JERK], parameters[MAX_STEERING_RATE]) < math.inf
+    lateral = speed * speed * math.tan(min(abs(steering), parameters[MAX_STEERING])) / parameters[WHEELBASE]
+    return not (is_late or is_slow) and lateral < _MAX_SHARE * grip
 
 
 @plain_kernel

@@ -36,7 +36,7 @@ MASS, INERTIA, FRONT_AXLE, REAR_AXLE, FRONT_STIFFNESS, REAR_STIFFNESS, HEIGHT = 
 # m/s; a slower vehicle rolls without slip, as in CommonRoad's model.
 _ROLLING_SPEED: Final = 0.1
 # s; the longest part of a step in which the inputs count as constant.
-_PART: Final = 0.005
+_PART: Final = 0.01
 # Share of a step that rounding may leave.
 _ROUNDING: Final = 1e-9
 
@@ -51,11 +51,12 @@ def step_sliding(vehicles, motion, acceleration, steering, friction, time_step, 
 def _step_all(vehicles, motion, acceleration, steering, friction, time_step, active):
     for n in range(active.size):
         if active[n]:
-            _step(vehicles, n, motion[n], acceleration[n], steering[n], friction[n], time_step)
+            slide_vehicle(vehicles, n, motion[n], acceleration[n], steering[n], friction[n], time_step)
 
 
 @plain_kernel
-def _step(vehicles, n, motion, acceleration, steering, friction, time_step):
+def slide_vehicle(vehicles, n, motion, acceleration, steering, friction, time_step):
+    """Move a vehicle by one time step, and return its speed; `motion` (5,) is changed."""
     parameters, state, begin = vehicles.parameters[n], vehicles.state[n], 0.0
     begin_step(vehicles, n, motion[SPEED], motion[LAST_ACCELERATION], acceleration, steering)
     grip = parameters[MU] * friction * GRAVITY
@@ -76,6 +77,7 @@ def _step(vehicles, n, motion, acceleration, steering, friction, time_step):
             _slide(vehicles, n, motion, grip, begin, duration, time_step)
         begin += duration
     motion[LAST_ACCELERATION] = end_step(vehicles, n, motion[SPEED])
+    return motion[SPEED]
 
 
 @plain_kernel
@@ -89,19 +91,20 @@ def _slide(vehicles, n, motion, grip, begin, duration, time_step):
     gain = advance(vehicles, n, ACCELERATION, limit, begin, duration, time_step)
     steering = advance(vehicles, n, STEERING, parameters[MAX_STEERING], begin, duration, time_step) / duration
     end, moving = speed_after(speed, gain, parameters[MAX_SPEED])
-    # Velocities along and across the heading, slip and yaw rate: their sums over the stages.
     heading, h = motion[HEADING], moving * duration
+    axles = _axles(parameters, grip, gain / duration)
+    # Sums over the stages.
     x, y, turn, d_slip, d_yaw = 0.0, 0.0, 0.0, 0.0, 0.0
     stage_heading, stage_slip, stage_yaw = heading, slip, yaw_rate
     for stage in range(4):
         reached = (0.0, 0.5, 0.5, 1.0)[stage]
-        stage_speed = max(speed + reached * (end - speed), 0.5 * _ROLLING_SPEED)
+        stage_speed = speed + reached * (end - speed)
         slip_rate, yaw_acceleration = _turning(
-            parameters, grip, gain / duration, steering, stage_speed, stage_slip, stage_yaw
+            axles, parameters, steering, max(stage_speed, 0.5 * _ROLLING_SPEED), stage_slip, stage_yaw
         )
         weight = (1.0 / 6.0, 1.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0)[stage]
-        x += weight * (speed + reached * (end - speed)) * math.cos(stage_heading + stage_slip)
-        y += weight * (speed + reached * (end - speed)) * math.sin(stage_heading + stage_slip)
+        x += weight * stage_speed * math.cos(stage_heading + stage_slip)
+        y += weight * stage_speed * math.sin(stage_heading + stage_slip)
         turn, d_slip, d_yaw = turn + weight * stage_yaw, d_slip + weight * slip_rate, d_yaw + weight * yaw_acceleration
         ahead = (0.5, 0.5, 1.0, 0.0)[stage] * h
         stage_heading = heading + ahead * stage_yaw
@@ -117,16 +120,32 @@ def _slide(vehicles, n, motion, grip, begin, duration, time_step):
 
 
 @plain_kernel
-def _turning(parameters, grip, acceleration, steering, speed, slip, yaw_rate):
-    """Return the rate of the slip angle and the yaw acceleration, from the lateral forces of both axles."""
-    front, rear, mass = parameters[FRONT_AXLE], parameters[REAR_AXLE], parameters[MASS]
+def _axles(parameters, grip, acceleration):
+    """Return the forces of front and rear axle per slip angle and mass, in m/s² per rad, and the highest, in m/s²."""
+    front, rear = parameters[FRONT_AXLE], parameters[REAR_AXLE]
     # Loads of the axles as shares of the weight; an axle that lifts off has no force.
     transfer = acceleration * parameters[HEIGHT] / GRAVITY
     front_load = min(max((rear - transfer) / (front + rear), 0.0), 1.0)
-    front_slip, rear_slip = steering - slip - front * yaw_rate / speed, rear * yaw_rate / speed - slip
     # The share of the friction that the acceleration leaves.
-    limit = math.sqrt(max(1.0 - (acceleration / grip) ** 2, 0.0)) if grip > 0.0 else 0.0
-    front_force = mass * grip * front_load * min(max(parameters[FRONT_STIFFNESS] * front_slip, -limit), limit)
-    rear_force = mass * grip * (1.0 - front_load) * min(max(parameters[REAR_STIFFNESS] * rear_slip, -limit), limit)
-    slip_rate = (front_force + rear_force) / (mass * speed) - yaw_rate
-    return slip_rate, (front * front_force - rear * rear_force) / parameters[INERTIA]
+    left = math.sqrt(max(1.0 - (acceleration / grip) ** 2, 0.0)) if grip > 0.0 else 0.0
+    front_grip, rear_grip = grip * front_load, grip * (1.0 - front_load)
+    return (
+        front_grip * parameters[FRONT_STIFFNESS],
+        rear_grip * parameters[REAR_STIFFNESS],
+        front_grip * left,
+        rear_grip * left,
+    )
+
+
+@plain_kernel
+def _turning(axles, parameters, steering, speed, slip, yaw_rate):
+    """Return the rate of the slip angle and the yaw acceleration, from the lateral forces of both axles."""
+    front_stiffness, rear_stiffness, front_limit, rear_limit = axles
+    front, rear = parameters[FRONT_AXLE], parameters[REAR_AXLE]
+    per_speed = 1.0 / speed
+    front_slip, rear_slip = steering - slip - front * yaw_rate * per_speed, rear * yaw_rate * per_speed - slip
+    # Forces per mass.
+    front_force = min(max(front_stiffness * front_slip, -front_limit), front_limit)
+    rear_force = min(max(rear_stiffness * rear_slip, -rear_limit), rear_limit)
+    slip_rate = (front_force + rear_force) * per_speed - yaw_rate
+    return slip_rate, (front * front_force - rear * rear_force) * (parameters[MASS] / parameters[INERTIA])

@@ -100,10 +100,20 @@ class DriverControl:
             friction=world.friction,
         )
 
+    @property
+    def steers(self) -> bool:
+        """Whether its vehicle steers."""
+        return self.attachment.vehicle is not None and self.attachment.vehicle.steers
+
+    def find_scenarios_in_charge(self) -> BoolArray:
+        """Return the running scenarios in which the driver drives the entity, shape (N,)."""
+        world, e = self._world, self.entity
+        return np.asarray(world.running & world.present[e] & world.driven[e] & (world.driver[e] == self.number))
+
     def step(self, dt: float) -> None:
         """Let the driver decide the entity's speed at the end of the coming time step."""
         world, e = self._world, self.entity
-        active = world.running & world.present[e] & world.driven[e] & (world.driver[e] == self.number)
+        active = self.find_scenarios_in_charge()
         # A steered entity may follow another track afterwards.
         track_numbers = world.track[e].copy()
         for k, track in enumerate([*world.tracks[e]]):

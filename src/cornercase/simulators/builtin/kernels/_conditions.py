@@ -298,11 +298,11 @@ def _remaining_leaf_holds(scene, table, n, leaf):
         )
     if kind == REACH_POSITION_CONDITION:
         is_near = math.hypot(values[0] - state[X, e], values[1] - state[Y, e]) < values[3]
-        return is_near and (option == 0 or abs(_wrap_angle(values[2] - state[HEADING, e])) < MAX_HEADING_DIFFERENCE)
+        return is_near and (option == 0 or abs(wrap_angle(values[2] - state[HEADING, e])) < MAX_HEADING_DIFFERENCE)
     if kind == RELATIVE_ANGLE_CONDITION:
         heading = state[HEADING, e] if option > 0 else 0.0
         turn = heading - state[HEADING, other] if other >= 0 else heading
-        return abs(_wrap_angle(turn - values[0])) < values[1] + TOLERANCE
+        return abs(wrap_angle(turn - values[0])) < values[1] + TOLERANCE
     if kind == DISTANCE_CONDITION:
         return _compare(rule, abs(distance_to_point(scene, n, e, values[0], values[1], option)), values[2])
     if kind == RELATIVE_SPEED_CONDITION:
@@ -341,7 +341,8 @@ def link_conditions(scene: SimulationState, table: ConditionTable) -> None:
 
 
 @_inlined_kernel
-def _wrap_angle(angle):
+def wrap_angle(angle):
+    """Return an angle in rad, wrapped to [-π, π)."""
     turn = angle + math.pi
     # The division is the most expensive part, and rarely needed.
     return (turn if turn >= 0.0 and turn < 2.0 * math.pi else turn % (2.0 * math.pi)) - math.pi

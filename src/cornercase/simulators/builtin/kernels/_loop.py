@@ -21,6 +21,7 @@ from cornercase.drivers._kernels.decide import (
     make_workspace,
 )
 from cornercase.drivers._kernels.structs import NOT_COMPILED, DrivenState, Workspace
+from cornercase.drivers._steered_vehicle import has_steered_vehicle
 from cornercase.simulators.builtin.kernels._action_table import ACTION_APPLIED, NEEDS_LOOKUP, PYTHON_ACTION
 from cornercase.simulators.builtin.kernels._actions import SavedState, alloc_saved, apply_actions, list_running_actions
 from cornercase.simulators.builtin.kernels._conditions import (
@@ -32,6 +33,8 @@ from cornercase.simulators.builtin.kernels._conditions import (
 )
 from cornercase.simulators.builtin.kernels._move import AWAKE, EXTERNALLY_MOVED, move_entities, record_frame
 from cornercase.simulators.builtin.kernels._simulation_state import MAX_SPEED
+from cornercase.simulators.builtin.kernels._steered_entity import steer_along_lane
+from cornercase.simulators.builtin.track_kernels._track_layout import LANE_TRACK
 from cornercase.simulators.builtin.world._state_layout import (
     ACCELERATION,
     BEFORE,
@@ -65,10 +68,10 @@ from cornercase.simulators.builtin.world._state_layout import (
 ) = range(12)
 """State of a scenario in the loop. It has ended early (`IDLE`). It runs if its storyboard is evaluated (`ACT`), if its
 actions are applied, too (`ACTIONS_DONE`), or if nothing happens (`MOVE`). `EVALUATE_LEAVES` asks only for the values of
-all leaves of conditions, and leaves it idle. It has stopped because it is finished; its
-storyboard has to be evaluated; a driver has to be asked in Python, after its actions; an action ends or cannot be
-applied; an entity needs the next part of its lane path; or an entity has to be located on its road before the actions
-are applied, or before it moves on."""
+all leaves of conditions, and leaves it idle. It has stopped because it is finished; its storyboard has to be evaluated;
+a driver has to be asked in Python, after its actions; an action ends or cannot be applied; an entity needs the next
+part of its lane path, or may have left its lane; or an entity has to be located on its road before the actions are
+applied, or before it moves on."""
 
 _kernel = kernel(error_model="numpy", _nrt=False)
 # Inlined: passing the tables would cost more than the work, and code that is called once does not grow.
@@ -103,6 +106,7 @@ class Buffers(NamedTuple):
     activity: npt.NDArray[np.int8]  # (E,): `AWAKE` and so on
     visible_entities: FloatArray  # (4, E - 1): x, y, heading and speed of entities that a driver may see
     driver_workspace: Workspace  # of a driver
+    motion: FloatArray  # (5,): of a vehicle that steers
 
 
 @kernel(error_model="numpy")
@@ -113,8 +117,8 @@ def run_until_storyboard(scene, tracks, roads, fleet, actions, conditions, loop,
     """
     entities = scene.floats.shape[2]
     saved, rest = alloc_saved(actions.options.shape[0]), np.empty(entities, dtype=np.int8)
-    others, watchlist = np.empty((4, entities - 1)), alloc_watchlist(conditions)
-    buffers = Buffers(first, last, saved, watchlist, rest, others, make_workspace(entities - 1))
+    others, watchlist, motion = np.empty((4, entities - 1)), alloc_watchlist(conditions), np.empty(5)
+    buffers = Buffers(first, last, saved, watchlist, rest, others, make_workspace(entities - 1), motion)
     _run_scenarios(
         reference_to(scene),
         reference_to(tracks),
@@ -190,21 +194,22 @@ def _list_actions_and_wake_entities(scene, actions, loop, n, buffers):
 @_inlined_kernel
 def _finish_frame(scene, tracks, fleet, loop, options, n, dt, buffers):
     """Do the part of a frame after the storyboard: drivers, motion, recording. Return the new state."""
+    needs_lane = False
     if dt > 0.0:
         d, drivers = loop.next_driver[n], loop.driven_entities.shape[0]
         while d < drivers:
             e = loop.driven_entities[d]
             if _is_in_charge(scene, tracks, n, d, e):
-                if fleet.kind[d] == NOT_COMPILED:
+                if not _is_moved_here(scene, tracks, fleet, n, d, e):
                     loop.next_driver[n] = d
                     return NEEDS_DRIVER
-                _apply_driver(scene, fleet, n, d, e, dt, buffers)
+                needs_lane = _apply_driver(scene, tracks, fleet, n, d, e, dt, buffers) or needs_lane
             d += 1
         if options.is_coupled and d == drivers:
             loop.next_driver[n] = d
             return NEEDS_DRIVER
         loop.next_driver[n] = 0
-    needs_lane = move_entities(scene, tracks, n, dt, buffers.activity)
+    needs_lane = move_entities(scene, tracks, n, dt, buffers.activity) or needs_lane
     collides = record_frame(scene, n, buffers.first, dt, buffers.activity)
     if collides and options.stop_at_collision:
         return FINISHED
@@ -220,12 +225,24 @@ def _is_in_charge(scene, tracks, n, driver, e):
 
 
 @_inlined_kernel
-def _apply_driver(scene, fleet, n, driver, e, dt, buffers):
-    """Let a compiled driver in charge set the speed of its entity at the end of the time step."""
+def _is_moved_here(scene, tracks, fleet, n, driver, e):
+    """Whether kernels move a driven entity; one that is steered only along lanes."""
+    if fleet.kind[driver] == NOT_COMPILED:
+        return False
+    lane = tracks.rows[e, scene.integers[n, TRACK, e]]
+    return tracks.kind[lane] == LANE_TRACK or not has_steered_vehicle(fleet, driver)
+
+
+@_inlined_kernel
+def _apply_driver(scene, tracks, fleet, n, driver, e, dt, buffers):
+    """Let a compiled driver in charge move its entity, or set its speed at the end of the time step.
+
+    Returns whether the entity may have left its lane.
+    """
     state, flags, others = scene.floats[n], scene.flags[n], buffers.visible_entities
     route = find_route_row(fleet, driver, scene.integers[n, TRACK, e], n)
     if route < 0:
-        return
+        return False
     for i in range(others.shape[1]):
         k = i if i < e else i + 1
         is_visible = flags[PRESENT, k] and flags[VISIBLE, k]
@@ -242,6 +259,9 @@ def _apply_driver(scene, fleet, n, driver, e, dt, buffers):
     speed = state[SPEED, e]
     if fleet.first_vehicle[driver] < 0:
         state[SPEED, e] = min(max(speed + acceleration * dt, 0.0), scene.dimensions[e, MAX_SPEED])
-        return
+        return False
+    if has_steered_vehicle(fleet, driver):
+        return steer_along_lane(scene, tracks, fleet, n, driver, e, acceleration, dt, buffers.motion)
     state[SPEED, e] = change_vehicle_speed(fleet, driver, n, speed, state[ACCELERATION, e], acceleration, dt)
     state[PACE, e] = 0.5 * (speed + state[SPEED, e])
+    return False

@@ -8,6 +8,8 @@ from typing import Final
 import numpy as np
 
 from cornercase._common.typing import FloatArray, IntArray
+from cornercase.drivers._lanes import driven_path
+from cornercase.drivers._path_tracking import locate_on_path
 from cornercase.roads._lane_path import LanePath
 from cornercase.roads._network import RoadNetwork
 from cornercase.simulators.builtin.track_kernels._lane_track import advance_on_lane_path
@@ -80,6 +82,10 @@ class LaneTrack(Track):
     ) -> FloatArray:
         path, start = self.path, np.full(len(x), -np.inf) if after is None else after
         return np.asarray(project_on_lane_path(path.array_addresses, path.x.size, path.max_chord, x, y, start))
+
+    def nearby_distance(self, x: FloatArray, y: FloatArray, rows: IntArray, before: FloatArray) -> FloatArray:
+        along = locate_on_path(driven_path(self.path), before, x, y, np.zeros_like(x), np.zeros_like(x)).along
+        return np.minimum(np.maximum(along, 0.0), self.length)
 
     def update_road_coordinates(self, pose: Pose, rows: IntArray, distance: FloatArray, offset: FloatArray) -> Pose:
         """Return `pose` with the road coordinates of `rows` on this track."""

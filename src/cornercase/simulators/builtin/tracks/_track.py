@@ -99,6 +99,10 @@ class Track(ABC):
     ) -> FloatArray:
         """Return the distance in m along the track of its point nearest to (x, y), at the first pass beyond `after`."""
 
+    def nearby_distance(self, x: FloatArray, y: FloatArray, rows: IntArray, before: FloatArray) -> FloatArray:
+        """Return the distance in m along the track of what moves along it and was at `before`, shape (R,)."""
+        return self.nearest_distance(x, y, rows, before)
+
 
 class Trajectory(Track):
     """A track that a scenario file defines, with or without times.

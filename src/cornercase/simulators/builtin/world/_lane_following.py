@@ -9,6 +9,8 @@ import numpy as np
 
 from cornercase._common.geometry.boxes import is_facing_forward, wrap_angle
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
+from cornercase.roads._lane_path import LanePath
+from cornercase.roads._network import RoadNetwork
 from cornercase.simulators.builtin.tracks._lane import LaneTrack
 from cornercase.simulators.builtin.tracks._track import NO_TRACK, Pose, Track
 from cornercase.simulators.builtin.world._road_position import follows_lane, road_pose
@@ -124,7 +126,20 @@ def _half_lane_width(world: World, entity: int, track: Track, scenarios: IntArra
     else:
         x, y, _ = track.pose_at(distance, np.zeros(len(scenarios)), scenarios)
         road, lane, s, _ = network.locate(x, y)
-    width = np.empty(len(scenarios))
+    return _half_widths(network, road, lane, s)
+
+
+def half_lane_widths(network: RoadNetwork, path: LanePath) -> FloatArray:
+    """Return half the width of the lane at each sample of a path along lanes, in m, shape (P,); it is cached."""
+    if "half widths" not in path.cache:
+        path.cache["half widths"] = _half_widths(network, path.road, path.lane, path.s)
+    widths: FloatArray = path.cache["half widths"]
+    return widths
+
+
+def _half_widths(network: RoadNetwork, road: IntArray, lane: IntArray, s: FloatArray) -> FloatArray:
+    """Return half the width of lanes at points of their roads, in m, shape (R,)."""
+    width = np.empty(len(s))
     for number, which in sorted({*zip(road.tolist(), lane.tolist(), strict=True)}):
         current, rows = network.roads[number], np.flatnonzero((road == number) & (lane == which))
         section = current.section_at(s[rows])
