@@ -144,6 +144,26 @@ def test_osi_python_reads_what_it_is_given(record):
     assert expected < -5.0
 
 
+@pytest.mark.parametrize("scenario", ["r157/cut_in", "x_intersection/x_intersection"])
+def test_a_trajectory_of_the_storyboard_does_not_move_it_twice(folder, tmp_path, scenario):
+    """All are told where the recording has them at that time, although actions have begun the step."""
+    from osi3.osi_sensorview_pb2 import SensorView
+
+    path, driver = tmp_path / "record.bin", FmuDriver(str(folder / "update.fmu"), record=str(tmp_path / "record.bin"))
+    recording = cc.simulate(EXAMPLES / f"{scenario}.xosc", drivers={"Ego": driver}, duration=1.0)
+    moved = np.hypot(np.diff(ego(recording, "x")), np.diff(ego(recording, "y"))) / np.diff(recording.time)
+    np.testing.assert_allclose(moved, ego(recording, "speed")[1:], rtol=0.0, atol=1e-6)
+    views = [SensorView.FromString(content) for kind, content in read_record(path) if kind == "S"]
+    for k, view in enumerate(views):
+        for item in view.global_ground_truth.moving_object:
+            at = recording.entity_index(item.source_reference[0].identifier[0].split(":")[1])
+            # A rule of OSI.
+            assert item.HasField("pedestrian_attributes") == (item.type == item.TYPE_PEDESTRIAN)
+            heading, ahead = recording.heading[at, k], recording.center_x[at]
+            assert item.base.position.x == pytest.approx(recording.x[at, k] + ahead * np.cos(heading), abs=1e-6)
+            assert item.base.position.y == pytest.approx(recording.y[at, k] + ahead * np.sin(heading), abs=1e-6)
+
+
 def test_roads_of_a_junction(tmp_path):
     """Lanes are linked both ways, and each lane lies between its boundaries."""
     from osi3.osi_groundtruth_pb2 import GroundTruth

@@ -93,6 +93,11 @@ class Attachment:
         return is_compiled(self.driver) and not self._sensors and isinstance(self.vehicle, Actuators | None)
 
     @property
+    def needs_start_of_step(self) -> bool:
+        """Whether situations have to have the poses at the start of the step, even if actions have moved entities."""
+        return isinstance(self.driver, DrivingFunction) and self.driver.needs_start_of_step
+
+    @property
     def vehicle_tables(self) -> Vehicles | None:
         """The started actuators of its vehicle, for kernels; None if kernels do not move it."""
         return self.vehicle.tables if self.is_compiled and isinstance(self.vehicle, Actuators) else None
