@@ -234,6 +234,18 @@ def test_sub_steps_see_the_same_message(folder):
     assert ego(fine, "speed").min() == pytest.approx(ego(fmu, "speed").min(), abs=0.5)
 
 
+@pytest.mark.parametrize("any_step", [True, False])
+def test_its_own_step_size_does_not_slow_it_down(folder, tmp_path, any_step):
+    """An update is relative to the message, which is new in each step of the simulator only."""
+    fmu = make_osmp_fmu(tmp_path / "osmp.fmu", step_size=0.02, any_step=any_step)
+    if not any_step:
+        with pytest.raises(cc.InputError, match=r"steps of 0\.02 s, .* time step 0\.02"):
+            drive(FmuDriver(str(fmu)), time_step=0.1)
+    recording = drive(FmuDriver(str(fmu)), time_step=0.1 if any_step else 0.02, duration=2.0)
+    moved = np.diff(ego(recording, "x")) / np.diff(recording.time)
+    np.testing.assert_allclose(moved, ego(recording, "speed")[1:], rtol=0.0, atol=1e-6)
+
+
 ANSWERS = {
     1: r"its TrafficUpdate is of 1, not of the host with the id 0",
     2: r"its message is no TrafficUpdate of OSI",

@@ -298,7 +298,16 @@ class FmuDriver(DrivingFunction):
 
     def _divide_time_step(self, time_step: float) -> tuple[float, int]:
         """Return the size of the FMU's steps, and their number in a time step of the simulator."""
-        size = self.step or self._model.step_size or time_step
+        own = self._model.step_size
+        if self.step is None and own and self._messages.motion is not None:
+            # Where it goes is counted from a message, which is new in each time step of the simulator only.
+            if not self._model.can_vary_step and abs(own - time_step) > _ROUNDING * time_step:
+                raise InputError(
+                    f"{self._model.path.name}: the FMU has steps of {own:g} s, and needs new OSI messages in each; give"
+                    f" the simulator the time step {own:g}, or `step={own:g}` if it moves on by itself in between."
+                )
+            own = None
+        size = self.step or own or time_step
         count = round(time_step / size)
         if count < 1 or abs(count * size - time_step) > _ROUNDING * time_step:
             whose = "the option `step`" if self.step else "the FMU's own step size"
