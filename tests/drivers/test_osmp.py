@@ -246,6 +246,15 @@ def test_its_own_step_size_does_not_slow_it_down(folder, tmp_path, any_step):
     np.testing.assert_allclose(moved, ego(recording, "speed")[1:], rtol=0.0, atol=1e-6)
 
 
+def test_what_an_update_does_not_say_stays(folder):
+    """A position without y, as of a model that only knows straight roads, does not move it to y = 0."""
+    recording = drive(FmuDriver(str(folder / "update.fmu"), answer=5), duration=2.0)
+    assert (ego(recording, "y") == ego(recording, "y")[0]).all()
+    assert ego(recording, "y")[0] != 0.0
+    assert (ego(recording, "heading") == ego(recording, "heading")[0]).all()
+    assert ego(recording, "x")[-1] > ego(recording, "x")[0] + 30.0
+
+
 ANSWERS = {
     1: r"its TrafficUpdate is of 1, not of the host with the id 0",
     2: r"its message is no TrafficUpdate of OSI",

@@ -166,7 +166,7 @@ class OsmpTraffic:
     def _reach(self, goal: Any, time: float, situation: Situation, row: int, center_x: float) -> Trajectory | float:
         """Return how to reach a state, whose position is `center_x` m ahead of the reference point.
 
-        If it has no position, its acceleration counts.
+        If it has no position, its acceleration counts. What it does not say of position and heading stays.
         """
         heading = float(situation.heading[row])
         if not goal.HasField("position"):
@@ -174,8 +174,15 @@ class OsmpTraffic:
                 raise ValueError("it has neither a position nor an acceleration")
             along: float = goal.acceleration.x * math.cos(heading) + goal.acceleration.y * math.sin(heading)
             return along
-        yaw = goal.orientation.yaw if goal.HasField("orientation") else heading
-        x, y = goal.position.x - center_x * math.cos(yaw), goal.position.y - center_x * math.sin(yaw)
+        yaw = goal.orientation.yaw if goal.orientation.HasField("yaw") else heading
+        here = float(situation.x[row]), float(situation.y[row])
+        ahead = center_x * math.cos(heading), center_x * math.sin(heading)
+        # An unset number would be read as 0.
+        centre = (
+            getattr(goal.position, axis) if goal.position.HasField(axis) else start + shift
+            for axis, start, shift in zip("xy", here, ahead, strict=True)
+        )
+        x, y = (to - center_x * part for to, part in zip(centre, (math.cos(yaw), math.sin(yaw)), strict=True))
         speed = None
         is_moving = "velocity" in goal.DESCRIPTOR.fields_by_name and goal.HasField("velocity")
         if is_moving:
@@ -183,8 +190,8 @@ class OsmpTraffic:
             speed = np.array([situation.speed[row], max(forward, 0.0)])
         return Trajectory(
             np.array([situation.time, time]),
-            np.array([situation.x[row], x]),
-            np.array([situation.y[row], y]),
+            np.array([here[0], x]),
+            np.array([here[1], y]),
             np.array([heading, yaw]),
             speed,
         )
