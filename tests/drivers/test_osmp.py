@@ -255,6 +255,59 @@ def test_what_an_update_does_not_say_stays(folder):
     assert ego(recording, "x")[-1] > ego(recording, "x")[0] + 30.0
 
 
+def test_a_name_of_the_standard_counts_more_than_a_wrong_type(folder, tmp_path):
+    """Models that were copied from OpenMSL's template declare commands as views, and their answers as updates."""
+    more = message_variables("OSMPTrafficCommandUpdateOut", "TrafficUpdate", "output", 16)
+    more += message_variables("OSMPTrafficCommandIn", "SensorView", "input", 10)
+    fmu = make_osmp_fmu(tmp_path / "osmp.fmu", more=more)
+    right, wrong = drive(FmuDriver(str(folder / "update.fmu"))), drive(FmuDriver(str(fmu)))
+    assert ego(wrong, "x").tobytes() == ego(right, "x").tobytes()
+    ended = cornercase("check", DECELERATION, "--sut", f"Ego=fmu:{fmu}", cwd=tmp_path)
+    assert (
+        "input OSMPTrafficCommandIn: what the scenario wants, as OSI TrafficCommand (by its name; its MIME type says"
+        " SensorView)" in ended.stdout
+    )
+    assert (
+        "output OSMPTrafficCommandUpdateOut: not used (OSI TrafficCommandUpdate, by its name; its MIME type says"
+        " TrafficUpdate)" in ended.stdout
+    )
+
+
+def test_it_is_told_what_the_scenario_wants(tmp_path):
+    """The speed of the scenario is told once, as an action with an id of its own."""
+    from osi3.osi_trafficcommand_pb2 import TrafficCommand
+
+    more = message_variables("OSMPTrafficCommandIn", "TrafficCommand", "input", 10)
+    fmu = make_osmp_fmu(tmp_path / "osmp.fmu", more=more)
+    recording = drive(FmuDriver(str(fmu), record=str(tmp_path / "record.bin")), duration=1.0)
+    commands = [
+        TrafficCommand.FromString(content) for kind, content in read_record(tmp_path / "record.bin") if kind == "C"
+    ]
+    assert len(commands) == len(recording.time) - 1
+    actions = [list(command.action) for command in commands]
+    assert [len(some) for some in actions] == [1] + [0] * (len(commands) - 1)
+    speed = actions[0][0].speed_action
+    assert speed.absolute_target_speed == pytest.approx(ego(recording, "speed")[0])
+    assert speed.action_header.HasField("action_id")
+
+
+def test_it_is_told_how_its_views_are(tmp_path):
+    from osi3.osi_sensorviewconfiguration_pb2 import SensorViewConfiguration
+
+    more = message_variables(
+        "OSMPSensorViewInConfigRequest", "SensorViewConfiguration", "calculatedParameter", 16
+    ) + message_variables("OSMPSensorViewInConfig", "SensorViewConfiguration", "parameter", 13)
+    fmu = make_osmp_fmu(tmp_path / "osmp.fmu", more=more)
+    drive(FmuDriver(str(fmu), record=str(tmp_path / "record.bin")), duration=1.0)
+    (content,) = [content for kind, content in read_record(tmp_path / "record.bin") if kind == "V"]
+    config = SensorViewConfiguration.FromString(content)
+    assert config.update_cycle_time.nanos == 50_000_000
+    assert config.omit_static_information
+    assert not config.camera_sensor_view_configuration
+    ended = cornercase("check", DECELERATION, "--sut", f"Ego=fmu:{fmu}", cwd=tmp_path)
+    assert "parameter OSMPSensorViewInConfig: how the views are, once, as OSI SensorViewConfiguration" in ended.stdout
+
+
 ANSWERS = {
     1: r"its TrafficUpdate is of 1, not of the host with the id 0",
     2: r"its message is no TrafficUpdate of OSI",

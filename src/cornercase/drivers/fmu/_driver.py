@@ -176,7 +176,7 @@ class FmuDriver(DrivingFunction):
         for name, given in start.parameters.items():
             values[name] = [self._parse_parameter(name, float(value)) for value in given]
         self._traffic = OsmpTraffic(self._messages, start) if self._messages else None
-        layouts = self._messages.layouts(b"" if self._traffic is None else self._traffic.static)
+        layouts = self._messages.layouts([] if self._traffic is None else self._traffic.static)
         try:
             if self._processes is None:
                 folder = process_reaper().make_temporary_folder()
