@@ -144,6 +144,26 @@ def test_osi_python_reads_what_it_is_given(record):
     assert expected < -5.0
 
 
+@pytest.mark.parametrize("scenario", ["r157/cut_in", "x_intersection/x_intersection"])
+def test_a_trajectory_of_the_storyboard_does_not_move_it_twice(folder, tmp_path, scenario):
+    """All are told where the recording has them at that time, although actions have begun the step."""
+    from osi3.osi_sensorview_pb2 import SensorView
+
+    path, driver = tmp_path / "record.bin", FmuDriver(str(folder / "update.fmu"), record=str(tmp_path / "record.bin"))
+    recording = cc.simulate(EXAMPLES / f"{scenario}.xosc", drivers={"Ego": driver}, duration=1.0)
+    moved = np.hypot(np.diff(ego(recording, "x")), np.diff(ego(recording, "y"))) / np.diff(recording.time)
+    np.testing.assert_allclose(moved, ego(recording, "speed")[1:], rtol=0.0, atol=1e-6)
+    views = [SensorView.FromString(content) for kind, content in read_record(path) if kind == "S"]
+    for k, view in enumerate(views):
+        for item in view.global_ground_truth.moving_object:
+            at = recording.entity_index(item.source_reference[0].identifier[0].split(":")[1])
+            # A rule of OSI.
+            assert item.HasField("pedestrian_attributes") == (item.type == item.TYPE_PEDESTRIAN)
+            heading, ahead = recording.heading[at, k], recording.center_x[at]
+            assert item.base.position.x == pytest.approx(recording.x[at, k] + ahead * np.cos(heading), abs=1e-6)
+            assert item.base.position.y == pytest.approx(recording.y[at, k] + ahead * np.sin(heading), abs=1e-6)
+
+
 def test_roads_of_a_junction(tmp_path):
     """Lanes are linked both ways, and each lane lies between its boundaries."""
     from osi3.osi_groundtruth_pb2 import GroundTruth
@@ -212,6 +232,80 @@ def test_sub_steps_see_the_same_message(folder):
     fmu = drive(FmuDriver(str(folder / "update.fmu"), step=0.05), time_step=0.05)
     fine = drive(FmuDriver(str(folder / "request.fmu"), answer=ACCELERATION, step=0.01), time_step=0.05)
     assert ego(fine, "speed").min() == pytest.approx(ego(fmu, "speed").min(), abs=0.5)
+
+
+@pytest.mark.parametrize("any_step", [True, False])
+def test_its_own_step_size_does_not_slow_it_down(folder, tmp_path, any_step):
+    """An update is relative to the message, which is new in each step of the simulator only."""
+    fmu = make_osmp_fmu(tmp_path / "osmp.fmu", step_size=0.02, any_step=any_step)
+    if not any_step:
+        with pytest.raises(cc.InputError, match=r"steps of 0\.02 s, .* time step 0\.02"):
+            drive(FmuDriver(str(fmu)), time_step=0.1)
+    recording = drive(FmuDriver(str(fmu)), time_step=0.1 if any_step else 0.02, duration=2.0)
+    moved = np.diff(ego(recording, "x")) / np.diff(recording.time)
+    np.testing.assert_allclose(moved, ego(recording, "speed")[1:], rtol=0.0, atol=1e-6)
+
+
+def test_what_an_update_does_not_say_stays(folder):
+    """A position without y, as of a model that only knows straight roads, does not move it to y = 0."""
+    recording = drive(FmuDriver(str(folder / "update.fmu"), answer=5), duration=2.0)
+    assert (ego(recording, "y") == ego(recording, "y")[0]).all()
+    assert ego(recording, "y")[0] != 0.0
+    assert (ego(recording, "heading") == ego(recording, "heading")[0]).all()
+    assert ego(recording, "x")[-1] > ego(recording, "x")[0] + 30.0
+
+
+def test_a_name_of_the_standard_counts_more_than_a_wrong_type(folder, tmp_path):
+    """Models that were copied from OpenMSL's template declare commands as views, and their answers as updates."""
+    more = message_variables("OSMPTrafficCommandUpdateOut", "TrafficUpdate", "output", 16)
+    more += message_variables("OSMPTrafficCommandIn", "SensorView", "input", 10)
+    fmu = make_osmp_fmu(tmp_path / "osmp.fmu", more=more)
+    right, wrong = drive(FmuDriver(str(folder / "update.fmu"))), drive(FmuDriver(str(fmu)))
+    assert ego(wrong, "x").tobytes() == ego(right, "x").tobytes()
+    ended = cornercase("check", DECELERATION, "--sut", f"Ego=fmu:{fmu}", cwd=tmp_path)
+    assert (
+        "input OSMPTrafficCommandIn: what the scenario wants, as OSI TrafficCommand (by its name; its MIME type says"
+        " SensorView)" in ended.stdout
+    )
+    assert (
+        "output OSMPTrafficCommandUpdateOut: not used (OSI TrafficCommandUpdate, by its name; its MIME type says"
+        " TrafficUpdate)" in ended.stdout
+    )
+
+
+def test_it_is_told_what_the_scenario_wants(tmp_path):
+    """The speed of the scenario is told once, as an action with an id of its own."""
+    from osi3.osi_trafficcommand_pb2 import TrafficCommand
+
+    more = message_variables("OSMPTrafficCommandIn", "TrafficCommand", "input", 10)
+    fmu = make_osmp_fmu(tmp_path / "osmp.fmu", more=more)
+    recording = drive(FmuDriver(str(fmu), record=str(tmp_path / "record.bin")), duration=1.0)
+    commands = [
+        TrafficCommand.FromString(content) for kind, content in read_record(tmp_path / "record.bin") if kind == "C"
+    ]
+    assert len(commands) == len(recording.time) - 1
+    actions = [list(command.action) for command in commands]
+    assert [len(some) for some in actions] == [1] + [0] * (len(commands) - 1)
+    speed = actions[0][0].speed_action
+    assert speed.absolute_target_speed == pytest.approx(ego(recording, "speed")[0])
+    assert speed.action_header.HasField("action_id")
+
+
+def test_it_is_told_how_its_views_are(tmp_path):
+    from osi3.osi_sensorviewconfiguration_pb2 import SensorViewConfiguration
+
+    more = message_variables(
+        "OSMPSensorViewInConfigRequest", "SensorViewConfiguration", "calculatedParameter", 16
+    ) + message_variables("OSMPSensorViewInConfig", "SensorViewConfiguration", "parameter", 13)
+    fmu = make_osmp_fmu(tmp_path / "osmp.fmu", more=more)
+    drive(FmuDriver(str(fmu), record=str(tmp_path / "record.bin")), duration=1.0)
+    (content,) = [content for kind, content in read_record(tmp_path / "record.bin") if kind == "V"]
+    config = SensorViewConfiguration.FromString(content)
+    assert config.update_cycle_time.nanos == 50_000_000
+    assert config.omit_static_information
+    assert not config.camera_sensor_view_configuration
+    ended = cornercase("check", DECELERATION, "--sut", f"Ego=fmu:{fmu}", cwd=tmp_path)
+    assert "parameter OSMPSensorViewInConfig: how the views are, once, as OSI SensorViewConfiguration" in ended.stdout
 
 
 ANSWERS = {

@@ -94,8 +94,8 @@ def make_fmu(
 def message_variables(name: str, message: str, causality: str, reference: int) -> str:
     """The three variables of a message by OSMP."""
     kind = f"application/x-open-simulation-interface; type={message}; version=3.8.0"
-    varies = f'variability="{"fixed" if causality == "parameter" else "discrete"}"'
-    start = '<Integer start="0"/>' if causality != "output" else "<Integer/>"
+    varies = f'variability="{"fixed" if "arameter" in causality else "discrete"}"'
+    start = '<Integer start="0"/>' if causality in ("input", "parameter") else "<Integer/>"
     return "".join(
         f"""
     <ScalarVariable name="{name}.{role}" valueReference="{reference + k}" causality="{causality}" {varies}>
@@ -107,20 +107,29 @@ def message_variables(name: str, message: str, causality: str, reference: int) -
 
 
 def make_osmp_fmu(
-    path: Path, output: str = "OSMPTrafficUpdateOut", *, init: bool = True, variables: str | None = None
+    path: Path,
+    output: str = "OSMPTrafficUpdateOut",
+    *,
+    init: bool = True,
+    variables: str | None = None,
+    more: str = "",
+    step_size: float | None = None,
+    any_step: bool = False,
 ) -> Path:
-    """Write the FMU of ``tests/data/fmu/osmp.c``; `variables` replace those of its messages."""
+    """Write the FMU of ``tests/data/fmu/osmp.c``; `variables` replace those of its messages, `more` precede them."""
     message = output.removeprefix("OSMP").partition("Out")[0]
     given = message_variables("OSMPSensorViewIn", "SensorView", "input", 0)
     given += message_variables("OSMPGroundTruthInit", "GroundTruth", "parameter", 3) if init else ""
     given += message_variables(output, message, "output", 6)
     fixed = 'variability="fixed"'
+    attributes = ' canHandleVariableCommunicationStepSize="true"' if any_step else ""
+    experiment = "" if step_size is None else f'\n  <DefaultExperiment stepSize="{step_size}"/>'
     text = f"""<?xml version="1.0"?>
 <fmiModelDescription fmiVersion="2.0" modelName="Participant" guid="{{osmp}}" variableNamingConvention="structured">
-  <CoSimulation modelIdentifier="osmp"/>{LOGGING}
+  <CoSimulation modelIdentifier="osmp"{attributes}/>{LOGGING}{experiment}
   <VendorAnnotations><Tool name="net.pmsf.osmp" xmlns:osmp="http://xsd.pmsf.net/OSISensorModelPackaging">
     <osmp:osmp version="1.6.0" osi-version="3.8.0"/></Tool></VendorAnnotations>
-  <ModelVariables>{given if variables is None else variables}
+  <ModelVariables>{more}{given if variables is None else variables}
     <ScalarVariable name="answer" valueReference="9" causality="parameter" {fixed}><Integer start="0"/></ScalarVariable>
     <ScalarVariable name="reaction" valueReference="0" causality="parameter" {fixed}><Real start="0.1"/></ScalarVariable>
     <ScalarVariable name="record" valueReference="0" causality="parameter" {fixed}><String start=""/></ScalarVariable>

@@ -93,6 +93,11 @@ class Attachment:
         return is_compiled(self.driver) and not self._sensors and is_moved
 
     @property
+    def needs_start_of_step(self) -> bool:
+        """Whether situations have to have the poses at the start of the step, even if actions have moved entities."""
+        return isinstance(self.driver, DrivingFunction) and self.driver.needs_start_of_step
+
+    @property
     def compiled_vehicle(self) -> ActuatedVehicle | None:
         """Its vehicle, if kernels can move it; they cannot move one of a derived class."""
         is_built = isinstance(self.vehicle, ActuatedVehicle) and is_built_in(type(self.vehicle))

@@ -98,6 +98,10 @@ def _fill_moving_object(moving: Any, number: int, entity: OsiEntity, state: OsiS
         # OSI's position is the centre of the box.
         moving.vehicle_attributes.bbcenter_to_rear.x = -entity.center_x
         moving.vehicle_attributes.bbcenter_to_rear.z = -0.5 * height
+    if kind == "pedestrian":
+        # Mandatory; the root of the skeleton is at the feet.
+        root = moving.pedestrian_attributes.bbcenter_to_root
+        root.x, root.z = -entity.center_x, -0.5 * height
     moving.type = moving.DESCRIPTOR.enum_types_by_name["Type"].values_by_name[name].number
     base, cos, sin = moving.base, math.cos(state.heading), math.sin(state.heading)
     base.dimension.length, base.dimension.width, base.dimension.height = entity.length, entity.width, height

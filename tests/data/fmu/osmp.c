@@ -3,7 +3,7 @@
  * It is the emergency brake of aeb.c: it reads a SensorView and says in a TrafficUpdate or MotionRequest where it is at
  * the end of the step, as `answer` says. It holds its environment to the rules of the standard: a breach is an error,
  * and the log names the rule. `record` is a file to which all that it is given is written, each message after its
- * length and the letter I (GroundTruthInit) or S (SensorView). */
+ * length and the letter I (GroundTruthInit), S (SensorView), C (TrafficCommand) or V (SensorViewConfiguration). */
 
 #include <math.h>
 #include <stdint.h>
@@ -13,8 +13,8 @@
 
 #include "fmi2Functions.h"
 
-enum { VIEW, INIT = 3, OUT = 6, ANSWER = 9, N_INTEGERS };
-enum { UPDATE, OTHER_ID, GARBAGE, NOTHING, NO_POSITION, STATE = 10, ACCELERATION, TRAJECTORY };
+enum { VIEW, INIT = 3, OUT = 6, ANSWER = 9, COMMAND = 10, CONFIG = 13, COMMAND_OUT = 16, N_INTEGERS = 19 };
+enum { UPDATE, OTHER_ID, GARBAGE, NOTHING, NO_POSITION, ONLY_X, STATE = 10, ACCELERATION, TRAJECTORY };
 enum { MAX_OBJECTS = 64, MAX_NAME = 64, MAX_OUT = 1024 };
 
 typedef struct {
@@ -27,7 +27,7 @@ typedef struct {
     const fmi2CallbackFunctions *callbacks;
     fmi2Integer integer[N_INTEGERS];
     double reaction, since;
-    int braking, is_started, init_sets;
+    int braking, is_started, init_sets, config_sets, command_sets;
     char record[1024];
     const uint8_t *last_view;
     uint8_t *last_copy;
@@ -183,6 +183,14 @@ static void put_vector(Writer *writer, int number, double x, double y, double z)
     put_message(writer, number, &content);
 }
 
+static void put_x(Writer *writer, int number, double x) {
+    Writer content = {{0}, 0};
+    put_varint(&content, 1 << 3 | 1);
+    memcpy(content.bytes + content.size, &x, 8);
+    content.size += 8;
+    put_message(writer, number, &content);
+}
+
 static void put_time(Writer *writer, int number, double time) {
     Writer content = {{0}, 0};
     uint64_t nanos = (uint64_t)llround(time * 1e9);
@@ -225,6 +233,45 @@ static int check_init(Brake *brake) {
     if (!truth.n_lanes) return breach(brake, "GroundTruthInit has lanes");
     if (truth.n_objects) return breach(brake, "GroundTruthInit has no moving objects");
     record(brake, 'I', bytes, (uint32_t)size);
+    return fmi2OK;
+}
+
+/* A sensor may be told how its views are; what it is given has to be as it was told. */
+static int check_config(Brake *brake) {
+    const uint8_t *bytes = address_of(brake, CONFIG);
+    int size = brake->integer[CONFIG + 2], has_version = 0, has_sensor = 0, has_mounting = 0, has_cycle = 0;
+    if (!brake->config_sets) return fmi2OK;
+    if (!bytes || size <= 0) return breach(brake, "SensorViewConfiguration has an address and a size");
+    Reader reader = {bytes, bytes + size, 0};
+    Field field;
+    while (read_field(&reader, &field)) {
+        if (field.number == 1) has_version = 1;
+        if (field.number == 2) has_sensor = 1;
+        if (field.number == 3) has_mounting = 1;
+        if (field.number == 8) has_cycle = read_time(&reader, field.content) > 0.0;
+    }
+    if (reader.is_broken || !has_version || !has_sensor || !has_mounting || !has_cycle)
+        return breach(brake, "SensorViewConfiguration has a version, a sensor id, a mounting position and a cycle time");
+    record(brake, 'V', bytes, (uint32_t)size);
+    return fmi2OK;
+}
+
+static int check_command(Brake *brake, uint64_t host, double time) {
+    const uint8_t *bytes = address_of(brake, COMMAND);
+    int size = brake->integer[COMMAND + 2], has_version = 0, has_time = 0, has_id = 0;
+    if (!brake->command_sets) return fmi2OK;
+    if (!bytes || size <= 0) return breach(brake, "TrafficCommand has an address and a size");
+    Reader reader = {bytes, bytes + size, 0};
+    Field field;
+    while (read_field(&reader, &field)) {
+        if (field.number == 1) has_version = 1;
+        if (field.number == 2) has_time = read_time(&reader, field.content) == time;
+        if (field.number == 3) has_id = read_id(&reader, field.content) == host;
+        if (field.number > 4) reader.is_broken = 1;
+    }
+    if (reader.is_broken || !has_version || !has_time || !has_id)
+        return breach(brake, "TrafficCommand has a version, the time of the SensorView and the id of the host");
+    record(brake, 'C', bytes, (uint32_t)size);
     return fmi2OK;
 }
 
@@ -312,9 +359,13 @@ static void answer(Brake *brake, const Truth *truth, const Object *host, double 
         put_integer(&id, 1, host->id + (kind == OTHER_ID));
         put_message(&update, 1, &id);
         if (kind != NO_POSITION) {
-            put_vector(&base, 2, x, y, 0.0);
-            put_vector(&base, 3, 0.0, 0.0, host->yaw);
-            put_vector(&base, 4, after * cosine, after * sine, 0.0);
+            /* All of it, or only x, which comes first in a vector. */
+            if (kind == ONLY_X) put_x(&base, 2, x), put_x(&base, 4, after * cosine);
+            else {
+                put_vector(&base, 2, x, y, 0.0);
+                put_vector(&base, 3, 0.0, 0.0, host->yaw);
+                put_vector(&base, 4, after * cosine, after * sine, 0.0);
+            }
         }
         put_message(&update, 2, &base);
         put_message(&message, 3, &update);
@@ -367,7 +418,10 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
 fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean t, fmi2Real tolerance, fmi2Real begin, fmi2Boolean s, fmi2Real end) { return fmi2OK; }
 fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean on, size_t n, const fmi2String categories[]) { return fmi2OK; }
 fmi2Status fmi2EnterInitializationMode(fmi2Component c) { return ((Brake *)c)->is_started = 1, fmi2OK; }
-fmi2Status fmi2ExitInitializationMode(fmi2Component c) { return check_init(c); }
+fmi2Status fmi2ExitInitializationMode(fmi2Component c) {
+    int status = check_init(c);
+    return status == fmi2OK ? check_config(c) : status;
+}
 fmi2Status fmi2Terminate(fmi2Component c) { return fmi2OK; }
 fmi2Status fmi2Reset(fmi2Component c) { return start(c), fmi2OK; }
 
@@ -375,6 +429,7 @@ fmi2Status fmi2SetInteger(fmi2Component c, const fmi2ValueReference vr[], size_t
     Brake *brake = c;
     for (size_t k = 0; k < n; k++) {
         brake->integer[vr[k]] = values[k];
+        brake->config_sets += vr[k] == CONFIG, brake->command_sets += vr[k] == COMMAND;
         if (vr[k] != INIT) continue;
         if (brake->is_started || brake->init_sets++) return breach(brake, "GroundTruthInit is set once, before the initialization");
     }
@@ -406,6 +461,7 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real time, fmi2Real size, fmi2Boolean
     Brake *brake = c;
     int status = read_view(brake, time, &truth);
     if (status != fmi2OK) return status;
+    if ((status = check_command(brake, truth.host, brake->last_time)) != fmi2OK) return status;
     const Object *host = truth.objects;
     while (host->id != truth.host) host++;
     answer(brake, &truth, host, brake_or_not(brake, &truth, host, size), time, size);

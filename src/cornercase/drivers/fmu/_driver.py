@@ -109,6 +109,11 @@ class FmuDriver(DrivingFunction):
         """Start values of the FMU's parameters, by name."""
         return {variable.name: variable.start for variable in self._model.with_causality("parameter")}
 
+    @property
+    def needs_start_of_step(self) -> bool:
+        """Whether it is given messages of OSI, which say where all are at their time."""
+        return bool(self._messages)
+
     def numeric_parameters(self) -> dict[str, float]:
         """Return the FMU's parameters that take numbers; they can be dimensions of a search.
 
@@ -171,7 +176,7 @@ class FmuDriver(DrivingFunction):
         for name, given in start.parameters.items():
             values[name] = [self._parse_parameter(name, float(value)) for value in given]
         self._traffic = OsmpTraffic(self._messages, start) if self._messages else None
-        layouts = self._messages.layouts(b"" if self._traffic is None else self._traffic.static)
+        layouts = self._messages.layouts([] if self._traffic is None else self._traffic.static)
         try:
             if self._processes is None:
                 folder = process_reaper().make_temporary_folder()
@@ -293,7 +298,16 @@ class FmuDriver(DrivingFunction):
 
     def _divide_time_step(self, time_step: float) -> tuple[float, int]:
         """Return the size of the FMU's steps, and their number in a time step of the simulator."""
-        size = self.step or self._model.step_size or time_step
+        own = self._model.step_size
+        if self.step is None and own and self._messages.motion is not None:
+            # Where it goes is counted from a message, which is new in each time step of the simulator only.
+            if not self._model.can_vary_step and abs(own - time_step) > _ROUNDING * time_step:
+                raise InputError(
+                    f"{self._model.path.name}: the FMU has steps of {own:g} s, and needs new OSI messages in each; give"
+                    f" the simulator the time step {own:g}, or `step={own:g}` if it moves on by itself in between."
+                )
+            own = None
+        size = self.step or own or time_step
         count = round(time_step / size)
         if count < 1 or abs(count * size - time_step) > _ROUNDING * time_step:
             whose = "the option `step`" if self.step else "the FMU's own step size"

@@ -69,6 +69,7 @@ class FmuModel:
     identifier: str
     once_per_process: bool
     step_size: float | None
+    can_vary_step: bool
     variables: tuple[FmuVariable, ...]
     log_categories: tuple[str, ...]
     messages: tuple[MessageVariable, ...] = ()
@@ -164,6 +165,7 @@ def _read_fmu(path: Path, modified: int, size: int) -> FmuModel:
         token=str(description.guid),
         identifier=str(interface.modelIdentifier),
         once_per_process=bool(interface.canBeInstantiatedOnlyOncePerProcess),
+        can_vary_step=bool(interface.canHandleVariableCommunicationStepSize),
         step_size=None if step_size is None else float(step_size),
         variables=tuple(variable for variable in variables if variable.name not in parts),
         log_categories=tuple(name for name in _LOG_CATEGORIES if f'name="{name}"'.encode() in xml),

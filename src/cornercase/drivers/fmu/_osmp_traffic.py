@@ -35,7 +35,15 @@ class OsmpTraffic:
         # Speed and heading of all objects in the step before, the host first.
         n_objects = 1 + len(start.others)
         self._speed, self._heading = np.full((2, start.scenarios, n_objects), np.nan)
-        self.static = self._describe_roads()
+        # Speed that the scenario wants, as it was given last, and the number of actions that gave it.
+        self._given_speed, self._n_actions = np.full(start.scenarios, np.nan), [0] * start.scenarios
+        self._views = [variable.name for variable in osmp.inputs if variable.message == "SensorView"]
+        self._roads = self._describe_roads()
+        self.static = [
+            self._roads if variable.message == "GroundTruth" else self._configure_view(variable.name)
+            for variable in osmp.static
+        ]
+        """The messages that are given once, for all scenarios."""
 
     def write(self, situation: Situation) -> list[list[bytes]]:
         """Return the messages for each scenario, empty where it is not active."""
@@ -43,7 +51,7 @@ class OsmpTraffic:
             return [[]] * len(situation.active)
         entities, states = self._entities(situation), self._states(situation)
         return [
-            self._write_row(situation.time, entities, [OsiState(*state) for state in states[row].tolist()])
+            self._write_row(situation, row, entities, [OsiState(*state) for state in states[row].tolist()])
             if is_active
             else [b""] * len(self._osmp.inputs)
             for row, is_active in enumerate(situation.active.tolist())
@@ -94,34 +102,71 @@ class OsmpTraffic:
         self._speed[active], self._heading[active] = speed[active], heading[active]
         return np.stack((x, y, heading, speed, acceleration, yaw_rate), axis=2)
 
-    def _write_row(self, time: float, entities: list[OsiEntity], states: list[OsiState]) -> list[bytes]:
+    def _write_row(
+        self, situation: Situation, row: int, entities: list[OsiEntity], states: list[OsiState]
+    ) -> list[bytes]:
         from osi3.osi_groundtruth_pb2 import GroundTruth
         from osi3.osi_sensorview_pb2 import SensorView
 
-        truth = GroundTruth()
+        time, truth = situation.time, GroundTruth()
         fill_ground_truth(truth, time, entities, states, HOST)
-        if not self._osmp.static:
+        if not self._osmp.has_roads_once:
             # Parsing what is written once is faster than copying its parts.
-            truth.MergeFromString(self.static)
+            truth.MergeFromString(self._roads)
             set_timestamp(truth.timestamp, time)
+        command: bytes | None = None
         messages = []
-        for k, variable in enumerate(self._osmp.inputs):
+        for variable in self._osmp.inputs:
+            if variable.message == "TrafficCommand":
+                command = self._command(time, row, float(situation.target_speed[row])) if command is None else command
+                messages.append(command)
+                continue
             message = truth
             if variable.message == "SensorView":
                 message = SensorView()
                 set_version(message)
                 set_timestamp(message.timestamp, time)
-                message.sensor_id.value = k
+                message.sensor_id.value = self._views.index(variable.name)
                 message.host_vehicle_id.value = HOST
-                # At the middle of the rear axle, from where the position is measured.
-                position, orientation = message.mounting_position.position, message.mounting_position.orientation
-                position.x = position.y = position.z = orientation.roll = orientation.pitch = orientation.yaw = 0.0
+                _mount(message)
                 message.global_ground_truth.CopyFrom(truth)
             messages.append(message.SerializeToString(deterministic=True))
         return messages
 
+    def _command(self, time: float, row: int, target_speed: float) -> bytes:
+        """Return a TrafficCommand: a speed that the scenario wants from now on is an action, which is given once."""
+        from osi3.osi_trafficcommand_pb2 import TrafficCommand
+
+        command = TrafficCommand()
+        set_version(command)
+        set_timestamp(command.timestamp, time)
+        command.traffic_participant_id.value = HOST
+        if math.isfinite(target_speed) and target_speed != self._given_speed[row]:
+            self._given_speed[row] = target_speed
+            self._n_actions[row] += 1
+            action = command.action.add().speed_action
+            action.action_header.action_id.value = self._n_actions[row]
+            action.absolute_target_speed = target_speed
+        content: bytes = command.SerializeToString(deterministic=True)
+        return content
+
+    def _configure_view(self, name: str) -> bytes:
+        """Return how a view is, as a SensorViewConfiguration; it is the same whatever the FMU would like."""
+        from osi3.osi_sensorviewconfiguration_pb2 import SensorViewConfiguration
+
+        config, view = SensorViewConfiguration(), name.replace("Config", "", 1)
+        set_version(config)
+        config.sensor_id.value = self._views.index(view) if view in self._views else 0
+        _mount(config)
+        config.field_of_view_horizontal, config.field_of_view_vertical = 2.0 * math.pi, math.pi
+        set_timestamp(config.update_cycle_time, self._start.time_step)
+        set_timestamp(config.simulation_start_time, 0.0)
+        config.omit_static_information = self._osmp.has_roads_once
+        content: bytes = config.SerializeToString(deterministic=True)
+        return content
+
     def _describe_roads(self) -> bytes:
-        """Return what does not change, as a GroundTruth: the same for all scenarios of a batch."""
+        """Return what does not change, as a GroundTruth."""
         from osi3.osi_groundtruth_pb2 import GroundTruth
 
         truth, network = GroundTruth(), self._start.network
@@ -166,7 +211,7 @@ class OsmpTraffic:
     def _reach(self, goal: Any, time: float, situation: Situation, row: int, center_x: float) -> Trajectory | float:
         """Return how to reach a state, whose position is `center_x` m ahead of the reference point.
 
-        If it has no position, its acceleration counts.
+        If it has no position, its acceleration counts. What it does not say of position and heading stays.
         """
         heading = float(situation.heading[row])
         if not goal.HasField("position"):
@@ -174,8 +219,15 @@ class OsmpTraffic:
                 raise ValueError("it has neither a position nor an acceleration")
             along: float = goal.acceleration.x * math.cos(heading) + goal.acceleration.y * math.sin(heading)
             return along
-        yaw = goal.orientation.yaw if goal.HasField("orientation") else heading
-        x, y = goal.position.x - center_x * math.cos(yaw), goal.position.y - center_x * math.sin(yaw)
+        yaw = goal.orientation.yaw if goal.orientation.HasField("yaw") else heading
+        here = float(situation.x[row]), float(situation.y[row])
+        ahead = center_x * math.cos(heading), center_x * math.sin(heading)
+        # An unset number would be read as 0.
+        centre = (
+            getattr(goal.position, axis) if goal.position.HasField(axis) else start + shift
+            for axis, start, shift in zip("xy", here, ahead, strict=True)
+        )
+        x, y = (to - center_x * part for to, part in zip(centre, (math.cos(yaw), math.sin(yaw)), strict=True))
         speed = None
         is_moving = "velocity" in goal.DESCRIPTOR.fields_by_name and goal.HasField("velocity")
         if is_moving:
@@ -183,11 +235,17 @@ class OsmpTraffic:
             speed = np.array([situation.speed[row], max(forward, 0.0)])
         return Trajectory(
             np.array([situation.time, time]),
-            np.array([situation.x[row], x]),
-            np.array([situation.y[row], y]),
+            np.array([here[0], x]),
+            np.array([here[1], y]),
             np.array([heading, yaw]),
             speed,
         )
+
+
+def _mount(message: Any) -> None:
+    """Mount a sensor at the middle of the rear axle, from where the position is measured."""
+    position, orientation = message.mounting_position.position, message.mounting_position.orientation
+    position.x = position.y = position.z = orientation.roll = orientation.pitch = orientation.yaw = 0.0
 
 
 def _read_time(timestamp: Any) -> float:

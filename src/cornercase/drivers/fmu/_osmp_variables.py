@@ -17,6 +17,11 @@ if TYPE_CHECKING:
 _ELEMENT: Final = "{*}osmp-binary-variable"
 _ROLES: Final = ("base.lo", "base.hi", "size")
 _MESSAGE_TYPE: Final = re.compile(r"application/x-open-simulation-interface\s*;.*?\btype\s*=\s*\"?(\w+)")
+# What a variable holds by the name that the standard gives it; views have configurations, too.
+_NAME: Final = re.compile(
+    r"OSMP(SensorView|SensorData|GroundTruth|TrafficCommand|TrafficCommandUpdate|TrafficUpdate|MotionRequest"
+    r"|StreamingUpdate)(?:InConfig(?:Request)?|Init|In|Out)(?:\[\d+\])?"
+)
 _PASSED: Final = ("Integer", "Int32", "UInt32")
 
 
@@ -25,7 +30,8 @@ class MessageVariable:
     """A message in three integers: lower and upper half of its address, and its size.
 
     `references` are their value references in this order, and `kind` their type. `message` is the type of the message,
-    such as ``"SensorView"``; empty if it is none of OSI.
+    such as ``"SensorView"``; empty if it is none of OSI. `misdeclared` is the type in its MIME type, if its name is one
+    of the standard for another message.
     """
 
     name: str
@@ -33,6 +39,7 @@ class MessageVariable:
     message: str
     kind: str
     references: tuple[int, int, int]
+    misdeclared: str = ""
 
 
 def read_message_variables(
@@ -73,5 +80,16 @@ def _join(
         raise refuse(f"the parts of the OSMP variable '{name}' have to be integers of the same causality.")
     of_role = {role: variable.reference for role, variable in zip(roles, variables, strict=True)}
     match = _MESSAGE_TYPE.match(mimes[0])
+    declared = "" if match is None else match[1]
+    # Both are to say the same. Code is written by names, and MIME types are copied from other variables.
+    message = declared and (_message_of_name(name) or declared)
     low, high, size = (of_role[role] for role in _ROLES)
-    return MessageVariable(name, causalities.pop(), "" if match is None else match[1], kinds.pop(), (low, high, size))
+    misdeclared = "" if message == declared else declared
+    return MessageVariable(name, causalities.pop(), message, kinds.pop(), (low, high, size), misdeclared)
+
+
+def _message_of_name(name: str) -> str:
+    match = _NAME.fullmatch(name)
+    if match is None:
+        return ""
+    return f"{match[1]}Configuration" if "InConfig" in name else match[1]

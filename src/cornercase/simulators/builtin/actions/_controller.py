@@ -125,11 +125,14 @@ class DriverControl:
     def _motion_at_start(self) -> PlanarMotion:
         """Return the motion at the start of the step, in which an action may have moved the entity already."""
         world, e = self._world, self.entity
-        x, y, heading = (
-            np.where(world.jumped[e], now[e], before[e])
-            for now, before in ((world.x, world.from_x), (world.y, world.from_y), (world.heading, world.from_heading))
-        )
+        x, y, heading = self._pose_at_start(e)
         return PlanarMotion(x, y, heading, world.speed[e].copy(), world.acceleration[e].copy())
+
+    def _pose_at_start(self, entity: int) -> FloatArray:
+        """Return x, y and heading of an entity at the start of the step, (3, N)."""
+        world = self._world
+        states = ((world.x, world.from_x), (world.y, world.from_y), (world.heading, world.from_heading))
+        return np.stack([np.where(world.jumped[entity], now[entity], before[entity]) for now, before in states])
 
     def _apply(self, decision: Decision, rows: BoolArray) -> None:
         """Do what the driver decides in the scenarios of a mask."""
@@ -151,6 +154,11 @@ class DriverControl:
         own = np.empty((len(OWN_ROWS), world.scenarios))
         others = np.empty((len(OTHERS_ROWS), len(self._others), world.scenarios))
         copy_driver_inputs(world.floats, world.flags, e, own, others)
+        if self.attachment.needs_start_of_step:
+            own[1:4] = self._pose_at_start(e)
+            for a, other in enumerate(k for k in range(len(world.entities)) if k != e):
+                # Those that it cannot see are NaN.
+                np.copyto(others[:3, a], self._pose_at_start(other), where=~np.isnan(others[:3, a]))
         distance, x, y, heading, speed, acceleration, target_speed = own
         others_x, others_y, others_heading, others_speed = others.transpose(0, 2, 1)
         others_length, others_width, others_center_x = self._others_boxes.copy()
