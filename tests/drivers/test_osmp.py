@@ -133,9 +133,7 @@ def test_osi_python_reads_what_it_is_given(record):
         for name, item in moving.items():
             at = recording.entity_index(name)
             assert item.base.position.x == pytest.approx(recording.x[at, k] + recording.center_x[at], abs=1e-6)
-            # The engine tells drivers the speeds of others in the coming step.
-            ahead = k + (name != "Ego")
-            assert item.base.velocity.x == pytest.approx(recording.speed[at, ahead], abs=1e-6)
+            assert item.base.velocity.x == pytest.approx(recording.speed[at, k], abs=1e-6)
             assert item.base.dimension.length == recording.length[at]
     other = recording.entity_index("Other")
     decelerations = [view.global_ground_truth.moving_object[other].base.acceleration.x for view in views]

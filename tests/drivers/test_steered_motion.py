@@ -297,3 +297,36 @@ def test_it_moves_in_sumo_as_in_the_builtin_simulator(driver):
     _, ego = drive(driver, simulator="sumo")
     for name in ("x", "y", "heading", "speed", "acceleration"):
         np.testing.assert_array_equal(ego[name], expected[name])
+
+
+class Straight(cc.SystemUnderTest):
+    """Goes on as it goes, by its next place or by its acceleration, and notes what it sees."""
+
+    seen: ClassVar[list[tuple[float, float, float]]] = []
+
+    def __init__(self, places: bool = False) -> None:
+        self.places = places
+
+    def step(self, view, dt):
+        ego, (other,) = view.ego, view.objects
+        Straight.seen.append((view.time, ego.x, ego.x + other.x))
+        if not self.places:
+            return cc.Control(acceleration=0.0)
+        time, x = view.time + np.array([0.0, dt]), ego.x + np.array([0.0, ego.speed * dt])
+        return cc.Control(trajectory=Trajectory(time, x, np.full(2, ego.y), np.zeros(2)))
+
+
+# The storyboard moves ego and other along trajectories.
+@pytest.mark.parametrize("places", [False, True])
+def test_a_function_sees_all_where_they_are_at_its_time(places):
+    Straight.seen.clear()
+    recording, ego = drive(Straight(places), "examples/r157/cut_in.xosc", {}, duration=2.0)
+    time, x, other = np.array(Straight.seen).T
+    length, center = recording.length, recording.center_x
+    assert time == pytest.approx(DT * np.arange(len(time)))
+    assert x == pytest.approx(ego["x"][: len(x)])
+    assert ego["x"] == pytest.approx(ego["x"][0] + ego["speed"][0] * ego["time"])
+    o = 1 - recording.entity_index("Ego")
+    heading = recording.heading[o, : len(x)]
+    assert length[o] > 0.0
+    assert other == pytest.approx(recording.x[o, : len(x)] + center[o] * np.cos(heading), abs=1e-6)

@@ -93,9 +93,12 @@ class Attachment:
         return is_compiled(self.driver) and not self._sensors and is_moved
 
     @property
-    def needs_start_of_step(self) -> bool:
-        """Whether situations have to have the poses at the start of the step, even if actions have moved entities."""
-        return isinstance(self.driver, DrivingFunction) and self.driver.needs_start_of_step
+    def sees_start_of_step(self) -> bool:
+        """Whether its situations are those at the start of the step, even if actions have moved entities already.
+
+        A driver whose accelerations kernels know sees what they have moved, as in the kernels.
+        """
+        return isinstance(self.driver, DrivingFunction)
 
     @property
     def compiled_vehicle(self) -> ActuatedVehicle | None:

@@ -69,6 +69,10 @@ class Situation:
 
     This is the true state, including what the driver cannot see: a driver has to model its own perception.
 
+    A `DrivingFunction` gets the state at `time`. Another `Driver` gets it as compiled drivers do: in the builtin
+    simulator, actions of the storyboard come first, so others that an action moves are already where they are after the
+    step.
+
     Attributes
     ----------
     time, time_step : float

@@ -116,14 +116,6 @@ class DrivingFunction(Driver):
     options_may_vary: ClassVar[bool] = False
     """Whether an option that it is given can be a dimension of a search, too."""
 
-    @property
-    def needs_start_of_step(self) -> bool:
-        """Whether it has to see where all are at the start of the step, since it says where it is at the end.
-
-        Others see those that follow a trajectory of the storyboard where they are at the end: their actions come first.
-        """
-        return False
-
     def options_in_force(self) -> Mapping[str, object]:
         """Return its options with their values, for people.
 

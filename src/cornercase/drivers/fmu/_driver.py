@@ -109,11 +109,6 @@ class FmuDriver(DrivingFunction):
         """Start values of the FMU's parameters, by name."""
         return {variable.name: variable.start for variable in self._model.with_causality("parameter")}
 
-    @property
-    def needs_start_of_step(self) -> bool:
-        """Whether it is given messages of OSI, which say where all are at their time."""
-        return bool(self._messages)
-
     def numeric_parameters(self) -> dict[str, float]:
         """Return the FMU's parameters that take numbers; they can be dimensions of a search.
 

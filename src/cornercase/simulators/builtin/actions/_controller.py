@@ -154,11 +154,12 @@ class DriverControl:
         own = np.empty((len(OWN_ROWS), world.scenarios))
         others = np.empty((len(OTHERS_ROWS), len(self._others), world.scenarios))
         copy_driver_inputs(world.floats, world.flags, e, own, others)
-        if self.attachment.needs_start_of_step:
+        if self.attachment.sees_start_of_step:
             own[1:4] = self._pose_at_start(e)
             for a, other in enumerate(k for k in range(len(world.entities)) if k != e):
                 # Those that it cannot see are NaN.
-                np.copyto(others[:3, a], self._pose_at_start(other), where=~np.isnan(others[:3, a]))
+                at_start = np.vstack((self._pose_at_start(other), world.before[other]))
+                np.copyto(others[:, a], at_start, where=~np.isnan(others[:, a]))
         distance, x, y, heading, speed, acceleration, target_speed = own
         others_x, others_y, others_heading, others_speed = others.transpose(0, 2, 1)
         others_length, others_width, others_center_x = self._others_boxes.copy()
