@@ -195,6 +195,22 @@ def test_bad_commands_are_refused_when_they_are_given(folder, text, words):
     assert words in str(caught.value)
 
 
+def test_what_stands_before_sensors_may_be_quoted_in_a_command(folder):
+    (folder / "a + b.py").write_text(FUNCTION)
+    driver = driver_by_name(f'exec:{PYTHON} "a + b.py":time_to_brake=2 + radar:range=80 + kinematic')
+    assert [str(part) for part in driver.equipment] == ["radar:range=80", "kinematic"]
+    assert str(driver.driver) == f'exec:{PYTHON} "a + b.py":time_to_brake=2'
+    assert same(run(f'exec:{PYTHON} "a + b.py"', 0.0)[0], run(spec(), 0.0)[0])
+
+
+@pytest.mark.parametrize("command", ["python a + b.py", "python a.py --log 'x' + y"])
+def test_a_command_that_would_be_taken_for_sensors_says_to_quote_it(folder, command):
+    with pytest.raises(InputError, match=r"no sensor or vehicle '.*If ' \+ ' belongs to the command, put it in double"):
+        driver_by_name(f"exec:{command}")
+    with pytest.raises(InputError, match=r"contains ' \+ ', .*put it in double quotes"):
+        ProcessFunction(command)
+
+
 def test_a_file_never_names_a_program(folder):
     for name in ("exec:./f", "exec:./f:timeout=2", "exec:evil=1", "exec:5", "exec", "exec:tcp://host:5"):
         assert not may_be_named_in_file(name)

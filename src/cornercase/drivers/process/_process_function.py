@@ -26,6 +26,7 @@ from cornercase.drivers._attachment import DriverError
 from cornercase.drivers._base import Situation
 from cornercase.drivers._controls import Controls
 from cornercase.drivers._function import DrivingFunction, Start
+from cornercase.drivers._registry import SEPARATOR, split_spec
 from cornercase.drivers.process._columns import COLUMNS, compute_columns, select_rows
 from cornercase.drivers.process._messages import (
     ANSWER_COLUMNS,
@@ -110,6 +111,12 @@ class ProcessFunction(DrivingFunction):
         shown = {option: value for option, value in given.items() if value != defaults[option]} | self.options
         texts = [f"{option}={format_option_value(value)}" for option, value in shown.items()]
         self._text = f"exec:{self._command}" + (f":{','.join(texts)}" if texts else "")
+        # What is stored is read again as one text with sensors and vehicle.
+        if split_spec(self._text)[1]:
+            raise InputError(
+                f"The driver '{self._text}' contains '{SEPARATOR}', which stands before sensors; if it belongs to the"
+                " command, put it in double quotes."
+            )
         self.settings = {"driver": self._text, "options": {}, **_fingerprint(self._words)}
         self._peer: Peer | None = None
 
