@@ -297,3 +297,36 @@ def test_it_moves_in_sumo_as_in_the_builtin_simulator(driver):
     _, ego = drive(driver, simulator="sumo")
     for name in ("x", "y", "heading", "speed", "acceleration"):
         np.testing.assert_array_equal(ego[name], expected[name])
+
+
+WAY = cc.drivers.Trajectory(np.array([0.0, 1.0]), np.zeros(2), np.zeros(2))
+
+
+@pytest.mark.parametrize(
+    ("values", "says"),
+    [
+        ({}, "has to decide something; give acceleration, throttle and brake, or a trajectory"),
+        ({"steering": 0.1}, "steering needs to know how fast; give acceleration, or throttle and brake, with it"),
+        ({"lane_change": "left"}, "lane_change needs to know how fast; give acceleration"),
+        ({"acceleration": 1, "brake": 0}, "acceleration and brake exclude each other; give acceleration, or throttle"),
+        ({"acceleration": 1, "trajectory": WAY}, "a trajectory says all of the motion; leave out acceleration"),
+        ({"brake": 1, "steering": 0, "trajectory": WAY}, "leave out brake and steering"),
+        (
+            {"acceleration": 1, "steering": 0, "lane_change": "left"},
+            "steers by itself; leave out steering or lane_change",
+        ),
+        ({"acceleration": "fast"}, "acceleration is 'fast'; give a number in m/s²"),
+        ({"acceleration": np.zeros(3)}, "give a number in m/s²"),
+        (
+            {"acceleration": 1, "steering": float("nan")},
+            "steering is nan, which is not a finite number; give one in rad",
+        ),
+        ({"throttle": 50}, "throttle is 50; give a number from 0 to 1"),
+        ({"acceleration": 1, "lane_change": ["left"]}, "give 'left', 'right' or None"),
+        ({"trajectory": [(0, 0, 0)]}, "; give a Trajectory with time, x and y"),
+    ],
+)
+def test_a_control_that_cannot_be_says_what_to_give(values, says):
+    with pytest.raises(ValueError, match=r".") as raised:
+        cc.Control(**values)
+    assert says in str(raised.value)
