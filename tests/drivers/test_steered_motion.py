@@ -164,6 +164,50 @@ def test_a_trajectory_may_say_heading_and_speed():
         Trajectory(np.arange(2.0), np.zeros(2), np.zeros(2), speed=np.ones(1))
 
 
+class Reverser(cc.SystemUnderTest):
+    """Goes on for 2 s, slower and slower, and back for another second."""
+
+    def start(self, ego, road, rng):
+        time = np.arange(0.0, 3.05, 0.1)
+        self.way = Trajectory(time, 100.0 + 20.0 * time - 5.0 * time**2, np.full(len(time), LANE))
+
+    def step(self, view, dt):
+        return cc.Control(trajectory=self.way)
+
+
+def test_a_vehicle_that_reverses_keeps_its_heading_and_has_a_negative_speed():
+    _, ego = drive(Reverser(), duration=5.0)
+    assert np.abs(ego["heading"]).max() < 1e-9
+    assert ego["speed"][1:60] == pytest.approx(np.diff(ego["x"][:60]) / 0.05, abs=1e-6)
+    assert ego["speed"][59] < -9.0
+    # It brakes to a stop after the last point.
+    assert ego["acceleration"][62] == pytest.approx(3.0)
+    assert ego["speed"].min() >= -10.0
+
+
+class Jumper(cc.SystemUnderTest):
+    def __init__(self, by: float = 1e6):
+        self.by = by
+
+    def step(self, view, dt):
+        if view.time < 0.99:
+            return 0.0
+        x = view.ego.x + self.by if view.time < 1.04 else view.ego.x
+        return cc.Control(trajectory=Trajectory([view.time, view.time + dt], [x, x], [LANE, LANE]))
+
+
+@pytest.mark.parametrize("by", [1e6, -1e6, 100.0])
+def test_a_trajectory_that_jumps_fails_the_scenario_with_its_instant(by):
+    with pytest.raises(
+        cc.InputError, match=r"jumps by .* m in the step at t = 1 s, and at most .* m are driven; give a"
+    ):
+        drive(Jumper(by))
+
+
+def test_a_trajectory_may_begin_beside_the_vehicle():
+    drive(Jumper(5.0), duration=1.2)
+
+
 def test_a_vehicle_is_steered_along_a_trajectory():
     _, ego = drive(equipped(Follower(), "kinematic"), duration=12.0)
     angle = 20.0 * ego["time"][60:81] / 200.0

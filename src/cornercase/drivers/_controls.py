@@ -29,6 +29,10 @@ _UNITS: Final = {
 class Trajectory:
     """Where the reference point of the ego is to be, from now on.
 
+    A scenario fails if this is farther away than the ego gets in a time step: 10 m, and twice the way at its
+    ``maxSpeed``, or at 100 m/s without one. Without a vehicle model, an ego that is to be behind where it is drives
+    backwards: it keeps its heading, and its speed is negative. A pedestrian turns around.
+
     Attributes
     ----------
     time : ndarray of float64, shape (P,)
