@@ -193,7 +193,7 @@ class Jumper(cc.SystemUnderTest):
         if view.time < 0.99:
             return 0.0
         x = view.ego.x + self.by if view.time < 1.04 else view.ego.x
-        return cc.Control(trajectory=Trajectory([view.time, view.time + dt], [x, x], [LANE, LANE]))
+        return cc.Control(trajectory=Trajectory(view.time + np.array([0.0, dt]), np.array([x, x]), np.full(2, LANE)))
 
 
 @pytest.mark.parametrize("by", [1e6, -1e6, 100.0])
