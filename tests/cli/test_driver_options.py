@@ -9,8 +9,10 @@ from pathlib import Path
 
 import pytest
 
+from cornercase._common.errors import InputError
 from cornercase.cli.driver_options import combine_drivers
 from cornercase.drivers import SENSORS, Radar
+from cornercase.drivers._resolve import driver_by_name
 from cornercase.study import StudyFile
 from helpers.command_line import SPACE, X, cornercase
 
@@ -84,16 +86,43 @@ def test_driver_sensors_and_vehicle_become_one_text():
     ],
 )  # fmt: skip
 def test_a_contradiction_is_one_sentence(texts, says):
-    from cornercase._common.errors import InputError
-
     with pytest.raises(InputError) as error:
         combined(**texts)
     assert says in str(error.value)
 
 
-def test_several_parts_in_one_option_are_refused():
-    from cornercase._common.errors import InputError
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("Ego=Brake.fmu", "There is no driver 'Brake.fmu'; an FMU is named as 'fmu:Brake.fmu'."),
+        ("Ego=Brake.FMU:reaction=0.3", "an FMU is named as 'fmu:Brake.FMU:reaction=0.3'."),
+        ("Ego=./hold", "There is no driver './hold'; a program is named as 'exec:./hold'."),
+        ("Ego=./hold:time=2", "a program is named as 'exec:./hold:time=2'."),
+        ("Ego=hold", "a program is named as 'exec:./hold'."),
+        ("Ego=python hold.py", "a program is named as 'exec:python hold.py'."),
+        ("Ego=tcp://localhost:5000", "a program is named as 'exec:tcp://localhost:5000'."),
+        ("Ego=my_aeb.py:Aeb", "a class is named as 'my_aeb:Aeb'."),
+        ("Ego=code/my_aeb.py:Aeb", "a class is named as 'my_aeb:Aeb' in the folder code."),
+        ("Ego=my_aeb.py", "a class is named as 'my_aeb:Class', a program as 'exec:python my_aeb.py'."),
+        ("Ego=my_aeb", "a class of my_aeb.py is named as 'my_aeb:Class'."),
+        ("Ego=my_aeb:aeb", "has no class 'aeb'; did you mean 'Aeb'?"),
+        ("Ego=sut.toml", "a file that says who drives stands without an entity, as in --sut sut.toml."),
+        ("Brake.fmu", "write it as ENTITY=NAME, as Ego=fmu:Brake.fmu;"),
+        ("./hold", "write it as ENTITY=NAME, as Ego=exec:./hold;"),
+        ("fmu:Brake.fmu", "write it as ENTITY=NAME, as Ego=fmu:Brake.fmu;"),
+        ("Ego=nrmal", "did you mean 'normal'?"),
+    ],
+)
+def test_a_file_or_program_without_its_prefix_is_named_as_it_has_to_be(folder, monkeypatch, text, says):
+    monkeypatch.chdir(folder)
+    monkeypatch.syspath_prepend(folder)
+    (folder / "hold").write_text("#!/bin/sh\n")
+    with pytest.raises(InputError) as error:
+        driver_by_name(combine_drivers((), [text], (), ())["Ego"])
+    assert says in str(error.value)
 
+
+def test_several_parts_in_one_option_are_refused():
     with pytest.raises(InputError, match="give each with an option of its own"):
         combine_drivers((), ["Ego=normal"], ["Ego=blind + blind"], ())
 

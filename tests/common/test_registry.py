@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -59,6 +60,15 @@ def test_what_takes_whole_numbers_takes_no_others():
     with pytest.raises(InputError, match="takes a whole number for 'count'"):
         registry(Annotated).create("thing:count=2.5")
     assert registry(Plain).create("thing:count=2.5").given[1] == 2.5
+
+
+def test_an_option_that_may_be_none_has_the_type_beside():
+    def make(count: int | None = None, text: str | None = None, free: int | str = 0):
+        return SimpleNamespace(given=(count, text, free))
+
+    assert registry(make).create("thing:count=2.0,text=7,free=7").given == (2, "7", 7)
+    with pytest.raises(InputError, match="takes a whole number for 'count', not 'none'"):
+        registry(make).create("thing:count=none")
 
 
 def test_a_broken_package_is_named_in_one_sentence(tmp_path, monkeypatch):

@@ -99,7 +99,7 @@ def test_a_driver_that_derives_from_the_base_class_needs_only_its_decision():
 @pytest.mark.parametrize(
     ("name", "says"),
     [
-        ("own_drivers", "not of the form package.module:Class"),
+        ("own_drivers", "a class of own_drivers.py is named as 'own_drivers:Class'."),
         ("own_drivers:", "not of the form package.module:Class"),
         ("../own:Steady", "not of the form package.module:Class"),
         ("no_such_module_here:Steady", "no module 'no_such_module_here'"),

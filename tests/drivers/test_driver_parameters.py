@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Optional
 
 import numpy as np
 import pytest
@@ -190,6 +190,22 @@ def test_a_name_that_means_no_option_or_two_is_refused(names, sentence):
 def test_an_option_that_is_fixed_is_not_varied_too(driver):
     with pytest.raises(cc.InputError, match="is given with a fixed"):
         cc.simulate(X, {"Ego.after" if isinstance(driver, Brake) else "Ego.delay": 0.2}, drivers={"Ego": driver})
+
+
+@pytest.mark.parametrize("annotation", [int | None, Optional[int], "int | None", "Optional[int]", int])  # noqa: UP045
+def test_a_whole_number_that_may_be_none_stays_one(annotation):
+    class Counts(cc.SystemUnderTest):
+        def __init__(self, steps=None):
+            self.steps = steps
+
+        def step(self, view, dt):
+            assert type(self.steps) is int
+            return 0.0
+
+    vars(Counts.__init__)["__wrapped__"].__annotations__["steps"] = annotation
+    cc.simulate(X, {"Ego.steps": 2.0}, drivers={"Ego": Counts()}, duration=0.5)
+    with pytest.raises(cc.InputError, match=r"'steps' takes a whole number, not 1\.5; give a range a step of 1\."):
+        cc.simulate(X, {"Ego.steps": 1.5}, drivers={"Ego": Counts()})
 
 
 def test_a_whole_number_stays_one():

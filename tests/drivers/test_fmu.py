@@ -20,7 +20,7 @@ from cornercase.drivers.fmu._instance import Fmu, FmuError
 from cornercase.drivers.fmu._model import read_fmu
 from cornercase.study import StudyFile
 from helpers.command_line import cornercase
-from helpers.fmus import make_fmu, make_python_fmu
+from helpers.fmus import PYTHON_AEB, make_fmu, make_python_fmu
 
 DECELERATION = EXAMPLES / "r157" / "deceleration.xosc"
 NCAP = Path(__file__).parents[3] / "shared" / "reference" / "openscenario" / "ncap" / "OpenSCENARIO" / "NCAP"
@@ -405,6 +405,19 @@ def test_an_fmu_made_by_pythonfmu_drives_as_the_one_in_c(folder, tmp_path):
     given = [drive(f"fmu:{one}:reaction=0.3") for one in (path, folder / "aeb2.fmu")]
     assert ego(given[0]).min() < -7.0
     assert math.isclose(float(np.abs(ego(given[0], "x") - ego(given[1], "x")).max()), 0.0, abs_tol=1e-9)
+
+
+@NOTICES
+@pytest.mark.parametrize(
+    ("code", "instant"),
+    [
+        (PYTHON_AEB.replace("is_short = ", "is_short = time > 1.0 and 1 / 0 or "), "1.05"),
+        (PYTHON_AEB + "\n    def enter_initialization_mode(self):\n        1 / 0\n", "0"),
+    ],
+)
+def test_an_exception_in_an_fmu_made_by_pythonfmu_is_shown(tmp_path, code, instant):
+    with pytest.raises(cc.InputError, match=rf"failed at t = {instant} s: .*; its log: .*division by zero"):
+        drive(f"fmu:{make_python_fmu(tmp_path, code)}")
 
 
 @NOTICES

@@ -20,7 +20,7 @@ import pytest
 import cornercase as cc
 from conftest import ran
 from cornercase._common.errors import InputError, PluginError
-from cornercase.drivers import DRIVERS, ProcessFunction, Trajectory
+from cornercase.drivers import DRIVERS, EquippedDriver, ProcessFunction, Trajectory
 from cornercase.drivers import process as process_package
 from cornercase.drivers._resolve import create_driver_named_in_file, driver_by_name, may_be_named_in_file
 from cornercase.drivers.process._columns import COLUMNS, PATH_COLUMNS
@@ -193,6 +193,23 @@ def test_bad_commands_are_refused_when_they_are_given(folder, text, words):
     with pytest.raises(InputError) as caught:
         driver_by_name(text)
     assert words in str(caught.value)
+
+
+def test_what_stands_before_sensors_may_be_quoted_in_a_command(folder):
+    (folder / "a + b.py").write_text(FUNCTION)
+    driver = driver_by_name(f'exec:{PYTHON} "a + b.py":time_to_brake=2 + radar:range=80 + kinematic')
+    assert isinstance(driver, EquippedDriver)
+    assert [str(part) for part in driver.equipment] == ["radar:range=80", "kinematic"]
+    assert str(driver.driver) == f'exec:{PYTHON} "a + b.py":time_to_brake=2'
+    assert same(run(f'exec:{PYTHON} "a + b.py"', 0.0)[0], run(spec(), 0.0)[0])
+
+
+@pytest.mark.parametrize("command", ["python a + b.py", "python a.py --log 'x' + y"])
+def test_a_command_that_would_be_taken_for_sensors_says_to_quote_it(folder, command):
+    with pytest.raises(InputError, match=r"no sensor or vehicle '.*If ' \+ ' belongs to the command, put it in double"):
+        driver_by_name(f"exec:{command}")
+    with pytest.raises(InputError, match=r"contains ' \+ ', .*put it in double quotes"):
+        ProcessFunction(command)
 
 
 def test_a_file_never_names_a_program(folder):

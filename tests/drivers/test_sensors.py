@@ -335,7 +335,7 @@ def test_without_sensors_the_driver_is_given_the_truth():
         ("camera:miss=1.5", r"`miss` 1\.5: give a number from 0 to 1\."),
         ("lidar:birth=0", r"`birth` 0: give a whole number"),
         ("lidar:noise=-1", r"`noise` -1: give a number of 0 or more\."),
-        ("radar:x=front", r"`x` 'front': give a finite number\."),
+        ("radar:x=front", r"takes a number for 'x', not 'front'\."),
         ("radar:occlusion=7", r"takes true or false for 'occlusion'"),
         ("radar:rang=7", r"has no option 'rang'; did you mean 'range'"),
     ],

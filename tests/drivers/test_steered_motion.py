@@ -164,6 +164,50 @@ def test_a_trajectory_may_say_heading_and_speed():
         Trajectory(np.arange(2.0), np.zeros(2), np.zeros(2), speed=np.ones(1))
 
 
+class Reverser(cc.SystemUnderTest):
+    """Goes on for 2 s, slower and slower, and back for another second."""
+
+    def start(self, ego, road, rng):
+        time = np.arange(0.0, 3.05, 0.1)
+        self.way = Trajectory(time, 100.0 + 20.0 * time - 5.0 * time**2, np.full(len(time), LANE))
+
+    def step(self, view, dt):
+        return cc.Control(trajectory=self.way)
+
+
+def test_a_vehicle_that_reverses_keeps_its_heading_and_has_a_negative_speed():
+    _, ego = drive(Reverser(), duration=5.0)
+    assert np.abs(ego["heading"]).max() < 1e-9
+    assert ego["speed"][1:60] == pytest.approx(np.diff(ego["x"][:60]) / 0.05, abs=1e-6)
+    assert ego["speed"][59] < -9.0
+    # It brakes to a stop after the last point.
+    assert ego["acceleration"][62] == pytest.approx(3.0)
+    assert ego["speed"].min() >= -10.0
+
+
+class Jumper(cc.SystemUnderTest):
+    def __init__(self, by: float = 1e6):
+        self.by = by
+
+    def step(self, view, dt):
+        if view.time < 0.99:
+            return 0.0
+        x = view.ego.x + self.by if view.time < 1.04 else view.ego.x
+        return cc.Control(trajectory=Trajectory(view.time + np.array([0.0, dt]), np.array([x, x]), np.full(2, LANE)))
+
+
+@pytest.mark.parametrize("by", [1e6, -1e6, 100.0])
+def test_a_trajectory_that_jumps_fails_the_scenario_with_its_instant(by):
+    with pytest.raises(
+        cc.InputError, match=r"jumps by .* m in the step at t = 1 s, and at most .* m are driven; give a"
+    ):
+        drive(Jumper(by))
+
+
+def test_a_trajectory_may_begin_beside_the_vehicle():
+    drive(Jumper(5.0), duration=1.2)
+
+
 def test_a_vehicle_is_steered_along_a_trajectory():
     _, ego = drive(equipped(Follower(), "kinematic"), duration=12.0)
     angle = 20.0 * ego["time"][60:81] / 200.0
@@ -322,11 +366,43 @@ def test_a_function_sees_all_where_they_are_at_its_time(places):
     Straight.seen.clear()
     recording, ego = drive(Straight(places), "examples/r157/cut_in.xosc", {}, duration=2.0)
     time, x, other = np.array(Straight.seen).T
-    length, center = recording.length, recording.center_x
     assert time == pytest.approx(DT * np.arange(len(time)))
     assert x == pytest.approx(ego["x"][: len(x)])
     assert ego["x"] == pytest.approx(ego["x"][0] + ego["speed"][0] * ego["time"])
     o = 1 - recording.entity_index("Ego")
     heading = recording.heading[o, : len(x)]
-    assert length[o] > 0.0
-    assert other == pytest.approx(recording.x[o, : len(x)] + center[o] * np.cos(heading), abs=1e-6)
+    expected = recording.x[o, : len(x)] + recording.center_x[o] * np.cos(heading)
+    assert other == pytest.approx(expected, abs=1e-6)
+
+
+WAY = cc.drivers.Trajectory(np.array([0.0, 1.0]), np.zeros(2), np.zeros(2))
+
+
+@pytest.mark.parametrize(
+    ("values", "says"),
+    [
+        ({}, "has to decide something; give acceleration, throttle and brake, or a trajectory"),
+        ({"steering": 0.1}, "steering needs to know how fast; give acceleration, or throttle and brake, with it"),
+        ({"lane_change": "left"}, "lane_change needs to know how fast; give acceleration"),
+        ({"acceleration": 1, "brake": 0}, "acceleration and brake exclude each other; give acceleration, or throttle"),
+        ({"acceleration": 1, "trajectory": WAY}, "a trajectory says all of the motion; leave out acceleration"),
+        ({"brake": 1, "steering": 0, "trajectory": WAY}, "leave out brake and steering"),
+        (
+            {"acceleration": 1, "steering": 0, "lane_change": "left"},
+            "steers by itself; leave out steering or lane_change",
+        ),
+        ({"acceleration": "fast"}, "acceleration is 'fast'; give a number in m/s²"),
+        ({"acceleration": np.zeros(3)}, "give a number in m/s²"),
+        (
+            {"acceleration": 1, "steering": float("nan")},
+            "steering is nan, which is not a finite number; give one in rad",
+        ),
+        ({"throttle": 50}, "throttle is 50; give a number from 0 to 1"),
+        ({"acceleration": 1, "lane_change": ["left"]}, "give 'left', 'right' or None"),
+        ({"trajectory": [(0, 0, 0)]}, "; give a Trajectory with time, x and y"),
+    ],
+)
+def test_a_control_that_cannot_be_says_what_to_give(values, says):
+    with pytest.raises(ValueError, match=r".") as raised:
+        cc.Control(**values)
+    assert says in str(raised.value)

@@ -161,7 +161,7 @@ def test_text_of_a_vehicle_makes_it_again(spec: str) -> None:
     ("spec", "message"),
     [
         ("kinematic:mu=0", "`mu` 0: give a number above 0"),
-        ("kinematic:wheelbase=long", "`wheelbase` 'long': give a number above 0"),
+        ("kinematic:wheelbase=long", "takes a number for 'wheelbase', not 'long'"),
         ("kinematic:lag=-1", "`lag` -1: give a number of 0 or more"),
         ("kinematic:mass=1500", "no option 'mass'"),
     ],

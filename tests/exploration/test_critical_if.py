@@ -104,8 +104,20 @@ def test_what_follows_counts_critical_by_the_condition(study, tmp_path):
         tmp_path / "reduced", tmp_path / "run.db", drivers={"Ego": "cautious"}, require=["no collision"]
     )
     assert set(result.scenarios[0].scores) == {"ttc"}
-    with pytest.raises(InputError, match="critical_if"):
+    with pytest.raises(InputError, match=r"s\.db: its condition, .*, needs runs of reference drivers"):
         cc.estimate(path, tmp_path / "estimate.db", scenario=CUT_IN, drivers={"Ego": "cautious"})
+
+
+def test_a_condition_without_references_can_be_estimated(tmp_path):
+    path = tmp_path / "s.db"
+    explored(path, critical_if="collision")
+    estimation = cc.estimate(path, tmp_path / "estimate.db", scenario=CUT_IN, budget=100)
+    assert estimation.critical.met > 0
+    assert estimation.critical == estimation.collision
+    with pytest.raises(
+        InputError, match=r"s\.db: its condition, collision, says what is critical; leave `critical` out"
+    ):
+        cc.estimate(path, tmp_path / "other.db", critical=0.5, scenario=CUT_IN)
 
 
 @pytest.mark.slow

@@ -170,8 +170,8 @@ class PythonAeb(Fmi2Slave):
 '''
 
 
-def make_python_fmu(folder: Path) -> Path:
+def make_python_fmu(folder: Path, code: str = PYTHON_AEB) -> Path:
     """Build an FMU with pythonfmu."""
     builder = pytest.importorskip("pythonfmu.builder")
-    (folder / "python_aeb.py").write_text(PYTHON_AEB)
+    (folder / "python_aeb.py").write_text(code)
     return Path(builder.FmuBuilder.build_FMU(folder / "python_aeb.py", dest=folder))

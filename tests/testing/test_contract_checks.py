@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import json
 import time
 from dataclasses import replace
 
@@ -85,6 +86,19 @@ class Clock(Cruise):
         return 0.1 * (time.perf_counter() % 1.0)
 
 
+class LastTime(Cruise):
+    """Begins with what the last step of the run before left."""
+
+    time = 0.0
+
+    def start(self, ego, road, rng):
+        self.begun = LastTime.time
+
+    def step(self, view, dt):
+        LastTime.time = view.time
+        return 0.01 * self.begun
+
+
 class InKmh(Cruise):
     def step(self, view, dt):
         return 50.0
@@ -124,8 +138,9 @@ class Stores(Cruise):
         (Clock(), "repeats itself", "differs"),
         (KeepsState(), "gives the same alone and among other scenarios", "differs"),
         (SeesOthers(), "gives the same alone and among other scenarios", "Alone, a scenario differs"),
-        (NeverReset(), "forgets the scenario before", "drives otherwise"),
-        (InKmh(), "keeps to units: m, rad, s", "m/s²"),
+        (NeverReset(), "forgets the scenario before", "`start` does not set again"),
+        (InKmh(), "keeps to units: m, rad, s", "At 0.05 s it accelerates by 50 m/s²"),
+        (LastTime(), "knows nothing of the time after", "ends at 4 s, it differs from 0.05 s on"),
         (Fails(), "drives every scenario", "no gap"),
         (Stores(), "can be stored and sent to another process", "plain JSON"),
     ],
@@ -133,6 +148,31 @@ class Stores(Cruise):
 def test_each_way_of_breaking_the_contract_is_found(system, name, words):
     (found,) = run_checks([check for check in sut_checks(system) if check.name == name])
     assert words in found.problem
+
+
+@pytest.mark.parametrize(
+    ("system", "cause", "count"), [(Fails(), "drives every scenario", 6), (Random(), "repeats itself", 4)]
+)
+def test_checks_that_need_one_that_failed_are_not_run(system, cause, count):
+    results = [*run_checks(sut_checks(system))]
+    blocked = [result for result in results if result.blocked_by]
+    assert {result.blocked_by for result in blocked} == {cause}
+    assert len(blocked) == count
+    assert all(result.problem for result in blocked)
+    with pytest.raises(AssertionError) as raised:
+        check(system)
+    assert str(raised.value).startswith(f"{cause}: ")
+    assert "\n" not in str(raised.value)
+
+
+def test_a_setting_that_cannot_be_stored_is_named():
+    class Handles(Cruise):
+        def __init__(self):
+            super().__init__()
+            self.settings = {"curve": object()}
+
+    (found,) = run_checks(sut_checks(Handles())[:1])
+    assert found.problem.startswith("Its setting 'curve' is <object")
 
 
 class HalfSpeed(cc.simulators.Builtin):
@@ -254,6 +294,14 @@ def test_the_commands_print_a_line_per_check_and_tell_by_the_exit_code(tmp_path)
     assert bad.returncode == 1
     assert "FAILED keeps to units" in bad.stdout
     assert "7 of 8 checks hold for the system under test own:Own" in bad.stdout
+    (tmp_path / "fails.py").write_text(
+        "import cornercase as cc\n\n\nclass Own(cc.SystemUnderTest):\n    def step(self, view, dt):\n        return 1 / 0\n"
+    )
+    failing = cornercase("check-sut", "fails:Own", cwd=tmp_path)
+    assert failing.stdout.count("FAILED") == 1
+    assert "not run: 6 checks that need this one: drives every scenario" in failing.stdout
+    stored = json.loads(cornercase("check-sut", "fails:Own", "--json", cwd=tmp_path).stdout)
+    assert [row["holds"] for row in stored["checks"]] == [True, False, *[None] * 6]
     good = cornercase("check-simulator", "builtin", cwd=tmp_path)
     assert good.returncode == 0
     assert "8 of 8 checks hold for the simulator builtin" in good.stdout

@@ -156,11 +156,16 @@ def options_for_numbers(factory: Callable[..., Any]) -> list[str]:
             default = parameter.default
             is_number = isinstance(default, int | float) and not isinstance(default, bool)
             return is_number or default is None or default is parameter.empty
-        # Annotations are strings if they are not evaluated.
-        text = getattr(parameter.annotation, "__name__", str(parameter.annotation))
-        return bool({"int", "float"} & {*re.findall(r"\w+", text)})
+        return bool({"int", "float"} & annotated_types(parameter.annotation))
 
     return [name for name, parameter in declared_options(factory).items() if takes_numbers(parameter)]
+
+
+def annotated_types(annotation: object) -> set[str]:
+    """Return the names of the types that an annotation allows, as `int` and `str`, without None."""
+    # Annotations are strings if they are not evaluated.
+    text = annotation.__name__ if isinstance(annotation, type) else str(annotation)
+    return {*re.findall(r"\w+", text)} - {"None", "Optional", "Union", "typing", "types"}
 
 
 def with_numbers(configured: Any, numbers: Mapping[str, float]) -> Any:
@@ -173,7 +178,7 @@ def with_numbers(configured: Any, numbers: Mapping[str, float]) -> Any:
     for name, number in numbers.items():
         annotation = declared[name].annotation if name in declared else float
         options[name] = number
-        if annotation in (int, "int"):
+        if annotated_types(annotation) == {"int"}:
             if not float(number).is_integer():
                 raise ValueError(f"'{name}' takes a whole number, not {number:g}; give a range a step of 1")
             options[name] = int(number)

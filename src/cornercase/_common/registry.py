@@ -9,7 +9,7 @@ from importlib.metadata import EntryPoint, entry_points
 from inspect import Parameter, signature
 from typing import Any, Final, Generic, TypeVar, cast
 
-from cornercase._common.configurable import declared_options
+from cornercase._common.configurable import annotated_types, declared_options
 from cornercase._common.errors import InputError, suggest_name
 from cornercase._common.plugin_errors import (
     convert_plugin_errors,
@@ -372,8 +372,8 @@ def check_options(kind: str, name: str, factory: Callable[..., Any], options: Ma
 def _plain_type(parameter: Parameter) -> type[Any] | None:
     """Return the type of a parameter (bool, int, float or str) from its annotation or default; None for other types."""
     if parameter.annotation is not parameter.empty:
-        # Annotations are strings if they are not evaluated.
-        return _PLAIN_TYPES.get(getattr(parameter.annotation, "__name__", str(parameter.annotation)))
+        allowed = annotated_types(parameter.annotation)
+        return _PLAIN_TYPES.get(allowed.pop()) if len(allowed) == 1 else None
     # A default of 100 also allows 2.5.
     return float if type(parameter.default) is int else _PLAIN_TYPES.get(type(parameter.default).__name__)
 

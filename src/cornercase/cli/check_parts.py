@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
@@ -93,17 +94,28 @@ def _read_cases(scenario: Path | None, space: Path | None, ego: str) -> Any:
 def _run(what: str, name: str, checks: Sequence[Any], as_json: bool) -> None:
     from cornercase.testing import run_checks
 
-    n_bad, rows = 0, []
+    rows, blocked = [], Counter[str]()
     for result in run_checks(checks):
-        n_bad += bool(result.problem)
-        rows.append({"check": result.name, "holds": not result.problem, "problem": result.problem})
-        if not as_json:
+        # Whether a check that was not run holds, is not known.
+        rows.append(
+            {
+                "check": result.name,
+                "holds": None if result.blocked_by else not result.problem,
+                "problem": result.problem,
+            }
+        )
+        if result.blocked_by:
+            blocked[result.blocked_by] += 1
+        elif not as_json:
             out.print(f"{'FAILED' if result.problem else 'ok':6} {result.name}")
             if result.problem:
                 out.print(shorten(f"       {use_option_names(result.problem)}", MAX_LINE_LENGTH))
+    n_good = sum(row["holds"] is True for row in rows)
     if as_json:
         opt.print_json({what: name, "checks": rows})
     else:
-        out.print(f"{len(rows) - n_bad} of {len(rows)} checks hold for the {what} {name}")
-    if n_bad:
+        for cause, count in blocked.items():
+            out.print(f"not run: {count} checks that need this one: {cause}")
+        out.print(f"{n_good} of {len(rows)} checks hold for the {what} {name}")
+    if n_good < len(rows):
         raise typer.Exit(1)

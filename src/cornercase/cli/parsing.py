@@ -18,9 +18,12 @@ def parse_pairs(texts: Sequence[str], option: str) -> dict[str, str]:
         if not sign or not name or not value:
             if option in ("--driver", "--sut", "--sensor", "--vehicle"):
                 hint = "the entity that it belongs to goes before it" if not sign else "give both"
-                raise InputError(
-                    f"{option} {text}: write it as ENTITY=NAME, as Ego={value or name or 'normal'}; {hint}."
-                )
+                spec = value or name or "normal"
+                if option in ("--driver", "--sut"):
+                    from cornercase.drivers._missing_prefix import add_prefix
+
+                    spec = add_prefix(spec)
+                raise InputError(f"{option} {text}: write it as ENTITY=NAME, as Ego={spec}; {hint}.")
             raise InputError(f"{option} {text}: write it as NAME=VALUE.")
         if ":" in name and option in ("--driver", "--sut", "--sensor", "--vehicle"):
             raise InputError(

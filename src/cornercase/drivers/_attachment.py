@@ -70,6 +70,11 @@ class Decision:
     failures: Mapping[int, SimulationError] = field(default_factory=dict)
 
 
+# m; a first point may be beside the vehicle. m/s, of a vehicle without a limit.
+_JUMP: Final = 10.0
+_MAX_SPEED: Final = 100.0
+
+
 class Attachment:
     """A driver that is attached to an entity of a simulator.
 
@@ -168,7 +173,34 @@ class Attachment:
         self._fail(active & np.isinf(controls.steering), controls.steering, "an angle in rad", time, failures)
         acceleration = self._clip_acceleration(acceleration, active & is_decided, time)
         start = PlanarMotion(**{name: copies[name] for name in _STATE}) if begin is None else begin
-        return Decision(self._mover.step(truth, start, controls, acceleration, active), failures)
+        motion = self._mover.step(truth, start, controls, acceleration, active)
+        self._refuse_jumps(active & motion.is_steered, start, motion.state, truth, failures)
+        return Decision(motion, failures)
+
+    def _refuse_jumps(
+        self,
+        rows: BoolArray,
+        begin: PlanarMotion,
+        end: PlanarMotion,
+        situation: Situation,
+        failures: dict[int, SimulationError],
+    ) -> None:
+        """Add a failure for each scenario of a mask in which a trajectory leads farther than a vehicle drives."""
+        body, dt = self._start.body, situation.time_step
+        fastest = body.max_speed if np.isfinite(body.max_speed) else _MAX_SPEED
+        farthest = _JUMP + 2.0 * fastest * dt
+        distance = np.hypot(end.x - begin.x, end.y - begin.y)
+        for n in np.flatnonzero(rows & (distance > farthest)).tolist():
+            jumps = (
+                f"{self.display_name} jumps by {distance[n]:.4g} m in the step{format_time_of_failure(situation.time)}"
+            )
+            failures.setdefault(
+                n,
+                PluginError(
+                    f"{jumps}, and at most {farthest:.3g} m are driven; give a trajectory that begins at the vehicle,"
+                    " in m of the map and s since the start of the scenario"
+                ),
+            )
 
     def _fail(
         self, rows: BoolArray, values: FloatArray, what: str, time: float, failures: dict[int, SimulationError]

@@ -17,12 +17,21 @@ LANE_CHANGES: Final = {None: 0, "left": 1, "right": -1}
 """Number of lanes to the left, by request."""
 # m; farther away, positions are too coarse to be simulated.
 _FARTHEST: Final = 1e7
-_NUMBERS: Final = ("acceleration", "steering", "throttle", "brake")
+_UNITS: Final = {
+    "acceleration": "in m/s²",
+    "steering": "in rad",
+    "throttle": "from 0 to 1",
+    "brake": "from 0 to 1",
+}
 
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
     """Where the reference point of the ego is to be, from now on.
+
+    A scenario fails if this is farther away than the ego gets in a time step: 10 m, and twice the way at its
+    ``maxSpeed``, or at 100 m/s without one. Without a vehicle model, an ego that is to be behind where it is drives
+    backwards: it keeps its heading, and its speed is negative. A pedestrian turns around.
 
     Attributes
     ----------
@@ -110,25 +119,46 @@ class Control:
     lane_change: Literal["left", "right"] | None = None
 
     def __post_init__(self) -> None:
-        for name in _NUMBERS:
+        for name, unit in _UNITS.items():
             value = getattr(self, name)
             if value is not None:
-                object.__setattr__(self, name, float(value))
-                if not math.isfinite(getattr(self, name)):
-                    raise ValueError(f"{name} is {value}, which is not a finite number")
+                try:
+                    number = float(value)
+                except (TypeError, ValueError):
+                    raise ValueError(f"{name} is {repr_short(value)}; give a number {unit}") from None
+                object.__setattr__(self, name, number)
+                if not math.isfinite(number):
+                    raise ValueError(f"{name} is {value}, which is not a finite number; give one {unit}")
         for name in ("throttle", "brake"):
             value = getattr(self, name)
             if value is not None and not 0.0 <= value <= 1.0:
-                raise ValueError(f"{name} is {value:g}; it goes from 0 to 1")
-        if self.lane_change not in LANE_CHANGES:
-            raise ValueError(f"lane_change is {self.lane_change!r}; it is 'left' or 'right'")
-        pedals = self.throttle is not None or self.brake is not None
-        if (self.acceleration is not None) + pedals + (self.trajectory is not None) != 1:
-            raise ValueError("a control needs one of: acceleration; throttle and brake; trajectory")
-        if self.trajectory is not None and (self.steering is not None or self.lane_change is not None):
-            raise ValueError("a trajectory needs neither steering nor a lane change")
-        if self.lane_change is not None and self.steering is not None:
-            raise ValueError("a lane change steers by itself; leave out the steering")
+                raise ValueError(f"{name} is {value:g}; give a number {_UNITS[name]}")
+        if not (self.lane_change is None or self.lane_change in ("left", "right")):
+            raise ValueError(f"lane_change is {repr_short(self.lane_change)}; give 'left', 'right' or None")
+        if not isinstance(self.trajectory, Trajectory | None):
+            raise ValueError(f"trajectory is {repr_short(self.trajectory)}; give a Trajectory with time, x and y")
+        self._check_combination()
+
+    def _check_combination(self) -> None:
+        pedals = [name for name in ("throttle", "brake") if getattr(self, name) is not None]
+        turns = [name for name in ("steering", "lane_change") if getattr(self, name) is not None]
+        if self.trajectory is not None and (self.acceleration is not None or pedals or turns):
+            names = [*(["acceleration"] if self.acceleration is not None else []), *pedals, *turns]
+            raise ValueError(f"a trajectory says all of the motion; leave out {' and '.join(names)}")
+        if self.acceleration is not None and pedals:
+            raise ValueError(
+                f"acceleration and {pedals[0]} exclude each other; give acceleration, or throttle and brake"
+            )
+        if self.acceleration is None and not pedals and self.trajectory is None:
+            if turns:
+                raise ValueError(
+                    f"{turns[0]} needs to know how fast; give acceleration, or throttle and brake, with it"
+                )
+            raise ValueError(
+                "a control has to decide something; give acceleration, throttle and brake, or a trajectory"
+            )
+        if len(turns) == 2:
+            raise ValueError("a lane change steers by itself; leave out steering or lane_change")
 
     @classmethod
     def from_returned(cls, returned: object) -> Self:
@@ -152,7 +182,7 @@ class Control:
             return returned
         if isinstance(returned, int | float | np.floating | np.integer) and not isinstance(returned, bool):
             return cls(acceleration=float(returned))
-        raise ValueError(f"{repr_short(returned)} is neither a Control nor an acceleration in m/s²")
+        raise ValueError(f"{repr_short(returned)} is neither a Control nor an acceleration in m/s²; return one of them")
 
 
 @dataclass(frozen=True, eq=False)
@@ -232,7 +262,7 @@ class Controls:
         for n, control in enumerate(controls):
             if control is None:
                 continue
-            for name in _NUMBERS:
+            for name in _UNITS:
                 value: Any = getattr(control, name)
                 if value is not None:
                     getattr(batch, name)[n] = value

@@ -88,6 +88,8 @@ def equip(driver: Driver, equipment: Sequence[str]) -> Driver:
             sensors.append(SENSORS.create(spec))
         elif name not in VEHICLES:
             hint = suggest_name(name, (*SENSORS.names(), *VEHICLES.names()))
+            if str(driver).startswith("exec:"):
+                hint += f" If '{SEPARATOR}' belongs to the command, put it in double quotes."
             raise InputError(f"There is no sensor or vehicle '{name}'; {hint}")
         elif vehicle is not None:
             raise InputError(f"A driver moves one vehicle, not both '{vehicle}' and '{spec}'; give one.")

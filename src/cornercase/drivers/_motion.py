@@ -131,7 +131,10 @@ class Mover:
         memory = self._memory
         for n, given in controls.trajectories.items():
             if active[n] and not (n in memory.followed and memory.followed[n].given is given):
-                memory.followed[n] = FollowedTrajectory(given, time, float(begin.x[n]), float(begin.y[n]))
+                may_reverse = self._start.body.object_type != "pedestrian"
+                memory.followed[n] = FollowedTrajectory(
+                    given, time, float(begin.x[n]), float(begin.y[n]), may_reverse=may_reverse
+                )
         requests = np.where(active, controls.lane_change, 0)
         is_new = active & (requests != 0) & (requests != memory.last_request)
         memory.last_request[active] = requests[active]

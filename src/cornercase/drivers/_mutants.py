@@ -5,18 +5,19 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Protocol, runtime_checkable
 
 import numpy as np
 
-from cornercase._common.errors import InputError
+from cornercase._common.errors import InputError, suggest_name
 from cornercase._common.validation import check_int, check_str
 from cornercase.drivers._base import Driver
 from cornercase.drivers._description import user_driver_spec
+from cornercase.drivers._equipment import EquippedDriver
 from cornercase.drivers._mutation import Mutation
 from cornercase.drivers._preset_name import nearest_preset_name, preset_parameters
 from cornercase.drivers._registry import SEPARATOR, is_registered_driver, split_spec
-from cornercase.drivers._resolve import driver_by_name
+from cornercase.drivers._resolve import driver_by_name, takes_text
 
 MAX_MUTANTS: Final = 1000
 """Maximum number of mutants of a driver."""
@@ -70,7 +71,8 @@ def generate_mutants(driver: str, count: int, seed: int = 0) -> tuple[Mutant, ..
     ----------
     driver : str
         A preset, possibly with options: ``"normal:horizon=4"``; or a class of your own that declares `mutations`:
-        ``"my_aeb:Aeb:reaction=0.3"``. It keeps its sensors and its vehicle.
+        ``"my_aeb:Aeb:reaction=0.3"``; or an FMU or a program with a file of mutations:
+        ``"fmu:aeb.fmu:mutations=mutations.toml"``. It keeps its sensors and its vehicle.
     count : int
         Number of mutants. A larger number only adds to the mutants of a smaller one.
     seed : int, default 0
@@ -129,6 +131,8 @@ def _mutate_value(mutation: Mutation, value: float, severity: float) -> float:
 
 def _set_driver_option(driver: str, parameter: str, value: float) -> str:
     driver, equipment = split_spec(driver)
+    if takes_text(driver):
+        return SEPARATOR.join([_with_mutations(driver).spec_with({parameter: value}), *equipment])
     # The name of a class has a colon of its own.
     n_parts = 1 if is_registered_driver(driver) else 2
     base, options = ":".join(driver.split(":")[:n_parts]), ":".join(driver.split(":")[n_parts:])
@@ -139,7 +143,7 @@ def _set_driver_option(driver: str, parameter: str, value: float) -> str:
 
 
 def mutable_driver_name(driver: str | Driver | Mapping[str, object]) -> str:
-    """Name of a driver that can have mutants: of a class of the user that declares mutations, else of a preset.
+    """Name of a driver that can have mutants: of a class, FMU or program of the user with mutations, else of a preset.
 
     Accepts a name, a driver, or its settings as stored in a study. A name, which a file may give, and stored settings
     never load code of the user. Raises `InputError` for any other driver.
@@ -147,6 +151,12 @@ def mutable_driver_name(driver: str | Driver | Mapping[str, object]) -> str:
     if isinstance(driver, Driver) and (own := user_driver_spec(driver)) is not None:
         _mutations_and_parameters(own)
         return own
+    inner = driver.driver if isinstance(driver, EquippedDriver) else driver
+    if isinstance(inner, HasMutableText):
+        equipment = driver.equipment if isinstance(driver, EquippedDriver) else ()
+        name = SEPARATOR.join([inner.spec_with({}), *map(str, equipment)])
+        _mutations_and_parameters(name)
+        return name
     if isinstance(driver, Mapping) and "sha256" in driver:
         raise InputError(
             f"Mutants of the driver {driver.get('driver')}, which the study names, need its code; name it with"
@@ -163,6 +173,9 @@ def is_own_driver_name(name: str) -> bool:
 def _mutations_and_parameters(driver: str) -> tuple[Sequence[Mutation], dict[str, float]]:
     """Return what can be made worse in a driver, and the values of its numeric parameters."""
     name, _ = split_spec(driver)
+    if takes_text(name):
+        attached = _with_mutations(name)
+        return attached.mutations, _numbers_of(name, attached)
     if is_registered_driver(name):
         return MUTATIONS, preset_parameters(name)
     created = driver_by_name(name)
@@ -179,3 +192,33 @@ def _mutations_and_parameters(driver: str) -> tuple[Sequence[Mutation], dict[str
                 " constructor with a number as default."
             )
     return created.mutations, parameters
+
+
+@runtime_checkable
+class HasMutableText(Protocol):
+    """An FMU or a program: its text has values of its parameters, and a file says how far they may be off."""
+
+    mutations: tuple[Mutation, ...]
+
+    def spec_with(self, changes: Mapping[str, float]) -> str: ...
+
+    def numeric_parameters(self) -> dict[str, float]: ...
+
+
+def _with_mutations(name: str) -> HasMutableText:
+    created = driver_by_name(name)
+    if not isinstance(created, HasMutableText) or not created.mutations:
+        raise InputError(
+            f"The driver '{name}' has no mutants, as nothing says how far its parameters may be off; give a file that"
+            " does, as in its option mutations=mutations.toml."
+        )
+    return created
+
+
+def _numbers_of(name: str, attached: HasMutableText) -> dict[str, float]:
+    numbers = attached.numeric_parameters()
+    for mutation in attached.mutations:
+        if mutation.parameter not in numbers:
+            hint = suggest_name(mutation.parameter, numbers)
+            raise InputError(f"The driver '{name}' has no number '{mutation.parameter}' that may be off; {hint}")
+    return numbers

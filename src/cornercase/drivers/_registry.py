@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
+from cornercase._common.platform import split_command
 from cornercase._common.registry import Registry
 from cornercase.drivers._base import Driver
 
@@ -26,9 +27,22 @@ SEPARATOR: Final = " + "
 
 
 def split_spec(spec: str) -> tuple[str, tuple[str, ...]]:
-    """Return the driver, and the sensors and the vehicle, in a text; each with its options."""
-    driver, *equipment = (part.strip() for part in spec.split(SEPARATOR))
-    return driver, tuple(equipment)
+    """Return the driver, and the sensors and the vehicle, in a text; each with its options.
+
+    A separator that is quoted in the command of a program belongs to the command.
+    """
+    driver, *equipment = spec.split(SEPARATOR)
+    while equipment and driver.lstrip().startswith("exec:") and _is_quote_open(driver):
+        driver += SEPARATOR + equipment.pop(0)
+    return driver.strip(), tuple(part.strip() for part in equipment)
+
+
+def _is_quote_open(command: str) -> bool:
+    try:
+        split_command(command)
+    except ValueError:
+        return True
+    return False
 
 
 def is_registered_driver(name: str) -> bool:

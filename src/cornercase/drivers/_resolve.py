@@ -16,6 +16,7 @@ from cornercase._common.validation import check_mapping, repr_short
 from cornercase.drivers._base import Driver, Situation
 from cornercase.drivers._description import record_driver_spec
 from cornercase.drivers._equipment import equip
+from cornercase.drivers._missing_prefix import suggest_prefix
 from cornercase.drivers._presets import Behaviour
 from cornercase.drivers._registry import DRIVERS, is_registered_driver, split_spec
 from cornercase.drivers._system_under_test import ScalarFunction, SystemUnderTest
@@ -89,6 +90,8 @@ def create_driver_named_in_file(name: str) -> Driver:
 def _create_registered(spec: str) -> Driver:
     """Create a registered driver with its equipment."""
     name, equipment = split_spec(spec)
+    if not is_registered_driver(name) and (hint := suggest_prefix(name)) is not None:
+        raise InputError(f"There is no driver '{name}'; {hint}.")
     return equip(DRIVERS.create(name), equipment)
 
 
@@ -147,9 +150,13 @@ def load_user_driver(name: str) -> Driver:
     name, equipment = split_spec(name)
     module_name, _, class_and_options = name.partition(":")
     class_name, colon, text = class_and_options.partition(":")
+    hint = suggest_prefix(name)
+    is_dotted = all(identifier.isidentifier() for identifier in module_name.split("."))
+    if hint is not None and not (is_dotted and class_name.isidentifier()):
+        raise InputError(f"There is no driver '{name}'; {hint}.")
     if "=" in class_name:
         raise InputError(f"There is no driver '{module_name}'; {suggest_name(module_name, DRIVERS.names())}")
-    if not all(identifier.isidentifier() for identifier in module_name.split(".")) or not class_name.isidentifier():
+    if not is_dotted or not class_name.isidentifier():
         raise InputError(f"The driver '{name}' is not of the form package.module:Class.")
     class_path = f"{module_name}:{class_name}"
     if colon and not text:
@@ -162,7 +169,7 @@ def load_user_driver(name: str) -> Driver:
         except ModuleNotFoundError as error:
             raise InputError(
                 f"The driver '{name}' cannot be loaded since there is no module '{error.name}';"
-                " install it or run the command in its folder."
+                f" {hint or 'install it or run the command in its folder'}."
             ) from error
         except BaseException as error:
             reraise_termination_request(error, requests)
@@ -171,7 +178,13 @@ def load_user_driver(name: str) -> Driver:
             ) from error
         driver_class = getattr(module, class_name, None)
         if not isinstance(driver_class, type):
-            raise InputError(f"The driver '{name}' cannot be loaded since '{module_name}' has no class '{class_name}'.")
+            defined = [
+                key for key, value in vars(module).items() if getattr(value, "__module__", "") == module.__name__
+            ]
+            raise InputError(
+                f"The driver '{name}' cannot be loaded since '{module_name}' has no class '{class_name}';"
+                f" {suggest_name(class_name, [key for key in defined if isinstance(vars(module)[key], type)])}"
+            )
         options = parse_options("driver", class_path, driver_class, text) if text else {}
         check_options("driver", class_path, driver_class, options)
         try:

@@ -27,11 +27,12 @@ _CLOCK: Final = 1e-6
 class FollowedTrajectory:
     """A trajectory that the ego follows from a pose and time on; `given` is what the driver gave.
 
-    Before the first of its times, the ego goes straight to its first point.
+    Before the first of its times, the ego goes straight to its first point. What goes back turns around, or drives
+    backwards if it `may_reverse`.
     """
 
-    def __init__(self, given: Trajectory, time: float, x: float, y: float) -> None:
-        self.given = given
+    def __init__(self, given: Trajectory, time: float, x: float, y: float, *, may_reverse: bool) -> None:
+        self.given, self._may_reverse = given, may_reverse
         self._time, self._x, self._y = given.time, given.x, given.y
         if given.time[0] > time + _CLOCK:
             self._time = np.concatenate([[time], given.time])
@@ -44,16 +45,21 @@ class FollowedTrajectory:
     ) -> tuple[float, float, float, float]:
         """Return pose and speed at the end of a time step, with ideal following."""
         if self._is_over(time + dt):
-            speed = max(speed - FINAL_DECELERATION * dt, 0.0)
+            speed = math.copysign(max(abs(speed) - FINAL_DECELERATION * dt, 0.0), speed) or 0.0
             return x + speed * dt * math.cos(heading), y + speed * dt * math.sin(heading), heading, speed
         to_x, to_y = (float(np.interp(time + dt, self._time, values)) for values in (self._x, self._y))
-        step = math.hypot(to_x - x, to_y - y)
-        direction, speed = math.atan2(to_y - y, to_x - x) if step > _STANDSTILL else heading, step / dt
-        if time + dt > self.given.time[0] - _CLOCK:
-            if self._headings is not None:
-                direction = float(np.interp(time + dt, self.given.time, self._headings))
-            if self.given.speed is not None:
-                speed = float(np.interp(time + dt, self.given.time, self.given.speed))
+        step, is_given = math.hypot(to_x - x, to_y - y), time + dt > self.given.time[0] - _CLOCK
+        motion = math.atan2(to_y - y, to_x - x) if step > _STANDSTILL else heading
+        direction = motion
+        if is_given and self._headings is not None:
+            direction = float(np.interp(time + dt, self.given.time, self._headings))
+        elif self._may_reverse and math.cos(motion - heading) < 0.0:
+            direction += math.pi
+        speed = step / dt
+        if is_given and self.given.speed is not None:
+            speed = float(np.interp(time + dt, self.given.time, self.given.speed))
+        elif step > _STANDSTILL and math.cos(motion - direction) < 0.0:
+            speed = -speed
         return to_x, to_y, heading + float(wrap_angle(direction - heading)), speed
 
     def track(

@@ -160,11 +160,22 @@ def _estimate_config(
     if study.meta.pareto:
         raise InputError(f"{study.path}: was searched for a Pareto front, so it has no threshold; give another study.")
     config = config_from_study(study, study.path, scenario, simulator, drivers, metrics)
+    if (condition := config.make_condition()) is not None:
+        if condition.reference_drivers:
+            raise InputError(
+                f"{study.path}: its condition, {config.critical_if}, needs runs of reference drivers, which an estimate"
+                " does not make; give a study that was explored with a condition without them, or with a threshold."
+            )
+        if critical is not None:
+            raise InputError(
+                f"{study.path}: its condition, {config.critical_if}, says what is critical; leave `critical` out."
+            )
     # Draws need none of the other search settings.
     return replace(
         config,
         optimizer="random",
-        critical=study.meta.critical if critical is None else critical,
+        # The threshold of a condition is its own.
+        critical=study.meta.critical if critical is None and condition is None else critical,
         budget=budget,
         seed=seed,
         batch=ExplorationConfig.batch,

@@ -65,7 +65,7 @@ def analyze_mutants(
     ----------
     study : Study, StudyFile or path
         Study that was explored with the builtin simulator; the ego is driven by one of cornercase's drivers, or by a
-        class of yours that declares `mutations`.
+        class, FMU or program of yours that has `mutations`.
     mutants : int
         Number of mutants that scenarios are selected by. The same number of other mutants evaluates the selection.
     require : sequence of str

@@ -21,10 +21,13 @@ class ContractCheck:
         What has to hold, in words: ``"repeats itself"``.
     run : callable
         Raises `AssertionError` with a sentence if it does not hold.
+    needs : str, default ""
+        Name of an earlier check without which this one says nothing; empty if there is none.
     """
 
     name: str
     run: Callable[[], None]
+    needs: str = ""
 
 
 @dataclass(frozen=True)
@@ -39,15 +42,18 @@ class CheckResult:
         Why it does not hold, as a sentence; empty if it holds.
     seconds : float
         How long it took.
+    blocked_by : str, default ""
+        Name of the check that failed and that this one needs, so that it was not run; empty if it was run.
     """
 
     name: str
     problem: str
     seconds: float
+    blocked_by: str = ""
 
 
 def run_checks(checks: Iterable[ContractCheck]) -> Iterator[CheckResult]:
-    """Run checks one after the other, also after one that fails.
+    """Run checks one after the other, also after one that fails, except for those that need it.
 
     Parameters
     ----------
@@ -58,8 +64,14 @@ def run_checks(checks: Iterable[ContractCheck]) -> Iterator[CheckResult]:
     CheckResult
         In order.
     """
+    # By name of a check that failed or was not run: the one that failed.
+    causes = dict[str, str]()
     with collect_interrupts() as raise_interrupt:
         for check in checks:
+            if cause := causes.get(check.needs):
+                causes[check.name] = cause
+                yield CheckResult(check.name, f"It was not run, as it needs '{cause}'.", 0.0, cause)
+                continue
             begin, requests = time.perf_counter(), count_requests()
             try:
                 check.run()
@@ -70,4 +82,6 @@ def run_checks(checks: Iterable[ContractCheck]) -> Iterator[CheckResult]:
                 reraise_termination_request(error, requests)
                 problem = f"It failed: {describe_error(error)}."
             raise_interrupt()
+            if problem:
+                causes[check.name] = check.name
             yield CheckResult(check.name, problem, time.perf_counter() - begin)

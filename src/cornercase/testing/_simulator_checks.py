@@ -26,6 +26,10 @@ _TOLERANCE: Final = 0.5
 _MOVING: Final = 2.0
 # rad; the slip of a vehicle is smaller.
 _MAX_SLIP: Final = 0.35
+_AVAILABLE: Final = "can run on this machine"
+_RUNS: Final = "gives one recording per scenario"
+# What a check needs; all others need recordings.
+_NEEDS: Final = {_AVAILABLE: "", _RUNS: _AVAILABLE}
 
 
 def simulator_checks(simulator: str | Simulator, cases: Sequence[Cases] | None = None) -> list[ContractCheck]:
@@ -45,8 +49,8 @@ def simulator_checks(simulator: str | Simulator, cases: Sequence[Cases] | None =
     given = cases if cases is not None else default_cases()
     declared = SIMULATORS.get_class(simulator)
     checks = {
-        "can run on this machine": _is_available,
-        "gives one recording per scenario": _gives_recordings,
+        _AVAILABLE: _is_available,
+        _RUNS: _gives_recordings,
         "gives them in order": _keeps_order,
         "records m, rad, m/s, m/s² in right-handed axes": _records_units,
         "moves entities as the builtin simulator does": _agrees,
@@ -56,7 +60,10 @@ def simulator_checks(simulator: str | Simulator, cases: Sequence[Cases] | None =
         checks["repeats itself, as it declares"] = _repeats
     if declared.batched:
         checks["gives the same alone and among other scenarios"] = _is_independent
-    return [ContractCheck(name, partial(function, simulator, given)) for name, function in checks.items()]
+    return [
+        ContractCheck(name, partial(function, simulator, given), _NEEDS.get(name, _RUNS))
+        for name, function in checks.items()
+    ]
 
 
 def _is_available(simulator: Any, _: Sequence[Cases]) -> None:

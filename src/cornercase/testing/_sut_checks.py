@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final
@@ -11,6 +11,7 @@ from typing import Any, Final
 import cloudpickle
 import numpy as np
 
+from cornercase._common.validation import repr_short
 from cornercase.drivers import Driver, SystemUnderTest
 from cornercase.drivers._description import serialize_driver
 from cornercase.drivers._resolve import check_drivers, driver_by_name, resolve_driver
@@ -22,11 +23,15 @@ from cornercase.testing._contract_check import ContractCheck
 
 _SETTINGS: Final[dict[str, Any]] = {"time_step": 0.05, "duration": 12.0}
 _SHORT: Final = 4.0
+_DRIVES: Final = "drives every scenario"
+_REPEATS: Final = "repeats itself"
 # m/s and m/s²; no vehicle does more, so that something else is in its unit.
 _MAX_SPEED: Final = 100.0
 _MAX_ACCELERATION: Final = 25.0
 # rad; no vehicle turns further in a step.
 _MAX_TURN: Final = 0.5
+_SPEEDS: Final = "accelerations are in m/s² and speeds in m/s, so look for km/h, g or a pedal"
+_ANGLES: Final = "angles are in rad, so look for degrees"
 
 
 def sut_checks(system: str | SystemUnderTest | Driver, cases: Sequence[Cases] | None = None) -> list[ContractCheck]:
@@ -46,13 +51,14 @@ def sut_checks(system: str | SystemUnderTest | Driver, cases: Sequence[Cases] | 
     subject = _Subject(system, cases if cases is not None else default_cases())
     return [
         ContractCheck("can be stored and sent to another process", subject.can_be_stored),
-        ContractCheck("drives every scenario", subject.drives),
-        ContractCheck("keeps to units: m, rad, s", subject.keeps_units),
-        ContractCheck("repeats itself", subject.repeats),
-        ContractCheck("gives the same alone and among other scenarios", subject.is_independent),
-        ContractCheck("knows nothing of the time after", subject.is_causal),
-        ContractCheck("forgets the scenario before", subject.forgets),
-        ContractCheck("gives the same in two worker processes", subject.is_same_in_workers),
+        ContractCheck(_DRIVES, subject.drives),
+        ContractCheck("keeps to units: m, rad, s", subject.keeps_units, needs=_DRIVES),
+        ContractCheck(_REPEATS, subject.repeats, needs=_DRIVES),
+        # What differs between two equal runs differs in all of these, too.
+        ContractCheck("gives the same alone and among other scenarios", subject.is_independent, needs=_REPEATS),
+        ContractCheck("knows nothing of the time after", subject.is_causal, needs=_REPEATS),
+        ContractCheck("forgets the scenario before", subject.forgets, needs=_REPEATS),
+        ContractCheck("gives the same in two worker processes", subject.is_same_in_workers, needs=_REPEATS),
     ]
 
 
@@ -66,11 +72,13 @@ class _Subject:
     def can_be_stored(self) -> None:
         created = self._create()
         description = serialize_driver(created)
-        stored = json.loads(json.dumps(description))
-        assert stored == description, f"Its settings {description} are no plain JSON values: numbers, texts and lists."
+        _require_plain(description)
         if not isinstance(self._system, str):
             sent = cloudpickle.loads(cloudpickle.dumps(created))
-            assert serialize_driver(sent) == description, "Another process would get other settings than this one has."
+            assert serialize_driver(sent) == description, (
+                f"A copy for another process has the settings {repr_short(serialize_driver(sent))} instead of"
+                f" {repr_short(description)}; look at what pickling leaves out, as in __getstate__ or __reduce__."
+            )
 
     def drives(self) -> None:
         # Code that the user names runs in a process of its own, which may crash.
@@ -86,49 +94,72 @@ class _Subject:
             cases = unlimited_cases(Path(folder))
             for recording in self._run(cases):
                 e = recording.entity_index(cases.entity)
-                fastest = np.nanmax(np.abs(recording.speed[e]))
-                hardest = np.nanmax(np.abs(recording.acceleration[e, 1:]), initial=0.0)
-                turn = np.nanmax(np.abs(np.diff(np.unwrap(recording.heading[e]))), initial=0.0)
-                assert hardest < _MAX_ACCELERATION, f"It accelerates by {hardest:.0f} m/s²; accelerations are in m/s²."
-                assert fastest < _MAX_SPEED, f"It drives at {fastest:.0f} m/s; speeds are in m/s."
-                assert turn < _MAX_TURN, f"It turns by {turn:.2f} rad in a step; angles are in rad."
+                turns = np.abs(np.diff(np.unwrap(recording.heading[e])))
+                for values, limit, seen, hint in (
+                    (recording.acceleration[e, 1:], _MAX_ACCELERATION, "it accelerates by {} m/s²", _SPEEDS),
+                    (recording.speed[e, 1:], _MAX_SPEED, "it drives at {} m/s", _SPEEDS),
+                    (turns, _MAX_TURN, "it turns by {} rad in a step", _ANGLES),
+                ):
+                    size = np.nan_to_num(np.abs(values))
+                    k = int(size.argmax())
+                    what = f"At {recording.time[k + 1]:g} s {seen.format(f'{values[k]:.3g}')}"
+                    assert size[k] < limit, f"{what}, which no vehicle does; {hint}."
 
     def repeats(self) -> None:
         for cases in self._cases:
-            _require_same(self._run(cases), self._run(cases), "A second run differs")
+            _require_same(
+                self._run(cases),
+                self._run(cases),
+                "A second run of the same scenario",
+                "random numbers that are not those of `rng`, a clock, or something that outlives a run, as a variable"
+                " of the class or the module",
+            )
 
     def is_independent(self) -> None:
         for cases in self._cases:
             together = self._run(cases)
             last = len(together) - 1
             reverse = self._run(cases, range(last, -1, -1))
-            _require_same(together[::-1], reverse, "Another order of scenarios differs")
-            _require_same(together[:1], self._run(cases, [0]), "Alone, a scenario differs")
+            shared = (
+                "something that scenarios share, as a variable of the class or the module, or a sum over all of them"
+            )
+            _require_same(together[::-1], reverse, "In another order of the scenarios, one", shared)
+            _require_same(together[:1], self._run(cases, [0]), "Alone, a scenario", shared)
 
     def is_causal(self) -> None:
         cases = self._cases[0]
         whole, started = self._run(cases), self._run(cases, duration=_SHORT)
-        for long, short in zip(whole, started, strict=True):
-            count = min(len(long.time), len(short.time))
-            same = all(
-                np.array_equal(getattr(long, name)[:, :count], getattr(short, name)[:, :count], equal_nan=True)
-                for name in ("x", "y", "heading", "speed")
+        for k, (long, short) in enumerate(zip(whole, started, strict=True)):
+            begin = _first_difference(long, short)
+            assert begin is None, (
+                f"If scenario {k} ends at {_SHORT:g} s, it differs from {begin:g} s on; look for something that"
+                " outlives a run, as a variable of the class or the module, or a file."
             )
-            assert same, f"The first {short.time[-1]:g} s are others if the scenario ends then: does it use a clock?"
 
     def forgets(self) -> None:
         cases, other = self._cases[0], self._cases[-1]
         driver = self._create()
         before = self._run(cases, driver=driver)
         self._run(other, driver=driver, duration=_SHORT)
-        _require_same(before, self._run(cases, driver=driver), "After another scenario it drives otherwise")
+        _require_same(
+            before,
+            self._run(cases, driver=driver),
+            "After another scenario, one",
+            "something that `start` does not set again: an attribute, or a variable of the class or the module",
+        )
 
     def is_same_in_workers(self) -> None:
         self._require_driving()
         cases = self._cases[0]
         driver = resolve_driver(self._system) if isinstance(self._system, str) else self._create()
         in_workers = cases.run("builtin", workers=2, drivers={cases.entity: driver}, **_SETTINGS)
-        _require_same(self._run(cases), in_workers, "In two worker processes it drives otherwise")
+        _require_same(
+            self._run(cases),
+            in_workers,
+            "In two worker processes, a scenario",
+            "what differs between processes: the hash of a text, the order of a set, the id of the process, or a"
+            " variable of the class or the module",
+        )
 
     def _create(self) -> Driver:
         if isinstance(self._system, str):
@@ -151,17 +182,35 @@ class _Subject:
         return cases.run(simulator, rows)
 
 
-def _require_same(first: Sequence[Recording], second: Sequence[Recording], sentence: str) -> None:
+def _require_plain(description: object) -> None:
+    """Require of settings that they are stored as they are."""
+    for name, value in description.items() if isinstance(description, Mapping) else ():
+        if name == "settings":
+            _require_plain(value)
+            continue
+        try:
+            is_plain = json.loads(json.dumps(value)) == value
+        except (TypeError, ValueError):
+            is_plain = False
+        assert is_plain, (
+            f"Its setting '{name}' is {repr_short(value)}, which is no plain JSON value; give a number, a text, true or"
+            " false, or a list or dict of these."
+        )
+
+
+def _require_same(first: Sequence[Recording], second: Sequence[Recording], what: str, suspects: str) -> None:
     for k, (recording, repeated) in enumerate(zip(first, second, strict=True)):
         if not are_bitwise_equal(recording, repeated):
-            raise AssertionError(f"{sentence} {_first_difference(recording, repeated)} (scenario {k}).")
+            begin = _first_difference(recording, repeated)
+            at = min(recording.time[-1], repeated.time[-1]) if begin is None else begin
+            raise AssertionError(f"{what} differs from {at:g} s on (scenario {k}); look for {suspects}.")
 
 
-def _first_difference(first: Recording, second: Recording) -> str:
+def _first_difference(first: Recording, second: Recording) -> float | None:
+    """Return the first instant in s of both at which the motion differs; None if there is none."""
     count = min(len(first.time), len(second.time))
     differs = np.zeros(count, dtype=np.bool_)
     for name in ("x", "y", "heading", "speed"):
         values, others = getattr(first, name)[:, :count], getattr(second, name)[:, :count]
         differs |= ((values != others) & ~(np.isnan(values) & np.isnan(others))).any(axis=0)
-    at = first.time[int(differs.argmax())] if differs.any() else first.time[count - 1]
-    return f"from {at:g} s on"
+    return float(first.time[differs.argmax()]) if differs.any() else None

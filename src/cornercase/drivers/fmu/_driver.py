@@ -20,6 +20,7 @@ from cornercase._common.validation import check_float
 from cornercase.drivers._base import Situation
 from cornercase.drivers._controls import Controls, Trajectory
 from cornercase.drivers._function import DrivingFunction, Start
+from cornercase.drivers._mutation_file import read_mutations
 from cornercase.drivers.fmu._input_quantities import Traffic
 from cornercase.drivers.fmu._mapping import MappedVariable, VariableMap
 from cornercase.drivers.fmu._model import FmuVariable, read_fmu
@@ -51,6 +52,8 @@ class FmuDriver(DrivingFunction):
         else the time step of the simulator.
     timeout : float, optional
         Longest time in s that a call of the FMU may take.
+    mutations : str, optional
+        TOML file that says how far its parameters may be off, for mutation testing.
     **parameters
         Parameters of the FMU by name, in its units.
 
@@ -74,6 +77,7 @@ class FmuDriver(DrivingFunction):
         map: str = "",  # noqa: A002
         step: float | None = None,
         timeout: float = 10.0,
+        mutations: str = "",
         **parameters: _Scalar,
     ) -> None:
         self._model = read_fmu(Path(file).absolute())
@@ -85,10 +89,11 @@ class FmuDriver(DrivingFunction):
         self.timeout = check_float("timeout", timeout, above=0.0)
         self._parameters = {name: self._parse_parameter(name, value) for name, value in parameters.items()}
         self._processes: FmuProcesses | None = None
-        options = {name: value for name, value in given_options(self).items() if name != "file"}
-        text = ",".join(f"{name}={_format_value(value)}" for name, value in options.items())
+        self._file = file
+        if mutations:
+            self.mutations = read_mutations(Path(mutations).absolute())  # type: ignore[misc]
         self.settings = {
-            "driver": f"fmu:{file}:{text}" if text else f"fmu:{file}",
+            "driver": self._format({name: v for name, v in given_options(self).items() if name != "mutations"}),
             "options": {},
             "sha256": self._model.sha256,
             "model": self._model.name,
@@ -99,6 +104,28 @@ class FmuDriver(DrivingFunction):
 
     def __str__(self) -> str:
         return str(self.settings["driver"])
+
+    def _format(self, options: Mapping[str, object]) -> str:
+        text = ",".join(f"{name}={_format_value(value)}" for name, value in options.items() if name != "file")
+        return f"fmu:{self._file}:{text}" if text else f"fmu:{self._file}"
+
+    def spec_with(self, changes: Mapping[str, float]) -> str:
+        """Return the text that stands for it with other values of some parameters; integers are rounded.
+
+        Parameters
+        ----------
+        changes : mapping of str to float
+            By name.
+
+        Returns
+        -------
+        str
+        """
+        rounded = {
+            name: value if "Real" in (kind := self._find_parameter(name).kind) or "Float" in kind else round(value)
+            for name, value in changes.items()
+        }
+        return self._format({**given_options(self), **{name: f"{value:g}" for name, value in rounded.items()}})
 
     def __getstate__(self) -> dict[str, Any]:
         # The receiver starts processes of its own.
@@ -320,7 +347,7 @@ class FmuDriver(DrivingFunction):
                 raise InputError(
                     f"{self._model.path.name}: '{name}' is no parameter of the FMU, but of kind {causality}."
                 )
-            hint = suggest_name(name, [*parameters, "map", "step", "timeout"])
+            hint = suggest_name(name, [*parameters, "map", "step", "timeout", "mutations"])
             raise InputError(f"{self._model.path.name}: the FMU has no parameter '{name}'; {hint}")
         return parameters[name]
 

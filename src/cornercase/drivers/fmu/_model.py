@@ -168,9 +168,16 @@ def _read_fmu(path: Path, modified: int, size: int) -> FmuModel:
         can_vary_step=bool(interface.canHandleVariableCommunicationStepSize),
         step_size=None if step_size is None else float(step_size),
         variables=tuple(variable for variable in variables if variable.name not in parts),
-        log_categories=tuple(name for name in _LOG_CATEGORIES if f'name="{name}"'.encode() in xml),
+        log_categories=_select_log_categories(xml, str(description.generationTool)),
         messages=messages,
     )
+
+
+def _select_log_categories(xml: bytes, tool: str) -> tuple[str, ...]:
+    """Return the declared log categories of errors and warnings."""
+    declared = tuple(name for name in _LOG_CATEGORIES if f'name="{name}"'.encode() in xml)
+    # It logs exceptions of Python without a category, and leaves out what is not of those asked for.
+    return (*declared, "") if declared and tool.startswith("PythonFMU") else declared
 
 
 def _read(path: Path) -> bytes:

@@ -26,6 +26,8 @@ from cornercase.drivers._attachment import DriverError
 from cornercase.drivers._base import Situation
 from cornercase.drivers._controls import Controls
 from cornercase.drivers._function import DrivingFunction, Start
+from cornercase.drivers._mutation_file import read_mutations
+from cornercase.drivers._registry import SEPARATOR, split_spec
 from cornercase.drivers.process._columns import COLUMNS, compute_columns, select_rows
 from cornercase.drivers.process._messages import (
     ANSWER_COLUMNS,
@@ -58,6 +60,8 @@ class ProcessFunction(DrivingFunction):
         Time limit in s for the program to start, and to prepare a batch.
     log : str, optional
         File to which is appended what the program writes to stderr.
+    mutations : str, optional
+        TOML file that says how far options may be off, for mutation testing.
     **options : bool, int, float or str
         Options of the program itself.
 
@@ -77,11 +81,11 @@ class ProcessFunction(DrivingFunction):
 
     def __init__(
         self, command: str = "", /, *, timeout: float = _TIMEOUT, start_timeout: float = _START_TIMEOUT, log: str = "",
-        **options: Any,
+        mutations: str = "", **options: Any,
     ) -> None:  # fmt: skip
         self._command, in_text = _split_options(command)
-        defaults = {"timeout": _TIMEOUT, "start_timeout": _START_TIMEOUT, "log": ""}
-        own = {"timeout": timeout, "start_timeout": start_timeout, "log": log}
+        defaults = {"timeout": _TIMEOUT, "start_timeout": _START_TIMEOUT, "log": "", "mutations": ""}
+        own = {"timeout": timeout, "start_timeout": start_timeout, "log": log, "mutations": mutations}
         given = {
             option: in_text.pop(option, defaults[option]) if value == defaults[option] else value
             for option, value in own.items()
@@ -107,14 +111,39 @@ class ProcessFunction(DrivingFunction):
             parse_address(self._command)
         else:
             raise InputError("The driver 'exec:' needs a command, as in exec:./function or exec:python my_function.py.")
-        shown = {option: value for option, value in given.items() if value != defaults[option]} | self.options
-        texts = [f"{option}={format_option_value(value)}" for option, value in shown.items()]
-        self._text = f"exec:{self._command}" + (f":{','.join(texts)}" if texts else "")
+        if given["mutations"]:
+            self.mutations = read_mutations(Path(str(given["mutations"])).absolute())  # type: ignore[misc]
+        self._given = {option: value for option, value in given.items() if value != defaults[option]} | self.options
+        self._text = self._format({name: value for name, value in self._given.items() if name != "mutations"})
+        # What is stored is read again as one text with sensors and vehicle.
+        if split_spec(self._text)[1]:
+            raise InputError(
+                f"The driver '{self._text}' contains '{SEPARATOR}', which stands before sensors; if it belongs to the"
+                " command, put it in double quotes."
+            )
         self.settings = {"driver": self._text, "options": {}, **_fingerprint(self._words)}
         self._peer: Peer | None = None
 
     def __str__(self) -> str:
         return self._text
+
+    def _format(self, options: Mapping[str, object]) -> str:
+        texts = [f"{option}={format_option_value(value)}" for option, value in options.items()]
+        return f"exec:{self._command}" + (f":{','.join(texts)}" if texts else "")
+
+    def spec_with(self, changes: Mapping[str, float]) -> str:
+        """Return the text that stands for it with other values of some options.
+
+        Parameters
+        ----------
+        changes : mapping of str to float
+            By name.
+
+        Returns
+        -------
+        str
+        """
+        return self._format(self._given | {name: f"{value:g}" for name, value in changes.items()})
 
     options_may_vary = True
 

@@ -67,11 +67,11 @@ class Control(_Control):
         """Check which of them are given."""
         pedals = throttle is not None or brake is not None
         if (acceleration is not None) + pedals + (trajectory is not None) != 1:
-            raise ValueError("a control needs one of: acceleration; throttle and brake; trajectory")
+            raise ValueError("give one of: acceleration, or throttle and brake, or a trajectory")
         if lane_change not in LANE_CHANGES:
-            raise ValueError("lane_change is %r; it is 'left' or 'right'" % (lane_change,))
+            raise ValueError("lane_change is %r; give 'left', 'right' or None" % (lane_change,))
         if lane_change is not None and steering is not None:
-            raise ValueError("a lane change steers by itself; leave out the steering")
+            raise ValueError("a lane change steers by itself; leave out steering or lane_change")
         return super().__new__(cls, acceleration, steering, throttle, brake, trajectory, lane_change)
 
 

@@ -1,0 +1,44 @@
+"""A file that says what can be wrong in an FMU or a program, for mutation testing."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+from cornercase._common.errors import InputError, suggest_name
+from cornercase._common.io.files import parse_toml, read_utf8
+from cornercase.drivers._mutation import Mutation
+
+_MAX_BYTES: Final = 1_000_000
+_KEYS: Final = ("description", "factor", "increase")
+
+
+def read_mutations(path: Path) -> tuple[Mutation, ...]:
+    """Return the mutations of a file: a table for each option, such as ``[reaction]`` with ``increase = [0.1, 1]``."""
+    tables = parse_toml(path, read_utf8(path, _MAX_BYTES))
+    if not tables:
+        raise InputError(f"{path}: has no option; write a table for each, as in [reaction] with increase = [0.1, 1.0].")
+    return tuple(_read_mutation(f"{path}: [{option}]", option, table) for option, table in tables.items())
+
+
+def _read_mutation(where: str, option: str, table: Any) -> Mutation:
+    if not isinstance(table, Mapping):
+        raise InputError(f"{where}: is no table; write [{option}] on a line, and below it increase = [0.1, 1.0].")
+    for key in table:
+        if key not in _KEYS:
+            raise InputError(f"{where}: has '{key[:60]}', which is not known; {suggest_name(key, _KEYS)}")
+    kinds = [key for key in ("factor", "increase") if key in table]
+    if len(kinds) != 1:
+        raise InputError(f"{where}: needs either factor = [0.8, 0.2] or increase = [0.1, 1.0], from mild to severe.")
+    (kind,) = kinds
+    bounds = table[kind]
+    is_pair = isinstance(bounds, list) and len(bounds) == 2 and all(type(value) in (int, float) for value in bounds)
+    # A severity between them is drawn on a logarithmic scale.
+    if not is_pair or not all(math.isfinite(value) and value > 0.0 for value in bounds):
+        raise InputError(f"{where}, {kind}: give two positive numbers, from mild to severe, as in [0.8, 0.2].")
+    description = table.get("description", f"other {option}")
+    if not isinstance(description, str) or not description.strip():
+        raise InputError(f'{where}, description: give a text, as in "reacts later".')
+    return Mutation(description, option, float(bounds[0]), float(bounds[1]), is_offset=kind == "increase")
