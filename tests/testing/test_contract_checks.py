@@ -215,7 +215,7 @@ class Drifting(cc.simulators.Builtin):
     [
         (HalfSpeed(), "records m, rad, m/s, m/s² in right-handed axes"),
         (LeftHanded(), "records m, rad, m/s, m/s² in right-handed axes"),
-        (LeftHanded(), "moves entities as the builtin simulator does"),
+        (LeftHanded(), "agrees with the builtin simulator: lane change"),
         (Shuffled(), "gives them in order"),
         (Drifting(), "repeats itself, as it declares"),
     ],

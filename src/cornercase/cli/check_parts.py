@@ -49,7 +49,7 @@ def check_sut(
     from cornercase.testing import sut_checks
 
     driver_by_name(system)
-    _run("system under test", system, sut_checks(system, _read_cases(scenario, space, ego)), as_json)
+    _exit_if_broken(_run("system under test", system, sut_checks(system, _read_cases(scenario, space, ego)), as_json))
 
 
 @app.command(name="check-simulator")
@@ -60,24 +60,38 @@ def check_simulator(
     scenario: _Scenario = None,
     space: Path | None = None,
     ego: _Ego = "Ego",
+    output: Annotated[
+        Path | None,
+        Option("--output", "-o", metavar="FILE.zip", help="Also write what was found, to attach to an issue."),
+    ] = None,
     as_json: opt.Json = False,
 ) -> None:
-    """Check that a simulator repeats itself as it declares, keeps to units and axes, and gives a result per scenario.
+    """Check that a simulator repeats itself as it declares, keeps to units and axes, and agrees with the builtin one.
 
+    Twelve small scenarios are compared: braking, a lane change, a crossing walker, collisions and others.
     The exit code is 1 if something does not hold.
 
     \b
     Example:
       cornercase check-simulator builtin
-      cornercase check-simulator esmini:seed=3
+      cornercase check-simulator esmini:seed=3 -o proof.zip
     """
     from cornercase.simulators import SIMULATORS
     from cornercase.testing import simulator_checks
+    from cornercase.testing._deviations import SmallRun
+    from cornercase.testing._proof_file import write_proof
 
     problem = SIMULATORS.get_class(simulator).availability().problem
     if problem:
         raise InputError(problem)
-    _run("simulator", simulator, simulator_checks(simulator, _read_cases(scenario, space, ego)), as_json)
+    runs = list[SmallRun]()
+    checks = simulator_checks(simulator, _read_cases(scenario, space, ego), runs.append)
+    results = _run("simulator", simulator, checks, as_json)
+    if output is not None:
+        write_proof(output, simulator, results, runs)
+        if not as_json:
+            out.print(f"wrote {output}")
+    _exit_if_broken(results)
 
 
 def _read_cases(scenario: Path | None, space: Path | None, ego: str) -> Any:
@@ -91,11 +105,13 @@ def _read_cases(scenario: Path | None, space: Path | None, ego: str) -> Any:
     return [Cases.from_logical(LogicalScenario.read(scenario, space), ego)]
 
 
-def _run(what: str, name: str, checks: Sequence[Any], as_json: bool) -> None:
+def _run(what: str, name: str, checks: Sequence[Any], as_json: bool) -> list[Any]:
+    """Run checks and print what came of each; return the results."""
     from cornercase.testing import run_checks
 
-    rows, blocked = [], Counter[str]()
+    results, rows, blocked = [], [], Counter[str]()
     for result in run_checks(checks):
+        results.append(result)
         # Whether a check that was not run holds, is not known.
         rows.append(
             {
@@ -117,5 +133,9 @@ def _run(what: str, name: str, checks: Sequence[Any], as_json: bool) -> None:
         for cause, count in blocked.items():
             out.print(f"not run: {count} checks that need this one: {cause}")
         out.print(f"{n_good} of {len(rows)} checks hold for the {what} {name}")
-    if n_good < len(rows):
+    return results
+
+
+def _exit_if_broken(results: Sequence[Any]) -> None:
+    if any(result.problem for result in results):
         raise typer.Exit(1)

@@ -148,20 +148,11 @@ def default_cases() -> list[Cases]:
     ]
 
 
-def undriven_cases(folder: Path) -> Cases:
-    """Return scenarios in which nobody drives and a car changes lanes; written to a folder."""
-    return _read_without("ObjectController", folder)
-
-
 def unlimited_cases(folder: Path) -> Cases:
     """Return scenarios in which a car cuts in, and vehicles do whatever they are told; written to a folder."""
-    return _read_without("Performance", folder)
-
-
-def _read_without(tag: str, folder: Path) -> Cases:
     original = examples_folder() / "r157" / "cut_in.xosc"
     tree = etree.parse(original)
-    for element in [*tree.iter(tag)]:
+    for element in [*tree.iter("Performance")]:
         parent = element.getparent()
         if parent is not None:
             parent.remove(element)

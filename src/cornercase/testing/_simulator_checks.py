@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -17,8 +17,10 @@ from cornercase._common.geometry.boxes import wrap_angle
 from cornercase.recordings import Recording
 from cornercase.recordings._compare import are_bitwise_equal, max_position_difference
 from cornercase.simulators import SIMULATORS, Simulator
-from cornercase.testing._cases import Cases, default_cases, undriven_cases
+from cornercase.testing._cases import Cases, default_cases
 from cornercase.testing._contract_check import ContractCheck
+from cornercase.testing._deviations import SmallRun, run_small_scenario
+from cornercase.testing._small_scenarios import SMALL_SCENARIOS, write_small_scenarios
 
 # m between positions and displacements, and from the builtin engine.
 _TOLERANCE: Final = 0.5
@@ -32,7 +34,11 @@ _RUNS: Final = "gives one recording per scenario"
 _NEEDS: Final = {_AVAILABLE: "", _RUNS: _AVAILABLE}
 
 
-def simulator_checks(simulator: str | Simulator, cases: Sequence[Cases] | None = None) -> list[ContractCheck]:
+def simulator_checks(
+    simulator: str | Simulator,
+    cases: Sequence[Cases] | None = None,
+    on_run: Callable[[SmallRun], None] | None = None,
+) -> list[ContractCheck]:
     """Return the checks of a simulator.
 
     Parameters
@@ -41,6 +47,8 @@ def simulator_checks(simulator: str | Simulator, cases: Sequence[Cases] | None =
         Its name, with options after a colon, or an object.
     cases : sequence of Cases, optional
         Scenarios to run; by default some that come with cornercase.
+    on_run : callable, optional
+        Called with each run of a small scenario that is compared with the builtin simulator.
 
     Returns
     -------
@@ -53,13 +61,15 @@ def simulator_checks(simulator: str | Simulator, cases: Sequence[Cases] | None =
         _RUNS: _gives_recordings,
         "gives them in order": _keeps_order,
         "records m, rad, m/s, m/s² in right-handed axes": _records_units,
-        "moves entities as the builtin simulator does": _agrees,
         "runs on after a scenario that cannot be run": _survives,
     }
     if declared.deterministic:
         checks["repeats itself, as it declares"] = _repeats
     if declared.batched:
         checks["gives the same alone and among other scenarios"] = _is_independent
+    # Without drivers, as each simulator has its own.
+    for name in SMALL_SCENARIOS:
+        checks[f"agrees with the builtin simulator: {name}"] = partial(_agrees, name=name, on_run=on_run)
     return [
         ContractCheck(name, partial(function, simulator, given), _NEEDS.get(name, _RUNS))
         for name, function in checks.items()
@@ -119,14 +129,12 @@ def _check_units(recording: Recording) -> None:
             )
 
 
-def _agrees(simulator: Any, _: Sequence[Cases]) -> None:
-    # Without drivers, as each simulator has its own.
+def _agrees(simulator: Any, _: Sequence[Cases], name: str, on_run: Callable[[SmallRun], None] | None = None) -> None:
     with TemporaryDirectory() as folder:
-        cases = undriven_cases(Path(folder))
-        for k, (own, builtin) in enumerate(zip(cases.run(simulator), cases.run("builtin"), strict=True)):
-            distance = max_position_difference(own, builtin)
-            assert distance is not None, f"Scenario {k} has other entities or instants than in the builtin simulator."
-            assert distance < _TOLERANCE, f"In scenario {k}, an entity is {distance:.2f} m from where it is in builtin."
+        run = run_small_scenario(simulator, name, write_small_scenarios(Path(folder))[name])
+    if on_run is not None:
+        on_run(run)
+    assert not run.problem, run.problem
 
 
 def _survives(simulator: Any, all_cases: Sequence[Cases]) -> None:

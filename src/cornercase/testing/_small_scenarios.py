@@ -1,0 +1,264 @@
+"""Twelve small scenarios; each shows one thing that a simulator has to get right."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Final, NamedTuple
+
+from cornercase.exploration._paper_examples import examples_folder
+from cornercase.scenario import ConcreteScenario
+
+_MOTORWAY: Final = "r157/motorway.xodr"
+_CROSSING: Final = "x_intersection/x_intersection.xodr"
+# Middle of lane -2 of the motorway, along which the ego drives.
+_Y: Final = -5.25
+
+
+class SmallScenario(NamedTuple):
+    """One of the scenarios: what it shows, its road, its entities and what they do at first and later."""
+
+    name: str
+    road: str
+    entities: Sequence[str]
+    init: Mapping[str, Sequence[str]]
+    events: Sequence[str]
+    duration: float
+
+
+def write_small_scenarios(folder: Path) -> dict[str, ConcreteScenario]:
+    """Write the scenarios and their roads to a folder; return them by name."""
+    concretes = dict[str, ConcreteScenario]()
+    for number, scenario in enumerate(_SMALL_SCENARIOS, 1):
+        road = examples_folder() / scenario.road
+        if not (folder / road.name).exists():
+            shutil.copyfile(road, folder / road.name)
+        path = folder / f"{number:02} {scenario.name}.xosc".replace(" ", "_")
+        path.write_text(_document(scenario, road.name), encoding="utf-8")
+        concretes[scenario.name] = ConcreteScenario(path, {})
+    return concretes
+
+
+def _document(scenario: SmallScenario, road: str) -> str:
+    init = "".join(
+        f'<Private entityRef="{entity}">{"".join(f"<PrivateAction>{action}</PrivateAction>" for action in actions)}'
+        "</Private>"
+        for entity, actions in scenario.init.items()
+    )
+    events = "".join(scenario.events)
+    story = (
+        f'<Story name="story"><Act name="act">{events}<StartTrigger>{_at_time(0.0)}</StartTrigger></Act></Story>'
+        if events
+        else ""
+    )
+    return f"""<?xml version="1.0" encoding="UTF-8"?>
+<OpenSCENARIO>
+<FileHeader revMajor="1" revMinor="0" date="2026-01-01T00:00:00" description="{scenario.name}" author="cornercase"/>
+<CatalogLocations/>
+<RoadNetwork><LogicFile filepath="{road}"/></RoadNetwork>
+<Entities>{"".join(_ENTITIES[name] for name in scenario.entities)}</Entities>
+<Storyboard><Init><Actions>{init}</Actions></Init>{story}
+<StopTrigger>{_at_time(scenario.duration)}</StopTrigger></Storyboard>
+</OpenSCENARIO>
+"""
+
+
+def _vehicle(name: str, length: float, width: float, center: float) -> str:
+    return f"""<ScenarioObject name="{name}"><Vehicle name="{name}" vehicleCategory="car"><ParameterDeclarations/>
+<BoundingBox><Center x="{center}" y="0" z="0.75"/>
+<Dimensions width="{width}" length="{length}" height="1.5"/></BoundingBox>
+<Performance maxSpeed="70" maxAcceleration="10" maxDeceleration="10"/>
+<Axles><FrontAxle maxSteering="0.6" wheelDiameter="0.6" trackWidth="1.6" positionX="2.8" positionZ="0.3"/>
+<RearAxle maxSteering="0" wheelDiameter="0.6" trackWidth="1.6" positionX="0" positionZ="0.3"/></Axles>
+<Properties/></Vehicle></ScenarioObject>"""
+
+
+_ENTITIES: Final = {
+    "Ego": _vehicle("Ego", 4.5, 1.8, 1.4),
+    "Van": _vehicle("Van", 6.0, 2.1, 1.9),
+    "Walker": """<ScenarioObject name="Walker">
+<Pedestrian name="Walker" model="walker" mass="75" pedestrianCategory="pedestrian"><ParameterDeclarations/>
+<BoundingBox><Center x="0" y="0" z="0.9"/><Dimensions width="0.6" length="0.4" height="1.8"/></BoundingBox>
+<Properties/></Pedestrian></ScenarioObject>""",
+}
+
+
+def _teleport(x: float, y: float, heading: float = 0.0) -> str:
+    return f"<TeleportAction><Position>{_world(x, y, heading)}</Position></TeleportAction>"
+
+
+def _world(x: float, y: float, heading: float = 0.0) -> str:
+    return f'<WorldPosition x="{x}" y="{y}" z="0" h="{heading}" p="0" r="0"/>'
+
+
+def _speed(value: float, shape: str = "step", seconds: float = 0.0) -> str:
+    return f"""<LongitudinalAction><SpeedAction>
+<SpeedActionDynamics dynamicsShape="{shape}" value="{seconds}" dynamicsDimension="time"/>
+<SpeedActionTarget><AbsoluteTargetSpeed value="{value}"/></SpeedActionTarget></SpeedAction></LongitudinalAction>"""
+
+
+def _lane_change(lane: int, seconds: float) -> str:
+    return f"""<LateralAction><LaneChangeAction>
+<LaneChangeActionDynamics dynamicsShape="sinusoidal" value="{seconds}" dynamicsDimension="time"/>
+<LaneChangeTarget><AbsoluteTargetLane value="{lane}"/></LaneChangeTarget></LaneChangeAction></LateralAction>"""
+
+
+def _trajectory(vertices: Sequence[tuple[float, float, float, float]], *, has_times: bool = True) -> str:
+    """Return an action along vertices of time, x, y and heading."""
+    points = "".join(
+        f'<Vertex time="{time}"><Position>{_world(x, y, heading)}</Position></Vertex>'
+        for time, x, y, heading in vertices
+    )
+    timing = '<Timing domainAbsoluteRelative="relative" scale="1" offset="0"/>' if has_times else "<None/>"
+    return f"""<RoutingAction><FollowTrajectoryAction>
+<Trajectory name="way" closed="false"><ParameterDeclarations/><Shape><Polyline>{points}</Polyline></Shape></Trajectory>
+<TimeReference>{timing}</TimeReference><TrajectoryFollowingMode followingMode="position"/>
+</FollowTrajectoryAction></RoutingAction>"""
+
+
+def _synchronize(master: str, own: tuple[float, float], target: tuple[float, float]) -> str:
+    return f"""<SynchronizeAction masterEntityRef="{master}">
+<TargetPositionMaster>{_world(*target)}</TargetPositionMaster><TargetPosition>{_world(*own)}</TargetPosition>
+</SynchronizeAction>"""
+
+
+def _event(entity: str, action: str, condition: str) -> str:
+    name = f"{entity} {len(action)} {len(condition)}"
+    return f"""<ManeuverGroup name="group of {name}" maximumExecutionCount="1">
+<Actors selectTriggeringEntities="false"><EntityRef entityRef="{entity}"/></Actors>
+<Maneuver name="maneuver of {name}">
+<Event name="event of {name}" priority="overwrite"><Action name="action of {name}">
+<PrivateAction>{action}</PrivateAction></Action><StartTrigger>{condition}</StartTrigger></Event></Maneuver></ManeuverGroup>"""
+
+
+def _at_time(seconds: float) -> str:
+    return f"""<ConditionGroup><Condition name="time" delay="0" conditionEdge="none"><ByValueCondition>
+<SimulationTimeCondition value="{seconds}" rule="greaterThan"/></ByValueCondition></Condition></ConditionGroup>"""
+
+
+def _near(entity: str, other: str, distance: float) -> str:
+    return f"""<ConditionGroup><Condition name="near" delay="0" conditionEdge="none"><ByEntityCondition>
+<TriggeringEntities triggeringEntitiesRule="any"><EntityRef entityRef="{entity}"/></TriggeringEntities>
+<EntityCondition><RelativeDistanceCondition entityRef="{other}" relativeDistanceType="cartesianDistance"
+value="{distance}" freespace="false" rule="lessThan"/></EntityCondition>
+</ByEntityCondition></Condition></ConditionGroup>"""
+
+
+_SMALL_SCENARIOS: Final = (
+    SmallScenario("constant speed", _MOTORWAY, ["Ego"], {"Ego": [_teleport(100, _Y), _speed(20)]}, [], 6.0),
+    SmallScenario(
+        "braking to a stop",
+        _MOTORWAY,
+        ["Ego"],
+        {"Ego": [_teleport(100, _Y), _speed(20)]},
+        [_event("Ego", _speed(0, "linear", 4.0), _at_time(1.0))],
+        7.0,
+    ),
+    SmallScenario(
+        "smooth change of speed",
+        _MOTORWAY,
+        ["Ego"],
+        {"Ego": [_teleport(100, _Y), _speed(10)]},
+        [_event("Ego", _speed(25, "sinusoidal", 5.0), _at_time(0.5))],
+        7.0,
+    ),
+    SmallScenario(
+        "lane change",
+        _MOTORWAY,
+        ["Ego"],
+        {"Ego": [_teleport(100, _Y), _speed(20)]},
+        [_event("Ego", _lane_change(-1, 4.0), _at_time(1.0))],
+        7.0,
+    ),
+    SmallScenario(
+        "two that pass each other",
+        _MOTORWAY,
+        ["Ego", "Van"],
+        {"Ego": [_teleport(100, _Y), _speed(25)], "Van": [_teleport(140, -1.75), _speed(15)]},
+        [],
+        8.0,
+    ),
+    SmallScenario(
+        "a leader that brakes when the ego is near",
+        _MOTORWAY,
+        ["Ego", "Van"],
+        {"Ego": [_teleport(100, _Y), _speed(20)], "Van": [_teleport(200, _Y), _speed(10)]},
+        [
+            _event("Van", _speed(5, "linear", 2.0), _near("Ego", "Van", 60.0)),
+            _event("Ego", _speed(5, "linear", 3.0), _near("Ego", "Van", 50.0)),
+        ],
+        9.0,
+    ),
+    SmallScenario(
+        "a trajectory with times",
+        _CROSSING,
+        ["Ego", "Walker"],
+        {"Ego": [_teleport(-40, -1.75), _speed(8)], "Walker": [_teleport(18, 4.6, -1.5708)]},
+        [
+            _event(
+                "Walker",
+                _trajectory([(0, 18, 4.6, -1.5708), (2, 18, 2.0, -1.5708), (5, 18, -5.0, -1.5708)]),
+                _at_time(0.5),
+            )
+        ],
+        5.0,
+    ),
+    SmallScenario(
+        "a trajectory at the entity's own speed",
+        _MOTORWAY,
+        ["Ego"],
+        {"Ego": [_teleport(100, _Y), _speed(15)]},
+        [
+            _event(
+                "Ego",
+                _trajectory([(0, 107.5, _Y, 0), (0, 150, _Y, 0), (0, 200, _Y + 4.0, 0.08)], has_times=False),
+                _at_time(0.5),
+            )
+        ],
+        5.0,
+    ),
+    SmallScenario(
+        "a standing van is hit from behind",
+        _MOTORWAY,
+        ["Ego", "Van"],
+        {"Ego": [_teleport(100, _Y), _speed(15)], "Van": [_teleport(150, _Y), _speed(0)]},
+        [],
+        5.0,
+    ),
+    SmallScenario(
+        "a walker is hit from the side",
+        _MOTORWAY,
+        ["Ego", "Walker"],
+        {"Ego": [_teleport(100, _Y), _speed(10)], "Walker": [_teleport(130, _Y - 4.0, 1.5708)]},
+        [
+            _event(
+                "Walker",
+                _trajectory([(0, 130, _Y - 4.0, 1.5708), (4, 130, _Y + 4.0, 1.5708)]),
+                _at_time(0.5),
+            )
+        ],
+        4.3,
+    ),
+    SmallScenario(
+        "a stop 0.4 m behind a van",
+        _MOTORWAY,
+        ["Ego", "Van"],
+        {"Ego": [_teleport(100, _Y), _speed(10)], "Van": [_teleport(130.4, _Y), _speed(0)]},
+        # It goes about 5 m, and 20 m while it brakes; its front is 3.65 m ahead of its rear axle, the van's rear 1.1 m
+        # behind its own.
+        [_event("Ego", _speed(0, "linear", 4.0), _at_time(0.5))],
+        6.0,
+    ),
+    SmallScenario(
+        "an arrival at the same time",
+        _CROSSING,
+        ["Ego", "Van"],
+        {"Ego": [_teleport(-40, -1.75), _speed(9)], "Van": [_teleport(39.9, 1.75, 3.1416), _speed(4)]},
+        [_event("Van", _synchronize("Ego", (12.0, 1.75), (-10.0, -1.75)), _at_time(0.5))],
+        5.0,
+    ),
+)
+
+SMALL_SCENARIOS: Final = tuple(scenario.name for scenario in _SMALL_SCENARIOS)
+"""Names of the scenarios, in order."""

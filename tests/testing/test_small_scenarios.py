@@ -1,0 +1,153 @@
+"""Small scenarios tell a simulator that is right from one with a fault."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cornercase.recordings import Collision, Recording
+from cornercase.simulators import Builtin
+from cornercase.testing import run_checks, simulator_checks
+from cornercase.testing._deviations import SmallRun, run_small_scenario
+from cornercase.testing._small_scenarios import SMALL_SCENARIOS, write_small_scenarios
+from helpers.command_line import cornercase
+
+
+class Faulty(Builtin):
+    """The builtin simulator, whose recordings have a fault."""
+
+    def __init__(self, fault: Callable[[Recording], Recording]) -> None:
+        super().__init__()
+        self.fault = fault
+
+    def run(self, concretes):
+        for recording in super().run(concretes):
+            assert isinstance(recording, Recording)
+            yield self.fault(recording)
+
+
+def ignores_speed(recording: Recording) -> Recording:
+    """The ego keeps the speed that it has at first."""
+    e = recording.entity_index("Ego")
+    x, speed, acceleration = (getattr(recording, name).copy() for name in ("x", "speed", "acceleration"))
+    x[e], speed[e], acceleration[e] = x[e, 0] + speed[e, 0] * recording.time, speed[e, 0], 0.0
+    return replace(recording, x=x, speed=speed, acceleration=acceleration)
+
+
+def a_tick_late(recording: Recording) -> Recording:
+    late = {
+        name: np.concatenate([getattr(recording, name)[:, :1], getattr(recording, name)[:, :-1]], axis=1)
+        for name in ("x", "y", "heading", "speed", "acceleration")
+    }
+    return replace(recording, **late)
+
+
+def hit_by_all(recording: Recording) -> Recording:
+    if len(recording.names) == 1:
+        return recording
+    return replace(recording, collisions=(Collision(1.0, (recording.names[0], recording.names[1])),))
+
+
+def with_the_wrong_name(recording: Recording) -> Recording:
+    return replace(recording, names=tuple(f"hero_{name}" for name in recording.names))
+
+
+def which_ends_early(recording: Recording) -> Recording:
+    half = len(recording.time) // 2
+    arrays = {name: getattr(recording, name)[:, :half] for name in ("x", "y", "heading", "speed", "acceleration")}
+    return replace(recording, time=recording.time[:half], **arrays)
+
+
+FAULTS: dict[str, tuple[Callable[[Recording], Recording], str]] = {
+    "y is mirrored": (lambda one: replace(one, y=-one.y), "position"),
+    "a tick late": (a_tick_late, "position"),
+    "collisions are lost": (lambda one: replace(one, collisions=()), "collision by any s"),
+    "collisions are invented": (hit_by_all, "collision by any s"),
+    "boxes about the wrong point": (lambda one: replace(one, center_x=0.0 * one.center_x), "box by"),
+    "boxes of another car": (lambda one: replace(one, width=one.width + 0.2), "box by"),
+    "time drifts": (lambda one: replace(one, time=1.01 * one.time), "position"),
+    "the ego ignores speeds": (ignores_speed, "speed by"),
+    "speeds in km/h": (lambda one: replace(one, speed=3.6 * one.speed), "speed by"),
+    "headings in degrees": (lambda one: replace(one, heading=np.rad2deg(one.heading)), "heading by"),
+    "headings clockwise": (lambda one: replace(one, heading=-one.heading), "heading by"),
+    "braking is positive": (lambda one: replace(one, acceleration=np.abs(one.acceleration)), "acceleration by"),
+    "another point of the vehicle": (lambda one: replace(one, x=one.x + 1.4), "position by"),
+    "other names": (with_the_wrong_name, "It has other entities: Ego"),
+    "an early end": (which_ends_early, "end by"),
+}
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory):
+    return write_small_scenarios(tmp_path_factory.mktemp("small"))
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_each_fault_is_found(fault, small):
+    change, words = FAULTS[fault]
+    found = [run_small_scenario(Faulty(change), name, small[name]).problem for name in SMALL_SCENARIOS]
+    assert any(words in problem for problem in found), found
+
+
+def test_the_builtin_simulator_agrees_with_itself(small):
+    assert len(small) == 12
+    for name, concrete in small.items():
+        found = run_small_scenario("builtin", name, concrete)
+        assert found.problem == ""
+        assert found.deviations is not None
+        assert found.deviations.position == 0.0
+
+
+def test_it_agrees_at_another_time_step(small):
+    problems = {name: run_small_scenario("builtin:time_step=0.02", name, small[name]).problem for name in small}
+    assert {problem for problem in problems.values() if problem} == set()
+
+
+def test_sumo_agrees(small):
+    pytest.importorskip("libsumo", reason="SUMO comes with the extra 'sumo'")
+    for name in ("lane change", "a walker is hit from the side"):
+        assert run_small_scenario("sumo", name, small[name]).problem == ""
+
+
+def test_collisions_are_where_they_are_to_be(small):
+    hit = {name for name in small if run_small_scenario("builtin", name, small[name]).expected.collisions}
+    assert hit == {"a standing van is hit from behind", "a walker is hit from the side"}
+
+
+class Broken(Builtin):
+    def run(self, concretes):
+        raise RuntimeError("the server died")
+
+
+def test_a_simulator_that_dies_fails_its_checks():
+    runs = list[SmallRun]()
+    results = [result for result in run_checks(simulator_checks(Broken(), on_run=runs.append)) if result.problem]
+    assert len(results) >= 12
+    assert runs == []
+
+
+def test_the_proof_holds_what_was_seen(tmp_path):
+    proof = tmp_path / "proof.zip"
+    result = cornercase("check-simulator", "builtin", "-o", proof)
+    assert result.returncode == 0
+    with zipfile.ZipFile(proof) as archive:
+        names = archive.namelist()
+        found = json.loads(archive.read("proof.json"))
+        table = archive.read("recordings/lane_change.own.csv")
+        assert table == archive.read("recordings/lane_change.builtin.csv")
+    assert len([name for name in names if name.endswith(".xosc")]) == 12
+    assert len([name for name in names if name.endswith(".csv")]) == 24
+    assert [scenario["name"] for scenario in found["scenarios"]] == [*SMALL_SCENARIOS]
+    assert all(scenario["deviations"]["position"] == 0.0 for scenario in found["scenarios"])
+    assert all(check["problem"] == "" for check in found["checks"])
+
+
+def test_a_proof_that_cannot_be_written_is_refused(tmp_path):
+    result = cornercase("check-simulator", "builtin", "-o", tmp_path)
+    assert result.returncode == 2
+    assert str(tmp_path) in result.stderr
