@@ -304,7 +304,7 @@ def test_the_commands_print_a_line_per_check_and_tell_by_the_exit_code(tmp_path)
     assert [row["holds"] for row in stored["checks"]] == [True, False, *[None] * 6]
     good = cornercase("check-simulator", "builtin", cwd=tmp_path)
     assert good.returncode == 0
-    assert "8 of 8 checks hold for the simulator builtin" in good.stdout
+    assert "19 of 19 checks hold for the simulator builtin" in good.stdout
     wrong = cornercase("check-sut", "own:Owm", cwd=tmp_path)
     assert (wrong.returncode, wrong.stdout) == (2, "")
     assert "has no class 'Owm'" in wrong.stderr
