@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 import time
 from dataclasses import replace
 
@@ -24,6 +25,8 @@ from cornercase.testing import (
 )
 from helpers.command_line import cornercase
 
+UNITS = "decides what fits m/s² and rad (not seen: signs, units inside)"
+
 
 class Cruise(cc.SystemUnderTest):
     def __init__(self, gain: float = 0.5):
@@ -41,11 +44,26 @@ class Vectorized(cc.Driver):
         return 0.5 * (10.0 - situation.speed)
 
 
+class Pursuit(cc.SystemUnderTest):
+    """Steers towards a point of the path."""
+
+    def __init__(self, in_degrees: bool = False):
+        self.in_degrees = in_degrees
+
+    def start(self, ego, road, rng):
+        self.ego = ego
+
+    def step(self, view, dt):
+        point = view.path(4.0 + 0.6 * view.ego.speed)
+        angle = math.atan(2.0 * self.ego.wheelbase * point.y / (point.x**2 + point.y**2))
+        return cc.Control(acceleration=0.0, steering=math.degrees(angle) if self.in_degrees else angle)
+
+
 def problems(checks):
     return {result.name: result.problem for result in run_checks(checks) if result.problem}
 
 
-@parametrize_with_checks([Cruise(), Vectorized()])
+@parametrize_with_checks([Cruise(), Vectorized(), Pursuit()])
 def test_systems_that_keep_their_contract_pass(check):
     check.run()
 
@@ -90,6 +108,11 @@ class InKmh(Cruise):
         return 50.0
 
 
+class InDegrees(Cruise):
+    def step(self, view, dt):
+        return cc.Control(acceleration=0.0, steering=2.0)
+
+
 class SeesOthers(cc.Driver):
     """Depends on the other scenarios of its batch."""
 
@@ -125,7 +148,13 @@ class Stores(Cruise):
         (KeepsState(), "gives the same alone and among other scenarios", "differs"),
         (SeesOthers(), "gives the same alone and among other scenarios", "Alone, a scenario differs"),
         (NeverReset(), "forgets the scenario before", "drives otherwise"),
-        (InKmh(), "keeps to units: m, rad, s", "m/s²"),
+        (InKmh(), UNITS, "At 0 s it asks for an acceleration of 50 m/s², and no vehicle does more than 15"),
+        (
+            InDegrees(),
+            UNITS,
+            "At 0 s it asks for a steering angle of 2 rad, and the front wheels turn by at most 0.6 rad",
+        ),
+        (Pursuit(in_degrees=True), UNITS, "are these degrees?"),
         (Fails(), "drives every scenario", "no gap"),
         (Stores(), "can be stored and sent to another process", "plain JSON"),
     ],
@@ -252,7 +281,7 @@ def test_the_commands_print_a_line_per_check_and_tell_by_the_exit_code(tmp_path)
     )
     bad = cornercase("check-sut", "own:Own", cwd=tmp_path)
     assert bad.returncode == 1
-    assert "FAILED keeps to units" in bad.stdout
+    assert f"FAILED {UNITS}" in bad.stdout
     assert "7 of 8 checks hold for the system under test own:Own" in bad.stdout
     good = cornercase("check-simulator", "builtin", cwd=tmp_path)
     assert good.returncode == 0

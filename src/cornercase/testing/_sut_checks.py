@@ -12,19 +12,26 @@ import cloudpickle
 import numpy as np
 
 from cornercase.drivers import Driver, SystemUnderTest
+from cornercase.drivers._compiled import is_compiled
 from cornercase.drivers._description import serialize_driver
+from cornercase.drivers._equipment import EquippedDriver
 from cornercase.drivers._resolve import check_drivers, driver_by_name, resolve_driver
 from cornercase.recordings import Recording
 from cornercase.recordings._compare import are_bitwise_equal
 from cornercase.simulators import Builtin
 from cornercase.testing._cases import Cases, default_cases, unlimited_cases
 from cornercase.testing._contract_check import ContractCheck
+from cornercase.testing._observed_function import ObservedFunction
 
 _SETTINGS: Final[dict[str, Any]] = {"time_step": 0.05, "duration": 12.0}
 _SHORT: Final = 4.0
 # m/s and m/s²; no vehicle does more, so that something else is in its unit.
 _MAX_SPEED: Final = 100.0
 _MAX_ACCELERATION: Final = 25.0
+# m/s²; what a system may ask for, which is less than what may come of a place that it asks for.
+_MAX_REQUEST: Final = 15.0
+# rad; as much more than the wheels can do may come from rounding.
+_ROUNDING: Final = 1e-9
 # rad; no vehicle turns further in a step.
 _MAX_TURN: Final = 0.5
 
@@ -47,7 +54,7 @@ def sut_checks(system: str | SystemUnderTest | Driver, cases: Sequence[Cases] | 
     return [
         ContractCheck("can be stored and sent to another process", subject.can_be_stored),
         ContractCheck("drives every scenario", subject.drives),
-        ContractCheck("keeps to units: m, rad, s", subject.keeps_units),
+        ContractCheck("decides what fits m/s² and rad (not seen: signs, units inside)", subject.keeps_units),
         ContractCheck("repeats itself", subject.repeats),
         ContractCheck("gives the same alone and among other scenarios", subject.is_independent),
         ContractCheck("knows nothing of the time after", subject.is_causal),
@@ -81,10 +88,13 @@ class _Subject:
         self._drives = True
 
     def keeps_units(self) -> None:
+        self._require_driving()
+        for cases in self._cases:
+            self._run_observed(cases)
         # Without limits in the file, which would hide what the system asks for.
         with TemporaryDirectory() as folder:
             cases = unlimited_cases(Path(folder))
-            for recording in self._run(cases):
+            for recording in self._run_observed(cases):
                 e = recording.entity_index(cases.entity)
                 fastest = np.nanmax(np.abs(recording.speed[e]))
                 hardest = np.nanmax(np.abs(recording.acceleration[e, 1:]), initial=0.0)
@@ -92,6 +102,22 @@ class _Subject:
                 assert hardest < _MAX_ACCELERATION, f"It accelerates by {hardest:.0f} m/s²; accelerations are in m/s²."
                 assert fastest < _MAX_SPEED, f"It drives at {fastest:.0f} m/s; speeds are in m/s."
                 assert turn < _MAX_TURN, f"It turns by {turn:.2f} rad in a step; angles are in rad."
+
+    def _run_observed(self, cases: Cases) -> list[Recording]:
+        """Run, and check what the system asks for."""
+        driver, observed = self._create(), None
+        decides = driver.driver if isinstance(driver, EquippedDriver) else driver
+        if not is_compiled(decides):
+            observed = ObservedFunction(decides)
+            driver = (
+                EquippedDriver(observed, driver.sensors, driver.vehicle)
+                if isinstance(driver, EquippedDriver)
+                else observed
+            )
+        recordings = self._run(cases, driver=driver)
+        if observed is not None:
+            _require_feasible(observed)
+        return recordings
 
     def repeats(self) -> None:
         for cases in self._cases:
@@ -149,6 +175,21 @@ class _Subject:
         self._require_driving()
         simulator = Builtin(drivers={cases.entity: driver or self._create()}, **{**_SETTINGS, **options})
         return cases.run(simulator, rows)
+
+
+def _require_feasible(observed: ObservedFunction) -> None:
+    """Require that the strongest decisions are such that a vehicle can follow them."""
+    acceleration, steering, bound = observed.most_acceleration, observed.most_steering, observed.max_steering
+    assert abs(acceleration.value) <= _MAX_REQUEST, (
+        f"At {acceleration.time:g} s it asks for an acceleration of {acceleration.value:.3g} m/s², and no vehicle does"
+        f" more than {_MAX_REQUEST:g}; accelerations are in m/s² and speeds in m/s. If it is meant, let the system"
+        " limit it."
+    )
+    assert abs(steering.value) <= bound + _ROUNDING, (
+        f"At {steering.time:g} s it asks for a steering angle of {steering.value:.3g} rad, and the front wheels turn"
+        f" by at most {bound:.3g} rad ({np.degrees(bound):.0f}°); angles are in rad: are these degrees? If it is meant,"
+        " let the system limit it to max_steering, which `start` is given."
+    )
 
 
 def _require_same(first: Sequence[Recording], second: Sequence[Recording], sentence: str) -> None:
