@@ -214,7 +214,7 @@ class FmuDriver(DrivingFunction):
         n = len(situation.active)
         if self._failure is not None:
             return self._fail_all(self._failure, situation)
-        inputs = self._map.fill_inputs(Traffic(situation, self._start.body))
+        inputs = self._map.fill_inputs(Traffic(situation, self._start.body, self._start.network))
         messages = [] if self._traffic is None else self._traffic.write(situation)
         try:
             failed = self._processes.step(situation.active, inputs, messages)
