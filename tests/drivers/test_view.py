@@ -295,3 +295,18 @@ def test_in_a_run_the_road_is_that_of_the_scenario(tmp_path, moved):
     assert math.isnan(limit)
     # The other one drives towards the ego, so that its reference point is behind its centre; both are 4 m long.
     assert others == [("Other", 1, pytest.approx(90.0 - 1.4 - 2.0 - (view.ego.x + 1.4 + 2.0), abs=1e-6))]
+
+
+class Timing(cc.SystemUnderTest):
+    times: list[float] = []  # noqa: RUF012
+
+    def step(self, view, dt):
+        self.times.append(view.time)
+        return 0.0
+
+
+def test_times_are_multiples_of_the_time_step_without_rounding_errors(tmp_path):
+    scenario = scenario_file(tmp_path, init=private("Ego", teleport("50"), speed_action("10")), entities=car("Ego"))
+    Timing.times.clear()
+    cc.simulate(scenario, drivers={"Ego": Timing()}, duration=0.4)
+    assert Timing.times == [0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35]

@@ -180,6 +180,11 @@ class SharedView:
         return objects[..., GAP], objects[..., CLOSING], objects[..., LATERAL], objects[..., IN_PATH] == 1.0
 
     @property
+    def time(self) -> float:
+        """Time in s without the rounding errors of sums of time steps: 0.15, not 0.15000000000000002."""
+        return round(self.situation.time, 9)
+
+    @property
     def turn(self) -> FloatArray:
         """Heading of the ego relative to its path, (N,)."""
         return np.asarray(wrap_angle(self.situation.heading - self.own_pose_on_path[2]))
@@ -294,7 +299,7 @@ class View:
     @property
     def time(self) -> float:
         """Time since the start of the scenario in s."""
-        return self._shared.situation.time
+        return self._shared.time
 
     @property
     def target_speed(self) -> float:

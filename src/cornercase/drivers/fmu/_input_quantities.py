@@ -211,7 +211,7 @@ def _fill(value: Callable[[Traffic], float]) -> Callable[[Traffic], FloatArray]:
 
 
 _EGO: Final = (
-    InputQuantity("time", "s", 0.0, _fill(lambda traffic: traffic.situation.time)),
+    InputQuantity("time", "s", 0.0, _fill(lambda traffic: traffic.shared.time)),
     InputQuantity("target_speed", "m/s", _FAST, lambda traffic: traffic.situation.target_speed),
     InputQuantity("ego.speed", "m/s", 0.0, lambda traffic: traffic.situation.speed),
     InputQuantity("ego.acceleration", "m/s²", 0.0, lambda traffic: traffic.situation.acceleration),
