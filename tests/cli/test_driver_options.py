@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from conftest import EXAMPLES
 from cornercase._common.errors import InputError
 from cornercase.cli.driver_options import combine_drivers
 from cornercase.drivers import SENSORS, Radar
@@ -244,6 +245,14 @@ def test_check_runs_the_function_for_a_step(folder):
     assert shown.returncode == 1
     assert "ZeroDivisionError" in shown.stdout
     assert "cannot be run" in shown.stdout
+
+
+def test_check_does_not_call_axles_without_effect_where_a_function_may_steer(folder):
+    t = EXAMPLES / "t_intersection" / "t_intersection.xosc"
+    for drives, is_without_effect in (("my_aeb:Aeb", False), ("normal + single-track", False), ("normal", True)):
+        shown = cornercase("check", t, "--sut", f"Ego={drives}", cwd=folder)
+        assert shown.returncode == 0, shown.stderr
+        assert ("<Axles>" in shown.stdout) == is_without_effect, drives
 
 
 def test_check_refuses_a_driver_of_nobody(folder):

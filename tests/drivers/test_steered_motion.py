@@ -406,3 +406,20 @@ def test_a_control_that_cannot_be_says_what_to_give(values, says):
     with pytest.raises(ValueError, match=r".") as raised:
         cc.Control(**values)
     assert says in str(raised.value)
+
+
+@pytest.mark.parametrize("equipment", ["", "kinematic", "single-track"])
+def test_steering_beyond_what_the_wheels_can_do_is_limited_and_said_once(equipment):
+    vehicle = VEHICLES.create(equipment) if equipment else None
+    driver = EquippedDriver(Steering(45.0), vehicle=vehicle)
+    with pytest.warns(cc.NoticeWarning) as told:
+        drive(driver, quiet=False, duration=1.0)
+    said = [str(one.message) for one in told if "steering" in str(one.message)]
+    assert said == [
+        "the driver of Ego exceeds the steering angle of 0.6 rad that its front wheels can do, and is limited to it; first"
+        " 45 rad at t = 0 s"
+    ]
+    with warnings.catch_warnings(record=True) as quiet:
+        warnings.simplefilter("always")
+        drive(Steering(-0.6), quiet=False, duration=1.0)
+    assert not any("steering" in str(one.message) for one in quiet)

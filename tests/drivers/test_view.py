@@ -10,9 +10,10 @@ import pytest
 
 import cornercase as cc
 from conftest import car, private, scenario_file, speed_action, teleport, trajectory
-from cornercase.drivers import DrivenPath, Situation
+from cornercase.drivers import Body, DrivenPath, Situation
 from cornercase.drivers._lanes import driven_path
 from cornercase.drivers._view import SharedView, View
+from cornercase.drivers.fmu._input_quantities import Traffic, find_quantity
 from cornercase.roads._network import RoadNetwork
 from helpers import road_networks as rn
 from helpers.closed_loop import right_turn, straight
@@ -142,6 +143,43 @@ def test_signals_have_their_state_and_the_way_to_them(tmp_path):
     assert [one.gap for one in view.signals.values()] == pytest.approx([36.6, -43.4, math.nan], nan_ok=True)
 
 
+def test_an_fmu_is_given_the_same_numbers(tmp_path):
+    """In three scenarios: one beside its path and aslant, one on the next lane, one off the road."""
+    signal = '<signal id="next" s="100" t="-9" orientation="+" type="1000001"/>'
+    arc = rn.road("1", 300.0, shape=f'<arc curvature="{1 / RADIUS}"/>', **LANES)
+    arc = arc.replace("<planView>", LIMIT + "<planView>").replace("</lanes>", f"</lanes><signals>{signal}</signals>")
+    network = rn.network(tmp_path, arc)
+    path = lane_path(network, -1)
+    ego = (np.array([60.0, 60.0, 60.0]), np.array([19.0, 14.5, -40.0]), np.array([0.7, 0.6, 0.6]), np.full(3, 10.0))
+    given = situation(path, np.stack(ego), distance=60.0, signals={"next": np.array(["red", "GREEN", "flashing"])})
+    traffic = Traffic(given, Body("Ego", "car", 4.0, 2.0, 1.4, 2.7, 0.6), network)
+
+    def quantity(name):
+        found = find_quantity(name)
+        assert found is not None, name
+        return found.compute(traffic)
+
+    for n in range(3):
+        view = View(SharedView(given, network), n)
+        assert quantity("ego.turn")[n] == pytest.approx(view.ego.turn)
+        for ahead in (-5, 2.5, 20):
+            for field in ("x", "y", "heading", "curvature"):
+                expected = getattr(view.path(ahead), field)
+                assert quantity(f"path[{ahead}].{field}")[n] == pytest.approx(expected, abs=1e-12)
+        for name, number in (("lane", 0), ("lane[1]", 1), ("lane[-1]", -1)):
+            lane = next((lane for lane in view.lanes if lane.number == number), None)
+            assert quantity(f"{name}.exists")[n] == (lane is not None)
+            for field in ("same_direction", "width", "offset", "curvature", "speed_limit"):
+                expected = math.nan if lane is None else float(getattr(lane, field))
+                assert quantity(f"{name}.{field}")[n] == pytest.approx(expected, nan_ok=True)
+        assert quantity("speed_limit")[n] == pytest.approx(view.speed_limit, nan_ok=True)
+        following = next((one for one in view.signals.values() if one.gap >= 0.0), None)
+        assert quantity("signal.exists")[n] == (following is not None)
+        assert quantity("signal.gap")[n] == pytest.approx(math.nan if following is None else following.gap, nan_ok=True)
+    assert quantity("lane.exists").tolist() == [1.0, 1.0, 0.0]
+    assert quantity("signal.state")[:2].tolist() == [1.0, 3.0]
+
+
 def naive_object(path: DrivenPath, ego, other) -> tuple[float, float, float]:
     """Gap, lateral distance and closing speed by a dense search along the path."""
     at = np.arange(0.0, path.distance[-1], 1e-3)
@@ -257,3 +295,18 @@ def test_in_a_run_the_road_is_that_of_the_scenario(tmp_path, moved):
     assert math.isnan(limit)
     # The other one drives towards the ego, so that its reference point is behind its centre; both are 4 m long.
     assert others == [("Other", 1, pytest.approx(90.0 - 1.4 - 2.0 - (view.ego.x + 1.4 + 2.0), abs=1e-6))]
+
+
+class Timing(cc.SystemUnderTest):
+    times: list[float] = []  # noqa: RUF012
+
+    def step(self, view, dt):
+        self.times.append(view.time)
+        return 0.0
+
+
+def test_times_are_multiples_of_the_time_step_without_rounding_errors(tmp_path):
+    scenario = scenario_file(tmp_path, init=private("Ego", teleport("50"), speed_action("10")), entities=car("Ego"))
+    Timing.times.clear()
+    cc.simulate(scenario, drivers={"Ego": Timing()}, duration=0.4)
+    assert Timing.times == [0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35]

@@ -90,6 +90,10 @@ def test_news_is_what_nothing_before_was_better_than():
     one = BestScores(Objective([TTC]))
     assert [one.update(np.array([value])) for value in (10.0, 10.0, 4.0, 5.0, 4.0)] == [True, False, True, False, True]
     assert one.label == "best 4 s"
+    # Of a metric that is critical where it is high, 0 is stored as -0.
+    high = BestScores(Objective([DRAC]))
+    high.update(np.array([-0.0]))
+    assert high.label == "best 0 m/s²"
 
 
 @pytest.mark.parametrize("search", [Evolutionary(), Optuna()], ids=str)

@@ -91,6 +91,28 @@ def make_fmu(
     return path
 
 
+def make_steering_fmu(path: Path) -> Path:
+    """Write the FMU of ``tests/data/fmu/pursuit.c``, which steers towards the point of its path 6 m ahead."""
+    names = ("path[6].x", "path[6].y", "ego.wheelbase", "acceleration", "steering")
+    units = ("m", "m", "m", "m/s2", "rad")
+    variables = "".join(
+        f'<ScalarVariable name="{name}" valueReference="{k}" causality="{causality}"><Real unit="{unit}"{start}/>'
+        "</ScalarVariable>"
+        for k, (name, unit) in enumerate(zip(names, units, strict=True))
+        for causality, start in ((("input", ' start="0"') if k < 3 else ("output", "")),)
+    )
+    text = f"""<?xml version="1.0"?>
+<fmiModelDescription fmiVersion="2.0" modelName="Pursuit" guid="{{pursuit}}" variableNamingConvention="structured">
+  <CoSimulation modelIdentifier="pursuit"/>
+  <ModelVariables>{variables}</ModelVariables>
+  <ModelStructure/>
+</fmiModelDescription>"""
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("modelDescription.xml", text)
+        archive.write(_library("pursuit.c"), f"binaries/{fmpy.platform}/pursuit{fmpy.sharedLibraryExtension}")
+    return path
+
+
 def message_variables(name: str, message: str, causality: str, reference: int) -> str:
     """The three variables of a message by OSMP."""
     kind = f"application/x-open-simulation-interface; type={message}; version=3.8.0"

@@ -252,3 +252,13 @@ def test_a_study_stores_the_driver(monkeypatch):
     assert isinstance(stored, dict)
     assert stored["C"] == "normal"
     assert stored["Ego"]["options"] == {"time_to_brake": 3.0}
+
+
+class Degrees(cc.SystemUnderTest):
+    def step(self, view, dt):
+        return cc.Control(acceleration=99.0, steering=45.0)
+
+
+def test_limits_that_the_driver_exceeds_are_there_to_be_said(world, tmp_path):
+    server, _, _ = drive(world, Degrees(), tmp_path, duration=0.5)
+    assert "exceeds the steering angle of" in server.limit_notices["steering"]

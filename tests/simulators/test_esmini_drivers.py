@@ -247,6 +247,16 @@ def test_limits_of_the_vehicle_hold(tmp_path):
     assert ego(found)["speed"][-1] == pytest.approx(9.0)
 
 
+class InDegrees(cc.SystemUnderTest):
+    def step(self, view, dt):
+        return cc.Control(acceleration=0.0, steering=2.0)
+
+
+def test_steering_beyond_what_the_wheels_can_do_is_said(tmp_path):
+    with pytest.warns(NoticeWarning, match=r"exceeds the steering angle of .* rad that .*; first 2 rad at t = 0 s"):
+        ran(Esmini(duration=1.0, drivers=of_ego(InDegrees())), [ConcreteScenario(straight(tmp_path), {})])
+
+
 TRAJECTORY = """<PrivateAction><RoutingAction><FollowTrajectoryAction><TrajectoryRef><Trajectory name="t" closed="false">
 <Shape><Polyline><Vertex time="0"><Position><WorldPosition x="50" y="-2"/></Position></Vertex><Vertex time="9"><Position>
 <WorldPosition x="150" y="-2"/></Position></Vertex></Polyline></Shape></Trajectory></TrajectoryRef><TimeReference>{}

@@ -66,7 +66,28 @@ def test_43_5_a_vehicle_that_gets_far_from_every_road_is_named_with_the_instant(
     away = trajectory((0.0, 0.0, 300.0), (1.0, 0.0, 330.0), times=True)
     path = placed(tmp_path, 0.0, 0.0, story=story_of(event("e", away, time_trigger("1.9"))))
     (said,) = told(path)
-    assert " m from the nearest lane at 2.00 s" in said
+    assert " m from the nearest lane at 2.00 s; to find all that leave it, search with `critical_if` 'ego" in said
+
+
+def test_the_first_of_many_scenarios_far_from_every_road_is_named_and_the_others_are_counted(tmp_path):
+    away = trajectory((0.0, 0.0, 0.0), (1.0, 0.0, 330.0), times=True).replace('y="330.0"', 'y="$reach"')
+    path = scenario_file(
+        tmp_path, entities=body("Ego", "Vehicle") + body("B", "Pedestrian"),
+        init=f'<Private entityRef="Ego">{at(0.0, 0.0)}</Private><Private entityRef="B">{at(250.0, 0.0)}</Private>',
+        story=story_of(event("e", away, time_trigger("1.9"))), stop=time_trigger("3"),
+        parameters='<ParameterDeclaration name="reach" parameterType="double" value="0"/>',
+    )  # fmt: skip
+    study = cornercase(
+        "explore", path, "--ego", "Ego", "--other", "B", "--metric", "distance", "--range", "reach=0:400:100",
+        "--optimizer", "grid", "--budget", 5, "-o", tmp_path / "s.db",
+    )  # fmt: skip
+    assert study.returncode == 0, study.stderr
+    (said,) = (line for line in study.stderr.splitlines() if line.startswith("Far from every road: "))
+    assert re.fullmatch(
+        r"Far from every road: Ego is \d+ m from the nearest lane at \d\.00 s of scenario 2, and so in 3 more of 5 runs;"
+        r" to find all that leave it, search with --critical-if 'ego leaves the road'\.",
+        said,
+    ), study.stderr
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import math
 import time
 from dataclasses import replace
 
@@ -25,6 +26,8 @@ from cornercase.testing import (
 )
 from helpers.command_line import cornercase
 
+UNITS = "decides what fits m/s² and rad (not seen: signs, units inside)"
+
 
 class Cruise(cc.SystemUnderTest):
     def __init__(self, gain: float = 0.5):
@@ -42,11 +45,26 @@ class Vectorized(cc.Driver):
         return 0.5 * (10.0 - situation.speed)
 
 
+class Pursuit(cc.SystemUnderTest):
+    """Steers towards a point of the path."""
+
+    def __init__(self, in_degrees: bool = False):
+        self.in_degrees = in_degrees
+
+    def start(self, ego, road, rng):
+        self.ego = ego
+
+    def step(self, view, dt):
+        point = view.path(4.0 + 0.6 * view.ego.speed)
+        angle = math.atan(2.0 * self.ego.wheelbase * point.y / (point.x**2 + point.y**2))
+        return cc.Control(acceleration=0.0, steering=math.degrees(angle) if self.in_degrees else angle)
+
+
 def problems(checks):
     return {result.name: result.problem for result in run_checks(checks) if result.problem}
 
 
-@parametrize_with_checks([Cruise(), Vectorized()])
+@parametrize_with_checks([Cruise(), Vectorized(), Pursuit()])
 def test_systems_that_keep_their_contract_pass(check):
     check.run()
 
@@ -104,6 +122,11 @@ class InKmh(Cruise):
         return 50.0
 
 
+class InDegrees(Cruise):
+    def step(self, view, dt):
+        return cc.Control(acceleration=0.0, steering=2.0)
+
+
 class SeesOthers(cc.Driver):
     """Depends on the other scenarios of its batch."""
 
@@ -139,7 +162,13 @@ class Stores(Cruise):
         (KeepsState(), "gives the same alone and among other scenarios", "differs"),
         (SeesOthers(), "gives the same alone and among other scenarios", "Alone, a scenario differs"),
         (NeverReset(), "forgets the scenario before", "`start` does not set again"),
-        (InKmh(), "keeps to units: m, rad, s", "At 0.05 s it accelerates by 50 m/s²"),
+        (InKmh(), UNITS, "At 0 s it asks for an acceleration of 50 m/s², and no vehicle does more than 15"),
+        (
+            InDegrees(),
+            UNITS,
+            "At 0 s it asks for a steering angle of 2 rad, and the front wheels turn by at most 0.6 rad",
+        ),
+        (Pursuit(in_degrees=True), UNITS, "are these degrees?"),
         (LastTime(), "knows nothing of the time after", "ends at 4 s, it differs from 0.05 s on"),
         (Fails(), "drives every scenario", "no gap"),
         (Stores(), "can be stored and sent to another process", "plain JSON"),
@@ -292,7 +321,7 @@ def test_the_commands_print_a_line_per_check_and_tell_by_the_exit_code(tmp_path)
     )
     bad = cornercase("check-sut", "own:Own", cwd=tmp_path)
     assert bad.returncode == 1
-    assert "FAILED keeps to units" in bad.stdout
+    assert f"FAILED {UNITS}" in bad.stdout
     assert "7 of 8 checks hold for the system under test own:Own" in bad.stdout
     (tmp_path / "fails.py").write_text(
         "import cornercase as cc\n\n\nclass Own(cc.SystemUnderTest):\n    def step(self, view, dt):\n        return 1 / 0\n"

@@ -36,7 +36,7 @@ def check_sut(
     ego: _Ego = "Ego",
     as_json: opt.Json = False,
 ) -> None:
-    """Check that a system under test repeats itself, keeps to its units, and does not depend on other scenarios.
+    """Check that a system under test repeats itself, asks for what vehicles can do, and depends on its scenario only.
 
     The exit code is 1 if something does not hold.
 

@@ -40,7 +40,7 @@ from cornercase.drivers.vehicles._actuated import ActuatedVehicle
 from cornercase.drivers.vehicles._pedals import pedals_to_acceleration
 from cornercase.drivers.vehicles._vehicle_model import PlanarMotion
 
-# Excess in m/s² that may come from rounding.
+# Excess in m/s² or rad that may come from rounding.
 _ROUNDING: Final = 1e-9
 _LIMITS: Final = {"acceleration", "deceleration"}
 _STATE: Final = ("x", "y", "heading", "speed", "acceleration")
@@ -171,6 +171,7 @@ class Attachment:
         goes_on = np.isnan(acceleration) & self._mover.follows_trajectory(controls)
         self._fail(active & ~(is_decided | goes_on), acceleration, "an acceleration in m/s²", time, failures)
         self._fail(active & np.isinf(controls.steering), controls.steering, "an angle in rad", time, failures)
+        self._note_exceeded_steering(controls.steering, active, time)
         acceleration = self._clip_acceleration(acceleration, active & is_decided, time)
         start = PlanarMotion(**{name: copies[name] for name in _STATE}) if begin is None else begin
         motion = self._mover.step(truth, start, controls, acceleration, active)
@@ -266,6 +267,19 @@ class Attachment:
                     bound = highest if limit == "acceleration" else -lowest
                     self.note_exceeded_limit(limit, bound, f"first {requested:.6g} m/s²{format_time_of_failure(time)}")
         return clipped
+
+    def _note_exceeded_steering(self, steering: FloatArray, rows: BoolArray, time: float) -> None:
+        """Note the first angle beyond what the wheels can do; where the vehicle moves, it is limited to that."""
+        bound = self._start.body.max_steering
+        if "steering" in self.limit_notices:
+            return
+        is_beyond = rows & np.isfinite(steering) & (np.abs(steering) > bound + _ROUNDING)
+        if bool(is_beyond.any()):
+            requested = float(steering[is_beyond][np.abs(steering[is_beyond]).argmax()])
+            self.limit_notices["steering"] = (
+                f"{self.display_name} exceeds the steering angle of {bound:.6g} rad that its front wheels can do, and"
+                f" is limited to it; first {requested:.6g} rad{format_time_of_failure(time)}"
+            )
 
     def note_exceeded_limit(self, limit: str, bound: float, requested: str) -> None:
         """Note that the driver exceeds a limit of its vehicle."""

@@ -15,7 +15,8 @@ from cornercase._common.typing import FloatArray
 from cornercase._common.validation import check_mapping, repr_short
 from cornercase.drivers._base import Driver, Situation
 from cornercase.drivers._description import record_driver_spec
-from cornercase.drivers._equipment import equip
+from cornercase.drivers._equipment import EquippedDriver, equip
+from cornercase.drivers._function import DrivingFunction
 from cornercase.drivers._missing_prefix import suggest_prefix
 from cornercase.drivers._presets import Behaviour
 from cornercase.drivers._registry import DRIVERS, is_registered_driver, split_spec
@@ -231,3 +232,11 @@ def resolve_driver(driver: DriverLike) -> str | Driver:
             return driver
         record_driver_spec(created, driver, {})
     return created
+
+
+def may_steer(driver: str | Driver) -> bool:
+    """Whether a driver may steer its vehicle, or has a vehicle model that steers along the path."""
+    made = driver_by_name(driver) if isinstance(driver, str) else driver
+    if isinstance(made, EquippedDriver):
+        return isinstance(made.driver, DrivingFunction) or (made.vehicle is not None and made.vehicle.steers)
+    return isinstance(made, DrivingFunction)

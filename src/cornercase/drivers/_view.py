@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from cornercase._common.geometry.boxes import wrap_angle
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.drivers._base import Situation
 
@@ -178,6 +179,32 @@ class SharedView:
         objects = self._seen[1]
         return objects[..., GAP], objects[..., CLOSING], objects[..., LATERAL], objects[..., IN_PATH] == 1.0
 
+    @property
+    def time(self) -> float:
+        """Time in s without the rounding errors of sums of time steps: 0.15, not 0.15000000000000002."""
+        return round(self.situation.time, 9)
+
+    @property
+    def turn(self) -> FloatArray:
+        """Heading of the ego relative to its path, (N,)."""
+        return np.asarray(wrap_angle(self.situation.heading - self.own_pose_on_path[2]))
+
+    def path_points(self, ahead: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Points of the path at K distances ahead, as seen from the ego: x, y, heading, curvature, (N, K) each."""
+        s = self.situation
+        at = self.own_pose_on_path[0][:, None] + ahead
+        columns = (s.path.x, s.path.y, s.path.heading, s.path.curvature)
+        if s.path.distance.ndim == 1:
+            x, y, direction, curvature = (np.interp(at, s.path.distance, values) for values in columns)
+        else:
+            x, y, direction, curvature = (
+                np.stack([np.interp(*row) for row in zip(at, s.path.distance, values, strict=True)])
+                for values in columns
+            )
+        dx, dy, heading = x - s.x[:, None], y - s.y[:, None], s.heading[:, None]
+        cos, sin = np.cos(heading), np.sin(heading)
+        return dx * cos + dy * sin, dy * cos - dx * sin, np.asarray(wrap_angle(direction - heading)), curvature
+
     @cached_property
     def own_poses(self) -> list[list[float]]:
         """Distance along the path, offset from it, and direction of the path, by scenario."""
@@ -272,7 +299,7 @@ class View:
     @property
     def time(self) -> float:
         """Time since the start of the scenario in s."""
-        return self._shared.situation.time
+        return self._shared.time
 
     @property
     def target_speed(self) -> float:

@@ -72,6 +72,6 @@ class BestScores:
             return ""
         if self._objective.pareto:
             return f"front of {len(self._front)}"
-        return (
-            f"best {self._objective.convert_orientation(float(self._front[0, 0])):.3g} {self._objective.unit}".rstrip()
-        )
+        # Adding 0 turns -0, the score of a metric that is critical where it is high, into 0.
+        best = self._objective.convert_orientation(float(self._front[0, 0])) + 0.0
+        return f"best {best:.3g} {self._objective.unit}".rstrip()

@@ -186,7 +186,7 @@ class ScenarioRunner:
         scores = self._repeat_policy.minimized_scores(repeated_run)
         middle = _median_index(scores)
         recording, courses = repeated_run.runs[middle]
-        self.notices.add_run(recording, lambda: self._config.logical.scenario_file)
+        self.notices.add_run(recording, lambda: self._config.logical.scenario_file, f"scenario {row.id}")
         repeats = None
         if self._config.repeats > 1:
             repeats = {name: [run[name].score for _, run in repeated_run.runs] for name in courses}

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -26,40 +27,66 @@ _MAX_CHECKED_RUNS: Final = 1000
 _MAX_NAMED_ENTITIES: Final = 3
 
 
+@dataclass
+class _FarEntity:
+    """Where an entity is far from every road in the first run in which it is, and in how many runs it is."""
+
+    away: float
+    time: float
+    is_at_start: bool
+    label: str
+    runs: int = 0
+
+    def describe(self, name: str, checked: str) -> str:
+        """Return a clause; `checked` says which runs were checked."""
+        where = f" of {self.label}" if self.label else ""
+        more = f", and so in {self.runs - 1} more of {checked}" if self.runs > 1 else ""
+        return f"{name} is {self.away:.0f} m from the nearest lane at {self.time:.2f} s{where}{more}"
+
+
 class RunNotices:
     """Collects notices for the user during runs, and issues them as warnings at the end."""
 
     def __init__(self, simulator: Simulator) -> None:
         self._duration = simulator.settings.get("duration")
         self._n_runs = self._n_cut_off = 0
-        # By entity: distance to the nearest lane and time in the first run in which it is far.
-        self._far_entities: dict[str, tuple[float, float]] = {}
+        self._n_checked = 0
+        self._far_entities: dict[str, _FarEntity] = {}
 
-    def add_run(self, recording: Recording, get_scenario: Callable[[], ScenarioFile]) -> None:
-        """Check a recording; `get_scenario` returns its scenario, and is called only if the scenario is needed."""
+    def add_run(self, recording: Recording, get_scenario: Callable[[], ScenarioFile], label: str = "") -> None:
+        """Check a recording; `get_scenario` returns its scenario, and is called only if the scenario is needed.
+
+        `label` names the run in messages, such as ``scenario 3``; empty if there is only one.
+        """
         self._n_runs += 1
         self._n_cut_off += recording.is_truncated is True
         is_checked = recording.is_truncated is not None and self._n_runs <= _MAX_CHECKED_RUNS
         network = _road_network_if_read(get_scenario()) if is_checked else None
-        if network is not None:
-            for name, away, time in find_entities_far_from_roads(network, recording, self._far_entities):
-                self._far_entities[name] = (away, time)
+        if network is None:
+            return
+        self._n_checked += 1
+        for name, away, time in find_entities_far_from_roads(network, recording):
+            is_at_start = time <= float(recording.time[0])
+            self._far_entities.setdefault(name, _FarEntity(away, time, is_at_start, label)).runs += 1
 
     def issue_warnings(self) -> None:
         """Issue the collected notices as `NoticeWarning`."""
         if self._far_entities:
-            descriptions = [
-                f"{name} is {away:.0f} m from the nearest lane at {t:.2f} s"
-                for name, (away, t) in self._far_entities.items()
-            ]
+            entities = self._far_entities
+            checked = f"{'the first ' if self._n_runs > _MAX_CHECKED_RUNS else ''}{self._n_checked} runs"
+            descriptions = [entity.describe(name, checked) for name, entity in entities.items()]
             more = (
-                f", and {len(descriptions) - _MAX_NAMED_ENTITIES} more are far"
+                f"; and {len(descriptions) - _MAX_NAMED_ENTITIES} more are far"
                 if len(descriptions) > _MAX_NAMED_ENTITIES
                 else ""
             )
+            advice = []
+            if any(not entity.is_at_start for entity in entities.values()):
+                advice.append("to find all that leave it, search with `critical_if` 'ego leaves the road'")
+            if any(entity.is_at_start for entity in entities.values()):
+                advice.append("check that the road file, its axes and the positions in the scenario match")
             issue_notice_warning(
-                f"far from every road: {', '.join(descriptions[:_MAX_NAMED_ENTITIES])}{more}; check that the road file,"
-                " its axes and the positions in the scenario match"
+                f"far from every road: {'; '.join(descriptions[:_MAX_NAMED_ENTITIES])}{more}; {', and '.join(advice)}"
             )
         if self._n_cut_off:
             runs = "the run was" if self._n_runs == 1 else f"{self._n_cut_off} of {self._n_runs} runs were"
@@ -71,15 +98,9 @@ class RunNotices:
             )
 
 
-def find_entities_far_from_roads(
-    network: RoadNetwork, recording: Recording, skip: Collection[str] = ()
-) -> list[tuple[str, float, float]]:
+def find_entities_far_from_roads(network: RoadNetwork, recording: Recording) -> list[tuple[str, float, float]]:
     """List entities far from every road, once a second, as (name, distance in m, first time in s)."""
-    indices = [
-        a
-        for a, object_type in enumerate(recording.object_types)
-        if object_type not in _UNCHECKED_TYPES and recording.names[a] not in skip
-    ]
+    indices = [a for a, object_type in enumerate(recording.object_types) if object_type not in _UNCHECKED_TYPES]
     if not indices or len(recording.time) == 0:
         return []
     first, last = recording.time[[0, -1]].tolist()

@@ -308,7 +308,7 @@ def _run_missing(
                             folder.write_notes()
                             notes_written = True
                         outcome.to_csv(folder.path_of(planned.file))
-                        notices.add_run(outcome, planned.concrete_scenario.load_file)
+                        notices.add_run(outcome, planned.concrete_scenario.load_file, planned.file)
                     done += 1
                     bar.update(done, "")
     finally:

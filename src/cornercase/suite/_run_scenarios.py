@@ -143,7 +143,8 @@ def _run_pending(
                 study.writer.record_failure(row.id, error)
             else:
                 study.writer.record_result(row.id, outcome, courses)
-                notices.add_run(outcome, partial(getattr, scenarios[row.id - 1], "scenario"))
+                scenario = scenarios[row.id - 1]
+                notices.add_run(outcome, partial(getattr, scenario, "scenario"), scenario.file_name)
             study.writer.add_elapsed_times({"simulate": end - start, "store": time.monotonic() - end})
             done += 1
             yield done

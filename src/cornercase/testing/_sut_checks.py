@@ -13,13 +13,16 @@ import numpy as np
 
 from cornercase._common.validation import repr_short
 from cornercase.drivers import Driver, SystemUnderTest
+from cornercase.drivers._compiled import is_compiled
 from cornercase.drivers._description import serialize_driver
+from cornercase.drivers._equipment import EquippedDriver
 from cornercase.drivers._resolve import check_drivers, driver_by_name, resolve_driver
 from cornercase.recordings import Recording
 from cornercase.recordings._compare import are_bitwise_equal
 from cornercase.simulators import Builtin
 from cornercase.testing._cases import Cases, default_cases, unlimited_cases
 from cornercase.testing._contract_check import ContractCheck
+from cornercase.testing._observed_function import ObservedFunction
 
 _SETTINGS: Final[dict[str, Any]] = {"time_step": 0.05, "duration": 12.0}
 _SHORT: Final = 4.0
@@ -28,6 +31,10 @@ _REPEATS: Final = "repeats itself"
 # m/s and m/s²; no vehicle does more, so that something else is in its unit.
 _MAX_SPEED: Final = 100.0
 _MAX_ACCELERATION: Final = 25.0
+# m/s²; what a system may ask for, which is less than what may come of a place that it asks for.
+_MAX_REQUEST: Final = 15.0
+# rad; as much more than the wheels can do may come from rounding.
+_ROUNDING: Final = 1e-9
 # rad; no vehicle turns further in a step.
 _MAX_TURN: Final = 0.5
 _SPEEDS: Final = "accelerations are in m/s² and speeds in m/s, so look for km/h, g or a pedal"
@@ -52,7 +59,9 @@ def sut_checks(system: str | SystemUnderTest | Driver, cases: Sequence[Cases] | 
     return [
         ContractCheck("can be stored and sent to another process", subject.can_be_stored),
         ContractCheck(_DRIVES, subject.drives),
-        ContractCheck("keeps to units: m, rad, s", subject.keeps_units, needs=_DRIVES),
+        ContractCheck(
+            "decides what fits m/s² and rad (not seen: signs, units inside)", subject.keeps_units, needs=_DRIVES
+        ),
         ContractCheck(_REPEATS, subject.repeats, needs=_DRIVES),
         # What differs between two equal runs differs in all of these, too.
         ContractCheck("gives the same alone and among other scenarios", subject.is_independent, needs=_REPEATS),
@@ -89,10 +98,13 @@ class _Subject:
         self._drives = True
 
     def keeps_units(self) -> None:
+        self._require_driving()
+        for cases in self._cases:
+            self._run_observed(cases)
         # Without limits in the file, which would hide what the system asks for.
         with TemporaryDirectory() as folder:
             cases = unlimited_cases(Path(folder))
-            for recording in self._run(cases):
+            for recording in self._run_observed(cases):
                 e = recording.entity_index(cases.entity)
                 turns = np.abs(np.diff(np.unwrap(recording.heading[e])))
                 for values, limit, seen, hint in (
@@ -104,6 +116,22 @@ class _Subject:
                     k = int(size.argmax())
                     what = f"At {recording.time[k + 1]:g} s {seen.format(f'{values[k]:.3g}')}"
                     assert size[k] < limit, f"{what}, which no vehicle does; {hint}."
+
+    def _run_observed(self, cases: Cases) -> list[Recording]:
+        """Run, and check what the system asks for."""
+        driver, observed = self._create(), None
+        decides = driver.driver if isinstance(driver, EquippedDriver) else driver
+        if not is_compiled(decides):
+            observed = ObservedFunction(decides)
+            driver = (
+                EquippedDriver(observed, driver.sensors, driver.vehicle)
+                if isinstance(driver, EquippedDriver)
+                else observed
+            )
+        recordings = self._run(cases, driver=driver)
+        if observed is not None:
+            _require_feasible(observed)
+        return recordings
 
     def repeats(self) -> None:
         for cases in self._cases:
@@ -196,6 +224,21 @@ def _require_plain(description: object) -> None:
             f"Its setting '{name}' is {repr_short(value)}, which is no plain JSON value; give a number, a text, true or"
             " false, or a list or dict of these."
         )
+
+
+def _require_feasible(observed: ObservedFunction) -> None:
+    """Require that the strongest decisions are such that a vehicle can follow them."""
+    acceleration, steering, bound = observed.most_acceleration, observed.most_steering, observed.max_steering
+    assert abs(acceleration.value) <= _MAX_REQUEST, (
+        f"At {acceleration.time:g} s it asks for an acceleration of {acceleration.value:.3g} m/s², and no vehicle does"
+        f" more than {_MAX_REQUEST:g}; accelerations are in m/s² and speeds in m/s. If it is meant, let the system"
+        " limit it."
+    )
+    assert abs(steering.value) <= bound + _ROUNDING, (
+        f"At {steering.time:g} s it asks for a steering angle of {steering.value:.3g} rad, and the front wheels turn"
+        f" by at most {bound:.3g} rad ({np.degrees(bound):.0f}°); angles are in rad: are these degrees? If it is meant,"
+        " let the system limit it to max_steering, which `start` is given."
+    )
 
 
 def _require_same(first: Sequence[Recording], second: Sequence[Recording], what: str, suspects: str) -> None:

@@ -236,7 +236,7 @@ class FmuDriver(DrivingFunction):
         n = len(situation.active)
         if self._failure is not None:
             return self._fail_all(self._failure, situation)
-        inputs = self._map.fill_inputs(Traffic(situation, self._start.body))
+        inputs = self._map.fill_inputs(Traffic(situation, self._start.body, self._start.network))
         messages = [] if self._traffic is None else self._traffic.write(situation)
         try:
             failed = self._processes.step(situation.active, inputs, messages)
@@ -283,12 +283,15 @@ class FmuDriver(DrivingFunction):
             limits = {"throttle": (0.0, 1.0), "brake": (0.0, 1.0), "lane_change": (-1.0, 1.0)}
             low, high = limits.get(output.decision, (-np.inf, np.inf))
             is_bad = active & (~np.isfinite(values) | (values < low - _ROUNDING) | (values > high + _ROUNDING))
+            given = values[is_bad].tolist()
             values.clip(low, high, out=values)
-            for row in np.flatnonzero(is_bad).tolist():
+            for row, value in zip(np.flatnonzero(is_bad).tolist(), given, strict=True):
                 if row not in failed:
                     bounds = "" if low == -np.inf else f"; it goes from {low:g} to {high:g}"
+                    number = "NaN" if np.isnan(value) else f"{value:g}"
                     unusable[row] = (
-                        f"failed: its output {output.variable.name} is not usable as {output.decision}{bounds}"
+                        f"failed: its output {output.variable.name} is {number}, which is not usable as"
+                        f" {output.decision}{bounds}"
                     )
         return unusable
 

@@ -6,23 +6,30 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from cornercase._common.errors import suggest_name
 from cornercase._common.typing import FloatArray, IntArray
 from cornercase.drivers._base import Situation
 from cornercase.drivers._function import Body
-from cornercase.drivers._view import SharedView
+from cornercase.drivers._view import SharedView, SignalView, View
+
+if TYPE_CHECKING:
+    from cornercase.drivers._surroundings import LaneView
+    from cornercase.roads._network import RoadNetwork
 
 _FAR: Final = 1000.0
+_FAST: Final = 100.0
 
 
 class Traffic:
     """The situation of N scenarios, with the A others sorted by their distance."""
 
-    def __init__(self, situation: Situation, body: Body) -> None:
-        self.situation, self.body, self.shared = situation, body, SharedView(situation)
+    def __init__(self, situation: Situation, body: Body, network: RoadNetwork | None = None) -> None:
+        self.situation, self.body, self.shared = situation, body, SharedView(situation, network)
+        self._path_points: dict[float, tuple[FloatArray, ...]] = {}
 
     @cached_property
     def _order(self) -> IntArray:
@@ -63,6 +70,31 @@ class Traffic:
         of_leader: FloatArray = padded[np.arange(len(values)), self._leader]
         return of_leader
 
+    def of_path(self, field: str, ahead: float) -> FloatArray:
+        """Return what is known about the point of the path at a distance ahead, (N,)."""
+        if ahead not in self._path_points:
+            self._path_points[ahead] = tuple(self.shared.path_points(np.array([ahead])))
+        return self._path_points[ahead][[*_PATH_UNITS].index(field)][:, 0]
+
+    def of_lane(self, field: str, number: int) -> FloatArray:
+        """Return what is known about a lane, the ego's own having number 0, (N,); NaN where there is none."""
+        return self._per_scenario(lambda view: _LANE_FIELDS[field](_find_lane(view, number)))
+
+    def of_signal(self, field: str) -> FloatArray:
+        """Return what is known about the next signal along the path, (N,); NaN where there is none."""
+        return self._per_scenario(lambda view: _SIGNAL_FIELDS[field](_next_signal(view)))
+
+    @cached_property
+    def speed_limit(self) -> FloatArray:
+        """Speed limit of the ego's lane, (N,)."""
+        return self._per_scenario(lambda view: view.speed_limit)
+
+    def _per_scenario(self, compute: Callable[[View], float]) -> FloatArray:
+        values = np.full(len(self.situation.speed), np.nan)
+        for n in np.flatnonzero(self.situation.active).tolist():
+            values[n] = compute(View(self.shared, n))
+        return values
+
     @property
     def exists(self) -> FloatArray:
         """1 for the others that exist, NaN for all others, (N, A)."""
@@ -101,6 +133,14 @@ def _type_codes(traffic: Traffic) -> FloatArray:
     return np.array([_TYPE_CODES.get(name, 1.0) for name in types]) * traffic.exists
 
 
+def _find_lane(view: View, number: int) -> LaneView | None:
+    return next((lane for lane in view.lanes if lane.number == number), None)
+
+
+def _next_signal(view: View) -> SignalView | None:
+    return next((signal for signal in view.signals.values() if signal.gap >= 0.0), None)
+
+
 _TYPE_CODES: Final = {"pedestrian": 2.0, "misc": 3.0}
 _OTHER_FIELDS: Final[Mapping[str, Callable[[Traffic], FloatArray]]] = {
     "exists": lambda traffic: traffic.exists,
@@ -134,14 +174,45 @@ _OTHER_UNITS: Final[Mapping[str, tuple[str, float]]] = {
     "type": ("1", 0.0),
 }
 
+# Of a point of the path: units, in the order of `SharedView.path_points`.
+_PATH_UNITS: Final[Mapping[str, str]] = {"x": "m", "y": "m", "heading": "rad", "curvature": "1/m"}
+_STATE_CODES: Final = {"red": 1.0, "yellow": 2.0, "amber": 2.0, "green": 3.0}
+_LANE_FIELDS: Final[Mapping[str, Callable[[LaneView | None], float]]] = {
+    "exists": lambda lane: float(lane is not None),
+    "same_direction": lambda lane: np.nan if lane is None else float(lane.same_direction),
+    "width": lambda lane: np.nan if lane is None else lane.width,
+    "offset": lambda lane: np.nan if lane is None else lane.offset,
+    "curvature": lambda lane: np.nan if lane is None else lane.curvature,
+    "speed_limit": lambda lane: np.nan if lane is None else lane.speed_limit,
+}
+_SIGNAL_FIELDS: Final[Mapping[str, Callable[[SignalView | None], float]]] = {
+    "exists": lambda signal: float(signal is not None),
+    "gap": lambda signal: np.nan if signal is None else signal.gap,
+    "state": lambda signal: np.nan if signal is None else _STATE_CODES.get(signal.state.casefold(), 0.0),
+}
+# As of the others.
+_LANE_UNITS: Final[Mapping[str, tuple[str, float]]] = {
+    "exists": ("1", 0.0),
+    "same_direction": ("1", 0.0),
+    "width": ("m", 0.0),
+    "offset": ("m", 0.0),
+    "curvature": ("1/m", 0.0),
+    "speed_limit": ("m/s", _FAST),
+}
+_SIGNAL_UNITS: Final[Mapping[str, tuple[str, float]]] = {
+    "exists": ("1", 0.0),
+    "gap": ("m", _FAR),
+    "state": ("1", 0.0),
+}
+
 
 def _fill(value: Callable[[Traffic], float]) -> Callable[[Traffic], FloatArray]:
     return lambda traffic: np.full(len(traffic.situation.speed), value(traffic))
 
 
 _EGO: Final = (
-    InputQuantity("time", "s", 0.0, _fill(lambda traffic: traffic.situation.time)),
-    InputQuantity("target_speed", "m/s", 100.0, lambda traffic: traffic.situation.target_speed),
+    InputQuantity("time", "s", 0.0, _fill(lambda traffic: traffic.shared.time)),
+    InputQuantity("target_speed", "m/s", _FAST, lambda traffic: traffic.situation.target_speed),
     InputQuantity("ego.speed", "m/s", 0.0, lambda traffic: traffic.situation.speed),
     InputQuantity("ego.acceleration", "m/s²", 0.0, lambda traffic: traffic.situation.acceleration),
     InputQuantity("ego.x", "m", 0.0, lambda traffic: traffic.situation.x),
@@ -149,6 +220,7 @@ _EGO: Final = (
     InputQuantity("ego.heading", "rad", 0.0, lambda traffic: traffic.situation.heading),
     InputQuantity("ego.distance", "m", 0.0, lambda traffic: traffic.shared.own_pose_on_path[0]),
     InputQuantity("ego.offset", "m", 0.0, lambda traffic: traffic.shared.own_pose_on_path[1]),
+    InputQuantity("ego.turn", "rad", 0.0, lambda traffic: traffic.shared.turn),
     InputQuantity("ego.length", "m", 0.0, _fill(lambda traffic: traffic.body.length)),
     InputQuantity("ego.width", "m", 0.0, _fill(lambda traffic: traffic.body.width)),
     InputQuantity("ego.wheelbase", "m", 0.0, _fill(lambda traffic: traffic.body.wheelbase)),
@@ -160,8 +232,21 @@ _LEADER: Final = tuple(
     InputQuantity(f"leader.{name}", unit, none, lambda traffic, name=name: traffic.of_leader(name))  # type: ignore[misc]
     for name, (unit, none) in _OTHER_UNITS.items()
 )
-QUANTITIES: Final[Mapping[str, InputQuantity]] = {quantity.name: quantity for quantity in (*_EGO, *_LEADER)}
-"""Quantities by name, without those of the list of objects."""
+_ROAD: Final = (
+    InputQuantity("speed_limit", "m/s", _FAST, lambda traffic: traffic.speed_limit),
+    *(
+        InputQuantity(f"lane.{name}", unit, none, lambda traffic, name=name: traffic.of_lane(name, 0))  # type: ignore[misc]
+        for name, (unit, none) in _LANE_UNITS.items()
+    ),
+    *(
+        InputQuantity(f"signal.{name}", unit, none, lambda traffic, name=name: traffic.of_signal(name))  # type: ignore[misc]
+        for name, (unit, none) in _SIGNAL_UNITS.items()
+    ),
+)
+QUANTITIES: Final[Mapping[str, InputQuantity]] = {quantity.name: quantity for quantity in (*_EGO, *_LEADER, *_ROAD)}
+"""Quantities by name, without those with a number in brackets."""
+_PATH_NAME: Final = re.compile(r"path\[(-?\d{1,4}(?:\.\d{1,6})?)\]\.(\w+)")
+_LANE_NAME: Final = re.compile(r"lane\[(-?\d{1,2})\]\.(\w+)")
 _OBJECT_NAME: Final = re.compile(r"object\[([1-9]\d{0,2})\]\.(\w+)")
 _OBJECT_ARRAY: Final = re.compile(r"object\.(\w+)")
 
@@ -171,6 +256,11 @@ def find_quantity(name: str) -> InputQuantity | None:
     if (match := _OBJECT_NAME.fullmatch(name)) is not None and match[2] in _OTHER_UNITS:
         unit, none = _OTHER_UNITS[match[2]]
         return InputQuantity(name, unit, none, partial(_of_rank, match[2], int(match[1]) - 1))
+    if (match := _PATH_NAME.fullmatch(name)) is not None and match[2] in _PATH_UNITS:
+        return InputQuantity(name, _PATH_UNITS[match[2]], 0.0, partial(_of_path, match[2], float(match[1])))
+    if (match := _LANE_NAME.fullmatch(name)) is not None and match[2] in _LANE_UNITS:
+        unit, none = _LANE_UNITS[match[2]]
+        return InputQuantity(name, unit, none, partial(_of_lane, match[2], int(match[1])))
     return QUANTITIES.get(name)
 
 
@@ -183,6 +273,30 @@ def find_quantities(name: str, count: int) -> list[InputQuantity] | None:
     return [quantity for quantity in named if quantity is not None]
 
 
+def suggest_quantity(unknown: str) -> str:
+    """Return a hint for the name of a quantity that does not exist."""
+    meant = recognize_input(unknown, is_array=False)
+    if meant is not None and find_quantity(meant) is not None:
+        return f"did you mean '{meant}'?"
+    # With the number that is given, where there can be such a one.
+    numbers = re.findall(r"\[\s*(-?[\d.]+)\s*\]", unknown)
+    numbered = [
+        next(name for index in (*numbers, example) if find_quantity(name := f"{what}[{index}].{field}") is not None)
+        for what, example, names in (("object", 1, _OTHER_UNITS), ("path", 10, _PATH_UNITS), ("lane", 1, _LANE_UNITS))
+        for field in names
+    ]
+    hint = suggest_name(unknown, [*QUANTITIES, *numbered])
+    return hint if hint.startswith("did you mean") else f"known are: {', '.join(QUANTITIES)}, {', '.join(numbered)}."
+
+
+def _of_path(field: str, ahead: float, traffic: Traffic) -> FloatArray:
+    return traffic.of_path(field, ahead)
+
+
+def _of_lane(field: str, number: int, traffic: Traffic) -> FloatArray:
+    return traffic.of_lane(field, number)
+
+
 def _of_rank(field: str, rank: int, traffic: Traffic) -> FloatArray:
     return traffic.of_rank(field, rank)
 
@@ -192,6 +306,7 @@ _ALIASES: Final = {
     "ego.speed": ("v", "v_ego", "speed", "velocity", "ego_velocity"),
     "ego.acceleration": ("a_ego", "ego_accel"),
     "target_speed": ("set_speed", "desired_speed", "v_set", "v_target", "v_desired"),
+    "ego.offset": ("ego.lateral",),
     "leader.gap": ("gap", "leader_distance"),
     "leader.closing": ("closing", "closing_speed", "leader_closing_speed"),
     "leader.speed": ("v_leader", "v_lead", "leader_velocity"),
@@ -224,6 +339,8 @@ _OUTPUT_BY_NAME: Final = {
 _LISTED_OBJECT: Final = re.compile(r"(?:objects?|targets?)\[(\d+)\](\w+)")
 _LISTED_ARRAY: Final = re.compile(r"(?:objects?|targets?)([a-z]+)")
 _FIELD_BY_NAME: Final = {_normalize(name): name for name in _OTHER_UNITS}
+# Their numbers may have a sign and a point, which must not be lost.
+_NUMBERED: Final = re.compile(r"(path|lane)\[(-?[\d.]+)\](.+)")
 
 
 def recognize_input(variable: str, *, is_array: bool) -> str | None:
@@ -231,6 +348,10 @@ def recognize_input(variable: str, *, is_array: bool) -> str | None:
     name = _normalize(variable)
     if not is_array and name in _INPUT_BY_NAME:
         return _INPUT_BY_NAME[name]
+    if not is_array and (match := _NUMBERED.fullmatch(re.sub(r"\s", "", variable).casefold())) is not None:
+        fields = {_normalize(field): field for field in (_PATH_UNITS if match[1] == "path" else _LANE_UNITS)}
+        numbered = f"{match[1]}[{match[2]}].{fields.get(_normalize(match[3]), '')}"
+        return numbered if find_quantity(numbered) is not None else None
     pattern = _LISTED_ARRAY if is_array else _LISTED_OBJECT
     if (match := pattern.fullmatch(name)) is None or match[match.lastindex or 0] not in _FIELD_BY_NAME:
         return None

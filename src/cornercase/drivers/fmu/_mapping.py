@@ -17,13 +17,13 @@ from cornercase._common.text.sanitize import format_exception
 from cornercase._common.typing import FloatArray
 from cornercase.drivers.fmu._input_quantities import (
     OUTPUTS,
-    QUANTITIES,
     InputQuantity,
     Traffic,
     find_quantities,
     find_quantity,
     recognize_input,
     recognize_output,
+    suggest_quantity,
 )
 from cornercase.drivers.fmu._model import FmuModel, FmuVariable
 from cornercase.drivers.fmu._osmp_map import OsmpMap
@@ -185,8 +185,7 @@ class VariableMap:
                     f"{where} is an array of {variable.size} values, which '{source}' does not fill; give it a list of"
                     " objects, as in 'object.x'."
                 )
-            hint = suggest_name(source, [*QUANTITIES, "object[1].x"])
-            raise InputError(f"{where} is to get '{source}', which does not exist; {hint}")
+            raise InputError(f"{where} is to get '{source}', which does not exist; {suggest_quantity(source)}")
         unit, remark = self._unit_of(variable, options.get("unit"), quantities[0].unit, where)
         factor = options.get("factor", 1.0)
         columns = []
@@ -244,7 +243,12 @@ class VariableMap:
                 f"{self._where}: none of its outputs ({names}) is known as one of {', '.join(OUTPUTS)}{writes}; say in"
                 " a map what they are, `map=FILE.toml`."
             )
-        if ("acceleration" in given) == has_pedals:
+        if "acceleration" not in given and not has_pedals:
+            raise InputError(
+                f"{self._where}: its outputs decide {' and '.join(sorted(given))}, but neither the acceleration nor"
+                " throttle and brake, which a driver has to; say in a map what decides it, `map=FILE.toml`."
+            )
+        if "acceleration" in given and has_pedals:
             raise InputError(
                 f"{self._where}: its outputs decide {', '.join(sorted(given))}; a driver decides either the"
                 " acceleration or throttle and brake: say which in a map, `map=FILE.toml`."

@@ -25,6 +25,7 @@ SI: Final[Mapping[str, Unit]] = {
     "m/s": Unit(1.0, (1, -1, 0)),
     "m/s²": Unit(1.0, (1, -2, 0)),
     "rad": Unit(1.0, (0, 0, 1)),
+    "1/m": Unit(1.0, (-1, 0, 0)),
     "1": Unit(1.0, (0, 0, 0)),
 }
 """Units of the quantities, by symbol."""
@@ -42,6 +43,9 @@ KNOWN_UNITS: Final[Mapping[str, Unit]] = {
     "m/s^2": Unit(1.0, (1, -2, 0)),
     "m.s-1": Unit(1.0, (1, -1, 0)),
     "m.s-2": Unit(1.0, (1, -2, 0)),
+    "m-1": Unit(1.0, (-1, 0, 0)),
+    "m^-1": Unit(1.0, (-1, 0, 0)),
+    "rad/m": Unit(1.0, (-1, 0, 1)),
     "deg": Unit(math.pi / 180.0, (0, 0, 1)),
     "°": Unit(math.pi / 180.0, (0, 0, 1)),
     "%": Unit(0.01, (0, 0, 0)),

@@ -8,7 +8,6 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from cornercase._common.geometry.boxes import wrap_angle
 from cornercase._common.typing import FloatArray, IntArray
 from cornercase.drivers._base import DrivenPath, Situation
 from cornercase.drivers._view import SharedView
@@ -29,10 +28,6 @@ class Column:
     unit: str
     meaning: str
     compute: Callable[[SharedView], Any]
-
-
-def _turn(shared: SharedView) -> FloatArray:
-    return np.asarray(wrap_angle(shared.situation.heading - shared.own_pose_on_path[2]))
 
 
 def _leader(shared: SharedView) -> IntArray:
@@ -68,7 +63,8 @@ COLUMNS: Final = {
         Column("distance", "M", "m", "the ego's distance along its path", lambda v: v.own_pose_on_path[0]),
         Column("offset", "M", "m", "the ego's distance from its path, positive to the left",
                lambda v: v.own_pose_on_path[1]),
-        Column("turn", "M", "rad", "the ego's heading relative to its path, positive to the left", _turn),
+        Column("turn", "M", "rad", "the ego's heading relative to its path, positive to the left",
+               lambda v: v.turn),
         Column("leader", "M", "", "number of the nearest of those ahead in the ego's path; -1 if there is none",
                _leader),
         Column("leader_gap", "M", "m", "the leader's `other_gap`; NaN without a leader",
@@ -120,21 +116,5 @@ def compute_columns(situation: Situation, names: Sequence[str], ahead: FloatArra
     shared = SharedView(situation)
     columns = {name: COLUMNS[name].compute(shared) for name in names}
     if len(ahead):
-        columns |= dict(zip(PATH_COLUMNS, _sample_path(shared, ahead), strict=True))
+        columns |= dict(zip(PATH_COLUMNS, shared.path_points(ahead), strict=True))
     return columns
-
-
-def _sample_path(shared: SharedView, ahead: FloatArray) -> tuple[FloatArray, ...]:
-    """Return points of the path as seen from the ego, as `View.path` does: x, y, heading, curvature, (M, K) each."""
-    s = shared.situation
-    at = shared.own_pose_on_path[0][:, None] + ahead
-    columns = (s.path.x, s.path.y, s.path.heading, s.path.curvature)
-    if s.path.distance.ndim == 1:
-        x, y, direction, curvature = (np.interp(at, s.path.distance, values) for values in columns)
-    else:
-        x, y, direction, curvature = (
-            np.stack([np.interp(*row) for row in zip(at, s.path.distance, values, strict=True)]) for values in columns
-        )
-    dx, dy, heading = x - s.x[:, None], y - s.y[:, None], s.heading[:, None]
-    cos, sin = np.cos(heading), np.sin(heading)
-    return dx * cos + dy * sin, dy * cos - dx * sin, np.asarray(wrap_angle(direction - heading)), curvature

@@ -220,7 +220,8 @@ class ProcessFunction(DrivingFunction):
         columns = compute_columns(seen, self._wanted, self._ahead)
         message: dict[str, Any] = {
             "type": "step",
-            "time": situation.time,
+            # As in `View`: without the rounding errors of sums of time steps.
+            "time": round(situation.time, 9),
             "time_step": situation.time_step,
             "scenarios": rows.tolist(),
             "columns": {name: pack_column(values) for name, values in columns.items()},

@@ -15,7 +15,7 @@ from lxml import etree
 from cornercase._common.errors import InputError, suggest_name
 from cornercase._common.io.support_table import Notice, NoticeLabel
 from cornercase._common.text.source_lines import prefix_file
-from cornercase.drivers._resolve import DriverLike, check_drivers, resolve_driver
+from cornercase.drivers._resolve import DriverLike, check_drivers, may_steer, resolve_driver
 from cornercase.scenario import ConcreteScenario, LogicalScenario, ParameterSpace
 from cornercase.scenario._file import ScenarioFile
 from cornercase.scenario._xml import read_xml
@@ -154,6 +154,8 @@ def check(
         _, space_violations = _validate_by_schema(read_xml(Path(space)))
         schema_violations += [f"{space}: {violation}" for violation in space_violations]
     notices = collect_notices(file, is_complete=not run_errors)
+    if any(may_steer(driver) for driver in given.values()):
+        notices = tuple(notice for notice in notices if notice.parts != ("<Axles>",))
     return Check(
         path=file.path,
         contents={tag: tags[tag] for tag in _COUNTED_ELEMENTS},

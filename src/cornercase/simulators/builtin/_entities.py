@@ -128,7 +128,7 @@ def _read_entity(body: etree._Element, name: str, scope: Scope) -> Entity:
 
 def _read_axles(body: etree._Element, length: float, scope: Scope) -> tuple[float, float]:
     """Return the distance of the axles in m, and the largest angle of the front wheels in rad; defaults for none."""
-    # Only a vehicle model uses them, so they do not count as read.
+    # Only vehicles that are steered use them, so they do not count as read.
     front, rear = (next(iter(find_untracked(body, "Axles", tag)), None) for tag in ("FrontAxle", "RearAxle"))
     positions = [0.0 if axle is None else scope.read_number(axle, "positionX", 0.0) for axle in (front, rear)]
     max_steering = 0.0 if front is None else scope.read_number(front, "maxSteering", 0.0)

@@ -66,6 +66,11 @@ class AgentServer:
         self.config_file.chmod(0o600)
         self._thread = Thread(target=self._serve, daemon=True, name="driver of the ego on CARLA")
 
+    @property
+    def limit_notices(self) -> Mapping[str, str]:
+        """A sentence without full stop for each limit of the vehicle that the driver exceeded."""
+        return self._attachment.limit_notices
+
     def __enter__(self) -> Self:
         try:
             self._attachment.start(self._start)

@@ -281,6 +281,8 @@ class Carla(Simulator):
                 except SimulationError as error:
                     # ScenarioRunner fails too if the driver does.
                     raise server.failure or error from error
+                finally:
+                    self.notify(server.limit_notices.values())
                 if server.failure is not None:
                     raise server.failure
                 return recording

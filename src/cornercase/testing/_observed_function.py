@@ -1,0 +1,63 @@
+"""A driver that notes what another one decides."""
+
+from __future__ import annotations
+
+from typing import NamedTuple, cast
+
+import numpy as np
+
+from cornercase._common.typing import BoolArray, FloatArray
+from cornercase.drivers import Controls, Driver, DrivingFunction, Situation, Start
+
+
+class Request(NamedTuple):
+    """A decision, and its time in s."""
+
+    value: float
+    time: float
+
+    def strongest(self, values: FloatArray, rows: BoolArray, time: float) -> Request:
+        """Return this one, or the strongest of a later step."""
+        given = values[rows & np.isfinite(values)]
+        value = float(given[np.abs(given).argmax()]) if len(given) else 0.0
+        return Request(value, time) if abs(value) > abs(self.value) else self
+
+
+class ObservedFunction(DrivingFunction):
+    """Decides what a driver decides, and notes the strongest acceleration in m/s² and steering angle in rad."""
+
+    def __init__(self, driver: Driver) -> None:
+        self._driver = driver
+        self.settings = driver.settings
+        self.most_acceleration = self.most_steering = Request(0.0, 0.0)
+        self.max_steering = np.inf
+
+    def prepare(self, start: Start) -> None:
+        """Prepare the driver for a batch."""
+        self.max_steering = start.body.max_steering
+        if isinstance(self._driver, DrivingFunction):
+            self._driver.prepare(start)
+
+    def start(self, scenarios: int, others: int) -> None:
+        """Reset the driver."""
+        self._driver.start(scenarios, others)
+
+    def decide(self, situation: Situation) -> Controls:
+        """Return what the driver decides."""
+        active, time = situation.active.copy(), situation.time
+        if not isinstance(self._driver, DrivingFunction):
+            accelerations = self._driver.acceleration(situation)
+            self.most_acceleration = self.most_acceleration.strongest(
+                np.asarray(accelerations, np.float64), active, time
+            )
+            # An attachment takes accelerations, too.
+            return cast(Controls, accelerations)
+        controls = self._driver.decide(situation)
+        self.most_acceleration = self.most_acceleration.strongest(controls.acceleration, active, time)
+        self.most_steering = self.most_steering.strongest(controls.steering, active, time)
+        return controls
+
+    def release(self) -> None:
+        """Release what the driver holds."""
+        if isinstance(self._driver, DrivingFunction):
+            self._driver.release()
