@@ -375,6 +375,9 @@ def test_the_clients_are_copied_by_a_command(tmp_path):
         str(tmp_path / "here" / name) for name in ("cornercase_client.py", "cornercase_client.hpp")
     ]
     assert {file.name for file in (tmp_path / "here").iterdir()} == {"cornercase_client.py", "cornercase_client.hpp"}
+    helped = subprocess.run([*command[:-1], "--help"], capture_output=True, text=True, check=True, cwd=tmp_path)
+    assert "folder to copy them to" in helped.stdout
+    assert [file.name for file in tmp_path.iterdir()] == ["here"]
 
 
 def test_a_registered_name_is_a_driver_of_users(folder):
