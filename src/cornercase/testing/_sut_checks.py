@@ -128,7 +128,11 @@ class _Subject:
         cases = self._cases[0]
         driver = resolve_driver(self._system) if isinstance(self._system, str) else self._create()
         in_workers = cases.run("builtin", workers=2, drivers={cases.entity: driver}, **_SETTINGS)
-        _require_same(self._run(cases), in_workers, "In two worker processes it drives otherwise")
+        _require_same(
+            self._run(cases),
+            in_workers,
+            "In two worker processes, which share no class or module with this one, it drives otherwise",
+        )
 
     def _create(self) -> Driver:
         if isinstance(self._system, str):
