@@ -18,4 +18,4 @@ struct Aeb {
     }
 };
 
-int main() { return cornercase::serve(Aeb{}, {"leader_gap", "leader_closing"}); }
+int main() { return cornercase::serve(Aeb{}, {"leader_gap", "leader_closing"}, {}, {"time_to_brake"}); }

@@ -8,6 +8,7 @@ class Aeb(BatchFunction):
     """Brakes if the leader is closer than the ego comes in the time to brake."""
 
     columns = ["leader_gap", "leader_closing"]
+    option_names = ["time_to_brake"]
 
     def start(self, batch):
         """Begin a batch; an option may differ between scenarios if it is a dimension of a search."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import json
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -27,7 +28,7 @@ from cornercase.simulators.pool._simulator import WorkerSimulator
 from cornercase.study import StudyFile
 from cornercase.suite import Requirement, judge
 from helpers import fake_simulators as fake_simulators
-from helpers.command_line import SPACE, X, cornercase
+from helpers.command_line import SPACE, X, cornercase, process
 from helpers.fake_simulators import Plan
 
 pytestmark = pytest.mark.filterwarnings("ignore:without effect")
@@ -221,6 +222,37 @@ def test_42_s5_a_driver_that_cannot_be_made_is_named(folder, driver, raised):
     done = searched(folder, driver)
     assert done.returncode == 2
     assert done.stderr.startswith(f"cornercase: The driver 'faulty:{driver}' cannot be created: {raised}")
+
+
+def test_a_file_that_an_installed_module_hides_is_named(folder):
+    for hidden in ("code", "time"):
+        (folder / f"{hidden}.py").write_text(DRIVERS)
+        done = cornercase("-q", *SEARCH, "--driver", f"Ego={hidden}:Steady", "-o", "s.db", cwd=folder)
+        assert done.returncode == 2
+        where = sys.modules[hidden].__file__ if hidden == "code" else "part of Python itself"
+        assert f"the module '{hidden}' is {where}, which hides ./{hidden}.py, so rename yours." in done.stderr
+    (folder / "steadies.py").write_text(DRIVERS)
+    done = cornercase("-q", *SEARCH, "--driver", "Ego=steadies:Steadi", "-o", "s.db", cwd=folder)
+    assert "'steadies' has no class 'Steadi'; did you mean 'Steady'?" in done.stderr
+
+
+def test_json_is_all_that_a_command_prints_to_stdout(folder):
+    (folder / "loud.py").write_text(
+        "import cornercase as cc\nprint('loaded')\n\n\nclass Loud(cc.SystemUnderTest):\n"
+        "    def step(self, view, dt):\n        print('step')\n        return 0.0\n"
+    )
+    shutil.copytree(X.parent, folder / "suite")
+    (folder / "suite" / SPACE.name).unlink()
+    for workers in (1, 2):
+        done = process(
+            "-q", "test", "suite", "--driver", "Ego=loud:Loud", "--duration", 1, "--workers", workers, "--ego", "Ego", "--other",
+            "Pedestrian",
+            "-o", f"{workers}.db", "--json", cwd=folder,
+        )  # fmt: skip
+        assert done.stdout.startswith("{"), done.stderr[-500:]
+        json.loads(done.stdout)
+        assert "loaded\n" in done.stderr
+        assert "step\n" in done.stderr
 
 
 class Touchy(Clearance):

@@ -139,3 +139,21 @@ def test_a_trajectory_beyond_all_maps_is_refused():
 def test_an_option_that_is_no_number_is_refused():
     with pytest.raises(cc.InputError, match="takes a number for 'horizon', not 'nan'"):
         cc.drivers.DRIVERS.create("normal:horizon=nan")
+
+
+def test_a_method_that_cannot_be_called_is_refused_with_its_arguments():
+    class StartsOtherwise(cc.SystemUnderTest):
+        def start(self, ego):  # type: ignore[override]
+            pass
+
+        def step(self, view, dt):
+            return 0.0
+
+    class StepsOtherwise(cc.SystemUnderTest):
+        def step(self, view):  # type: ignore[override]
+            return 0.0
+
+    with pytest.raises(cc.InputError, match=r"has start\(self, ego\), but is called as start\(self, ego, road, rng\)"):
+        cc.simulate(X, drivers={"Ego": StartsOtherwise()})
+    with pytest.raises(cc.InputError, match=r"has step\(self, view\), but is called as step\(self, view, dt\)"):
+        cc.simulate(X, drivers={"Ego": StepsOtherwise()})

@@ -163,8 +163,14 @@ def answering(folder, code, name="other.py"):
         ("import time; time.sleep(60)", "it did not answer within 0.6 s"),
         (
             "f = client.ScalarAdapter(client.Function); f.columns = ['sped']; client.serve_batches(f)",
-            "it wants the columns ['sped']; known are x, y",
+            "cannot be used: it wants the column 'sped', which does not exist; did you mean 'speed'.",
         ),
+        (
+            "f = client.ScalarAdapter(client.Function); f.columns = ['path_x']; client.serve_batches(f)",
+            "it wants the column 'path_x', and gives no 'ahead', the distances of its points.",
+        ),
+        ("import os; os.close(0); os._exit(0)", "cannot be used: it ended with exit code 0 before it answered."),
+        ("import os; os.close(0); os.write(1, b'hello'); os._exit(0)", "its output begins with 'hello', which is no"),
     ],
 )
 def test_a_program_that_cannot_be_used_ends_the_command_with_a_sentence(folder, code, words):
@@ -187,6 +193,11 @@ def test_a_program_that_cannot_be_used_ends_the_command_with_a_sentence(folder, 
         (spec("timeout=0"), "`timeout`"),
         (spec("start_timeout=soon"), "`start_timeout`"),
         ("exec:'unfinished", "cannot be split into words: No closing quotation"),
+        (
+            "exec:./f:reaction=1,6",
+            "'exec:./f:reaction=1,6' has the option '6' without a name or value; give options as",
+        ),
+        ("exec:./f:reaction=1,reaction=2", "has the option 'reaction' twice; give it once."),
     ],
 )
 def test_bad_commands_are_refused_when_they_are_given(folder, text, words):
@@ -354,6 +365,7 @@ def test_an_answer_is_read_or_refused():
         ({"acceleration": [1.0, 2.0]}, "its acceleration is not binary data"),
         ({"brake": pack_column([0.0, 1.5])}, "its brake is 1.5; it goes from 0 to 1"),
         ({"lane_change": pack_column([0.0, 2.0])}, "its lane_change is not 1"),
+        ({"accelaration": pack_column([0.0, 1.0])}, "unknown key 'accelaration'; did you mean 'acceleration'"),
         ({"failures": [[2, "x"]]}, "is about row 2 of 2"),
         ({"failures": {"a": 1}}, "its failures are not a list of lists of 2 items"),
         ({"trajectories": [[0, pack_column([0.0]), pack_column([0.0]), pack_column([0.0])]]}, "at least two points"),
@@ -380,6 +392,9 @@ def test_the_clients_are_copied_by_a_command(tmp_path):
         str(tmp_path / "here" / name) for name in ("cornercase_client.py", "cornercase_client.hpp")
     ]
     assert {file.name for file in (tmp_path / "here").iterdir()} == {"cornercase_client.py", "cornercase_client.hpp"}
+    helped = subprocess.run([*command[:-1], "--help"], capture_output=True, text=True, check=True, cwd=tmp_path)
+    assert "folder to copy them to" in helped.stdout
+    assert [file.name for file in tmp_path.iterdir()] == ["here"]
 
 
 def test_a_registered_name_is_a_driver_of_users(folder):
@@ -417,7 +432,8 @@ struct Aeb {
     }
 };
 
-int main() { return cornercase::serve(Aeb{}, {"leader_gap", "leader_closing", "other_x", "turn"}, {10.0}); }
+int main() { return cornercase::serve(Aeb{}, {"leader_gap", "leader_closing", "other_x", "turn", "path_heading"}, {10.0},
+                                     {"time_to_brake", "lost", "thrown"}); }
 """
 
 
@@ -434,6 +450,10 @@ def test_a_function_in_cpp_drives_as_the_same_class_does(folder):
     ):
         (failed,) = Builtin(duration=2.0, drivers={"Ego": f"exec:./aeb:{option}=1"}).run(concretes(0.0))
         assert re.search(words, str(failed)), str(failed)
+    with pytest.raises(InputError, match=r"has no option 'time_to_brak'; did you mean 'time_to_brake'"):
+        run("exec:./aeb:time_to_brak=2", 0.0)
+    (failed,) = Builtin(duration=2.0, drivers={"Ego": "exec:./aeb:time_to_brake=abc"}).run(concretes(0.0))
+    assert str(failed).endswith("the option time_to_brake is 'abc', which is not a number")
 
 
 EXAMPLES = X.parents[1] / "process"
@@ -541,9 +561,61 @@ def test_each_number_in_a_command_can_vary_and_other_options_stay_texts(folder):
 
 
 def test_the_reason_why_a_program_has_no_object_stays(folder):
-    (folder / "two.py").write_text(TWO_OPTIONS)
+    (folder / "two.py").write_text(TWO_OPTIONS.replace("serve(Brake)", "serve(lambda **options: Brake(**options))"))
     with pytest.raises(InputError, match="unexpected keyword argument 'brak'"):
         cc.simulate(X, duration=1.0, drivers={"Ego": f"exec:{PYTHON} two.py:brak=2"})
+
+
+def test_an_option_that_the_program_does_not_have_is_refused(folder):
+    (folder / "two.py").write_text(TWO_OPTIONS)
+    for option, meant in (("brak=2", "brake"), ("timeuot=2", "timeout")):
+        with pytest.raises(InputError, match=f"has no option '{option[:-2]}'; did you mean '{meant}'"):
+            cc.simulate(X, duration=1.0, drivers={"Ego": f"exec:{PYTHON} two.py:{option}"})
+    explore = (
+        "explore", X, "--range", "Ego.brak=1:2", "--ego", "Ego", "--other", "Pedestrian", "--metric", "wttc", "--budget", 2,
+        "--duration", 1, "-o", folder / "s.db", "--driver",
+    )  # fmt: skip
+    done = cornercase(*explore, f"Ego=exec:{PYTHON} two.py:brak=1")
+    assert done.returncode == 2
+    assert "has no option 'brak'; did you mean 'brake'?" in done.stderr
+    done = cornercase(*explore, f"Ego=exec:{PYTHON} two.py")
+    assert done.returncode == 2
+    assert "only options that it is given can be searched, so add it as in" in done.stderr
+
+
+def test_a_program_that_lists_no_options_gets_all_but_misspelt_ones_of_cornercase(folder):
+    code = "client.serve(lambda **options: client.Function())"
+    for option, meant in (("timeuot", "timeout"), ("Log", "log"), ("start_timout", "start_timeout")):
+        with pytest.raises(InputError, match=f"has the option '{option}', .* did you mean '{meant}'"):
+            run(f"{answering(folder, code)}:{option}=3", 0.0)
+    code = "class F(client.Function):\n    def step(self, view, dt): return 0.0\nclient.serve(lambda **options: F())"
+    run(f"{answering(folder, code)}:start_time=3,lag=1,limit=2", 0.0, duration=1.0)
+
+
+def test_the_columns_of_the_path_may_be_named(folder):
+    code = (
+        "class F(client.BatchFunction):\n"
+        "    columns = ['speed', 'path_heading']\n"
+        "    def step(self, step):\n"
+        "        assert set(step.columns) == {'speed', 'path_x', 'path_y', 'path_heading', 'path_curvature'}\n"
+        "        return {'acceleration': [0.0] * len(step.scenarios)}\n"
+        "client.serve_batches(F(), ahead=[5.0, 10.0])"
+    )
+    run(answering(folder, code), 0.0, duration=1.0)
+
+
+def test_a_program_that_decides_nothing_is_named(folder):
+    code = (
+        "class F(client.BatchFunction):\n"
+        "    def step(self, step): return {'steering': [0.1] * len(step.scenarios)}\n"
+        "client.serve_batches(F())"
+    )
+    (failed,) = Builtin(duration=1.0, drivers={"Ego": answering(folder, code)}).run(concretes(0.0))
+    assert re.fullmatch(
+        r"the driver of Ego \(exec:.*other\.py\) decided nothing at t = 0 s: it gave no acceleration, no throttle or"
+        r" brake, and no trajectory",
+        str(failed),
+    )
 
 
 def test_a_log_in_no_folder_is_refused(folder):

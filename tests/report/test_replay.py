@@ -217,6 +217,15 @@ def test_the_command_writes_what_it_says(study, tmp_path):
     assert "Traceback" not in refused.stderr
 
 
+def test_a_recording_or_a_study_without_an_id_leads_to_a_replay(study, tmp_path):
+    recording = cornercase("replay", "run.csv", "-o", tmp_path / "run.html")
+    assert recording.returncode == 2
+    assert "run.csv: is a recording, and a replay is made from a study" in recording.stderr
+    no_id = cornercase("replay", study, "-o", tmp_path / "run.html")
+    assert no_id.returncode == 2
+    assert f"give the id of a scenario, too, as in 'cornercase replay {study} 1 -o " in no_id.stderr
+
+
 def test_between_instants_entities_move_straight_and_turn_the_short_way():
     found = interpolation.interpolate_motion(recording(), np.array([0.0, 0.5, 0.75, 1.0]))
     centers = recording().box_center("Ego")

@@ -7,6 +7,7 @@ import pytest
 
 from cornercase._common.errors import InputError
 from cornercase.roads._locator import RoadLocator
+from cornercase.roads._nearest import NearestPointIndex
 from helpers.road_networks import WIDTH, chain, lane, linked, network, road, virtual
 
 TURN = 2 * np.pi
@@ -195,3 +196,12 @@ def test_a_lane_that_splits_leads_onto_both(tmp_path):
     path = roads.lane_path_from(0, -1, 0.0, True)
     assert path is not None
     assert path.lane[-1] == -2
+
+
+def test_points_that_are_asked_for_one_by_one_get_the_neighbours_that_they_get_together():
+    points = np.random.default_rng(0).uniform(0.0, 100.0, (5000, 2))
+    queries = np.random.default_rng(1).uniform(0.0, 100.0, (600, 2))
+    together = NearestPointIndex(points).find_nearest(queries, 24)
+    index = NearestPointIndex(points)
+    one_by_one = [index.find_nearest(query[None], 24)[0] for query in queries]
+    np.testing.assert_array_equal(one_by_one, together)

@@ -100,8 +100,11 @@ def test_a_text_that_a_study_or_file_may_hold_runs_nothing(folder, name):
         ("[reaction]\nfactr = [1, 2]", "'factr', which is not known; did you mean 'factor'?"),
         ("[reaction]", "needs either factor = [0.8, 0.2] or increase"),
         ("[reaction]\nfactor = [1, 2]\nincrease = [1, 2]", "needs either factor"),
-        ("[reaction]\nfactor = [1, 0]", "[reaction], factor: give two positive numbers, from mild to severe"),
-        ("[reaction]\nfactor = 2", "give two positive numbers"),
+        (
+            "[reaction]\nfactor = [1, 0]",
+            "[reaction], factor: give two numbers from 1e-06 to 1e+06, from mild to severe",
+        ),
+        ("[reaction]\nfactor = 2", "give two numbers from"),
         ("[reaction]\nfactor = [1, 2]\ndescription = 3", "description: give a text"),
         ("[reacton]\nfactor = [1, 2]", "has no number 'reacton' that may be off; did you mean 'reaction'?"),
     ],

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+import shutil
 
 import numpy as np
 import pytest
@@ -125,3 +127,19 @@ def test_an_ego_without_a_driver_has_no_mutants(tmp_path):
     cc.explore(cut_in, path, ego="Other", other="Ego", metrics=["ttc"], optimizer="sobol", budget=2)
     with pytest.raises(InputError, match="Mutants need a driver of Other; name one with `drivers`"):
         analyze_mutants(path, 3, scenario=EXAMPLES / "r157" / "cut_in.xosc")
+
+
+def test_collisions_are_told_where_no_requirement_forbids_them(tmp_path):
+    for file in (T, T.with_suffix(".xodr")):
+        shutil.copy(file, tmp_path)
+    run = ("test", tmp_path / T.name, "--ego", "Ego", "--other", "C", "--driver", "Ego=simple", "--mutants", 2)
+    told = cornercase(*run, "-o", tmp_path / "run.db")
+    assert told.returncode == 0, told.stderr
+    text = " ".join(told.stdout.split())
+    assert re.search(r"passed it ran for ([\d.]+) s, with a collision at \1 s", text)
+    assert "No requirement was given, so all that ran have passed; --require 'no collision' forbids" in text
+    assert "Without a requirement, mutants are judged by 'no collision'." in text
+    assert "simple itself violates 'no collision' or fails in all scenarios, which therefore expose no mutant." in text
+    judged = cornercase(*run, "--require", "no collision", "-o", tmp_path / "run.db")
+    assert judged.returncode == 1
+    assert "Without a requirement" not in judged.stdout

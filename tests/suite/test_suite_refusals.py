@@ -72,6 +72,7 @@ BAD = {
     "options of a stranger": (lambda f: spoilt(f, simulator="esmini:library=evil.so"), "whose options could run programs; give `simulator`"),
     "a file elsewhere": (lambda f: spoilt(f, files={"../../secret": "0"}), "is not a file in its folder"),
     "no JSON": (lambda f: (f / "manifest.json").write_text("{"), "is not valid JSON"),
+    "a study": (lambda f: (f / "manifest.json").write_bytes(b"SQLite format 3\0\xea"), "is a study; run `reduce` first"),
     "no manifest": (lambda f: (f / "manifest.json").write_text("[]"), "is not a manifest"),
     "half a character": (lambda f: spoilt(f, study="\ud800.db"), "holds half a character"),
     "nothing in it": (lambda f: spoilt(f, space=None), "cannot be used as a manifest"),

@@ -5,7 +5,8 @@ from __future__ import annotations
 import os
 import sys
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
@@ -97,7 +98,71 @@ MinSamples = Annotated[
 ]
 LocalWorkers = Annotated[int, Option("--workers", metavar="N", help="Number of processes of --cluster local.", min=1)]
 Memory = Annotated[str, Option(metavar="SIZE", help="Memory that the command may use, such as 4GB or 500MB.")]
-Json = Annotated[bool, Option("--json", help="Print JSON, for programs.")]
+
+
+class _JsonOutput:
+    """Keeps stdout for JSON: whatever else is printed, as by code of the user, goes to stderr."""
+
+    def __init__(self) -> None:
+        self._stdout, self._stderr = sys.stdout, sys.stderr
+        try:
+            self._numbers = self._stdout.fileno(), self._stderr.fileno()
+            self._copy: int | None = os.dup(self._numbers[0])
+        except (AttributeError, OSError, ValueError):
+            # One of them is closed, or no file, as in a notebook.
+            self._copy = None
+
+    def redirect(self) -> None:
+        """Send what this process, and those that it starts, print to stderr."""
+        if self._copy is not None:
+            os.dup2(self._numbers[1], self._numbers[0])
+        sys.stdout = self._stderr
+
+    def restore(self) -> None:
+        """End the redirection."""
+        sys.stdout = self._stdout
+        if self._copy is not None:
+            os.dup2(self._copy, self._numbers[0])
+
+    def close(self) -> None:
+        """End the redirection for good."""
+        self.restore()
+        if self._copy is not None:
+            os.close(self._copy)
+
+    def write(self, text: str) -> None:
+        """Write to stdout."""
+        self.restore()
+        try:
+            self._stdout.write(text)
+            # Not later, when it is redirected again.
+            self._stdout.flush()
+        finally:
+            self.redirect()
+
+
+_json_output: ContextVar[_JsonOutput | None] = ContextVar("json output", default=None)
+
+
+@contextmanager
+def _keep_stdout_for_json() -> Iterator[None]:
+    output = _JsonOutput()
+    token = _json_output.set(output)
+    output.redirect()
+    try:
+        yield
+    finally:
+        output.close()
+        _json_output.reset(token)
+
+
+def _prepare_json(context: typer.Context, value: bool) -> bool:
+    if value:
+        context.with_resource(_keep_stdout_for_json())
+    return value
+
+
+Json = Annotated[bool, Option("--json", help="Print JSON, for programs.", callback=_prepare_json)]
 
 
 def _search_maps(context: typer.Context, folders: list[Path] | None) -> None:
@@ -172,7 +237,12 @@ def print_ending(result: ExplorationResult) -> None:
 
 def print_json(value: object) -> None:
     """Print a value as JSON, for programs."""
-    sys.stdout.write(format_json(value) + "\n")
+    text = format_json(value) + "\n"
+    output = _json_output.get()
+    if output is None:
+        sys.stdout.write(text)
+    else:
+        output.write(text)
 
 
 def print_failure_reasons(reasons: Mapping[str, int], suffix: str = "") -> None:

@@ -86,7 +86,7 @@ def watch(
 @app.command()
 def replay(
     study: opt.StudyFile,
-    scenario_id: Annotated[int, typer.Argument(metavar="ID", help="Id of the scenario.", min=1)],
+    scenario_id: Annotated[int | None, typer.Argument(metavar="ID", help="Id of the scenario.", min=1)] = None,
     *,
     output: Annotated[Path, Option("--output", "-o", metavar="FILE.html|gif|mp4", help="Page or film to write.")],
     beside: Annotated[
@@ -110,6 +110,13 @@ def replay(
     """
     from cornercase.report import replay as write_replay
 
+    if study.suffix.lower() == ".csv":
+        raise InputError(
+            f"{study}: is a recording, and a replay is made from a study; run its scenario with the same driver by"
+            " 'cornercase test SCENARIO.xosc --ego NAME --other NAME -o run.db', and replay scenario 1 of run.db."
+        )
+    if scenario_id is None:
+        raise InputError(f"{study}: give the id of a scenario, too, as in 'cornercase replay {study} 1 -o {output}'.")
     path = write_replay(
         study,
         scenario_id,

@@ -138,6 +138,8 @@ def _print_result(result: SuiteResult) -> None:
         table.add_row(scenario.file, state, scenario.reason, *([difference] if compared else []))
     out.print(table)
     out.print(f"{result.summary}, in {result.study}.")
+    if not result.requirements:
+        out.print("No requirement was given, so all that ran have passed; --require 'no collision' forbids collisions.")
     out.print(f"{result.comparison_summary}.")
     if result.n_ran_before:
         out.print(
@@ -162,5 +164,9 @@ def _print_kills(result: SuiteResult, exposure: KillMatrix) -> None:
         out.print(f"Most are exposed by {names}; {len(order)} of {len(files)} scenarios expose any.")
     if exposure.survivors:
         out.print(f"Exposed by none: {' '.join(exposure.survivors)}.")
-    if exposure.failed.all():
-        out.print(f"{exposure.driver} itself fails in all scenarios, so no mutant can be exposed.")
+    rule = " and ".join(f"'{requirement}'" for requirement in exposure.requirements)
+    if not result.requirements:
+        out.print(f"Without a requirement, mutants are judged by {rule}.")
+    if n_failed := int(exposure.failed.sum()):
+        where = "all scenarios" if exposure.failed.all() else f"{n_failed} of {len(exposure.failed)} scenarios"
+        out.print(f"{exposure.driver} itself violates {rule} or fails in {where}, which therefore expose no mutant.")

@@ -17,7 +17,7 @@ from cornercase._common.plugin_errors import (
     reraise_termination_request,
 )
 from cornercase._common.process.signals import count_requests
-from cornercase._common.text.sanitize import quote_name
+from cornercase._common.text.sanitize import quote_name, remove_folders
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase._common.validation import repr_short
 from cornercase.drivers._base import Driver, Situation
@@ -119,6 +119,12 @@ class Attachment:
             "" if is_built_in(driver_class) else f" ({driver_class.__module__}:{driver_class.__qualname__})"
         )
 
+    @property
+    def _full_name(self) -> str:
+        """Its name in messages, with the program or file that an adapter of cornercase runs."""
+        is_adapter = is_built_in(type(self.driver)) and isinstance(self.driver, DrivingFunction)
+        return f"{self.display_name} ({remove_folders(str(self.driver))})" if is_adapter else self.display_name
+
     def start(self, start: Start) -> None:
         """Reset driver, sensors and vehicle for a batch; raises `DriverError`.
 
@@ -169,6 +175,8 @@ class Attachment:
         acceleration = np.where(np.isnan(controls.acceleration), pressed, controls.acceleration)
         is_decided = np.isfinite(acceleration)
         goes_on = np.isnan(acceleration) & self._mover.follows_trajectory(controls)
+        if isinstance(self.driver, DrivingFunction):
+            self._fail_undecided(active & np.isnan(acceleration) & ~goes_on, time, failures)
         self._fail(active & ~(is_decided | goes_on), acceleration, "an acceleration in m/s²", time, failures)
         self._fail(active & np.isinf(controls.steering), controls.steering, "an angle in rad", time, failures)
         self._note_exceeded_steering(controls.steering, active, time)
@@ -208,8 +216,15 @@ class Attachment:
     ) -> None:
         """Add a failure for each scenario of a mask, as its value is not what it is to be."""
         for n in np.flatnonzero(rows).tolist():
-            returned = f"{self.display_name} returned {values[n]:g}{format_time_of_failure(time)}"
+            returned = f"{self._full_name} returned {values[n]:g}{format_time_of_failure(time)}"
             failures.setdefault(n, PluginError(f"{returned}, which is not {what}"))
+
+    def _fail_undecided(self, rows: BoolArray, time: float, failures: dict[int, SimulationError]) -> None:
+        """Add a failure for each scenario of a mask, as nothing says how the ego is to move."""
+        for n in np.flatnonzero(rows).tolist():
+            why = "it gave no acceleration, no throttle or brake, and no trajectory"
+            sentence = f"{self._full_name} decided nothing{format_time_of_failure(time)}: {why}"
+            failures.setdefault(n, PluginError(sentence))
 
     def _note_missing_lane(self, time: float, side: str) -> None:
         self.limit_notices.setdefault(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -12,6 +11,8 @@ from cornercase._common.io.files import parse_toml, read_utf8
 from cornercase.drivers._mutation import Mutation
 
 _MAX_BYTES: Final = 1_000_000
+# Factor or increase; with larger ones, numbers overflow.
+_LARGEST: Final = 1e6
 _KEYS: Final = ("description", "factor", "increase")
 
 
@@ -36,9 +37,12 @@ def _read_mutation(where: str, option: str, table: Any) -> Mutation:
     bounds = table[kind]
     is_pair = isinstance(bounds, list) and len(bounds) == 2 and all(type(value) in (int, float) for value in bounds)
     # A severity between them is drawn on a logarithmic scale.
-    if not is_pair or not all(math.isfinite(value) and value > 0.0 for value in bounds):
-        raise InputError(f"{where}, {kind}: give two positive numbers, from mild to severe, as in [0.8, 0.2].")
+    if not is_pair or not all(1.0 / _LARGEST <= value <= _LARGEST for value in bounds):
+        raise InputError(
+            f"{where}, {kind}: give two numbers from {1.0 / _LARGEST:g} to {_LARGEST:g}, from mild to severe, as in"
+            " [0.8, 0.2]."
+        )
     description = table.get("description", f"other {option}")
-    if not isinstance(description, str) or not description.strip():
-        raise InputError(f'{where}, description: give a text, as in "reacts later".')
+    if not isinstance(description, str) or not description.strip() or not description.isprintable():
+        raise InputError(f'{where}, description: give a text in one line, as in "reacts later".')
     return Mutation(description, option, float(bounds[0]), float(bounds[1]), is_offset=kind == "increase")

@@ -65,6 +65,8 @@ def find_parameter(entity: str, driver: Driver, name: str) -> tuple[str, str]:
         hint = suggest_name(name, candidates)
         if "." in name and name.partition(".")[0] not in options:
             hint = "numbers of the scenario file are varied by `vary`."
+        elif not candidates and isinstance(driver, DrivingFunction) and driver.options_may_vary:
+            hint = f"only options that it is given can be searched, so add it as in '{driver}:{name}=1'."
         raise InputError(
             f"{entity}.{name}: the driver of {entity} ({driver}) has no option '{name}' that takes numbers; {hint}"
         )

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping
+from pathlib import Path
+from types import ModuleType
 from typing import Protocol, TypeAlias, TypeGuard, runtime_checkable
 
 from cornercase._common.current_folder import import_from_current_folder
@@ -179,12 +182,9 @@ def load_user_driver(name: str) -> Driver:
             ) from error
         driver_class = getattr(module, class_name, None)
         if not isinstance(driver_class, type):
-            defined = [
-                key for key, value in vars(module).items() if getattr(value, "__module__", "") == module.__name__
-            ]
+            hint = _describe_hidden_file(module_name) or suggest_name(class_name, _own_classes(module))
             raise InputError(
-                f"The driver '{name}' cannot be loaded since '{module_name}' has no class '{class_name}';"
-                f" {suggest_name(class_name, [key for key in defined if isinstance(vars(module)[key], type)])}"
+                f"The driver '{name}' cannot be loaded since '{module_name}' has no class '{class_name}'; {hint}"
             )
         options = parse_options("driver", class_path, driver_class, text) if text else {}
         check_options("driver", class_path, driver_class, options)
@@ -198,12 +198,32 @@ def load_user_driver(name: str) -> Driver:
     if isinstance(driver, SystemUnderTest):
         driver = ScalarFunction(driver)
     if not is_driver(driver):
+        hidden = _describe_hidden_file(module_name)
+        why = f" Its module is another one: {hidden}" if hidden else ""
         raise InputError(
             f"The class '{class_path}' is not a driver: it derives neither from cornercase.SystemUnderTest nor from"
-            " cornercase.Driver, nor has start(), acceleration() and a dict called settings."
+            f" cornercase.Driver, nor has start(), acceleration() and a dict called settings.{why}"
         )
     record_driver_spec(driver, class_path, options)
     return equip(driver, equipment)
+
+
+def _own_classes(module: ModuleType) -> list[str]:
+    """Return the names of the classes that a module defines."""
+    return [
+        name for name, made in vars(module).items() if isinstance(made, type) and made.__module__ == module.__name__
+    ]
+
+
+def _describe_hidden_file(module_name: str) -> str:
+    """Say that another module hides the file of this name in the current folder; empty if none does."""
+    top = module_name.partition(".")[0]
+    loaded = getattr(sys.modules.get(top), "__file__", None)
+    for file in (Path(f"{top}.py"), Path(top, "__init__.py")):
+        if file.is_file() and not (loaded and Path(loaded).resolve() == file.resolve()):
+            where = loaded or "part of Python itself"
+            return f"the module '{top}' is {where}, which hides ./{file.as_posix()}, so rename yours."
+    return ""
 
 
 def driver_by_name(name: str) -> Driver:

@@ -7,7 +7,8 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from copy import deepcopy
 from dataclasses import dataclass, is_dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from inspect import signature
+from typing import TYPE_CHECKING, Any, ClassVar, Final, Self
 
 import numpy as np
 
@@ -147,10 +148,33 @@ class SystemUnderTest(Configurable, ABC):
         """
 
 
+# How the methods of a user's class are called.
+_CALLS: Final = {"start": ("ego", "road", "rng"), "step": ("view", "dt")}
+
+
+def _check_calls(made: SystemUnderTest) -> None:
+    """Raise `InputError` if a method of a user's class cannot be called as cornercase calls it."""
+    for method, arguments in _CALLS.items():
+        try:
+            declared = signature(getattr(made, method))
+        except (TypeError, ValueError):
+            # Compiled code may have none.
+            continue
+        try:
+            declared.bind(*arguments)
+        except TypeError:
+            own, called = (", ".join(("self", *names)) for names in (declared.parameters, arguments))
+            cls = f"{type(made).__module__}:{type(made).__qualname__}"
+            raise InputError(
+                f"The driver '{cls}' has {method}({own}), but is called as {method}({called}); write it like that."
+            ) from None
+
+
 class ScalarFunction(DrivingFunction):
     """Drives each scenario of a batch by an object of its own, made from a prototype."""
 
     def __init__(self, prototype: SystemUnderTest) -> None:
+        _check_calls(prototype)
         self.prototype = prototype
         self.settings, self.mutations = prototype.settings, prototype.mutations  # type: ignore[misc]
         self._objects: list[SystemUnderTest] = []

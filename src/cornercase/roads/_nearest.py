@@ -12,15 +12,17 @@ from cornercase._common.typing import FloatArray, IntArray
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
-# Up to this number of pairs, brute force is faster than importing SciPy and building a tree.
+# Up to this number of pairs, in one query or in all so far, brute force is faster than building a tree, for which SciPy
+# is imported.
 _MAX_BRUTE_FORCE_PAIRS: Final = 200_000
+_MAX_PAIRS_SO_FAR: Final = 10 * _MAX_BRUTE_FORCE_PAIRS
 
 
 class NearestPointIndex:
     """Finds the nearest neighbours of query points among M fixed points, shape (M, 2)."""
 
     def __init__(self, points: FloatArray) -> None:
-        self._points = points
+        self._points, self._n_pairs = points, 0
 
     def find_nearest(self, queries: FloatArray, count: int) -> IntArray:
         """Return the indices of the `count` points nearest to each query, shape (N, min(count, M)).
@@ -28,7 +30,9 @@ class NearestPointIndex:
         The indices of each query are in ascending order, not in the order of distance.
         """
         count = min(count, len(self._points))
-        if len(queries) * len(self._points) > _MAX_BRUTE_FORCE_PAIRS:
+        n_pairs = len(queries) * len(self._points)
+        self._n_pairs += n_pairs
+        if n_pairs > _MAX_BRUTE_FORCE_PAIRS or self._n_pairs > _MAX_PAIRS_SO_FAR:
             rows = np.reshape(self._tree.query(queries, k=count)[1], (len(queries), count))
         else:
             points = self._points

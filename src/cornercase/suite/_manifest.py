@@ -51,8 +51,11 @@ def read_manifest(path: Path) -> SuiteContents:
 
 
 def _load_manifest_json(path: Path) -> dict[str, Any]:
+    content = read_file(path)
+    if content.startswith(b"SQLite format 3\0"):
+        raise InputError(f"{path}: is a study; run `reduce` first, and name the folder that it writes.")
     try:
-        manifest = parse_json(read_file(path).decode("utf-8"))
+        manifest = parse_json(content.decode("utf-8"))
     except (ValueError, RecursionError) as error:
         if isinstance(error, InputError):
             raise

@@ -407,9 +407,11 @@ def _build_result(
         duration = None
         ran = Verdict("inconclusive", _RAN_REQUIREMENT, f"it failed: {row.error}")
         if not failed:
-            time = study.recording(row.id).time
-            duration = float(time[-1] - time[0])
-            ran = Verdict("passed", _RAN_REQUIREMENT, f"it ran for {duration:.6g} s", value=duration)
+            recording = study.recording(row.id)
+            duration = float(recording.time[-1] - recording.time[0])
+            collision = next((hit for hit in recording.collisions if study.meta.ego in hit.entities), None)
+            hit = "" if collision is None else f", with a collision at {collision.time:.6g} s"
+            ran = Verdict("passed", _RAN_REQUIREMENT, f"it ran for {duration:.6g} s{hit}", value=duration)
         if not requirements:
             verdicts = [ran]
         scenarios.append(

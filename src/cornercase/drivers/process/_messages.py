@@ -11,12 +11,14 @@ from typing import Any, BinaryIO, Final
 import msgpack
 import numpy as np
 
+from cornercase._common.errors import suggest_name
 from cornercase._common.typing import FloatArray
 from cornercase.drivers._controls import Controls, Trajectory
 
 PROTOCOL_VERSION: Final = 1
 ANSWER_COLUMNS: Final = ("acceleration", "steering", "throttle", "brake", "lane_change")
 """Columns of numbers in an answer to a step, all of which may be missing."""
+_ANSWER_KEYS: Final = ("type", *ANSWER_COLUMNS, "trajectories", "failures")
 _LENGTH: Final = struct.Struct("<I")
 _MAX_BYTES, _SHOWN_BYTES = 2**28, 20
 
@@ -61,6 +63,9 @@ def pack_column(values: Any) -> bytes:
 
 def read_answer(answer: Mapping[str, Any], n_rows: int) -> tuple[Controls, dict[int, str]]:
     """Return the controls and failures in an answer to a step, by row; `ProtocolError` if it cannot be used."""
+    if unknown := [str(name) for name in answer if name not in _ANSWER_KEYS]:
+        hint = suggest_name(unknown[0], _ANSWER_KEYS).rstrip(".?")
+        raise ProtocolError(f"its answer has the unknown key '{unknown[0]}'; {hint}")
     controls = Controls.empty(n_rows)
     trajectories: dict[int, Trajectory] = {}
     for name in ANSWER_COLUMNS:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import hashlib
 import math
 import shutil
@@ -10,17 +11,17 @@ import weakref
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from cornercase._common.configurable import format_option_value
-from cornercase._common.errors import InputError, PluginError, RunLostError, SimulationError
+from cornercase._common.errors import InputError, PluginError, RunLostError, SimulationError, suggest_name
 from cornercase._common.platform import split_command
 from cornercase._common.plugin_errors import format_time_of_failure
 from cornercase._common.text.sanitize import escape_control_characters, quote_name, remove_folders, shorten
 from cornercase._common.typing import FloatArray
-from cornercase._common.validation import check_float
+from cornercase._common.validation import check_float, repr_short
 from cornercase._common.version import __version__
 from cornercase.drivers._attachment import DriverError
 from cornercase.drivers._base import Situation
@@ -28,7 +29,7 @@ from cornercase.drivers._controls import Controls
 from cornercase.drivers._function import DrivingFunction, Start
 from cornercase.drivers._mutation_file import read_mutations
 from cornercase.drivers._registry import SEPARATOR, split_spec
-from cornercase.drivers.process._columns import COLUMNS, compute_columns, select_rows
+from cornercase.drivers.process._columns import COLUMNS, PATH_COLUMNS, compute_columns, select_rows
 from cornercase.drivers.process._messages import (
     ANSWER_COLUMNS,
     PROTOCOL_VERSION,
@@ -41,6 +42,9 @@ from cornercase.drivers.process._program import TCP_PREFIX, Connection, Peer, Pr
 _MAX_FAILURE_LENGTH, _MAX_POINTS = 500, 1000
 # Of the options below.
 _TIMEOUT, _START_TIMEOUT = 10.0, 60.0
+_OWN_OPTIONS: Final = ("timeout", "start_timeout", "log")
+# How alike a name is to one of these if it is probably misspelt.
+_MISSPELT: Final = 0.85
 
 
 class ProcessFunction(DrivingFunction):
@@ -266,7 +270,7 @@ class ProcessFunction(DrivingFunction):
 
     def _connect(self) -> None:
         """Start the program and agree on the protocol; `InputError` if that fails."""
-        where = f"The driver '{remove_folders(self._text)}'"
+        where = f"The driver '{self._text}'"
         try:
             if self._words:
                 peer: Peer = Program(find_executable(self._command, self._words), self._log)
@@ -299,16 +303,49 @@ class ProcessFunction(DrivingFunction):
         if answer.get("protocol") != PROTOCOL_VERSION:
             raise ProtocolError(f"it has version {answer.get('protocol')!r}, cornercase has {PROTOCOL_VERSION}")
         self._at_once = 1 if answer.get("one_at_a_time") is True else sys.maxsize
-        wanted, ahead = answer.get("columns"), answer.get("ahead")
-        self._wanted = [*COLUMNS] if wanted is None else wanted
-        if not isinstance(self._wanted, list) or any(name not in COLUMNS for name in self._wanted):
-            raise ProtocolError(f"it wants the columns {self._wanted!r:.200}; known are {', '.join(COLUMNS)}")
+        self._check_options(answer.get("options"))
+        ahead = answer.get("ahead")
         try:
             self._ahead: FloatArray = np.array([] if ahead is None else ahead, dtype=np.float64)
         except (TypeError, ValueError):
             raise ProtocolError("its 'ahead' is not a list of distances in m") from None
         if self._ahead.ndim != 1 or len(self._ahead) > _MAX_POINTS or not np.isfinite(self._ahead).all():
             raise ProtocolError(f"its 'ahead' is not a list of at most {_MAX_POINTS} distances in m")
+        self._wanted = self._read_wanted_columns(answer.get("columns"))
+
+    def _check_options(self, listed: object) -> None:
+        """Raise `InputError` if an option is none of those that the program lists; it need not list any."""
+        if listed is None:
+            for name in self.options:
+                if (own := _find_misspelt_option(name)) is not None:
+                    raise InputError(
+                        f"The driver '{self._text}' has the option '{name}', and its program does not list its options;"
+                        f" did you mean '{own}'?"
+                    )
+            return
+        if not isinstance(listed, list) or not all(isinstance(name, str) for name in listed):
+            raise ProtocolError(f"its 'options' are not a list of names, but {repr_short(listed)}")
+        for name in self.options:
+            if name not in listed:
+                raise InputError(
+                    f"The driver '{self._text}' has no option '{name}'; {suggest_name(name, (*listed, *_OWN_OPTIONS))}"
+                )
+
+    def _read_wanted_columns(self, wanted: object) -> list[str]:
+        """Return the columns to compute; those of the path come with ``ahead``, whether they are named or not."""
+        if wanted is None:
+            return [*COLUMNS]
+        if not isinstance(wanted, list) or not all(isinstance(name, str) for name in wanted):
+            raise ProtocolError(f"its 'columns' are not a list of names, but {repr_short(wanted)}")
+        if unknown := [name for name in wanted if name not in COLUMNS and name not in PATH_COLUMNS]:
+            hint = suggest_name(unknown[0], (*COLUMNS, *PATH_COLUMNS)).rstrip(".?")
+            raise ProtocolError(f"it wants the column '{unknown[0]}', which does not exist; {hint}")
+        of_path = [name for name in wanted if name in PATH_COLUMNS]
+        if of_path and not len(self._ahead):
+            raise ProtocolError(
+                f"it wants the column '{of_path[0]}', and gives no 'ahead', the distances of its points"
+            )
+        return [name for name in wanted if name in COLUMNS]
 
     def _ask(self, message: Mapping[str, Any], expected: str, timeout: float, time: float) -> dict[str, Any]:
         assert self._peer is not None
@@ -341,13 +378,39 @@ def _on_one_line(text: str) -> str:
     return shorten(sanitized or "it does not say why", _MAX_FAILURE_LENGTH)
 
 
+def _find_misspelt_option(name: str) -> str | None:
+    """Return the option of cornercase that an option of a program is probably meant to be."""
+    if name.casefold() in _OWN_OPTIONS:
+        return name.casefold()
+    close = difflib.get_close_matches(name, _OWN_OPTIONS, n=1, cutoff=_MISSPELT)
+    # A ``start_time`` is something else.
+    return close[0] if close and not close[0].startswith(name) else None
+
+
 def _split_options(text: str) -> tuple[str, dict[str, Any]]:
-    """Return command and options of a text; what follows the last colon are options if all have a name and a value."""
+    """Return command and options of a text; what follows the last colon are options if the first has name and value."""
     command, colon, ending = text.rpartition(":")
-    pairs = [option.partition("=") for option in ending.split(",")]
-    if not colon or not all(name.strip().isidentifier() and equals for name, equals, _ in pairs):
+    items = [item.strip() for item in ending.split(",")]
+    pairs = [item.partition("=") for item in items]
+    bad = [
+        item
+        for item, (name, equals, _) in zip(items, pairs, strict=True)
+        if not (name.strip().isidentifier() and equals)
+    ]
+    # An argument of the command may have a colon and commas, too.
+    if not colon or items[0] in bad or any(len(item.split()) > 1 for item in bad):
         return text.strip(), {}
-    return command.strip(), {name.strip(): _parse_value(value.strip()) for name, _, value in pairs}
+    if bad:
+        raise InputError(
+            f"The driver 'exec:{text}' has the option '{bad[0]}' without a name or value; give options as in"
+            f" 'exec:{command}:name=value'."
+        )
+    options: dict[str, Any] = {}
+    for name, _, value in pairs:
+        if name.strip() in options:
+            raise InputError(f"The driver 'exec:{text}' has the option '{name.strip()}' twice; give it once.")
+        options[name.strip()] = _parse_value(value.strip())
+    return command.strip(), options
 
 
 def _parse_value(text: str) -> bool | float | str:

@@ -55,7 +55,9 @@ class Peer(ABC):
         """Send a message and return the answer; `ProtocolError` if there is none within `timeout` s."""
         self._deadline = time.monotonic() + timeout
         try:
-            write_message(self._output, message)
+            # If it has gone, what it printed says why.
+            with suppress(BrokenPipeError, ConnectionError):
+                write_message(self._output, message)
             answer = read_message(self._answers)
         except (OSError, ValueError):
             # It has gone, or its pipe was closed.
@@ -138,7 +140,7 @@ class Program(Peer):
         if code is None:
             return "it has closed its output"
         self.was_killed = is_killed_externally(code)
-        return f"it {describe_exit_code(code)}"
+        return f"it {describe_exit_code(code)}" if code else "it ended with exit code 0 before it answered"
 
     def _describe_stderr(self) -> str:
         if self._process.poll() is not None:

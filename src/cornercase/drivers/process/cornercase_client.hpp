@@ -199,7 +199,11 @@ struct Batch {
     Value options;                                          // own options
 
     double option(const std::string &name, double otherwise) const {
-        return options.has(name) ? options[name].number : otherwise;
+        if (!options.has(name)) return otherwise;
+        const Value &given = options[name];
+        if (given.kind == Value::Kind::text)
+            throw std::runtime_error("the option " + name + " is '" + given.text + "', which is not a number");
+        return given.number;
     }
     // The option in one scenario.
     double option(const std::string &name, double otherwise, std::size_t scenario) const {
@@ -334,9 +338,11 @@ inline Writer write_controls(const Controls &controls) {
 }
 
 // Answers cornercase until it closes the connection; returns the exit code of the program. `columns` are those that the
-// function needs, none for all; `ahead` are the distances in m at which the path is sent.
+// function needs, none for all; `ahead` are the distances in m at which the path is sent. `option_names` are those of
+// the function's options, so that cornercase refuses others; none if any may be given.
 template <class Function>
-int serve(Function function, const std::vector<std::string> &columns = {}, const std::vector<double> &ahead = {}) {
+int serve(Function function, const std::vector<std::string> &columns = {}, const std::vector<double> &ahead = {},
+          const std::vector<std::string> &option_names = {}) {
     try {
         Connection connection;
         Value message, options;
@@ -346,12 +352,17 @@ int serve(Function function, const std::vector<std::string> &columns = {}, const
             if (type == "hello") {
                 options = message["options"];
                 Writer hello;
-                hello.map(columns.empty() ? 3 : 4).text("type").text("hello").text("protocol").integer(protocol_version);
+                hello.map(3 + !columns.empty() + !option_names.empty());
+                hello.text("type").text("hello").text("protocol").integer(protocol_version);
                 hello.text("ahead").array(ahead.size());
                 for (double distance : ahead) hello.number(distance);
                 if (!columns.empty()) {
                     hello.text("columns").array(columns.size());
                     for (const std::string &name : columns) hello.text(name);
+                }
+                if (!option_names.empty()) {
+                    hello.text("options").array(option_names.size());
+                    for (const std::string &name : option_names) hello.text(name);
                 }
                 connection.send(hello);
             } else if (type == "start") {

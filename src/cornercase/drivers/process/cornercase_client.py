@@ -23,6 +23,7 @@ from __future__ import annotations
 
 import array
 import bisect
+import inspect
 import math
 import os
 import random
@@ -194,11 +195,13 @@ class Function:
 class BatchFunction:
     """A driving function of all scenarios of a batch at once, for speed: derive from it.
 
-    `columns` are the names of the columns that it needs; None for all. `one_at_a_time`: whether it drives one scenario
-    at a time, as its state cannot be held for several.
+    `columns` are the names of the columns that it needs; None for all. `option_names` are those of its options, so that
+    cornercase refuses others; None if any may be given. `one_at_a_time`: whether it drives one scenario at a time, as
+    its state cannot be held for several.
     """
 
     columns: Optional[Sequence[str]] = None
+    option_names: Optional[Sequence[str]] = None
     one_at_a_time = False
 
     def start(self, batch: Batch) -> Optional[Mapping[int, str]]:
@@ -219,6 +222,7 @@ class ScalarAdapter(BatchFunction):
 
     def __init__(self, make: Callable[..., Function], one_at_a_time: bool = False) -> None:
         self.make, self.one_at_a_time = make, one_at_a_time
+        self.option_names = _names_of_parameters(make)
 
     def start(self, batch: Batch) -> Dict[int, str]:
         """Make one object per scenario."""
@@ -338,8 +342,21 @@ def _hello(message: Mapping[str, Any], function: BatchFunction, ahead: List[floa
         "protocol": PROTOCOL_VERSION,
         "columns": None if function.columns is None else list(function.columns),
         "ahead": list(ahead),
+        "options": None if function.option_names is None else list(function.option_names),
         "one_at_a_time": function.one_at_a_time,
     }
+
+
+def _names_of_parameters(make: Callable[..., Function]) -> Optional[List[str]]:
+    """Return the names of the options that a constructor takes; None if it takes any."""
+    try:
+        parameters = list(inspect.signature(make).parameters.values())
+    except (TypeError, ValueError):
+        return None
+    if any(parameter.kind == parameter.VAR_KEYWORD for parameter in parameters):
+        return None
+    by_name = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
+    return [parameter.name for parameter in parameters if parameter.kind in by_name]
 
 
 def _pack_answer(answer: Mapping[str, Any]) -> Dict[str, Any]:

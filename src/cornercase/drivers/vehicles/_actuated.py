@@ -37,10 +37,15 @@ _POSITIVE: Final = frozenset({"max_jerk", "mu", "max_steering_rate", "wheelbase"
 _LIMITS: Final[dict[str, dict[str, float]]] = {
     "delay": {"minimum": 0.0, "maximum": 60.0},
     "steering_delay": {"minimum": 0.0, "maximum": 60.0},
-    "mass": {"minimum": 50.0},
-    "inertia": {"minimum": 50.0},
-    "front_axle": {"minimum": 0.1},
-    "rear_axle": {"minimum": 0.1},
+    "mu": {"above": 0.0, "maximum": 10.0},
+    "mass": {"minimum": 50.0, "maximum": 1e6},
+    "inertia": {"minimum": 50.0, "maximum": 1e8},
+    "front_axle": {"minimum": 0.1, "maximum": 100.0},
+    "rear_axle": {"minimum": 0.1, "maximum": 100.0},
+    "front_stiffness": {"above": 0.0, "maximum": 1e3},
+    "rear_stiffness": {"above": 0.0, "maximum": 1e3},
+    "height": {"above": 0.0, "maximum": 10.0},
+    "wheelbase": {"above": 0.0, "maximum": 200.0},
 }
 
 

@@ -168,7 +168,7 @@ def _answer_critical_share(data: ReportData) -> Answer:
     name, question = "critical", "How much of the space is critical?"
     summary, critical = data.summary, data.summary.estimates.critical
     if critical is None:
-        none = "There is no threshold from which a scenario is critical; set one with --critical of cornercase explore."
+        none = "There is no threshold from which a scenario is critical; give one with --critical."
         return Answer(name, question, none)
     criterion = format_criterion_with_signs(critical.criterion, summary.objective)
     estimates = critical.critical_set

@@ -128,6 +128,7 @@ class Stepper:
             evaluates_each_frame=np.zeros(world.scenarios, dtype=np.bool_),
             driven_entities=np.array([driver.entity for driver in self._driver_actions], dtype=np.int64),
             next_driver=np.zeros(world.scenarios, dtype=np.int64),
+            may_have_left_lane=np.zeros(world.scenarios, dtype=np.bool_),
         )
 
     def _read_triggers(self) -> None:

@@ -37,6 +37,7 @@ MASS, INERTIA, FRONT_AXLE, REAR_AXLE, FRONT_STIFFNESS, REAR_STIFFNESS, HEIGHT = 
 _ROLLING_SPEED: Final = 0.1
 # s; the longest part of a step in which the inputs count as constant.
 _PART: Final = 0.01
+_SHORTEST_PART: Final = 1e-5
 # Share of a step that rounding may leave.
 _ROUNDING: Final = 1e-9
 
@@ -73,7 +74,7 @@ def slide_vehicle(vehicles, n, motion, acceleration, steering, friction, time_st
             state[SLIP], state[YAW_RATE] = math.atan(parameters[REAR_AXLE] * curvature), motion[SPEED] * curvature
             state[VELOCITY] = motion[SPEED] / math.cos(state[SLIP])
         else:
-            duration = min(duration, state[VELOCITY] / rate)
+            duration = min(duration, max(state[VELOCITY] / rate, _SHORTEST_PART))
             _slide(vehicles, n, motion, grip, begin, duration, time_step)
         begin += duration
     motion[LAST_ACCELERATION] = end_step(vehicles, n, motion[SPEED])

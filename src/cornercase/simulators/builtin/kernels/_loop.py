@@ -32,7 +32,7 @@ from cornercase.simulators.builtin.kernels._conditions import (
     store_leaf_values,
 )
 from cornercase.simulators.builtin.kernels._move import AWAKE, EXTERNALLY_MOVED, move_entities, record_frame
-from cornercase.simulators.builtin.kernels._simulation_state import MAX_SPEED
+from cornercase.simulators.builtin.kernels._simulation_state import MAX_ACCELERATION, MAX_DECELERATION, MAX_SPEED
 from cornercase.simulators.builtin.kernels._steered_entity import steer_along_lane
 from cornercase.simulators.builtin.track_kernels._track_layout import LANE_TRACK
 from cornercase.simulators.builtin.world._state_layout import (
@@ -85,6 +85,7 @@ class LoopState(NamedTuple):
     evaluates_each_frame: BoolArray  # (N,): whether the storyboard has to be evaluated in each frame
     driven_entities: IntArray  # (D,): entity of each driver
     next_driver: IntArray  # (N,): driver to decide next in the frame; D for the coupling
+    may_have_left_lane: BoolArray  # (N,): whether an entity that was steered in the frame may have left its lane
 
 
 class LoopOptions(NamedTuple):
@@ -194,7 +195,6 @@ def _list_actions_and_wake_entities(scene, actions, loop, n, buffers):
 @_inlined_kernel
 def _finish_frame(scene, tracks, fleet, loop, options, n, dt, buffers):
     """Do the part of a frame after the storyboard: drivers, motion, recording. Return the new state."""
-    needs_lane = False
     if dt > 0.0:
         d, drivers = loop.next_driver[n], loop.driven_entities.shape[0]
         while d < drivers:
@@ -203,13 +203,15 @@ def _finish_frame(scene, tracks, fleet, loop, options, n, dt, buffers):
                 if not _is_moved_here(scene, tracks, fleet, n, d, e):
                     loop.next_driver[n] = d
                     return NEEDS_DRIVER
-                needs_lane = _apply_driver(scene, tracks, fleet, n, d, e, dt, buffers) or needs_lane
+                if _apply_driver(scene, tracks, fleet, n, d, e, dt, buffers):
+                    loop.may_have_left_lane[n] = True
             d += 1
         if options.is_coupled and d == drivers:
             loop.next_driver[n] = d
             return NEEDS_DRIVER
         loop.next_driver[n] = 0
-    needs_lane = move_entities(scene, tracks, n, dt, buffers.activity) or needs_lane
+    needs_lane = move_entities(scene, tracks, n, dt, buffers.activity) or loop.may_have_left_lane[n]
+    loop.may_have_left_lane[n] = False
     collides = record_frame(scene, n, buffers.first, dt, buffers.activity)
     if collides and options.stop_at_collision:
         return FINISHED
@@ -260,6 +262,8 @@ def _apply_driver(scene, tracks, fleet, n, driver, e, dt, buffers):
     if fleet.first_vehicle[driver] < 0:
         state[SPEED, e] = min(max(speed + acceleration * dt, 0.0), scene.dimensions[e, MAX_SPEED])
         return False
+    # As for any driver; one plans within these limits only where it does not go backwards.
+    acceleration = min(max(acceleration, -scene.dimensions[e, MAX_DECELERATION]), scene.dimensions[e, MAX_ACCELERATION])
     if has_steered_vehicle(fleet, driver):
         return steer_along_lane(scene, tracks, fleet, n, driver, e, acceleration, dt, buffers.motion)
     state[SPEED, e] = change_vehicle_speed(fleet, driver, n, speed, state[ACCELERATION, e], acceleration, dt)
