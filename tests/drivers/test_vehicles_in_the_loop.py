@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from random import Random
 
 import numpy as np
 import pytest
 
-from cornercase._common.errors import NoticeWarning
+from cornercase._common.errors import InputError, NoticeWarning
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.drivers import BehaviourDriver, Driver, EquippedDriver, PlanarMotion, Situation
 from cornercase.drivers.vehicles._actuated import Actuators
@@ -88,10 +89,11 @@ def roads(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def run_file(file: Path, driver: str | Driver) -> Recording:
+def run_file(file: Path, driver: str | Driver, **others: str | Driver) -> Recording:
+    drivers = {"Ego": driver, **others}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", NoticeWarning)
-        (result,) = Builtin(duration=10.0, drivers={"Ego": driver}).run([ConcreteScenario(file, {})])
+        (result,) = Builtin(duration=10.0, drivers=drivers).run([ConcreteScenario(file, {})])
     assert isinstance(result, Recording)
     return result
 
@@ -102,6 +104,29 @@ def test_kernels_and_python_steer_to_the_same_bytes_whatever_the_storyboard_does
     file.write_text(storyboard(Random(seed)))
     in_python = run_file(file, EquippedDriver(InPython(), vehicle=STEERED[vehicle]))
     assert as_bytes(run_file(file, f"normal + {vehicle}")) == as_bytes(in_python)
+
+
+# With few tyres and long axles it leaves its lane.
+@pytest.mark.parametrize("seed", range(12))
+def test_a_steered_vehicle_goes_the_same_way_beside_a_driver_in_python(seed: int, roads: Path) -> None:
+    file, ego = roads / f"two {seed}.xosc", "normal + kinematic:wheelbase=5.0,mu=0.1"
+    file.write_text(storyboard(Random(seed)))
+    in_python = run_file(file, ego, A=EquippedDriver(InPython(), vehicle=SingleTrack(mu=0.3)))
+    assert as_bytes(run_file(file, ego, A="normal + single-track:mu=0.3")) == as_bytes(in_python)
+
+
+def test_a_vehicle_that_spins_gets_no_more_than_it_can_do() -> None:
+    chosen = [replace(one, values={**one.values, "ego_speed": 30.0}) for one in concretes(6)]
+    spinning = SingleTrack(front_stiffness=30.0, rear_stiffness=12.0)
+    in_python = run(chosen, EquippedDriver(InPython(), vehicle=spinning))
+    compiled = run(chosen, "normal + single-track:front_stiffness=30,rear_stiffness=12")
+    assert [as_bytes(one) for one in compiled] == [as_bytes(one) for one in in_python]
+
+
+@pytest.mark.parametrize("option", ["front_stiffness=1e300", "mass=1e300", "mu=1e300", "height=1e300"])
+def test_a_vehicle_that_is_none_is_refused(option: str) -> None:
+    with pytest.raises(InputError, match=option.partition("=")[0]):
+        Builtin(drivers={"Ego": f"normal + single-track:{option}"})
 
 
 # It begins 20 m before the end of its road.

@@ -185,8 +185,8 @@ class _Subject:
             self._run(cases),
             in_workers,
             "In two worker processes, a scenario",
-            "what differs between processes, which share no class or module: the hash of a text, the order of a set, the"
-            " id of the process, or a variable of the class or the module",
+            "what differs between processes, which share no class or module: the hash of a text, the order of a set,"
+            " the id of the process, or a variable of the class or the module",
         )
 
     def _create(self) -> Driver:
