@@ -115,6 +115,7 @@ def test_a_steered_vehicle_goes_the_same_way_beside_a_driver_in_python(seed: int
     assert as_bytes(run_file(file, ego, A="normal + single-track:mu=0.3")) == as_bytes(in_python)
 
 
+@pytest.mark.filterwarnings("ignore::cornercase.NoticeWarning")
 def test_a_vehicle_that_spins_gets_no_more_than_it_can_do() -> None:
     chosen = [replace(one, values={**one.values, "ego_speed": 30.0}) for one in concretes(6)]
     spinning = SingleTrack(front_stiffness=30.0, rear_stiffness=12.0)
