@@ -90,8 +90,9 @@ def small(tmp_path_factory):
 @pytest.mark.parametrize("fault", FAULTS)
 def test_each_fault_is_found(fault, small):
     change, words = FAULTS[fault]
-    found = [run_small_scenario(Faulty(change), name, small[name]).problem for name in SMALL_SCENARIOS]
-    assert any(words in problem for problem in found), found
+    faulty = Faulty(change)
+    # Ends at the first scenario that shows it.
+    assert any(words in run_small_scenario(faulty, name, small[name]).problem for name in SMALL_SCENARIOS)
 
 
 def test_the_builtin_simulator_agrees_with_itself(small):

@@ -84,6 +84,8 @@ def check_simulator(
     problem = SIMULATORS.get_class(simulator).availability().problem
     if problem:
         raise InputError(problem)
+    if output is not None and output.is_dir():
+        raise InputError(f"--output {output}: is a folder; give a file, such as {output / 'proof.zip'}.")
     runs = list[SmallRun]()
     checks = simulator_checks(simulator, _read_cases(scenario, space, ego), runs.append)
     results = _run("simulator", simulator, checks, as_json)
