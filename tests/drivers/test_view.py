@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -298,7 +298,7 @@ def test_in_a_run_the_road_is_that_of_the_scenario(tmp_path, moved):
 
 
 class Timing(cc.SystemUnderTest):
-    times: list[float] = []  # noqa: RUF012
+    times: ClassVar[list[float]] = []
 
     def step(self, view, dt):
         self.times.append(view.time)

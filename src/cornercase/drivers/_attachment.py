@@ -42,6 +42,9 @@ from cornercase.drivers.vehicles._vehicle_model import PlanarMotion
 
 # Excess in m/s² or rad that may come from rounding.
 _ROUNDING: Final = 1e-9
+# m; a first point may be beside the vehicle. m/s, of a vehicle without a limit.
+_JUMP: Final = 10.0
+_MAX_SPEED: Final = 100.0
 _LIMITS: Final = {"acceleration", "deceleration"}
 _STATE: Final = ("x", "y", "heading", "speed", "acceleration")
 
@@ -68,11 +71,6 @@ class Decision:
 
     motion: DrivenMotion
     failures: Mapping[int, SimulationError] = field(default_factory=dict)
-
-
-# m; a first point may be beside the vehicle. m/s, of a vehicle without a limit.
-_JUMP: Final = 10.0
-_MAX_SPEED: Final = 100.0
 
 
 class Attachment:

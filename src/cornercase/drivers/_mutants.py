@@ -175,7 +175,7 @@ def _mutations_and_parameters(driver: str) -> tuple[Sequence[Mutation], dict[str
     name, _ = split_spec(driver)
     if takes_text(name):
         attached = _with_mutations(name)
-        return attached.mutations, _numbers_of(name, attached)
+        return attached.file_mutations, _numbers_of(name, attached)
     if is_registered_driver(name):
         return MUTATIONS, preset_parameters(name)
     created = driver_by_name(name)
@@ -198,7 +198,7 @@ def _mutations_and_parameters(driver: str) -> tuple[Sequence[Mutation], dict[str
 class HasMutableText(Protocol):
     """An FMU or a program: its text has values of its parameters, and a file says how far they may be off."""
 
-    mutations: tuple[Mutation, ...]
+    file_mutations: tuple[Mutation, ...]
 
     def spec_with(self, changes: Mapping[str, float]) -> str: ...
 
@@ -207,7 +207,7 @@ class HasMutableText(Protocol):
 
 def _with_mutations(name: str) -> HasMutableText:
     created = driver_by_name(name)
-    if not isinstance(created, HasMutableText) or not created.mutations:
+    if not isinstance(created, HasMutableText) or not created.file_mutations:
         raise InputError(
             f"The driver '{name}' has no mutants, as nothing says how far its parameters may be off; give a file that"
             " does, as in its option mutations=mutations.toml."
@@ -217,7 +217,7 @@ def _with_mutations(name: str) -> HasMutableText:
 
 def _numbers_of(name: str, attached: HasMutableText) -> dict[str, float]:
     numbers = attached.numeric_parameters()
-    for mutation in attached.mutations:
+    for mutation in attached.file_mutations:
         if mutation.parameter not in numbers:
             hint = suggest_name(mutation.parameter, numbers)
             raise InputError(f"The driver '{name}' has no number '{mutation.parameter}' that may be off; {hint}")

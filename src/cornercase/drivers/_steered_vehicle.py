@@ -5,8 +5,7 @@
 
 from __future__ import annotations
 
-import math
-
+from cornercase._common.numba.angles import wrap_angle
 from cornercase._common.numba.kernel import kernel
 from cornercase.drivers._kernels.path_projection import interpolate_on_path, project_point_nearby
 from cornercase.drivers._kernels.steer import steering_angle
@@ -21,7 +20,7 @@ def has_steered_vehicle(fleet, driver):
 
 
 @kernel(error_model="numpy", _nrt=False)
-def steer_along_path(fleet, driver, scenario, path, curvature, distance, motion, request, time_step):
+def move_along_path(fleet, driver, scenario, path, curvature, distance, motion, request, time_step):
     """Move a vehicle by one time step along a path, as `Mover` does; return its distance along the path.
 
     `path` are the arguments of `project_point_nearby`. `motion` (5,) is x, y, heading, speed and acceleration, and is
@@ -32,7 +31,7 @@ def steer_along_path(fleet, driver, scenario, path, curvature, distance, motion,
     along, offset, direction, _ = project_point_nearby(*path, distance, motion[0], motion[1])
     response, speed = steering_response(parameters), motion[3]
     bend = interpolate_on_path(path[0], curvature, along + speed * (0.5 * time_step + response))
-    turn = (motion[2] - direction + math.pi) % (2.0 * math.pi) - math.pi
+    turn = wrap_angle(motion[2] - direction)
     angle = steering_angle(offset, turn, bend, speed, parameters[WHEELBASE], response)
     angle = min(max(angle, -parameters[MAX_STEERING]), parameters[MAX_STEERING])
     kind, friction = fleet.vehicle_kind[driver], fleet.friction[scenario]

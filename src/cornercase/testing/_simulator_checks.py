@@ -131,7 +131,7 @@ def _check_units(recording: Recording) -> None:
 
 def _agrees(simulator: Any, _: Sequence[Cases], name: str, on_run: Callable[[SmallRun], None] | None = None) -> None:
     with TemporaryDirectory() as folder:
-        run = run_small_scenario(simulator, name, write_small_scenarios(Path(folder))[name])
+        run = run_small_scenario(simulator, name, write_small_scenarios(Path(folder), name)[name])
     if on_run is not None:
         on_run(run)
     assert not run.problem, run.problem

@@ -27,10 +27,12 @@ class SmallScenario(NamedTuple):
     duration: float
 
 
-def write_small_scenarios(folder: Path) -> dict[str, ConcreteScenario]:
-    """Write the scenarios and their roads to a folder; return them by name."""
+def write_small_scenarios(folder: Path, *names: str) -> dict[str, ConcreteScenario]:
+    """Write scenarios, by default all, and their roads to a folder; return them by name."""
     concretes = dict[str, ConcreteScenario]()
     for number, scenario in enumerate(_SMALL_SCENARIOS, 1):
+        if names and scenario.name not in names:
+            continue
         road = examples_folder() / scenario.road
         if not (folder / road.name).exists():
             shutil.copyfile(road, folder / road.name)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
+from cornercase._common.numba.angles import wrap_angle
 from cornercase._common.numba.kernel import kernel
 from cornercase.drivers._kernels.path_projection import project_point, project_point_nearby
 
@@ -44,7 +45,7 @@ def look(
             seen[IN_PATH] = 0.0
             dx, dy = x_a - x[n], y_a - y[n]
             seen[X], seen[Y] = dx * cos + dy * sin, dy * cos - dx * sin
-            seen[TURN] = (others_heading[n, a] - heading[n] + math.pi) % (2.0 * math.pi) - math.pi
+            seen[TURN] = wrap_angle(others_heading[n, a] - heading[n])
             along, lateral, direction, is_next_to = project_point(*path, own_distance[n], x_a, y_a)
             if not is_next_to:
                 continue

@@ -90,8 +90,7 @@ class FmuDriver(DrivingFunction):
         self._parameters = {name: self._parse_parameter(name, value) for name, value in parameters.items()}
         self._processes: FmuProcesses | None = None
         self._file = file
-        if mutations:
-            self.mutations = read_mutations(Path(mutations).absolute())  # type: ignore[misc]
+        self.file_mutations = read_mutations(Path(mutations).absolute()) if mutations else ()
         self.settings = {
             "driver": self._format({name: v for name, v in given_options(self).items() if name != "mutations"}),
             "options": {},

@@ -210,6 +210,26 @@ def _fill(value: Callable[[Traffic], float]) -> Callable[[Traffic], FloatArray]:
     return lambda traffic: np.full(len(traffic.situation.speed), value(traffic))
 
 
+def _of_leader(field: str, traffic: Traffic) -> FloatArray:
+    return traffic.of_leader(field)
+
+
+def _of_signal(field: str, traffic: Traffic) -> FloatArray:
+    return traffic.of_signal(field)
+
+
+def _of_path(field: str, ahead: float, traffic: Traffic) -> FloatArray:
+    return traffic.of_path(field, ahead)
+
+
+def _of_lane(field: str, number: int, traffic: Traffic) -> FloatArray:
+    return traffic.of_lane(field, number)
+
+
+def _of_rank(field: str, rank: int, traffic: Traffic) -> FloatArray:
+    return traffic.of_rank(field, rank)
+
+
 _EGO: Final = (
     InputQuantity("time", "s", 0.0, _fill(lambda traffic: traffic.shared.time)),
     InputQuantity("target_speed", "m/s", _FAST, lambda traffic: traffic.situation.target_speed),
@@ -229,17 +249,17 @@ _EGO: Final = (
     ),
 )
 _LEADER: Final = tuple(
-    InputQuantity(f"leader.{name}", unit, none, lambda traffic, name=name: traffic.of_leader(name))  # type: ignore[misc]
+    InputQuantity(f"leader.{name}", unit, none, partial(_of_leader, name))
     for name, (unit, none) in _OTHER_UNITS.items()
 )
 _ROAD: Final = (
     InputQuantity("speed_limit", "m/s", _FAST, lambda traffic: traffic.speed_limit),
     *(
-        InputQuantity(f"lane.{name}", unit, none, lambda traffic, name=name: traffic.of_lane(name, 0))  # type: ignore[misc]
+        InputQuantity(f"lane.{name}", unit, none, partial(_of_lane, name, 0))
         for name, (unit, none) in _LANE_UNITS.items()
     ),
     *(
-        InputQuantity(f"signal.{name}", unit, none, lambda traffic, name=name: traffic.of_signal(name))  # type: ignore[misc]
+        InputQuantity(f"signal.{name}", unit, none, partial(_of_signal, name))
         for name, (unit, none) in _SIGNAL_UNITS.items()
     ),
 )
@@ -287,18 +307,6 @@ def suggest_quantity(unknown: str) -> str:
     ]
     hint = suggest_name(unknown, [*QUANTITIES, *numbered])
     return hint if hint.startswith("did you mean") else f"known are: {', '.join(QUANTITIES)}, {', '.join(numbered)}."
-
-
-def _of_path(field: str, ahead: float, traffic: Traffic) -> FloatArray:
-    return traffic.of_path(field, ahead)
-
-
-def _of_lane(field: str, number: int, traffic: Traffic) -> FloatArray:
-    return traffic.of_lane(field, number)
-
-
-def _of_rank(field: str, rank: int, traffic: Traffic) -> FloatArray:
-    return traffic.of_rank(field, rank)
 
 
 # Further names by which a variable of an FMU is recognized.

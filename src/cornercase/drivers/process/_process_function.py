@@ -115,8 +115,7 @@ class ProcessFunction(DrivingFunction):
             parse_address(self._command)
         else:
             raise InputError("The driver 'exec:' needs a command, as in exec:./function or exec:python my_function.py.")
-        if given["mutations"]:
-            self.mutations = read_mutations(Path(str(given["mutations"])).absolute())  # type: ignore[misc]
+        self.file_mutations = read_mutations(Path(str(given["mutations"])).absolute()) if given["mutations"] else ()
         self._given = {option: value for option, value in given.items() if value != defaults[option]} | self.options
         self._text = self._format({name: value for name, value in self._given.items() if name != "mutations"})
         # What is stored is read again as one text with sensors and vehicle.

@@ -11,6 +11,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numba import types
 
+from cornercase._common.numba.angles import wrap_angle
 from cornercase._common.numba.kernel import kernel
 from cornercase._common.numba.late import LateKernels
 from cornercase._common.numba.pointers import call_for_bool
@@ -338,14 +339,6 @@ def link_conditions(scene: SimulationState, table: ConditionTable) -> None:
     """Compile the kernel for the less frequent conditions in a table; call it before compiled code evaluates them."""
     are_needed = not set(table.codes[:, 0].tolist()).issubset(_FREQUENT_KINDS)
     _REMAINING_KERNEL.link([0] if are_needed else [], scene, table, types.int64, types.int64)
-
-
-@_inlined_kernel
-def wrap_angle(angle):
-    """Return an angle in rad, wrapped to [-π, π)."""
-    turn = angle + math.pi
-    # The division is the most expensive part, and rarely needed.
-    return (turn if turn >= 0.0 and turn < 2.0 * math.pi else turn % (2.0 * math.pi)) - math.pi
 
 
 @_kernel

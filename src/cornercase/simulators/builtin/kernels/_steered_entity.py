@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import math
 
+from cornercase._common.numba.angles import wrap_angle
 from cornercase._common.numba.kernel import kernel
 from cornercase._common.numba.pointers import floats_at_address
-from cornercase.drivers._steered_vehicle import steer_along_path
-from cornercase.simulators.builtin.kernels._conditions import wrap_angle
+from cornercase.drivers._steered_vehicle import move_along_path
 from cornercase.simulators.builtin.track_kernels import _track_layout as track_layout
 from cornercase.simulators.builtin.track_kernels._lane_track import pose_on_lane
 from cornercase.simulators.builtin.world._state_layout import (
@@ -58,7 +58,7 @@ def steer_along_lane(scene, tracks, fleet, n, driver, e, request, dt, motion):
         tracks.max_sample_gap[lane],
     )
     curvature = floats_at_address(addresses[track_layout.CURVATURE], count)
-    along = steer_along_path(fleet, driver, n, path, curvature, state[DISTANCE, e], motion, request, dt)
+    along = move_along_path(fleet, driver, n, path, curvature, state[DISTANCE, e], motion, request, dt)
     state[SPEED, e] = motion[3]
     state[X, e], state[Y, e], state[HEADING, e] = motion[0], motion[1], motion[2]
     flags[MOVED, e] = flags[STEERED, e] = True
