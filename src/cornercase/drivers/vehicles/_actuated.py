@@ -25,6 +25,7 @@ from cornercase.drivers.vehicles._kernels.actuators import (
     count_requests,
     steering_response,
 )
+from cornercase.drivers.vehicles._kernels.steered import MOTION_INPUTS, VEHICLE_KERNELS, step_vehicles
 from cornercase.drivers.vehicles._vehicle_model import PlanarMotion, VehicleModel
 
 # Parameters in the order of the columns of `Vehicles.parameters`.
@@ -163,9 +164,6 @@ class SteeredVehicle(ActuatedVehicle):
         Those of `ActuatedVehicle`.
     """
 
-    # Compiled step, which changes the motion (N, 5).
-    _step_kernel: ClassVar[Any]
-
     def __init__(
         self,
         *,
@@ -208,6 +206,9 @@ class SteeredVehicle(ActuatedVehicle):
     ) -> PlanarMotion:
         """Return the motion at the end of a time step."""
         table = np.stack((motion.x, motion.y, motion.heading, motion.speed, motion.acceleration), axis=1)
-        inputs = (np.ascontiguousarray(array, dtype=np.float64) for array in (acceleration, steering, friction))
-        type(self)._step_kernel(self._vehicles, table, *inputs, float(time_step), np.ascontiguousarray(active))
+        inputs = [np.ascontiguousarray(array, dtype=np.float64) for array in (acceleration, steering, friction)]
+        arguments = self._vehicles, table, *inputs, float(time_step), np.ascontiguousarray(active)
+        if not step_vehicles.is_interpreted(self.kind, VEHICLE_KERNELS.addresses, *arguments):
+            VEHICLE_KERNELS.link([self.kind], self._vehicles, *MOTION_INPUTS)
+        step_vehicles(self.kind, VEHICLE_KERNELS.addresses, *arguments)
         return PlanarMotion(*np.ascontiguousarray(table.T))

@@ -6,7 +6,6 @@ from typing import Any
 
 from cornercase.drivers.vehicles._actuated import SteeredVehicle
 from cornercase.drivers.vehicles._kernels.actuators import KINEMATIC
-from cornercase.drivers.vehicles._kernels.rolling import step_kinematic
 
 
 class Kinematic(SteeredVehicle):
@@ -29,7 +28,6 @@ class Kinematic(SteeredVehicle):
 
     name = "kinematic"
     kind = KINEMATIC
-    _step_kernel = staticmethod(step_kinematic)
 
     def __init__(self, *, wheelbase: float | None = None, **options: Any) -> None:
         super().__init__(**options)

@@ -6,7 +6,6 @@ from typing import Any, ClassVar
 
 from cornercase.drivers.vehicles._actuated import SteeredVehicle
 from cornercase.drivers.vehicles._kernels.actuators import SINGLE_TRACK
-from cornercase.drivers.vehicles._kernels.sliding import step_sliding
 
 
 class SingleTrack(SteeredVehicle):
@@ -45,7 +44,6 @@ class SingleTrack(SteeredVehicle):
         *("mass", "inertia", "front_axle", "rear_axle", "front_stiffness", "rear_stiffness", "height"),
     )
     kind = SINGLE_TRACK
-    _step_kernel = staticmethod(step_sliding)
 
     def __init__(
         self,

@@ -8,8 +8,6 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from cornercase._common.numba.kernel import kernel
-from cornercase._common.numba.references import reference_to
 from cornercase.drivers.vehicles._kernels.actuators import (
     ACCELERATION,
     DELAY,
@@ -39,19 +37,6 @@ X, Y, HEADING, SPEED, LAST_ACCELERATION = range(5)
 _PART: Final = 0.01
 # Share of the grip across the heading up to which what is left for the acceleration hardly changes in a step.
 _MAX_SHARE: Final = 0.5
-
-
-@kernel(interpreted_seconds=lambda vehicles, motion, *_: 3e-4 * motion.shape[0], error_model="numpy")
-def step_kinematic(vehicles, motion, acceleration, steering, friction, time_step, active):
-    """Move the active vehicles by one time step; `motion` (N, 5) is changed."""
-    _step_all(reference_to(vehicles), motion, acceleration, steering, friction, time_step, active)
-
-
-@plain_kernel
-def _step_all(vehicles, motion, acceleration, steering, friction, time_step, active):
-    for n in range(active.size):
-        if active[n]:
-            roll_vehicle(vehicles, n, motion[n], acceleration[n], steering[n], friction[n], time_step)
 
 
 @plain_kernel

@@ -8,8 +8,6 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from cornercase._common.numba.kernel import kernel
-from cornercase._common.numba.references import reference_to
 from cornercase.drivers.vehicles._kernels.actuators import (
     ACCELERATION,
     GRAVITY,
@@ -40,19 +38,6 @@ _PART: Final = 0.01
 _SHORTEST_PART: Final = 1e-5
 # Share of a step that rounding may leave.
 _ROUNDING: Final = 1e-9
-
-
-@kernel(interpreted_seconds=lambda vehicles, motion, *_: 2e-3 * motion.shape[0], error_model="numpy")
-def step_sliding(vehicles, motion, acceleration, steering, friction, time_step, active):
-    """Move the active vehicles by one time step; `motion` (N, 5) is changed."""
-    _step_all(reference_to(vehicles), motion, acceleration, steering, friction, time_step, active)
-
-
-@plain_kernel
-def _step_all(vehicles, motion, acceleration, steering, friction, time_step, active):
-    for n in range(active.size):
-        if active[n]:
-            slide_vehicle(vehicles, n, motion[n], acceleration[n], steering[n], friction[n], time_step)
 
 
 @plain_kernel
