@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import cornercase as cc
+from conftest import EXAMPLES
 from cornercase.drivers import VEHICLES, Controls, DrivingFunction, EquippedDriver, Trajectory
 from cornercase.drivers._resolve import resolve_driver
 from cornercase.drivers._system_under_test import ScalarFunction
@@ -423,3 +424,18 @@ def test_steering_beyond_what_the_wheels_can_do_is_limited_and_said_once(equipme
         warnings.simplefilter("always")
         drive(Steering(-0.6), quiet=False, duration=1.0)
     assert not any("steering" in str(one.message) for one in quiet)
+
+
+class Brakes(cc.SystemUnderTest):
+    def step(self, view, dt):
+        return -2.0 if view.time >= 1.0 else 0.0
+
+
+@pytest.mark.parametrize("name", ["cut_in", "deceleration"])
+def test_a_function_goes_as_far_on_a_trajectory_as_on_a_lane(name):
+    # The ego of the first file follows a trajectory, that of the second one a lane.
+    recording = cc.simulate(EXAMPLES / "r157" / f"{name}.xosc", drivers={"Ego": Brakes()}, duration=4.0)
+    e = recording.entity_index("Ego")
+    steps = np.hypot(np.diff(recording.x[e]), np.diff(recording.y[e]))
+    assert steps == pytest.approx(recording.speed[e, 1:] * np.diff(recording.time), abs=1e-9)
+    assert recording.speed[e, -1] == pytest.approx(recording.speed[e, 0] - 6.0, abs=0.2)

@@ -20,8 +20,10 @@ _AHEAD: Final = 300.0
 NEARBY: Final = 5.0
 """Distance in m up to which a path counts as near a point."""
 
-# The nearest of some samples bounds how far away the nearest of all is.
-_STRIDE: Final = 64
+# Samples on either side of the middle of a block, which is searched as a whole or not at all.
+_HALF_BLOCK: Final = 32
+# Samples beside the one where evenly spaced samples have a distance.
+_NEAR_GUESS: Final = 2
 
 
 def project_onto_path(
@@ -67,7 +69,7 @@ def interpolate_on_path(distance, values, at):
     last = distance.size - 1
     if not at < distance[last]:
         return values[last]
-    k = max(np.searchsorted(distance, at, "right") - 1, 0)
+    k = max(_find_first_from(distance, at) - 1, 0)
     share = max((at - distance[k]) / (distance[k + 1] - distance[k]), 0.0)
     return values[k] + share * (values[k + 1] - values[k])
 
@@ -81,19 +83,50 @@ def project_point(distance, path_x, path_y, heading, max_chord, own_distance, x,
     """
     if not (math.isfinite(x) and math.isfinite(y)):
         return math.nan, math.nan, math.nan, False
-    first = max(np.searchsorted(distance, own_distance - _BEHIND) - 1, 0)
-    last = min(np.searchsorted(distance, own_distance + _AHEAD) + 1, distance.size - 1)
-    bound = math.inf
-    for k in range(first, last + 1, _STRIDE):
-        bound = min(bound, math.hypot(x - path_x[k], y - path_y[k]))
-    best, nearest, k = math.inf, first, first
-    while k <= last:
-        gap = math.hypot(x - path_x[k], y - path_y[k])
-        if gap < best:
-            best, nearest, bound = gap, k, min(bound, gap)
-        # No sample in between can be nearer.
-        k += max(int((1.0 - 1e-9) * (gap - bound) / max_chord), 1)
+    first = max(_find_first_from(distance, own_distance - _BEHIND) - 1, 0)
+    last = min(_find_first_from(distance, own_distance + _AHEAD) + 1, distance.size - 1)
+    nearest = _find_nearest_sample(path_x, path_y, max_chord, first, last, x, y)
     return _project_onto_chords(distance, path_x, path_y, heading, first, last, nearest, x, y)
+
+
+@kernel(error_model="numpy", _nrt=False)
+def _find_first_from(distance, at):
+    """Return the index of the first sample at a distance or beyond, as `np.searchsorted` does."""
+    count = distance.size
+    if not at > 0.0:
+        return 0
+    if not at <= distance[count - 1]:
+        return count
+    # Samples are about evenly spaced.
+    guess = int(at / distance[count - 1] * (count - 1))
+    low, high = max(guess - _NEAR_GUESS, 0), min(guess + _NEAR_GUESS, count - 1)
+    if not distance[low] < at <= distance[high]:
+        return np.searchsorted(distance, at)
+    while distance[low + 1] < at:
+        low += 1
+    return low + 1
+
+
+@kernel(error_model="numpy", _nrt=False)
+def _find_nearest_sample(path_x, path_y, max_chord, first, last, x, y):
+    """Return the index of the sample from `first` to `last` that is nearest to a point."""
+    block, reach = 2 * _HALF_BLOCK + 1, _HALF_BLOCK * max_chord
+    nearest, least = first, math.inf
+    for start in range(first, last + 1, block):
+        k = min(start + _HALF_BLOCK, last)
+        gap = _squared_gap(path_x, path_y, k, x, y)
+        if gap < least:
+            nearest, least = k, gap
+    for start in range(first, last + 1, block):
+        limit = math.sqrt(least) + reach
+        # No sample of a block farther away can be nearer.
+        if _squared_gap(path_x, path_y, min(start + _HALF_BLOCK, last), x, y) > (1.0 + 1e-9) * limit * limit:
+            continue
+        for k in range(start, min(start + block, last + 1)):
+            gap = _squared_gap(path_x, path_y, k, x, y)
+            if gap < least or (gap == least and k < nearest):
+                nearest, least = k, gap
+    return nearest
 
 
 @kernel(error_model="numpy", _nrt=False)
@@ -102,8 +135,8 @@ def project_point_nearby(distance, path_x, path_y, heading, max_chord, own_dista
 
     So a vehicle does not change to another branch where its path crosses itself.
     """
-    k = find_sample_nearby(path_x, path_y, np.searchsorted(distance, own_distance), x, y)
-    if not math.hypot(x - path_x[k], y - path_y[k]) < NEARBY:
+    k = find_sample_nearby(path_x, path_y, _find_first_from(distance, own_distance), x, y)
+    if not _squared_gap(path_x, path_y, k, x, y) < NEARBY * NEARBY:
         return project_point(distance, path_x, path_y, heading, max_chord, own_distance, x, y)
     return _project_onto_chords(distance, path_x, path_y, heading, 0, distance.size - 1, k, x, y)
 
@@ -136,7 +169,7 @@ def _project_onto_chords(distance, path_x, path_y, heading, first, last, nearest
     along, offset, direction, is_next_to = math.nan, math.nan, math.nan, False
     for k in range(max(nearest - 1, first), min(nearest + 1, last)):
         chord_x, chord_y = path_x[k + 1] - path_x[k], path_y[k + 1] - path_y[k]
-        length = math.hypot(chord_x, chord_y)
+        length = math.sqrt(chord_x * chord_x + chord_y * chord_y)
         dx, dy = x - path_x[k], y - path_y[k]
         ahead = (dx * chord_x + dy * chord_y) / length
         share = min(max(ahead / length, 0.0), 1.0)

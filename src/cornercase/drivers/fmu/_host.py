@@ -94,7 +94,9 @@ class Host:
     def receive_messages(self, stream: BinaryIO) -> None:
         """Read the messages for the next step: all sizes, scenario by scenario, and then all bytes."""
         n, count = len(self._buffers), self._n_messages
-        sizes = iter((c_uint32 * (n * count)).from_buffer_copy(stream.read(4 * n * count)) if count else ())
+        if not count:
+            return
+        sizes = iter((c_uint32 * (n * count)).from_buffer_copy(stream.read(4 * n * count)))
         for buffers, is_active in zip(self._buffers, self._active, strict=True):
             messages = [stream.read(next(sizes)) for _ in range(count)]
             # What a scenario was given in its own last step stays.
@@ -109,7 +111,7 @@ class Host:
     def step(self) -> dict[int, tuple[str, list[str], bool]]:
         """Step the active scenarios; return by scenario what failed, the lines of the log, and whether it is fatal."""
         failures: dict[int, tuple[str, list[str], bool]] = {}
-        for row, is_active in enumerate(self._active):
+        for row, is_active in enumerate(bytes(self._active)):
             if not is_active or row in self._failed:
                 continue
             self._progress[1] = row
@@ -173,12 +175,14 @@ class Host:
             address = table.address + row * table.stride
             if table.call(instance.component, table.references, table.count, address, *table.tail) > WARNING:
                 raise FmuError(f"fmi{self._fmu.version}{table.name} returned an error")
-        self._written[row] = [read_message(instance, layout) for layout in self._message_outputs]
+        if self._message_outputs:
+            self._written[row] = [read_message(instance, layout) for layout in self._message_outputs]
 
     def _do_steps(self, instance: Instance, first: int) -> None:
+        step, component, size = self._fmu.step, instance.component, self._size
         for k in range(first, first + self._n_steps):
             self._progress[0] += 1
-            self._fmu.step(instance.component, k * self._size, self._size)
+            step(component, k * size, size)
 
     def end(self, reset: bool | None) -> bool | None:
         """End a batch; return whether instances may be reset, or None as long as that is not known."""

@@ -254,9 +254,10 @@ class _Process:
     def finish_step(self) -> dict[int, str]:
         """Wait for the step, and return by scenario how it failed."""
         answer = self._receive()
-        sizes = np.frombuffer(self._read(4 * self._n_messages * len(self.messages)), dtype=np.uint32)
-        rows = sizes.reshape(len(self.messages), self._n_messages).tolist()
-        self.messages = [[self._read(size) for size in row] for row in rows]
+        if self._n_messages:
+            sizes = np.frombuffer(self._read(4 * self._n_messages * len(self.messages)), dtype=np.uint32)
+            rows = sizes.reshape(len(self.messages), self._n_messages).tolist()
+            self.messages = [[self._read(size) for size in row] for row in rows]
         for row, (text, lines, is_fatal) in (answer or {}).items():
             if is_fatal:
                 raise FmuProcessError(f"failed: {text}{_format_log(lines)}")

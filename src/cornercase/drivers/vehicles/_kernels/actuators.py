@@ -36,9 +36,10 @@ ACTUATORS, KINEMATIC, SINGLE_TRACK = range(3)
 ) = range(10)
 """Columns of `Vehicles.parameters`; those of a model's own follow."""
 
-ACCELERATION, STEERING, SPEED, STEPS, YAW_RATE, SLIP, VELOCITY = range(7)
-"""Columns of `Vehicles.state`. The speed is the last one that the model returned; NaN before. Yaw rate, slip angle and
-velocity are those of the centre of gravity, of a model in which tyres slip."""
+ACCELERATION, STEERING, SPEED, NEWEST, YAW_RATE, SLIP, VELOCITY = range(7)
+"""Columns of `Vehicles.state`. The speed is the last one that the model returned; NaN before. `NEWEST` is the index of
+the newest request. Yaw rate, slip angle and velocity are those of the centre of gravity, of a model in which tyres
+slip."""
 N_STATE: Final = 7
 
 # rad; the change of the angle of the wheels for which the time is counted that it takes.
@@ -75,12 +76,12 @@ def begin_step(vehicles, n, speed, acceleration, request, steering):
     state, requests = vehicles.state[n], vehicles.requests[n]
     if not abs(speed - state[SPEED]) <= _TOLERANCE:
         state[ACCELERATION] = acceleration if math.isfinite(acceleration) and speed > 0.0 else 0.0
-        state[STEERING] = state[STEPS] = state[YAW_RATE] = state[SLIP] = 0.0
+        state[STEERING] = state[NEWEST] = state[YAW_RATE] = state[SLIP] = 0.0
         state[VELOCITY] = speed
         for k in range(requests.shape[1]):
             requests[0, k], requests[1, k] = state[ACCELERATION], 0.0
-    index = int(state[STEPS]) % requests.shape[1]
-    requests[0, index], requests[1, index] = request, steering
+    newest = int(state[NEWEST])
+    requests[0, newest], requests[1, newest] = request, steering
 
 
 @plain_kernel
@@ -89,9 +90,10 @@ def longitudinal_grip(vehicles, n, grip, lateral, time_step):
 
     Of the requested and the lateral acceleration, the tyres do the same share.
     """
-    delay, requests = vehicles.parameters[n, DELAY], vehicles.requests[n, 0]
-    index = int(vehicles.state[n, STEPS]) - math.floor(delay / time_step + _ROUNDING)
-    request, lateral = min(abs(requests[index % requests.size]), grip), min(abs(lateral), grip)
+    requests = vehicles.requests[n]
+    steps = int(vehicles.parameters[n, DELAY] / time_step + _ROUNDING)
+    request = requests[0, _find_request(vehicles.state[n], requests.shape[1], steps)]
+    request, lateral = min(abs(request), grip), min(abs(lateral), grip)
     wanted = math.hypot(request, lateral)
     return grip if wanted <= grip else grip * request / wanted
 
@@ -105,18 +107,26 @@ def advance(vehicles, n, which, limit, begin, duration, time_step):
     parameters, state, requests = vehicles.parameters[n], vehicles.state[n], vehicles.requests[n]
     first = DELAY if which == ACCELERATION else STEERING_DELAY
     delay, lag, max_rate = parameters[first], parameters[first + 1], parameters[first + 2]
-    steps = math.floor(delay / time_step + _ROUNDING)
-    index, size = int(state[STEPS]) - steps, requests.shape[1]
+    steps, size = int(delay / time_step + _ROUNDING), requests.shape[1]
     # An older request is still in effect in the first part of the step.
     older = min(max(delay - steps * time_step - begin, 0.0), duration)
     value, integral = state[which], 0.0
     if older > 0.0:
-        value, integral = _follow(value, requests[which, (index - 1) % size], lag, max_rate, limit, older)
+        request = requests[which, _find_request(state, size, steps + 1)]
+        value, integral = _follow(value, request, lag, max_rate, limit, older)
     if duration > older:
-        value, more = _follow(value, requests[which, index % size], lag, max_rate, limit, duration - older)
+        request = requests[which, _find_request(state, size, steps)]
+        value, more = _follow(value, request, lag, max_rate, limit, duration - older)
         integral += more
     state[which] = value
     return integral
+
+
+@kernel(error_model="numpy", _nrt=False, forceinline=True)
+def _find_request(state, size, steps):
+    """Return the index of the request `steps` time steps ago, in a ring of `size`."""
+    index = int(state[NEWEST]) - steps
+    return index if index >= 0 else index + size
 
 
 @plain_kernel
@@ -180,8 +190,8 @@ def _change_all(vehicles, speed, acceleration, request, friction, time_step, act
 
 @plain_kernel
 def end_step(vehicles, n, speed):
-    """Count the step, and return the acceleration at its end; brakes do nothing at standstill."""
-    state = vehicles.state[n]
-    state[STEPS] += 1.0
+    """Make room for the next request, and return the acceleration at its end; brakes do nothing at standstill."""
+    state, size = vehicles.state[n], vehicles.requests.shape[2]
+    state[NEWEST] = state[NEWEST] + 1.0 if state[NEWEST] + 1.0 < size else 0.0
     state[SPEED] = speed
     return state[ACCELERATION] if speed > 0.0 else 0.0

@@ -33,8 +33,11 @@ MASS, INERTIA, FRONT_AXLE, REAR_AXLE, FRONT_STIFFNESS, REAR_STIFFNESS, HEIGHT = 
 
 # m/s; a slower vehicle rolls without slip, as in CommonRoad's model.
 _ROLLING_SPEED: Final = 0.1
-# s; the longest part of a step in which the inputs count as constant.
-_PART: Final = 0.01
+# s; the longest part of a step in which the inputs count as constant, and the same while the wheels hardly turn.
+_PART: Final = 0.025
+_STEADY_PART: Final = 0.05
+# rad; change of the angle of the wheels in a step up to which they hardly turn.
+_SMALL_TURN: Final = 5e-3
 _SHORTEST_PART: Final = 1e-5
 # Share of a step that rounding may leave.
 _ROUNDING: Final = 1e-9
@@ -50,9 +53,15 @@ def slide_vehicle(vehicles, n, motion, acceleration, steering, friction, time_st
     stiffness = max(parameters[FRONT_STIFFNESS], parameters[REAR_STIFFNESS])
     leverage = parameters[MASS] * parameters[FRONT_AXLE] * parameters[REAR_AXLE] / parameters[INERTIA]
     rate = grip * stiffness * max(leverage, 1.0)
+    longest = _STEADY_PART if abs(steering - state[STEERING]) < _SMALL_TURN else _PART
+    is_centered = False
     while begin < (1.0 - _ROUNDING) * time_step:
-        duration = min(_PART, time_step - begin)
-        if state[VELOCITY] < _ROLLING_SPEED:
+        duration = min(longest, time_step - begin)
+        is_rolling = state[VELOCITY] < _ROLLING_SPEED
+        if is_rolling == is_centered:
+            _move_reference_point(motion, -parameters[REAR_AXLE] if is_centered else parameters[REAR_AXLE])
+            is_centered = not is_centered
+        if is_rolling:
             motion[SPEED] = max(motion[SPEED], 0.0)
             roll(vehicles, n, motion, grip, begin, duration, time_step)
             curvature = math.tan(state[STEERING]) / parameters[WHEELBASE]
@@ -62,46 +71,55 @@ def slide_vehicle(vehicles, n, motion, acceleration, steering, friction, time_st
             duration = min(duration, max(state[VELOCITY] / rate, _SHORTEST_PART))
             _slide(vehicles, n, motion, grip, begin, duration, time_step)
         begin += duration
+    if is_centered:
+        _move_reference_point(motion, -parameters[REAR_AXLE])
     motion[LAST_ACCELERATION] = end_step(vehicles, n, motion[SPEED])
     return motion[SPEED]
 
 
 @plain_kernel
+def _move_reference_point(motion, ahead):
+    """Let a motion be that of the centre of gravity, which is ahead of the rear axle, or of the rear axle again."""
+    motion[X] += ahead * math.cos(motion[HEADING])
+    motion[Y] += ahead * math.sin(motion[HEADING])
+
+
+@plain_kernel
 def _slide(vehicles, n, motion, grip, begin, duration, time_step):
-    """Move a vehicle by a part of a time step, with tyres that slip; by the method of Runge and Kutta."""
+    """Move the centre of gravity by a part of a time step, with tyres that slip; by the method of Runge and Kutta."""
     parameters, state = vehicles.parameters[n], vehicles.state[n]
-    rear, slip, yaw_rate = parameters[REAR_AXLE], state[SLIP], state[YAW_RATE]
-    speed = state[VELOCITY]
+    speed, slip, yaw_rate = state[VELOCITY], state[SLIP], state[YAW_RATE]
     lateral = speed * speed * math.tan(state[STEERING]) / parameters[WHEELBASE]
     limit = longitudinal_grip(vehicles, n, grip, lateral, time_step)
     gain = advance(vehicles, n, ACCELERATION, limit, begin, duration, time_step)
     steering = advance(vehicles, n, STEERING, parameters[MAX_STEERING], begin, duration, time_step) / duration
     end, moving = speed_after(speed, gain, parameters[MAX_SPEED])
-    heading, h = motion[HEADING], moving * duration
+    h, course = moving * duration, motion[HEADING] + slip
     axles = _axles(parameters, grip, gain / duration)
-    # Sums over the stages.
-    x, y, turn, d_slip, d_yaw = 0.0, 0.0, 0.0, 0.0, 0.0
-    stage_heading, stage_slip, stage_yaw = heading, slip, yaw_rate
+    # Velocity at the start, and the sums over the stages of the changes of heading, slip and yaw rate.
+    x, y, turn, d_slip, d_yaw = speed * math.cos(course), speed * math.sin(course), 0.0, 0.0, 0.0
+    stage_turn, stage_slip, stage_yaw = 0.0, slip, yaw_rate
     for stage in range(4):
-        reached = (0.0, 0.5, 0.5, 1.0)[stage]
-        stage_speed = speed + reached * (end - speed)
+        stage_speed = speed + (0.0, 0.5, 0.5, 1.0)[stage] * (end - speed)
         slip_rate, yaw_acceleration = _turning(
             axles, parameters, steering, max(stage_speed, 0.5 * _ROLLING_SPEED), stage_slip, stage_yaw
         )
-        weight = (1.0 / 6.0, 1.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0)[stage]
-        x += weight * stage_speed * math.cos(stage_heading + stage_slip)
-        y += weight * stage_speed * math.sin(stage_heading + stage_slip)
+        if stage >= 2:
+            # The position is the integral by Simpson's rule.
+            course = motion[HEADING] + stage_turn + stage_slip
+            weight = 4.0 if stage == 2 else 1.0
+            x += weight * stage_speed * math.cos(course)
+            y += weight * stage_speed * math.sin(course)
+        weight = (1.0, 2.0, 2.0, 1.0)[stage]
         turn, d_slip, d_yaw = turn + weight * stage_yaw, d_slip + weight * slip_rate, d_yaw + weight * yaw_acceleration
         ahead = (0.5, 0.5, 1.0, 0.0)[stage] * h
-        stage_heading = heading + ahead * stage_yaw
-        stage_slip, stage_yaw = slip + ahead * slip_rate, yaw_rate + ahead * yaw_acceleration
-    # The reference point is the rear axle, which is behind the centre of gravity.
-    motion[X] += x * h + rear * math.cos(heading)
-    motion[Y] += y * h + rear * math.sin(heading)
-    motion[HEADING] += turn * h
-    motion[X] -= rear * math.cos(motion[HEADING])
-    motion[Y] -= rear * math.sin(motion[HEADING])
-    state[SLIP], state[YAW_RATE] = slip + d_slip * h, yaw_rate + d_yaw * h
+        stage_turn, stage_slip = ahead * stage_yaw, slip + ahead * slip_rate
+        stage_yaw = yaw_rate + ahead * yaw_acceleration
+    sixth = h / 6.0
+    motion[X] += x * sixth
+    motion[Y] += y * sixth
+    motion[HEADING] += turn * sixth
+    state[SLIP], state[YAW_RATE] = slip + d_slip * sixth, yaw_rate + d_yaw * sixth
     state[VELOCITY], motion[SPEED] = end, end * math.cos(state[SLIP])
 
 

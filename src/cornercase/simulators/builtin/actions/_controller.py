@@ -24,7 +24,7 @@ from cornercase.simulators.builtin.kernels._driver_inputs import OTHERS_ROWS, OW
 from cornercase.simulators.builtin.tracks._lane import LaneTrack
 from cornercase.simulators.builtin.tracks._track import Track, Trajectory
 from cornercase.simulators.builtin.world._lane_following import follow_lane_at_position
-from cornercase.simulators.builtin.world._track_motion import move_to_pose
+from cornercase.simulators.builtin.world._track_motion import move_to_pose, shift_along_trajectory
 from cornercase.simulators.builtin.world._world import World
 
 # Trajectories for drivers, in m: sample spacing, straight extension beyond the end, and longest length.
@@ -143,6 +143,11 @@ class DriverControl:
         world.steered[e][rows] = motion.is_steered[rows]
         if self.attachment.vehicle is not None:
             world.pace[e][rows] = 0.5 * (world.speed[e] + motion.state.speed)[rows]
+        if self.attachment.sees_start_of_step:
+            # The storyboard has moved it along a trajectory by the speed that it had.
+            covered = (world.pace[e] if self.attachment.vehicle is not None else motion.state.speed) * world.time_step
+            goes = rows & world.moved[e] & ~motion.is_steered
+            shift_along_trajectory(world, e, goes, covered - world.speed[e] * world.time_step)
         np.copyto(world.speed[e], motion.state.speed, where=rows)
         if any_true(steered := rows & motion.is_steered):
             move_to_pose(world, e, motion.state.x, motion.state.y, motion.state.heading, steered)

@@ -7,7 +7,7 @@ import numpy as np
 from cornercase._common.geometry.boxes import wrap_angle
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.simulators.builtin.tracks._lane import LaneTrack
-from cornercase.simulators.builtin.tracks._track import Track
+from cornercase.simulators.builtin.tracks._track import Track, Trajectory
 from cornercase.simulators.builtin.world._lane_following import extend_lane_path
 from cornercase.simulators.builtin.world._road_position import is_on_road
 from cornercase.simulators.builtin.world._world import World
@@ -58,6 +58,15 @@ def shift_along_track(world: World, entity: int, where: BoolArray, distance: Flo
             else before + distance[at]
         )
         _set_pose_from_track(world, entity, track, at)
+
+
+def shift_along_trajectory(world: World, entity: int, where: BoolArray, distance: FloatArray) -> None:
+    """Shift an entity that goes along a trajectory by `distance` m ahead, shape (N,), at most to one of its ends."""
+    for _, track, at in world.iter_followed_tracks(entity, where):
+        if isinstance(track, Trajectory):
+            ahead = distance[at] * np.cos(world.turn[entity][at])
+            world.distance[entity][at] = np.clip(world.distance[entity][at] + ahead, 0.0, track.lengths[at])
+            _set_pose_from_track(world, entity, track, at)
 
 
 def move_to_pose(
