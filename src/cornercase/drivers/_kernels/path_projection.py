@@ -20,8 +20,9 @@ _AHEAD: Final = 300.0
 NEARBY: Final = 5.0
 """Distance in m up to which a path counts as near a point."""
 
-# Samples on either side of the middle of a block, which is searched as a whole or not at all.
-_HALF_BLOCK: Final = 32
+# Samples on either side of the middle of a block, and of a part of it, which is searched as a whole or not at all.
+_HALF_BLOCK: Final = 64
+_HALF_PART: Final = 4
 # Samples beside the one where evenly spaced samples have a distance.
 _NEAR_GUESS: Final = 2
 
@@ -110,23 +111,36 @@ def _find_first_from(distance, at):
 @kernel(error_model="numpy", _nrt=False)
 def _find_nearest_sample(path_x, path_y, max_chord, first, last, x, y):
     """Return the index of the sample from `first` to `last` that is nearest to a point."""
-    block, reach = 2 * _HALF_BLOCK + 1, _HALF_BLOCK * max_chord
+    block, part = 2 * _HALF_BLOCK + 1, 2 * _HALF_PART + 1
     nearest, least = first, math.inf
     for start in range(first, last + 1, block):
-        k = min(start + _HALF_BLOCK, last)
-        gap = _squared_gap(path_x, path_y, k, x, y)
+        middle = min(start + _HALF_BLOCK, last)
+        gap = _squared_gap(path_x, path_y, middle, x, y)
         if gap < least:
-            nearest, least = k, gap
+            nearest, least = middle, gap
+    bound = _square_beyond(least, _HALF_BLOCK * max_chord)
     for start in range(first, last + 1, block):
-        limit = math.sqrt(least) + reach
-        # No sample of a block farther away can be nearer.
-        if _squared_gap(path_x, path_y, min(start + _HALF_BLOCK, last), x, y) > (1.0 + 1e-9) * limit * limit:
+        if _squared_gap(path_x, path_y, min(start + _HALF_BLOCK, last), x, y) > bound:
             continue
-        for k in range(start, min(start + block, last + 1)):
-            gap = _squared_gap(path_x, path_y, k, x, y)
-            if gap < least or (gap == least and k < nearest):
-                nearest, least = k, gap
+        end = min(start + block, last + 1)
+        part_bound = _square_beyond(least, _HALF_PART * max_chord)
+        for begin in range(start, end, part):
+            if _squared_gap(path_x, path_y, min(begin + _HALF_PART, last), x, y) > part_bound:
+                continue
+            for k in range(begin, min(begin + part, end)):
+                gap = _squared_gap(path_x, path_y, k, x, y)
+                if gap < least or (gap == least and k < nearest):
+                    nearest, least = k, gap
+            part_bound = _square_beyond(least, _HALF_PART * max_chord)
+        bound = _square_beyond(least, _HALF_BLOCK * max_chord)
     return nearest
+
+
+@kernel(error_model="numpy", _nrt=False, forceinline=True)
+def _square_beyond(squared_gap, reach):
+    """Return a squared gap in m² beyond which no sample within `reach` m can have a smaller one than `squared_gap`."""
+    limit = math.sqrt(squared_gap) + reach
+    return (1.0 + 1e-9) * limit * limit
 
 
 @kernel(error_model="numpy", _nrt=False)
