@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import math
+import os
+import sys
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping
-from functools import partial
-from importlib.metadata import EntryPoint, entry_points
+from functools import lru_cache, partial
+from importlib import metadata
+from importlib.metadata import EntryPoint, EntryPoints
 from inspect import Parameter, signature
 from typing import Any, Final, Generic, TypeVar, cast
 
@@ -25,6 +28,25 @@ T = TypeVar("T")
 
 # Types to which an option's text is converted; without one of them, the text decides.
 _PLAIN_TYPES: Final[dict[str, type[Any]]] = {kind.__name__: kind for kind in (bool, int, float, str)}
+
+
+def entry_points(**selected: str) -> EntryPoints:
+    """Return the entry points of installed packages with this group or name, as importlib's function of this name."""
+    return _read_entry_points(tuple((folder, _modification_time(folder)) for folder in sys.path)).select(**selected)
+
+
+@lru_cache(maxsize=1)
+def _read_entry_points(folders: tuple[tuple[str, int | None], ...]) -> EntryPoints:
+    """Return all entry points; a package that is installed or removed changes its folder."""
+    # Reading the files of some hundred packages takes as long as many a command.
+    return metadata.entry_points()
+
+
+def _modification_time(folder: str) -> int | None:
+    try:
+        return os.stat(folder or os.curdir).st_mtime_ns
+    except OSError:
+        return None
 
 
 class Registry(Generic[T]):
