@@ -24,6 +24,7 @@ from cornercase.testing import (
     simulator_checks,
     sut_checks,
 )
+from cornercase.testing._metric_checks import _default_recordings
 from helpers.command_line import cornercase
 
 UNITS = "decides what fits m/s² and rad (not seen: signs, units inside)"
@@ -64,18 +65,29 @@ def problems(checks):
     return {result.name: result.problem for result in run_checks(checks) if result.problem}
 
 
-@parametrize_with_checks([Cruise(), Vectorized(), Pursuit()])
+@parametrize_with_checks([Vectorized(), Pursuit()])
 def test_systems_that_keep_their_contract_pass(check):
     check.run()
 
 
+@pytest.mark.slow
+@parametrize_with_checks([Cruise()])
+def test_a_system_that_does_not_steer_passes(check):
+    check.run()
+
+
+@pytest.fixture(scope="module")
+def recordings():
+    return _default_recordings()
+
+
 @pytest.mark.parametrize("name", METRICS.names())
-def test_every_metric_of_cornercase_passes(name):
+def test_every_metric_of_cornercase_passes(recordings, name):
     if METRICS.get_class(name).required_option:
         pytest.skip("means nothing without its option")
     if name == "lane-margin":
         pytest.skip("measures on the roads of the scenario, which are nowhere else")
-    assert problems(metric_checks(name)) == {}
+    assert problems(metric_checks(name, recordings)) == {}
 
 
 @pytest.mark.parametrize("name", OPTIMIZERS.names())
@@ -83,6 +95,8 @@ def test_every_optimizer_of_cornercase_passes(name):
     assert problems(optimizer_checks(name)) == {}
 
 
+# By day the command says so.
+@pytest.mark.slow
 def test_the_builtin_simulator_passes():
     assert problems(simulator_checks("builtin")) == {}
 
