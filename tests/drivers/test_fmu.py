@@ -169,7 +169,9 @@ def test_a_cluster_gives_the_same_bytes(folder, tmp_path, name):
 def test_a_process_for_each_instance_if_the_fmu_wants_it(folder, tmp_path):
     """Also with more scenarios than there may be processes."""
     for name in ("aeb2", "once"):
-        assert explore(tmp_path, f"fmu:{folder / name}.fmu", "-o", f"{name}.db", budget=40, duration=3.0).returncode == 0
+        assert (
+            explore(tmp_path, f"fmu:{folder / name}.fmu", "-o", f"{name}.db", budget=40, duration=3.0).returncode == 0
+        )
     assert recordings(tmp_path / "once.db") == recordings(tmp_path / "aeb2.db")
 
 
