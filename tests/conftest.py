@@ -73,7 +73,7 @@ def cache_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
 
 @pytest.fixture(scope="session", autouse=True)
-def workers() -> Iterator[None]:
+def forked_workers() -> Iterator[None]:
     """By day worker processes are forked from one that has imported everything; at night they are spawned."""
     with fork_workers() if _by_day else nullcontext():
         yield

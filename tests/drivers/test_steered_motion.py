@@ -13,7 +13,7 @@ from cornercase.drivers import VEHICLES, Controls, DrivingFunction, EquippedDriv
 from cornercase.drivers._resolve import resolve_driver
 from cornercase.drivers._system_under_test import ScalarFunction
 from cornercase.scenario import ConcreteScenario
-from cornercase.simulators import Builtin, Simulator, Sumo
+from cornercase.simulators import Builtin, Sumo
 
 CUT_OUT = "examples/r157/cut_out.xosc"
 X = "examples/x_intersection/x_intersection.xosc"
@@ -45,7 +45,7 @@ def drive(
     return recording, {name: getattr(recording, name)[e] for name in names} | {"time": recording.time}
 
 
-def run_rows(driver, rows, duration, kind: type[Simulator] = Builtin) -> list[Any]:
+def run_rows(driver, rows, duration, kind: type[Builtin | Sumo] = Builtin) -> list[Any]:
     scenario = cc.LogicalScenario.read(CUT_OUT, ranges=["gap=20:500"])
     assert scenario.file is not None
     concretes = [ConcreteScenario(scenario.file.path, row, scenario.file).with_all_values() for row in rows]

@@ -27,8 +27,13 @@ def fork_workers() -> Iterator[None]:
     if "forkserver" not in get_all_start_methods() or os.uname().sysname != "Linux":
         yield
         return
+    # What a test sets for itself does not hold for the process that is forked.
+    environment = dict(os.environ)
+    environment["PYTHONPATH"] = os.pathsep.join(
+        filter(None, [str(Path(__file__).parents[1]), environment.get("PYTHONPATH")])
+    )
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(_process, "get_context", lambda _: _Context())
+        patch.setattr(_process, "get_context", lambda _: _Context(environment))
         yield
 
 
@@ -43,23 +48,29 @@ def spawn_workers() -> Iterator[None]:
 class _Context:
     """What the pool uses of a context of multiprocessing."""
 
-    def __init__(self) -> None:
-        self._context = get_context("forkserver")
+    def __init__(self, environment: dict[str, str]) -> None:
+        self._context, self._environment = get_context("forkserver"), environment
         self.Pipe = self._context.Pipe
 
     def Process(self, *, target: Callable[..., Any], args: tuple[Any, ...], daemon: bool) -> BaseProcess:  # noqa: N802
-        # Its own environment is that of its start.
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setenv("PYTHONPATH", str(Path(__file__).parents[1]), prepend=os.pathsep)
-            self._context.set_forkserver_preload(["helpers.ready_worker"])
+        self._context.set_forkserver_preload(["helpers.ready_worker"])
+        own = dict(os.environ)
+        _set_environment(self._environment)
+        try:
             forkserver.ensure_running()
-        return self._context.Process(target=_work, args=(dict(os.environ), target, args), daemon=daemon)
+        finally:
+            _set_environment(own)
+        return self._context.Process(target=_work, args=(own, target, args), daemon=daemon)
 
 
 def _work(environment: dict[str, str], target: Callable[..., Any], args: tuple[Any, ...]) -> None:
+    _set_environment(environment)
+    target(*args)
+
+
+def _set_environment(environment: dict[str, str]) -> None:
     os.environ.clear()
     os.environ.update(environment)
-    target(*args)
 
 
 def forked_seconds() -> float:

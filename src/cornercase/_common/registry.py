@@ -30,16 +30,17 @@ T = TypeVar("T")
 _PLAIN_TYPES: Final[dict[str, type[Any]]] = {kind.__name__: kind for kind in (bool, int, float, str)}
 
 
-def entry_points(**selected: str) -> EntryPoints:
-    """Return the entry points of installed packages with this group or name, as importlib's function of this name."""
-    return _read_entry_points(tuple((folder, _modification_time(folder)) for folder in sys.path)).select(**selected)
+def entry_points(*, group: str, name: str | None = None) -> EntryPoints:
+    """Return the entry points of installed packages in a group, as importlib's function of this name."""
+    found = _read_entry_points(group, tuple((folder, _modification_time(folder)) for folder in sys.path))
+    return found if name is None else found.select(name=name)
 
 
-@lru_cache(maxsize=1)
-def _read_entry_points(folders: tuple[tuple[str, int | None], ...]) -> EntryPoints:
-    """Return all entry points; a package that is installed or removed changes its folder."""
+@lru_cache(maxsize=16)
+def _read_entry_points(group: str, folders: tuple[tuple[str, int | None], ...]) -> EntryPoints:
+    """Read the entry points of a group; a package that is installed or removed changes its folder."""
     # Reading the files of some hundred packages takes as long as many a command.
-    return metadata.entry_points()
+    return metadata.entry_points(group=group)
 
 
 def _modification_time(folder: str) -> int | None:
