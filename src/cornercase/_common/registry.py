@@ -32,8 +32,8 @@ _PLAIN_TYPES: Final[dict[str, type[Any]]] = {kind.__name__: kind for kind in (bo
 
 def entry_points(*, group: str, name: str | None = None) -> EntryPoints:
     """Return the entry points of installed packages in a group, as importlib's function of this name."""
-    found = _read_entry_points(group, tuple((folder, _modification_time(folder)) for folder in sys.path))
-    return found if name is None else found.select(name=name)
+    of_group = _read_entry_points(group, tuple((folder, _modification_time(folder)) for folder in sys.path))
+    return of_group if name is None else of_group.select(name=name)
 
 
 @lru_cache(maxsize=16)
