@@ -5,6 +5,7 @@ import gc
 import os
 import signal
 from collections.abc import Container, Iterable, Iterator
+from contextlib import nullcontext
 from pathlib import Path
 from typing import NoReturn
 
@@ -15,14 +16,21 @@ for _library in ("OPENBLAS", "OMP"):
 # Thousands of tests stay until the end: looking through them for garbage again and again took a third of collecting them.
 gc.disable()
 
+import functools
+
 import numpy as np
 import pytest
+import typer.main
 
 from cornercase import SimulationError
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario, LogicalScenario
 from cornercase.simulators import Builtin, Simulator
 from helpers.cpu_times import Summary, pytest_addoption, pytest_runtest_protocol, pytest_sessionfinish
+from helpers.ready_workers import fork_workers, spawn_workers
+
+# Typer makes all commands again for each that is run, which takes longer than many of them.
+typer.main.get_command = functools.cache(typer.main.get_command)
 
 __all__ = ["pytest_addoption", "pytest_runtest_protocol", "pytest_sessionfinish"]
 
@@ -61,6 +69,20 @@ def cache_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """Tests neither use nor fill the caches of whoever runs them."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def forked_workers() -> Iterator[None]:
+    """By day worker processes are forked from one that has imported everything; at night they are spawned."""
+    with fork_workers() if _by_day else nullcontext():
+        yield
+
+
+@pytest.fixture
+def spawned_workers() -> Iterator[None]:
+    """Workers start as those of users do, by day too."""
+    with spawn_workers():
         yield
 
 

@@ -68,7 +68,7 @@ print("begins")
 scenario = cc.LogicalScenario.read({str(X)!r}, space={str(SPACE)!r})
 problem = cc.Problem(scenario, ego="Ego", other="Pedestrian", metrics=[SpeedNearby(), "wttc"], threshold=5.0)
 study = cc.Study.open_or_create("study.db", problem, cc.simulators.Builtin(drivers={{"Ego": Lazy(9.0)}}), seed=1)
-study.explore(Walk(step=0.2), budget=BUDGET, batch=2, runs=cc.Runs(workers=2))
+study.explore(Walk(step=0.2), budget=BUDGET, batch=2, runs=cc.Runs(workers=WORKERS, timeout=600.0))
 print(study.table()[["speed-nearby", "wttc"]].to_numpy().tolist())
 """
 
@@ -93,6 +93,10 @@ def explored(own, problem, tmp_path) -> cc.Study:
     return study
 
 
+def script(budget: int, workers: int) -> str:
+    return SCRIPT.replace("BUDGET", str(budget)).replace("WORKERS", str(workers))
+
+
 def run_script(text: str, folder: Path, *, is_file: bool) -> str:
     (folder / "script.py").write_text(text)
     command = [sys.executable, "script.py"] if is_file else [sys.executable, "-"]
@@ -107,9 +111,9 @@ def test_a_script_without_a_guard_runs_own_code_in_workers_and_continues(is_file
     scores = explored.table()[["speed-nearby", "wttc"]].to_numpy().tolist()
     folder = tmp_path / "script"
     folder.mkdir()
-    assert run_script(SCRIPT.replace("BUDGET", "2"), folder, is_file=is_file) == f"begins\n{scores[:2]}\n"
+    assert run_script(script(2, 1), folder, is_file=is_file) == f"begins\n{scores[:2]}\n"
     # Edited and run again, as a user does.
-    assert run_script(SCRIPT.replace("BUDGET", "4"), folder, is_file=is_file) == f"begins\n{scores}\n"
+    assert run_script(script(4, 2), folder, is_file=is_file) == f"begins\n{scores}\n"
 
 
 def test_names_that_a_script_registers_are_known_in_workers(own, monkeypatch):

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 import cornercase as cc
+from conftest import at_night
 from cornercase._common.errors import InputError
 from cornercase._common.plugin_errors import describe_error, group_failure_messages
 from cornercase.cli.config_file import read_study_file
@@ -236,23 +237,22 @@ def test_a_file_that_an_installed_module_hides_is_named(folder):
     assert "'steadies' has no class 'Steadi'; did you mean 'Steady'?" in done.stderr
 
 
-def test_json_is_all_that_a_command_prints_to_stdout(folder):
+@pytest.mark.parametrize("workers", at_night([1, 2], {1}))
+def test_json_is_all_that_a_command_prints_to_stdout(folder, workers):
     (folder / "loud.py").write_text(
         "import cornercase as cc\nprint('loaded')\n\n\nclass Loud(cc.SystemUnderTest):\n"
         "    def step(self, view, dt):\n        print('step')\n        return 0.0\n"
     )
     shutil.copytree(X.parent, folder / "suite")
     (folder / "suite" / SPACE.name).unlink()
-    for workers in (1, 2):
-        done = process(
-            "-q", "test", "suite", "--driver", "Ego=loud:Loud", "--duration", 1, "--workers", workers, "--ego", "Ego", "--other",
-            "Pedestrian",
-            "-o", f"{workers}.db", "--json", cwd=folder,
-        )  # fmt: skip
-        assert done.stdout.startswith("{"), done.stderr[-500:]
-        json.loads(done.stdout)
-        assert "loaded\n" in done.stderr
-        assert "step\n" in done.stderr
+    done = process(
+        "-q", "test", "suite", "--driver", "Ego=loud:Loud", "--duration", 1, "--workers", workers, "--ego", "Ego", "--other",
+        "Pedestrian", "-o", "s.db", "--json", cwd=folder,
+    )  # fmt: skip
+    assert done.stdout.startswith("{"), done.stderr[-500:]
+    json.loads(done.stdout)
+    assert "loaded\n" in done.stderr
+    assert "step\n" in done.stderr
 
 
 class Touchy(Clearance):

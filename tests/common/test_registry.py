@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from types import SimpleNamespace
 from typing import Any
 
@@ -69,6 +70,18 @@ def test_an_option_that_may_be_none_has_the_type_beside():
     assert registry(make).create("thing:count=2.0,text=7,free=7").given == (2, "7", 7)
     with pytest.raises(InputError, match="takes a whole number for 'count', not 'none'"):
         registry(make).create("thing:count=none")
+
+
+def test_a_package_that_is_installed_or_removed_meanwhile_is_noticed(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(str(tmp_path))
+    assert registry(Plain).names() == ["thing"]
+    about = tmp_path / "late-1.0.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: late\nVersion: 1.0\n")
+    (about / "entry_points.txt").write_text("[cornercase.none]\nlate = late:Late\n")
+    assert registry(Plain).names() == ["late", "thing"]
+    shutil.rmtree(about)
+    assert registry(Plain).names() == ["thing"]
 
 
 def test_a_broken_package_is_named_in_one_sentence(tmp_path, monkeypatch):

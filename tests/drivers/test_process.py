@@ -119,6 +119,12 @@ def test_a_process_drives_as_the_same_class_does_alone_and_in_a_batch(folder):
         assert same(run(process, wait)[0], recording)
 
 
+@pytest.fixture(scope="module")
+def alone():
+    """What the class does where nothing is at fault."""
+    return run(Aeb(), 4.0, 5.0, duration=2.0)
+
+
 @pytest.mark.parametrize(
     ("wrong", "words"),
     [
@@ -129,7 +135,7 @@ def test_a_process_drives_as_the_same_class_does_alone_and_in_a_batch(folder):
         ("garbage", r"failed at t = 1 s: its output begins with 'Hello world"),
     ],
 )
-def test_only_the_scenario_at_fault_fails_with_its_instant(folder, wrong, words):
+def test_only_the_scenario_at_fault_fails_with_its_instant(folder, alone, wrong, words):
     driver = ProcessFunction(f"{PYTHON} my_function.py", timeout=0.6 if wrong == "hang" else 10.0, wrong=wrong)
     simulator = Builtin(duration=2.0, drivers={"Ego": driver})
     # The pedestrian walks in one of them.
@@ -137,9 +143,8 @@ def test_only_the_scenario_at_fault_fails_with_its_instant(folder, wrong, words)
     assert isinstance(broken, PluginError)
     assert str(broken).startswith(f"the driver of Ego ({str(driver)[:5]}")
     assert re.search(words, str(broken)), str(broken)
-    expected = run(Aeb(), 4.0, 5.0, duration=2.0)
-    assert same(well, expected[0])
-    assert same(last, expected[1])
+    assert same(well, alone[0])
+    assert same(last, alone[1])
 
 
 def answering(folder, code, name="other.py"):

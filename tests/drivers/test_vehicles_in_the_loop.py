@@ -11,6 +11,7 @@ from random import Random
 import numpy as np
 import pytest
 
+from conftest import at_night
 from cornercase._common.errors import InputError, NoticeWarning
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.drivers import BehaviourDriver, Driver, EquippedDriver, PlanarMotion, Situation
@@ -98,7 +99,8 @@ def run_file(file: Path, driver: str | Driver, **others: str | Driver) -> Record
     return result
 
 
-@pytest.mark.parametrize("seed", range(24))
+# By day two for each vehicle.
+@pytest.mark.parametrize("seed", at_night(range(24), range(8, 24)))
 def test_kernels_and_python_steer_to_the_same_bytes_whatever_the_storyboard_does(seed: int, roads: Path) -> None:
     file, vehicle = roads / f"{seed}.xosc", [*STEERED][seed % len(STEERED)]
     file.write_text(storyboard(Random(seed)))
@@ -107,7 +109,7 @@ def test_kernels_and_python_steer_to_the_same_bytes_whatever_the_storyboard_does
 
 
 # With few tyres and long axles it leaves its lane.
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", at_night(range(12), range(4, 12)))
 def test_a_steered_vehicle_goes_the_same_way_beside_a_driver_in_python(seed: int, roads: Path) -> None:
     file, ego = roads / f"two {seed}.xosc", "normal + kinematic:wheelbase=5.0,mu=0.1"
     file.write_text(storyboard(Random(seed)))

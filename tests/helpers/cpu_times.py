@@ -13,14 +13,16 @@ from typing import Any, Final
 
 import pytest
 
+from helpers.ready_workers import forked_seconds
+
 MOST: Final = 40
 _COSTS: dict[str, float] = {}
 
 
 def spent() -> float:
-    """Seconds of this process and of all that it has started and that have ended."""
+    """Seconds of this process, of all that it has started and that have ended, and of workers that were forked."""
     times = os.times()
-    return times.user + times.system + times.children_user + times.children_system
+    return times.user + times.system + times.children_user + times.children_system + forked_seconds()
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -260,7 +260,7 @@ def test_a_reference_driver_does_not_get_the_values_of_the_driver(folder, tmp_pa
         study = tmp_path / f"condition{len(more)}.db"
         ended = cornercase(
             *("explore", X, "--space", SPACE, "--range", "Ego.reaction_time=0.5:2.5", "--driver", "Ego=normal"),
-            *("--ego", "Ego", "--other", "Pedestrian", *condition, "--optimizer", "sobol", "--budget", 32, *more),
+            *("--ego", "Ego", "--other", "Pedestrian", *condition, "--optimizer", "sobol", "--budget", 16, *more),
             *("-o", study),
         )
         assert ended.returncode == 0, ended.stderr

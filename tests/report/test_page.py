@@ -61,6 +61,18 @@ def known_of(study):
     return critical.critical_set
 
 
+@pytest.fixture(scope="module")
+def page(path, tmp_path_factory):
+    """The page of the study, which is written once."""
+    return page_of(path, tmp_path_factory.mktemp("written"))
+
+
+@pytest.fixture(scope="module")
+def known(path):
+    with StudyFile.open(path, readonly=True) as study:
+        return known_of(study)
+
+
 def contents_of(page):
     (text,) = re.findall(r'<script type="application/json" id="contents">(.*?)</script>', page, re.DOTALL)
     return json.loads(text)
@@ -101,8 +113,8 @@ def read_record(data):
     return head, found
 
 
-def test_each_scenario_of_the_study_is_in_the_contents(path, tmp_path):
-    contents = contents_of(page_of(path, tmp_path))
+def test_each_scenario_of_the_study_is_in_the_contents(path, page):
+    contents = contents_of(page)
     with StudyFile.open(path, readonly=True) as study:
         rows, table, labels = study.rows(), study.table(), study.read_analysis("distance", "labels")[0]["labels"]
     columns = contents["scenarios"]
@@ -123,11 +135,10 @@ def test_each_scenario_of_the_study_is_in_the_contents(path, tmp_path):
     assert outcomes == table["outcome"].dropna().tolist()
 
 
-def test_the_search_is_told_round_by_round(path, tmp_path):
-    told = contents_of(page_of(path, tmp_path))["search"]
+def test_the_search_is_told_round_by_round(path, page, known):
+    told = contents_of(page)["search"]
     with StudyFile.open(path, readonly=True) as study:
         rounds, scores = [row.round for row in study.finished_rows()], study.scores("distance")
-        known = known_of(study)
     assert told["run"] == [sum(one <= last for one in rounds) for last in sorted(set(rounds))]
     assert told["best"] == [float(f"{scores[:run].min():.5g}") for run in told["run"]]
     assert told["critical"] == [int((scores[:run] <= 1.0).sum()) for run in told["run"]]
@@ -138,8 +149,8 @@ def test_the_search_is_told_round_by_round(path, tmp_path):
     assert len(told["missed"]) > 1
 
 
-def test_what_was_missed_at_a_round_is_as_it_would_have_been_told_then(path, tmp_path):
-    told = contents_of(page_of(path, tmp_path))["search"]["missed"][0]
+def test_what_was_missed_at_a_round_is_as_it_would_have_been_told_then(page, tmp_path):
+    told = contents_of(page)["search"]["missed"][0]
     with StudyFile.create(tmp_path / "short.db", about(SPACE, "distance", "wttc", critical=1.0, **BY_SOBOL)) as study:
         last = 10 * round(told["run"] / 9)
         explorer(study, metrics=("distance", "wttc"), optimizer="sobol", budget=last).run()
@@ -148,8 +159,7 @@ def test_what_was_missed_at_a_round_is_as_it_would_have_been_told_then(path, tmp
     assert told["value"] == pytest.approx(known.missed_fraction.value, rel=1e-4)
 
 
-def test_recordings_are_read_back(path, tmp_path):
-    page = page_of(path, tmp_path)
+def test_recordings_are_read_back(path, page):
     with StudyFile.open(path, readonly=True) as study:
         assert set(contents_of(page)["recordings"]) == {row.id for row in study.finished_rows()}
         for scenario in [row.id for row in study.finished_rows()][::7]:
@@ -194,7 +204,7 @@ def test_a_recording_of_few_instants_is_read_back(n_instants):
         np.testing.assert_allclose(found[name], getattr(recording, name), atol=STEPS[name])
 
 
-def test_a_page_that_would_be_too_large_keeps_the_recordings_that_tell_most(path, tmp_path):
+def test_a_page_that_would_be_too_large_keeps_the_recordings_that_tell_most(path, page):
     with StudyFile.open(path, readonly=True) as study:
         data = read_report_data(study)
         packed = page_recordings.encode_important_recordings(
@@ -207,7 +217,7 @@ def test_a_page_that_would_be_too_large_keeps_the_recordings_that_tell_most(path
     assert examples | {worst} <= there
     assert len(there) < run
     assert f"{len(there)} of the {run} recordings" in page_recordings.describe_left_out_recordings(data, packed)
-    assert contents_of(page_of(path, tmp_path))["recordings_left_out"] == ""
+    assert contents_of(page)["recordings_left_out"] == ""
 
 
 def test_each_beginning_of_an_even_order_is_spread():
@@ -386,8 +396,7 @@ def test_the_command_of_a_page_makes_the_study_again(tmp_path):
         np.testing.assert_array_equal(study.scores("wttc"), scores)
 
 
-def test_provenance_says_what_figures_depend_on(path, tmp_path):
-    page = page_of(path, tmp_path)
+def test_provenance_says_what_figures_depend_on(path, page):
     made = page.split('id="provenance"')[1]
     for words in (np.__version__, __version__, "scikit-learn", "SciPy", "Python", "seed", "fingerprint", "s.db"):
         assert words in made

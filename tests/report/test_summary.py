@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+import shutil
 import warnings
 from dataclasses import replace
 from html import unescape
 from io import BytesIO
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -38,17 +40,28 @@ from helpers.encounter_recordings import PASSES, entity, recording
 from helpers.synthetic_study import LOGICAL, SPACE, about, explorer, opened
 
 
-@pytest.fixture
-def path(tmp_path):
-    with opened(tmp_path / "s.db") as study:
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    path = tmp_path_factory.mktemp("whole") / "s.db"
+    with opened(path) as study:
         explorer(study, metrics=("distance", "wttc"), optimizer="sobol").run()
     # The synthetic distances have no structure of their own.
-    analyze(tmp_path / "s.db", "distance", gamma=4.0, eps=0.2, min_samples=3)
-    return tmp_path / "s.db"
+    analyze(path, "distance", gamma=4.0, eps=0.2, min_samples=3)
+    return path
 
 
-def test_a_summary_holds_values_and_says_what_it_is(path):
-    summary = summarize(path)
+@pytest.fixture
+def path(whole, tmp_path):
+    """A copy, since some tests change it."""
+    return Path(shutil.copy(whole, tmp_path / "s.db"))
+
+
+@pytest.fixture(scope="module")
+def summary(whole):
+    return summarize(whole)
+
+
+def test_a_summary_holds_values_and_says_what_it_is(path, summary):
     with StudyFile.open(path, readonly=True) as study:
         assert summary.n_run + summary.n_failed == len(study.rows())
         scores = study.scores("distance")
@@ -63,8 +76,8 @@ def test_a_summary_holds_values_and_says_what_it_is(path):
     assert f"{len(summary.analyses['distance'].sizes)} clusters by distance" in repr(summary)
 
 
-def test_words_are_plain_values_in_a_fixed_order(path):
-    words = summary_to_dict(summarize(path))
+def test_words_are_plain_values_in_a_fixed_order(summary):
+    words = summary_to_dict(summary)
     assert list(words)[:8] == ["scenario", "ego", "other", "optimizer", "seed", "simulator", "parameters", "run"]
     assert words["parameters"] == {"a": "0 to 1", "b": "0 to 1"}
     assert words["clusters"]["distance"]["cluster_0"]["scenarios"] == words["clusters"]["distance"]["sizes"][0]
@@ -72,8 +85,8 @@ def test_words_are_plain_values_in_a_fixed_order(path):
     assert "kept" not in words
 
 
-def test_scenarios_that_were_run_since_are_told_with_what_mends_it(path, tmp_path):
-    before = summary_to_dict(summarize(path))
+def test_scenarios_that_were_run_since_are_told_with_what_mends_it(path, summary, tmp_path):
+    before = summary_to_dict(summary)
     with opened(path) as study:
         explorer(study, metrics=("distance", "wttc"), optimizer="sobol", budget=60).run()
     grown = summarize(path)
@@ -179,8 +192,8 @@ def test_a_page_is_written_of_a_study_and_of_a_path(path, tmp_path, figures):
     assert set(told) == drawn
 
 
-def test_kinds_are_drawn_and_named(path, tmp_path):
-    kinds = summarize(path).analyses["distance"]
+def test_kinds_are_drawn_and_named(path, summary, tmp_path):
+    kinds = summary.analyses["distance"]
     assert kinds.clustering.n_clusters > 1
     page = write_report(path, tmp_path / "r.html").read_text(encoding="utf-8")
     for one in kinds.profiles:
@@ -211,8 +224,8 @@ def test_where_all_are_one_kind_the_page_says_so_and_draws_none(path, tmp_path):
         ({"outcome": -0.01}, "say nothing about how scenarios end (mutual information of at most 0.00)."),
     ],
 )
-def test_what_kinds_tell_is_said_in_a_sentence(path, tells, words):
-    kinds = summarize(path).analyses["distance"]
+def test_what_kinds_tell_is_said_in_a_sentence(summary, tells, words):
+    kinds = summary.analyses["distance"]
     assert describe_informativeness(replace(kinds, fact_agreement=tells)) == f"The kinds by distance {words}"
     assert "All scenarios end in the same way" in describe_informativeness(replace(kinds, fact_agreement={}))
     # Of a study of an early version.

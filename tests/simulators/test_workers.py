@@ -177,7 +177,7 @@ def test_a_batch_may_take_as_long_as_its_scenarios_one_after_the_other(tmp_path)
     assert [tries(tmp_path, k) for k in range(6)] == [1] * 6
 
 
-@pytest.mark.slow
+@pytest.mark.usefixtures("spawned_workers")
 @pytest.mark.parametrize("workers", at_night([1, 2], {1}))
 def test_builtin_batches_give_the_same_bytes_in_any_number_of_workers(x_intersection, builtin, workers):
     rng = np.random.default_rng(3)

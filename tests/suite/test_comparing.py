@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import pickle
 from dataclasses import replace
 from typing import Any
 
@@ -42,8 +43,19 @@ def recording(gap: float, hit: bool = False) -> Recording:
     )  # fmt: skip
 
 
-def written(path, gaps, points=GRID, hits=(), failed=(), space=SPACE, metrics=("distance",), **more):
-    """A study of scenarios in which the other stands so far away."""
+_WRITTEN: dict[bytes, bytes] = {}
+
+
+def written(path, *given, **more):
+    """A study of scenarios in which the other stands so far away; the same one is written once and copied."""
+    key = pickle.dumps((given, more))
+    if key not in _WRITTEN:
+        _WRITTEN[key] = _write(path, *given, **more).read_bytes()
+    path.write_bytes(_WRITTEN[key])
+    return path
+
+
+def _write(path, gaps, points=GRID, hits=(), failed=(), space=SPACE, metrics=("distance",), **more):
     meta = about(space, *metrics, **({"critical": 1.0, "simulator": "builtin"} | more))
     with StudyFile.create(path, meta) as study:
         rows = study.writer.add_pending(1, points, space.values(points))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import pickle
 from collections import Counter, defaultdict
 from dataclasses import replace
 from itertools import permutations
@@ -46,7 +47,19 @@ def recording(gap: float, hit: bool = False) -> Recording:
     )  # fmt: skip
 
 
-def written(path, gaps, hits=(), failed=(), points=POINTS, metrics=("distance",), **more):
+_WRITTEN: dict[bytes, bytes] = {}
+
+
+def written(path, *given, **more):
+    """A study, which is written once and copied."""
+    key = pickle.dumps((given, more))
+    if key not in _WRITTEN:
+        _WRITTEN[key] = _write(path, *given, **more).read_bytes()
+    path.write_bytes(_WRITTEN[key])
+    return path
+
+
+def _write(path, gaps, hits=(), failed=(), points=POINTS, metrics=("distance",), **more):
     """A study of scenarios in which the other stands so far away, which is the score of all metrics."""
     meta = about(SPACE, *metrics, **({"critical": 1.0, "simulator": "builtin"} | more))
     with StudyFile.create(path, meta) as study:

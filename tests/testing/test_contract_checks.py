@@ -24,6 +24,7 @@ from cornercase.testing import (
     simulator_checks,
     sut_checks,
 )
+from cornercase.testing._metric_checks import _default_recordings
 from helpers.command_line import cornercase
 
 UNITS = "decides what fits m/s² and rad (not seen: signs, units inside)"
@@ -64,18 +65,29 @@ def problems(checks):
     return {result.name: result.problem for result in run_checks(checks) if result.problem}
 
 
-@parametrize_with_checks([Cruise(), Vectorized(), Pursuit()])
+@parametrize_with_checks([Vectorized(), Pursuit()])
 def test_systems_that_keep_their_contract_pass(check):
     check.run()
 
 
+@pytest.mark.slow
+@parametrize_with_checks([Cruise()])
+def test_a_system_that_does_not_steer_passes(check):
+    check.run()
+
+
+@pytest.fixture(scope="module")
+def recordings():
+    return _default_recordings()
+
+
 @pytest.mark.parametrize("name", METRICS.names())
-def test_every_metric_of_cornercase_passes(name):
+def test_every_metric_of_cornercase_passes(recordings, name):
     if METRICS.get_class(name).required_option:
         pytest.skip("means nothing without its option")
     if name == "lane-margin":
         pytest.skip("measures on the roads of the scenario, which are nowhere else")
-    assert problems(metric_checks(name)) == {}
+    assert problems(metric_checks(name, recordings)) == {}
 
 
 @pytest.mark.parametrize("name", OPTIMIZERS.names())
@@ -83,6 +95,8 @@ def test_every_optimizer_of_cornercase_passes(name):
     assert problems(optimizer_checks(name)) == {}
 
 
+# By day test_small_scenarios.py runs the command.
+@pytest.mark.slow
 def test_the_builtin_simulator_passes():
     assert problems(simulator_checks("builtin")) == {}
 
@@ -331,9 +345,6 @@ def test_the_commands_print_a_line_per_check_and_tell_by_the_exit_code(tmp_path)
     assert "not run: 6 checks that need this one: drives every scenario" in failing.stdout
     stored = json.loads(cornercase("check-sut", "fails:Own", "--json", cwd=tmp_path).stdout)
     assert [row["holds"] for row in stored["checks"]] == [True, False, *[None] * 6]
-    good = cornercase("check-simulator", "builtin", cwd=tmp_path)
-    assert good.returncode == 0
-    assert "19 of 19 checks hold for the simulator builtin" in good.stdout
     wrong = cornercase("check-sut", "own:Owm", cwd=tmp_path)
     assert (wrong.returncode, wrong.stdout) == (2, "")
     assert "has no class 'Owm'" in wrong.stderr

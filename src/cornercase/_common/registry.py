@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import math
+import os
+import sys
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping
-from functools import partial
-from importlib.metadata import EntryPoint, entry_points
+from functools import lru_cache, partial
+from importlib import metadata
+from importlib.metadata import EntryPoint, EntryPoints
 from inspect import Parameter, signature
 from typing import Any, Final, Generic, TypeVar, cast
 
@@ -25,6 +28,26 @@ T = TypeVar("T")
 
 # Types to which an option's text is converted; without one of them, the text decides.
 _PLAIN_TYPES: Final[dict[str, type[Any]]] = {kind.__name__: kind for kind in (bool, int, float, str)}
+
+
+def entry_points(*, group: str, name: str | None = None) -> EntryPoints:
+    """Return the entry points of installed packages in a group, as importlib's function of this name."""
+    of_group = _read_entry_points(group, tuple((folder, _modification_time(folder)) for folder in sys.path))
+    return of_group if name is None else of_group.select(name=name)
+
+
+@lru_cache(maxsize=16)
+def _read_entry_points(group: str, folders: tuple[tuple[str, int | None], ...]) -> EntryPoints:
+    """Read the entry points of a group; a package that is installed or removed changes its folder."""
+    # Reading the files of some hundred packages takes as long as many a command.
+    return metadata.entry_points(group=group)
+
+
+def _modification_time(folder: str) -> int | None:
+    try:
+        return os.stat(folder or os.curdir).st_mtime_ns
+    except OSError:
+        return None
 
 
 class Registry(Generic[T]):

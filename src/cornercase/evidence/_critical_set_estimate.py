@@ -48,6 +48,8 @@ _MIN_PROBABILITY: Final = 1e-3
 
 MIN_REGION_FRACTION: Final = 0.01
 """Default of the smallest fraction of the space that counts as a region."""
+# Draws whose connected regions are found in one go.
+_DRAWS_AT_ONCE: Final = 40
 
 
 class CriticalSet:
@@ -399,12 +401,16 @@ class CriticalSet:
         edges, regions = self._neighbour_graph
         weights = np.concatenate([self._joint_points[1], np.zeros(regions)])
         count = 0
-        for is_critical in np.concatenate([drawn, np.ones((regions, N_DRAWS), dtype=np.bool_)]).T:
-            label = _label_components(edges[:, is_critical[edges[0]] & is_critical[edges[1]]], len(is_critical))
-            sizes = np.bincount(label, weights=weights * is_critical, minlength=label.max() + 1)
+        is_node = np.concatenate([drawn, np.ones((regions, N_DRAWS), dtype=np.bool_)]).T
+        for is_critical in np.array_split(is_node, np.arange(_DRAWS_AT_ONCE, N_DRAWS, _DRAWS_AT_ONCE)):
+            # The graphs of some draws side by side are one graph.
+            draw, edge = np.nonzero(is_critical[:, edges[0]] & is_critical[:, edges[1]])
+            label = _label_components(edges[:, edge] + draw * is_critical.shape[1], is_critical.size)
+            sizes = np.bincount(label, weights=(weights * is_critical).ravel())
+            label = label.reshape(is_critical.shape)
             has_run = np.zeros(len(sizes), dtype=np.bool_)
-            has_run[label[len(drawn) :]] = True
-            count += bool(((sizes >= size) & ~has_run).any())
+            has_run[label[:, len(drawn) :]] = True
+            count += int(((sizes >= size) & ~has_run)[label].any(axis=1).sum())
         return count / N_DRAWS
 
     def unexplored_fraction(self, size: float = MIN_REGION_FRACTION) -> float:
