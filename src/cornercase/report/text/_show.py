@@ -101,6 +101,7 @@ def summary_to_dict(summary: Summary) -> dict[str, Any]:
             else {}
         ),
         "collisions": summary.n_collisions,
+        **({"fault": dict(summary.faults)} if summary.faults else {}),
         **_unmeasured_collisions_to_dict(summary),
         "metrics": {name: _metric_to_dict(metric, meta) for name, metric in summary.metrics.items()},
         "clusters": {name: _clusters_to_dict(analysis, summary.n_run) for name, analysis in summary.analyses.items()},
