@@ -14,6 +14,7 @@ from cornercase._common.plugin_errors import group_failure_messages
 from cornercase._common.text.notebook_html import render_html_table
 from cornercase.clustering import Agreement, Analysis, read_analyses
 from cornercase.clustering._agreement import compare_clusterings
+from cornercase.evidence._bands import Bands, bands_of_study
 from cornercase.exploration._constant_metrics import describe_constant_metrics
 from cornercase.metrics._outcome import Culprit, Impact
 from cornercase.recordings import Collision
@@ -128,6 +129,8 @@ class Summary:
         Results of the reference drivers that the condition or a requirement names, by name.
     failures : mapping of str to FailureSummary
         By reason, the most frequent first.
+    bands : mapping of str to Bands
+        Bands of criticality by metric, without metrics whose scores are all the same.
     """
 
     meta: StudyMeta
@@ -147,6 +150,7 @@ class Summary:
     probability: Mapping[str, Any] | None = None
     references: Mapping[str, ReferenceCount] = field(default_factory=dict)
     failures: Mapping[str, FailureSummary] = field(default_factory=dict)
+    bands: Mapping[str, Bands] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         parts = [f"{self.meta.title}: {self.n_run} scenarios run, {self.n_collisions} collisions"]
@@ -261,6 +265,7 @@ def summarize_with_collisions(
         probability=_read_probability(study),
         references=count_reference_results(study),
         failures=_summarize_failures(study.failed_rows()),
+        bands=bands_of_study(study) if "done" in states else {},
     )
 
 

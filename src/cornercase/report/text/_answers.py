@@ -277,8 +277,9 @@ def _answer_clusters(data: ReportData) -> Answer:
         return Answer(name, question, "The study has not been analysed yet; cornercase analyze finds the kinds.")
     divided = [by for by, analysis in analyses.items() if analysis.clustering.n_clusters > 1 and by != chosen]
     undivided = [by for by, analysis in analyses.items() if analysis.clustering.n_clusters <= 1]
+    bands = tuple(f"{bands.describe()}." for by, bands in data.summary.bands.items() if by in undivided)
     if analyses[chosen].clustering.n_clusters <= 1:
-        return Answer(name, question, f"There are no separate kinds by {_join_with_and(undivided)}.")
+        return Answer(name, question, f"There are no separate kinds by {_join_with_and(undivided)}.", bands)
     analysis = analyses[chosen]
     noise = int((analysis.labels < 0).sum())
     outside = f", and {noise} scenarios of noise" if noise else ""
@@ -295,6 +296,7 @@ def _answer_clusters(data: ReportData) -> Answer:
         sentences.append(f"There are also kinds by {_join_with_and(divided)}.")
     if undivided:
         sentences.append(f"There are no separate kinds by {_join_with_and(undivided)}.")
+    points += bands
     return Answer(name, question, " ".join(sentences), tuple(points))
 
 
