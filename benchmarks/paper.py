@@ -81,6 +81,8 @@ class Experiment:
             self.influence = estimate_sensitivity(study.space, self.points, scores, seed)
             recordings = [study.recording(row.id) for row in rows]
             self.ends = [describe_outcome(one, meta.ego, meta.others[0]) for one in recordings]
+            self.faults = [one.fault.who if one.fault else "" for one in (
+                study.digest(row.id).outcomes[0] for row in rows)]  # fmt: skip
             self.crash = np.array([any(meta.ego in hit.entities for hit in one.collisions) for one in recordings])
             self.seconds = study.elapsed_by_stage()["compare"] / len(self.found)
 
@@ -225,6 +227,28 @@ def divided_as_the_paper_does(
     ]  # fmt: skip
 
 
+def faults_in_order(t: Experiment) -> tuple[str, bool]:
+    """Accidents caused by the ego, and by C, and how often the ego's are nearer to where C is first.
+
+    That is the share of pairs of an accident of the ego and one of C, of which the one of the ego is nearer to the
+    nearest scenario with C first, seen from the nearest one with the ego first (area under the curve).
+    """
+    who = np.array(t.faults)
+    counts = {name: int((who == name).sum()) for name in ("ego", "other", "both", "undecided")}
+    text = ", ".join(f"{count} {'C' if name == 'other' else name}" for name, count in counts.items())
+    first, last = (t.points[t.ended(end)] for end in ("C first", "Ego first"))
+    if not (counts["ego"] and counts["other"] and len(first) and len(last)):
+        return f"at fault: {text}", False
+
+    def place(rows: npt.NDArray[np.bool_]) -> Floats:
+        near, far = (np.linalg.norm(t.points[rows][:, None] - ends, axis=-1).min(axis=1) for ends in (first, last))
+        return np.asarray(near / np.maximum(near + far, 1e-12))
+
+    earlier, later = place(who == "ego"), place(who == "other")
+    order = float((earlier[:, None] < later).mean() + 0.5 * (earlier[:, None] == later).mean())
+    return f"at fault: {text}; {order:.0%} of the pairs in this order (75 %)", order >= 0.75
+
+
 def scenario_2(t: Experiment) -> list[tuple[str, str, bool]]:
     total = dict(zip(t.influence.names, t.influence.total, strict=True))
     first = {end: t.ended(end) for end in ("C first", "Ego first")}
@@ -245,6 +269,7 @@ def scenario_2(t: Experiment) -> list[tuple[str, str, bool]]:
         ("three outcomes: C first, collision, ego first", ", ".join(map(str, counts)), min(counts) > 0),
         ("C first at low time and distance, the ego at high ones", f"medians {medians[0]:.1f} and {medians[1]:.1f} s,"
          f" {medians[2]:.0f} and {medians[3]:.0f} m", medians[0] < medians[1] and medians[2] < medians[3]),
+        ("accidents caused by the ego near where C is first, then by C", *faults_in_order(t)),
         *(
             (f"accidents are a cluster of their own by {by}", f"Jaccard index {fit:.2f} (0.8)", fit >= 0.8)
             for by, fit in fits.items()

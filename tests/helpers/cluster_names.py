@@ -16,6 +16,7 @@ import numpy as np
 from scipy.ndimage import label
 from scipy.spatial.distance import cdist
 
+from cornercase.metrics.fault._find_fault import find_fault
 from cornercase.recordings import Recording
 
 TOLERANCE = 0.11
@@ -333,6 +334,10 @@ def qualifier(scene, said):
         return any(set(one.entities) == {bare(found[1]), bare(found[2])} for one in scene.recording.collisions)
     if found := re.fullmatch(r"(.*) first", said):
         return scene.met[1] == bare(found[1])
+    if found := re.fullmatch(r"(.*) at fault", said):
+        hit = next((hit for hit in scene.recording.collisions if scene.ego in hit.entities), None)
+        who = None if hit is None else find_fault(scene.recording, scene.ego, hit).who
+        return who == ("both" if found[1] == "both" else "ego" if bare(found[1]) == scene.ego else "other")
     if found := re.fullmatch(r"as in scenario \d+", said):
         return True
     if found := re.fullmatch(rf"(.*?) ([<>]) {NUMBER}( \S+)?", said):

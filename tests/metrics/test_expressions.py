@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from conftest import examples
 from cornercase._common.errors import InputError
 from cornercase.metrics import METRICS, CriticalIf, Expression, measure, signals_from_recording
+from cornercase.metrics.fault._find_fault import find_fault
 from cornercase.recordings import Collision, Recording
 from cornercase.suite import Requirement, judge
 from helpers.two_cars import met
@@ -31,9 +32,9 @@ class Run:
         self.recording = met((x, 0.0, 0.0, speeds), (other, 0.0, 0.0, 0.0), collided * STEP if collided else None)
         self.gaps, self.speeds, self.x, self.references = [float(gap) for gap in gaps], speeds, x, references
         self.collided = [k == collided and collided > 0 for k in range(COUNT)]
-        self.at_fault = [
-            collides and max(speeds[max(k - 1, 0)], speeds[k]) >= 0.1 for k, collides in enumerate(self.collided)
-        ]
+        faults = [find_fault(self.recording, "Ego", collision).who for collision in self.recording.collisions]
+        self.is_decided = "undecided" not in faults
+        self.at_fault = [collides and faults == ["ego"] for collides in self.collided]
         # A contact counts as a gap of 0.
         self.clearance = [0.0 if collides else gap for gap, collides in zip(self.gaps, self.collided, strict=True)]
         self.driven = [position - x[0] for position in x]
@@ -141,14 +142,22 @@ courses = st.recursive(bounds | statements, lambda inner: logical(inner) | tempo
 # A condition does not have bounds outside of temporal operators, except on scores.
 of_runs = st.recursive(statements | temporal(courses), logical, max_leaves=5)
 anything = st.recursive(bounds | statements | temporal(courses), logical, max_leaves=5)
+
+
+def touching_run(steps, gaps, speeds, collided, references):
+    """Let both touch at the instant of their collision, and not before, so that it can be known whose fault it is."""
+    touching = [*(max(gap, 0.5) for gap in gaps[:collided]), 0.0, *gaps[collided + 1 :]] if collided else gaps
+    return Run(steps, touching, speeds, collided, references)
+
+
 runs = st.builds(
-    Run,
+    touching_run,
     st.lists(st.integers(0, 4).map(lambda n: n / 2), min_size=COUNT, max_size=COUNT),
     st.lists(st.integers(1, 12).map(lambda n: n / 2), min_size=COUNT, max_size=COUNT),
     st.lists(st.sampled_from([0.0, 1.0, 2.5, 6.0]), min_size=COUNT, max_size=COUNT),
     st.sampled_from([0, 0, 3, 7]),
     st.fixed_dictionaries({"a": st.booleans(), "b": st.booleans()}),
-)
+).filter(lambda run: run.is_decided)
 
 
 class Outcome:

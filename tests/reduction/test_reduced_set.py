@@ -15,10 +15,13 @@ from scipy.spatial.distance import cdist
 from conftest import examples
 from cornercase._common.errors import InputError
 from cornercase.clustering import read_analyses, read_distances
+from cornercase.evidence._bands import bands_by_scenario
 from cornercase.reduction import read_reduction, reduce
 from cornercase.reduction._coverage import measure_coverage
 from cornercase.reduction._medoids import find_k_medoids
 from cornercase.reduction.selection._greedy import select_scenarios
+from cornercase.report import summarize
+from cornercase.report.text._show import summary_to_dict
 from cornercase.study import StudyFile
 from helpers.command_line import SPACE, X, cornercase
 
@@ -217,6 +220,29 @@ def test_python_gets_what_the_manifest_says_and_reads_it_back(explored, tmp_path
     assert "pedestrian_wait" in table
     with StudyFile.open(path, readonly=True) as study:
         assert read_reduction(study) == reduced
+
+
+def test_each_band_of_criticality_is_represented(explored, tmp_path):
+    path = shutil.copy(explored[0] / "s.db", tmp_path / "s.db")
+    reduced = reduce(path, tmp_path / "bands", by="bands:wttc", size=6)
+    with StudyFile.open(path, readonly=True) as study:
+        bands, band_of = bands_by_scenario(study, "wttc")
+        assert read_reduction(study) == reduced
+    assert reduced.by == "bands:wttc"
+    assert {band_of[scenario.id] for scenario in reduced.scenarios} == {0, 1, 2}
+    prototypes = [scenario for scenario in reduced.scenarios if scenario.role == "prototype"]
+    assert len(prototypes) == 3
+    for scenario in prototypes:
+        band = band_of[scenario.id]
+        expected = f"band of {bands.names[band]} criticality by wttc: {bands.describe_range(band)}"
+        assert scenario.why == f"the scenario most like all others of the {expected}"
+    summary = summarize(path)
+    assert summary.bands["wttc"].sizes == bands.sizes
+    assert summary_to_dict(summary)["bands"]["wttc"]["high"]["scenarios"] == bands.sizes[0]
+    done = cornercase("report", path, "-o", tmp_path / "r.html")
+    assert done.returncode == 0, done.stderr
+    with pytest.raises(InputError, match=r"bands:nope: the study has no such metric"):
+        reduce(path, tmp_path / "none", by="bands:nope")
 
 
 def test_another_scenario_file_than_the_one_that_was_explored_is_refused(explored, tmp_path):

@@ -326,7 +326,8 @@ def test_a_row_of_the_table_is_a_scenario(study):
     study.writer.save_analyses({"wttc": ({"ids": np.array([1, 3]), "labels": np.array([0, -1])}, {})}, {1: "Ego first"})
     table = study.table()
     assert list(table) == [
-        "round", "state", "a", "b", "distance", "wttc", "collision", "impact speed", "cluster by wttc", "outcome", "error"
+        "round", "state", "a", "b", "distance", "wttc", "collision", "impact speed", "fault",
+        "fault reason", "cluster by wttc", "outcome", "error",
     ]  # fmt: skip
     assert (table.index.name, table.index.tolist()) == ("id", [1, 2, 3])
     np.testing.assert_array_equal(table["wttc"], [0.5, np.nan, 1.5])

@@ -38,7 +38,8 @@ def along(x, speed=10.0):
     return (x, 0.0, 0.0, speed)
 
 
-# Six instants, 0.1 s apart: who drives where at the contact, and whether the ego is at fault.
+# Six instants, 0.1 s apart: who drives where at the contact, and whether the ego is at fault; None is undecided, as half
+# a second does not show who came first, or who left its line.
 DRIVES = np.arange(6) * 1.0
 CONTACTS = {
     "runs into one ahead": (along(DRIVES), along(np.full(6, 8.5), 0.0), True),
@@ -46,18 +47,18 @@ CONTACTS = {
     "is hit from behind by a faster one": (along(8.5 + 0.5 * DRIVES, 5.0), along(2.0 * DRIVES - 2.0, 20.0), False),
     "backs into one behind": (along(-DRIVES, -10.0), along(np.full(6, -8.5), 0.0), True),
     "stands on a crossing": (along(np.zeros(6), 0.0), (0.0 * DRIVES, DRIVES - 7.5, math.pi / 2, 10.0), False),
-    "is hit at its side": (along(DRIVES), (DRIVES[::-1] * 0 + 5.0, DRIVES - 7.5, math.pi / 2, 10.0), False),
-    "hits the side of one that crosses": (along(DRIVES), (np.full(6, 7.5), DRIVES - 4.0, math.pi / 2, 10.0), True),
-    "head-on": (along(DRIVES), (12.5 - DRIVES, 0.0, math.pi, 10.0), True),
+    "is hit at its side": (along(DRIVES), (DRIVES[::-1] * 0 + 5.0, DRIVES - 7.5, math.pi / 2, 10.0), None),
+    "hits the side of one that crosses": (along(DRIVES), (np.full(6, 7.5), DRIVES - 4.0, math.pi / 2, 10.0), None),
+    "head-on": (along(DRIVES), (12.5 - DRIVES, 0.0, math.pi, 10.0), None),
     "changes into the lane of one beside it": (
         (DRIVES * 0 + 10.0 * np.arange(6), 0.22 * np.arange(6), 0.022, 100.0),
         (10.0 * np.arange(6), np.full(6, 3.0), 0.0, 100.0),
-        True,
+        None,
     ),
     "is beside one that changes into its lane": (
         (10.0 * np.arange(6), np.full(6, 0.0), 0.0, 100.0),
         (10.0 * np.arange(6), 3.0 - 0.22 * np.arange(6), -0.022, 100.0),
-        False,
+        None,
     ),
 }
 
@@ -67,7 +68,7 @@ def test_the_one_who_drives_into_the_other_is_at_fault(case):
     ego, other, at_fault = CONTACTS[case]
     recording = met(ego, other, collides=0.5)
     found = judged("no collision at fault", recording)
-    assert found.state == ("failed" if at_fault else "passed"), found.reason
+    assert found.state == {True: "failed", False: "passed", None: "inconclusive"}[at_fault], found.reason
     assert "Ego and Other collide at 0.5 s" in found.reason
     # It is a collision, whoever is at fault.
     assert judged("no collision", recording).state == "failed"

@@ -52,6 +52,8 @@ def analyze(
       cornercase analyze study.db --by interaction --window 1
     """
     from cornercase import clustering
+    from cornercase.evidence._bands import bands_of_study
+    from cornercase.study._study_file import open_study
 
     results = clustering.analyze(
         study,
@@ -82,6 +84,9 @@ def analyze(
         for member in analysis.profiles if len(analysis.sizes) > 1 else ():
             if member.name:
                 out.print(f"{name}, cluster {member.cluster}: {member.label} ({member.size} scenarios)", markup=False)
+    with open_study(study, readonly=True) as opened:
+        for bands in bands_of_study(opened).values():
+            out.print(bands.describe(), markup=False)
 
 
 @app.command()
@@ -92,7 +97,12 @@ def reduce(
     output: Annotated[Path, Option("--output", "-o", metavar="DIR", help="Folder for the selected scenarios.")],
     by: Annotated[
         str | None,
-        Option("--by", metavar="ASPECT|METRIC", help="Aspect whose clusters are used; default: the searched metric."),
+        Option(
+            "--by",
+            metavar="ASPECT|METRIC|bands:METRIC",
+            help="Aspect whose clusters, or metric whose bands of criticality, are represented; default: the searched"
+            " metric.",
+        ),
     ] = None,
     archetypes: Annotated[
         str | None,
@@ -159,6 +169,7 @@ def reduce(
     """
     from cornercase import reduction
     from cornercase.clustering import read_analysis
+    from cornercase.evidence._bands import BANDS_PREFIX
     from cornercase.study._study_file import open_study
     from cornercase.suite import analyze_mutants
 
@@ -176,7 +187,7 @@ def reduce(
                 raise InputError(f"--kill-mutants, {option}: give one of them.")
         # Check that the study was analyzed before the mutants run.
         with open_study(study, readonly=True, critical=critical) as opened:
-            read_analysis(opened, by or opened.meta.metrics[0])
+            read_analysis(opened, (by or opened.meta.metrics[0]).removeprefix(BANDS_PREFIX))
         exposure = analyze_mutants(
             study,
             kill_mutants,

@@ -69,8 +69,8 @@ def collect_facts(study: StudyFile, outcomes: Sequence[Outcome]) -> dict[str, li
     """Return facts to compare clusterings with: by name, one value per scenario. Facts that never differ are left out.
 
     The names are ``"outcome"`` (a text), ``"first"`` (who is first; None if ego and other collide), ``"ego first"``,
-    ``"collision"``, ``"stopped"``, and ``"first of Ego and C"`` for each further entity. ``"critical"`` is added if the
-    study has a threshold.
+    ``"collision"``, ``"fault"`` (whose fault it is), ``"stopped"``, and ``"first of Ego and C"`` for each further
+    entity. ``"critical"`` is added if the study has a threshold.
     """
     other = outcomes[0].encounter.entity
     firsts = [None if other in {hit.entity for hit in outcome.impacts} else outcome.first for outcome in outcomes]
@@ -79,6 +79,7 @@ def collect_facts(study: StudyFile, outcomes: Sequence[Outcome]) -> dict[str, li
         "first": [str(first) for first in firsts],
         "ego first": [str(first == study.meta.ego) for first in firsts],
         "collision": [str(outcome.collision) for outcome in outcomes],
+        "fault": [str(outcome.fault and outcome.fault.who) for outcome in outcomes],
         "stopped": [str(outcome.stops) for outcome in outcomes],
     }
     for name in dict.fromkeys(encounter.entity for outcome in outcomes for encounter in outcome.others):

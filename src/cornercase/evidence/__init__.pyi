@@ -1,3 +1,4 @@
+from ._bands import Bands as Bands
 from ._interval_estimate import Estimate as Estimate
 from ._probability import Probability as Probability
 from ._sensitivity import Sensitivity as Sensitivity

@@ -11,6 +11,7 @@ import numpy as np
 
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.metrics._other_entities import present_others
+from cornercase.metrics._outcome import Fault
 from cornercase.metrics._registry import METRICS
 from cornercase.metrics.expressions._ast import (
     Bound,
@@ -24,7 +25,7 @@ from cornercase.metrics.expressions._ast import (
 from cornercase.metrics.expressions._recorded_signals import Signals, signals_from_recording
 from cornercase.metrics.expressions._statements import LeafValues, evaluate_leaf
 from cornercase.metrics.expressions._temporal import always, until
-from cornercase.recordings import Recording
+from cornercase.recordings import Collision, Recording
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,11 +128,12 @@ def evaluate_run(
     other: str | Sequence[str],
     courses: Mapping[str, FloatArray] | None = None,
     references: Mapping[str, bool | None] = MappingProxyType({}),
+    faults: Mapping[Collision, Fault] = MappingProxyType({}),
 ) -> dict[str, Evaluation]:
     """Evaluate an expression against each other entity in the recording; return the evaluations by entity name.
 
     An expression that does not depend on the other entity is evaluated once. `courses` of known metrics are used if
-    there is a single other entity, or if they do not depend on it.
+    there is a single other entity, or if they do not depend on it. So are `faults` of known collisions.
     """
     named = (other,) if isinstance(other, str) else tuple(other)
     if len(named) > 1 and courses is not None:
@@ -140,11 +142,12 @@ def evaluate_run(
     depends_on_other = any(isinstance(leaf, Bound) and not _is_of_run(leaf) for leaf in iter_leaves(root))
     evaluations: dict[str, Evaluation] = {}
     shared: dict[Leaf, LeafValues] = {}
+    known_faults = dict(faults)
     for other_name in others if depends_on_other else others[:1]:
         # If nothing looks at the other entity, it may not even exist.
         partner = other_name if depends_on_other else ego
         signals = signals_from_recording(recording, ego, partner, courses, others)
-        evaluation = Evaluation.from_signals(root, replace(signals, references=references), shared)
+        evaluation = Evaluation.from_signals(root, replace(signals, references=references, faults=known_faults), shared)
         evaluations[other_name] = evaluation
         shared = {leaf: values for leaf, values in evaluation.leaves.items() if _is_of_run(leaf)}
     return evaluations

@@ -10,6 +10,7 @@ import numpy as np
 
 from cornercase._common.text.sanitize import quote_name
 from cornercase.metrics._evaluation import Evaluation
+from cornercase.metrics._outcome import Fault
 from cornercase.metrics.expressions._ast import (
     Bound,
     EgoCollides,
@@ -21,10 +22,12 @@ from cornercase.metrics.expressions._ast import (
     Statement,
     format_node,
 )
+from cornercase.metrics.expressions._recorded_signals import Signals
 from cornercase.metrics.expressions._statements import (
     TIME_TOLERANCE,
     distance_in_time,
     driven_distance,
+    fault_of,
     find_collisions,
     is_present,
     recording_of,
@@ -104,7 +107,7 @@ def _explain_statement(leaf: Statement, evaluation: Evaluation, reference_texts:
     if not is_present(recording, ego).any():
         return Reason(f"{quote_name(ego)} is never present")
     if isinstance(leaf, EgoCollides):
-        return _explain_collision(leaf, recording, ego)
+        return _explain_collision(leaf, evaluation.signals)
     if isinstance(leaf, EgoReaches):
         return _explain_position(leaf, recording, ego, evaluation.leaves[leaf].is_known)
     if isinstance(leaf, EgoLeaves):
@@ -112,20 +115,31 @@ def _explain_statement(leaf: Statement, evaluation: Evaluation, reference_texts:
     return _explain_distance(leaf, recording, ego)
 
 
-def _explain_collision(statement: EgoCollides, recording: Recording, ego: str) -> Reason:
-    entity = statement.entity
+def _explain_collision(statement: EgoCollides, signals: Signals) -> Reason:
+    recording, ego, entity = recording_of(signals), signals.ego, statement.entity
     if entity and not is_present(recording, ego, entity).any():
         return Reason(f"{quote_name(ego)} and {quote_name(entity)} are never present together")
-    if collisions := find_collisions(statement, recording, ego):
+    if collisions := find_collisions(statement, signals):
         reason = _describe_collision(collisions[0], recording, ego)
-        suffix = f", as {quote_name(ego)} drives into it" if statement.at_fault else ""
-        return reason._replace(text=f"{reason.text}{suffix}")
-    if statement.at_fault and (harmless := find_collisions(replace(statement, at_fault=False), recording, ego)):
-        first = harmless[0]
-        entities = _format_entities(first, ego)
-        text = f"{entities} collide at {first.time:.6g} s, but {quote_name(ego)} does not drive into it"
-        return Reason(text, first.time)
+        if not statement.at_fault:
+            return reason
+        return reason._replace(text=f"{reason.text}: {_describe_fault(fault_of(collisions[0], signals), ego)}")
+    if statement.at_fault and (harmless := find_collisions(replace(statement, at_fault=False), signals)):
+        # The first one that is undecided is the reason, if there is one.
+        first = min(harmless, key=lambda collision: fault_of(collision, signals).who != "undecided")
+        text = f"{_format_entities(first, ego)} collide at {first.time:.6g} s"
+        return Reason(f"{text}, but {_describe_fault(fault_of(first, signals), ego)}", first.time)
     return Reason(f"{quote_name(ego)} does not collide{f' with {quote_name(entity)}' if entity else ''}")
+
+
+def _describe_fault(fault: Fault, ego: str) -> str:
+    whose = {
+        "ego": f"at fault is {quote_name(ego)}",
+        "both": "both are at fault",
+        "other": f"{quote_name(ego)} is not at fault",
+        "undecided": "whose fault it is is undecided",
+    }
+    return f"{whose[fault.who]}, as {' and '.join(fault.reasons)}"
 
 
 def _describe_collision(collision: Collision, recording: Recording, ego: str) -> Reason:

@@ -153,6 +153,11 @@ class Expression:
         """
         return not any(isinstance(leaf, EgoCollides | ReferenceCollides) for leaf in self.leaves)
 
+    @property
+    def asks_for_fault(self) -> bool:
+        """Whether a statement is about whose fault a collision is."""
+        return any(isinstance(leaf, EgoCollides) and leaf.at_fault for leaf in self.leaves)
+
     def robustness(self, signals: Signals) -> FloatArray:
         """Robustness from each instant on.
 

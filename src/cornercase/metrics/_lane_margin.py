@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +10,9 @@ from cornercase._common.errors import InputError
 from cornercase._common.typing import FloatArray
 from cornercase.metrics._base import Metric
 from cornercase.metrics._geometry.boxes import box_corners_over_time
+from cornercase.metrics._recorded_roads import read_recorded_roads
 from cornercase.recordings import Recording
 from cornercase.roads._edge_distance import lane_margins, road_margins
-from cornercase.roads._network import RoadNetwork
 
 _EDGES = ("lane", "road")
 
@@ -61,20 +60,7 @@ class LaneMargin(Metric):
         file = Path(self.roads) if self.roads else recording.road_file
         if file is None:
             return np.full(len(recording.time), np.nan)
-        network, corners = _read_roads(file), box_corners_over_time(recording, ego)
+        network, corners = read_recorded_roads(file), box_corners_over_time(recording, ego)
         if self.edge == "road":
             return road_margins(network, center[:, 0], center[:, 1], corners)
         return lane_margins(network, center[:, 0], center[:, 1], heading, corners)
-
-
-def _read_roads(path: Path) -> RoadNetwork:
-    try:
-        changed = path.stat().st_mtime_ns
-    except OSError:
-        changed = 0
-    return _read_unchanged_roads(path, changed)
-
-
-@lru_cache(maxsize=8)
-def _read_unchanged_roads(path: Path, changed: int) -> RoadNetwork:
-    return RoadNetwork.read(path)

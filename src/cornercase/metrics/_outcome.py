@@ -11,6 +11,31 @@ from cornercase.recordings import Collision
 
 Relation = Literal["crossing", "lane", "apart", "absent"]
 Manner = Literal["from behind", "its rear", "while it stands", "otherwise"]
+Side = Literal["front", "rear", "left", "right"]
+Culprit = Literal["ego", "other", "both", "undecided"]
+Conflict = Literal[
+    "standing", "reversing", "rear end", "lane change", "turning", "oncoming", "crossing", "pedestrian", "unknown"
+]
+
+
+@dataclass(frozen=True)
+class Fault:
+    """Whose fault a collision of the ego is.
+
+    `who` is ``"undecided"`` if motion and roads do not show it. `sides` are those of the ego's and the other's box that
+    are hit, and `point` is where they touch in m; None if that is unknown. `reasons` are sentences without full stop.
+    """
+
+    who: Culprit
+    conflict: Conflict
+    sides: tuple[Side | None, Side | None]
+    point: tuple[float, float] | None
+    reasons: tuple[str, ...]
+
+    def describe(self, ego: str, other: str) -> str:
+        """Say in a few words whose fault it is, as ``"C at fault"``."""
+        subjects = {"ego": quote_name(ego), "other": quote_name(other), "both": "both"}
+        return f"{subjects[self.who]} at fault" if self.who in subjects else "fault undecided"
 
 
 @dataclass(frozen=True)
@@ -18,13 +43,15 @@ class Impact:
     """A collision of the ego; `time` in s, `speed` is the magnitude of the relative velocity at first contact in m/s.
 
     `manner` is ``"from behind"`` if the ego hits an entity ahead that moves in the same direction, ``"its rear"`` if
-    such an entity hits the ego, ``"while it stands"`` if a standing ego is hit.
+    such an entity hits the ego, ``"while it stands"`` if a standing ego is hit. `fault` is None in studies of early
+    versions.
     """
 
     entity: str
     time: float
     speed: float
     manner: Manner
+    fault: Fault | None = None
 
 
 @dataclass(frozen=True)
@@ -81,6 +108,11 @@ class Outcome:
         if self.impacts:
             return self.impacts[0].entity
         return " and ".join(self.other_collisions[0].entities) if self.other_collisions else None
+
+    @property
+    def fault(self) -> Fault | None:
+        """Whose fault the ego's first collision is; None without a collision, and in studies of early versions."""
+        return self.impacts[0].fault if self.impacts else None
 
     @property
     def text(self) -> str:

@@ -9,6 +9,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Final, Literal
 
+import numpy as np
+
 from cornercase._common.errors import InputError, NoticeWarning
 from cornercase._common.io.files import check_folder, portable_name
 from cornercase._common.memory import DEFAULT_MEMORY, MemoryLimit
@@ -19,6 +21,7 @@ from cornercase.clustering import Analysis, read_analyses, read_analysis
 from cornercase.clustering._embedding import Distances
 from cornercase.drivers._parameters import spec_with_values
 from cornercase.drivers._resolve import create_driver_named_in_file, may_be_named_in_file
+from cornercase.evidence._bands import BANDS_PREFIX, bands_by_scenario
 from cornercase.reduction._cluster_shapes import ArchetypeMethod, require_archetype_method
 from cornercase.reduction._coverage import CoverageCurves
 from cornercase.reduction._critical_clusters import find_critical_clusters
@@ -99,7 +102,8 @@ def reduce(
         was selected. For a study of imported recordings only the manifest is written. An earlier set in the folder is
         replaced as a whole; other files are left alone.
     by : str, optional
-        Aspect whose clusters count; by default the metric that was searched.
+        Aspect whose clusters count; by default the metric that was searched. ``"bands:METRIC"`` represents each band of
+        high, medium and low criticality by a metric instead, by which the study was analysed.
     size : int, optional
         Number of scenarios to select.
     share : float, optional
@@ -166,7 +170,7 @@ def reduce(
     folder = check_folder("folder", folder)
     limit = MemoryLimit.from_value(memory)
     with show_bars(progress), open_study(study, critical=critical) as opened:
-        analysis = read_analysis(opened, by or opened.meta.metrics[0])
+        analysis, band_names = _read_groups(opened, by or opened.meta.metrics[0])
         start = time.monotonic()
         # Checked before anything is written or takes time.
         explored = find_explored_scenario(opened, scenario, search_stored_path=True)
@@ -187,17 +191,42 @@ def reduce(
         )
         request = SelectionRequest(size, cover, archetypes, archetypes_by)
         reduced, curves = _select_and_evaluate(data, analysis, selection_input, request, within)
+        if band_names:
+            reduced = _name_bands(reduced, band_names)
         if kill_matrix is not None:
             without_mutants, _ = select(replace(selection_input, kills=None), request)
             reduced = add_mutant_selection(
                 reduced, kill_matrix, [int(analysis.ids[entry.index]) for entry in without_mutants]
             )
         cluster_names = {profile.cluster: profile.label for profile in analysis.profiles}
+        cluster_names |= dict(enumerate(band_names))
         _write_files_and_store(opened, explored, reduced, curves, data.analyses, cluster_names, folder)
         opened.writer.add_elapsed_time("reduce", time.monotonic() - start)
     if size is not None and size_requested and len(reduced) < size:
         _warn_fewer_selected(size, len(reduced), len(analysis.ids))
     return reduced
+
+
+def _read_groups(study: StudyFile, by: str) -> tuple[Analysis, list[str]]:
+    """Read the clusters by an aspect, and no names; or, for ``bands:METRIC``, bands in their place, and their names."""
+    if not by.startswith(BANDS_PREFIX):
+        return read_analysis(study, by), []
+    metric = by.removeprefix(BANDS_PREFIX)
+    bands, band_by_id = bands_by_scenario(study, metric)
+    analysis = read_analysis(study, metric)
+    # A band without a scenario has no group.
+    occupied, labels = np.unique([band_by_id[scenario] for scenario in analysis.ids.tolist()], return_inverse=True)
+    names = [f"band of {bands.names[k]} criticality by {metric}: {bands.describe_range(k)}" for k in occupied.tolist()]
+    return replace(analysis, clustering=replace(analysis.clustering, labels=labels.astype(np.int64))), names
+
+
+def _name_bands(reduced: ReducedSet, names: Sequence[str]) -> ReducedSet:
+    """Name bands instead of clusters in the reasons why scenarios are selected."""
+    scenarios = tuple(
+        replace(entry, why=entry.why.replace(f"cluster {entry.cluster}", f"the {names[entry.cluster]}"))
+        for entry in reduced.scenarios
+    )
+    return replace(reduced, by=f"{BANDS_PREFIX}{reduced.by}", scenarios=scenarios)
 
 
 def _warn_fewer_selected(n_requested: int, n_selected: int, n_scenarios: int) -> None:

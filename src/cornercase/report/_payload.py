@@ -8,6 +8,7 @@ from dataclasses import asdict
 from typing import Any, Final
 
 from cornercase.clustering import Analysis
+from cornercase.evidence._bands import BANDS_PREFIX
 from cornercase.report._chart_data import coverage_charts, hull_edges, search_chart, sensitivity_chart
 from cornercase.report._courses import encode_courses
 from cornercase.report._report_data import ReportData
@@ -112,7 +113,9 @@ def whole_study_payload(data: ReportData) -> dict[str, Any]:
         "coverage": coverage_charts(data),
         "front": None if data.summary.estimates.pareto_front is None else list(data.summary.estimates.pareto_front),
         "hulls": hull_edges(data),
-        "reduced_by": None if data.summary.reduced_set is None else data.summary.reduced_set.by,
+        "reduced_by": None
+        if data.summary.reduced_set is None
+        else data.summary.reduced_set.by.removeprefix(BANDS_PREFIX),
         "kinds": {
             name: _clusters_payload(analysis, indices, len(rows)) for name, analysis in data.summary.analyses.items()
         },

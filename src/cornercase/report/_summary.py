@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, get_args
 
 import numpy as np
 
@@ -14,8 +14,9 @@ from cornercase._common.plugin_errors import group_failure_messages
 from cornercase._common.text.notebook_html import render_html_table
 from cornercase.clustering import Agreement, Analysis, read_analyses
 from cornercase.clustering._agreement import compare_clusterings
+from cornercase.evidence._bands import Bands, bands_of_study
 from cornercase.exploration._constant_metrics import describe_constant_metrics
-from cornercase.metrics._outcome import Impact
+from cornercase.metrics._outcome import Culprit, Impact
 from cornercase.recordings import Collision
 from cornercase.reduction import ReducedSet, read_reduction
 from cornercase.reduction._evaluate import reevaluate
@@ -104,6 +105,9 @@ class Summary:
         Number of scenarios.
     n_collisions : int
         Number of scenarios in which the ego collides with an entity it is measured against.
+    faults : mapping of str to int
+        Number of scenarios in which the ego collides, by whose fault its first collision is: ``"ego"``, ``"other"``,
+        ``"both"``, ``"undecided"``. Empty without collisions.
     unmeasured_collisions : mapping of str to int
         Number of scenarios in which the ego collides with an entity it is not measured against, by entity.
     metrics : mapping of str to MetricSummary
@@ -125,6 +129,8 @@ class Summary:
         Results of the reference drivers that the condition or a requirement names, by name.
     failures : mapping of str to FailureSummary
         By reason, the most frequent first.
+    bands : mapping of str to Bands
+        Bands of criticality by metric, without metrics whose scores are all the same.
     """
 
     meta: StudyMeta
@@ -133,6 +139,7 @@ class Summary:
     n_failed: int
     n_pending: int
     n_collisions: int
+    faults: Mapping[str, int]
     unmeasured_collisions: Mapping[str, int]
     metrics: Mapping[str, MetricSummary]
     analyses: Mapping[str, Analysis]
@@ -143,6 +150,7 @@ class Summary:
     probability: Mapping[str, Any] | None = None
     references: Mapping[str, ReferenceCount] = field(default_factory=dict)
     failures: Mapping[str, FailureSummary] = field(default_factory=dict)
+    bands: Mapping[str, Bands] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         parts = [f"{self.meta.title}: {self.n_run} scenarios run, {self.n_collisions} collisions"]
@@ -241,6 +249,7 @@ def summarize_with_collisions(
         n_failed=states.count("failed"),
         n_pending=states.count("pending"),
         n_collisions=sum(not names.isdisjoint(others) for names in entities_hit),
+        faults=_count_faults(impacts),
         unmeasured_collisions={
             name: sum(name in names for names in entities_hit)
             for name in sorted(frozenset().union(*entities_hit) - others)
@@ -256,7 +265,15 @@ def summarize_with_collisions(
         probability=_read_probability(study),
         references=count_reference_results(study),
         failures=_summarize_failures(study.failed_rows()),
+        bands=bands_of_study(study) if "done" in states else {},
     )
+
+
+def _count_faults(impacts: Sequence[Sequence[Impact]]) -> dict[str, int]:
+    """Count the scenarios with a collision of the ego by whose fault the first one is."""
+    first = [hits[0].fault for hits in impacts if hits]
+    counts = Counter(fault.who for fault in first if fault is not None)
+    return {who: counts[who] for who in get_args(Culprit)} if counts else {}
 
 
 def _summarize_failures(failed: Sequence[ScenarioRecord]) -> dict[str, FailureSummary]:

@@ -23,6 +23,7 @@ from cornercase.roads._reference_line import read_finite_number
 from cornercase.roads._require_drivable import require_drivable_road
 from cornercase.roads._road import Road, find_permanent_lanes, read_road
 from cornercase.roads._road_graph import JunctionConnection
+from cornercase.roads._signs import read_junction_priorities
 from cornercase.roads._support_table import SUPPORT_TABLE
 from cornercase.scenario._xml import read_xml
 
@@ -38,7 +39,8 @@ _MAX_CONTINUATION_GAP: Final = 0.3
 class RoadNetwork:
     """All roads of an OpenDRIVE file.
 
-    `connections` has the connections of each junction. Roads that cannot be used are ignored; `excluded_roads` maps
+    `connections` has the connections of each junction, and `priorities` its pairs of roads: the first
+    has right of way over the second. Roads that cannot be used are ignored; `excluded_roads` maps
     their ids to the reason. `first_line` is the line of the first road in the file, for messages.
     """
 
@@ -47,6 +49,7 @@ class RoadNetwork:
     connections: dict[str, tuple[JunctionConnection, ...]] = field(default_factory=dict)
     excluded_roads: dict[str, str] = field(default_factory=dict)
     first_line: int = 1
+    priorities: dict[str, tuple[tuple[str, str], ...]] = field(default_factory=dict)
 
     @classmethod
     def read(cls, path: Path | str) -> RoadNetwork:
@@ -103,7 +106,8 @@ class RoadNetwork:
             for name, e in junctions.items()
         }
         first_line = int(str(elements[linked[0].road_id].sourceline or 1))
-        return cls(path, linked, connections, left_out, first_line)
+        priorities = {name: read_junction_priorities(e) for name, e in junctions.items()}
+        return cls(path, linked, connections, left_out, first_line, priorities)
 
     @cached_property
     def road_lengths(self) -> FloatArray:

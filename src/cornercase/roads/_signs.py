@@ -1,4 +1,4 @@
-"""Speed limits and signals, which are read for systems under test; they move nobody else."""
+"""Speed limits, signals and priorities: read for systems under test and for questions of fault; they move nobody."""
 
 from __future__ import annotations
 
@@ -22,7 +22,8 @@ class RoadSignal(NamedTuple):
     """A sign or a light beside a road, at `s` in m.
 
     `faces_forward` and `faces_backward`: whether it concerns traffic along s, and against it. `lanes` are intervals of
-    lane numbers that it concerns; none for all. A reference to a signal of another road has its name, but no type.
+    lane numbers that it concerns; none for all. `country` is that of the catalogue of its type, if the file names it. A
+    reference to a signal of another road has its name, but no type.
     """
 
     name: str
@@ -31,6 +32,7 @@ class RoadSignal(NamedTuple):
     faces_backward: bool
     signal_type: str
     lanes: tuple[tuple[float, float], ...]
+    country: str = ""
 
     def concerns(self, lane: int, forward: bool) -> bool:
         """Whether it concerns traffic on a lane along s, or against it."""
@@ -89,6 +91,7 @@ def read_signals(road: etree._Element) -> tuple[RoadSignal, ...]:
             element.attrib.get("orientation") != "+",
             element.attrib.get("type", ""),
             tuple(_read_lane_interval(validity) for validity in find_untracked(element, "validity")),
+            element.attrib.get("country", ""),
         )
         for element in elements
     ]
@@ -100,3 +103,12 @@ def read_signals(road: etree._Element) -> tuple[RoadSignal, ...]:
 def _read_lane_interval(validity: etree._Element) -> tuple[float, float]:
     first, last = _read_number(validity, "fromLane"), _read_number(validity, "toLane")
     return min(first, last), max(first, last)
+
+
+def read_junction_priorities(junction: etree._Element) -> tuple[tuple[str, str], ...]:
+    """Return pairs of roads of a junction: who is on the first has right of way over who is on the second."""
+    pairs = (
+        (element.attrib.get("high", ""), element.attrib.get("low", ""))
+        for element in find_untracked(junction, "priority")
+    )
+    return tuple((high, low) for high, low in pairs if high and low)

@@ -10,7 +10,7 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from typing import TYPE_CHECKING, Any, Final, TypeVar, cast, get_args
 from zlib import crc32
 
 import numpy as np
@@ -20,7 +20,7 @@ from cornercase._common.errors import InputError
 from cornercase._common.text.sanitize import parse_json
 from cornercase._common.typing import Float32Array, FloatArray, IntArray
 from cornercase.metrics import Metric, registered_features
-from cornercase.metrics._outcome import Encounter, Impact, Outcome
+from cornercase.metrics._outcome import Conflict, Culprit, Encounter, Fault, Impact, Outcome
 from cornercase.recordings import Collision, Recording
 from cornercase.recordings._entity_series import bearing_series, position_series
 from cornercase.recordings._rounded import encode_rounded
@@ -242,9 +242,16 @@ def _encode_outcome(outcome: Outcome) -> dict[str, Any]:
     return {
         "encounter": _encode_encounter(outcome.encounter),
         "others": [_encode_encounter(encounter) for encounter in outcome.others],
-        "impacts": [[hit.entity, hit.time, _encode_float(hit.speed), hit.manner] for hit in outcome.impacts],
+        "impacts": [
+            [hit.entity, hit.time, _encode_float(hit.speed), hit.manner, _encode_fault(hit.fault)]
+            for hit in outcome.impacts
+        ],
         "flags": [int(getattr(outcome, name)) for name in _FLAGS],
     }
+
+
+def _encode_fault(fault: Fault | None) -> list[Any] | None:
+    return None if fault is None else [fault.who, fault.conflict, fault.sides, fault.point, fault.reasons]
 
 
 _ENCOUNTER_FIELDS: Final = tuple(field.name for field in fields(Encounter))
@@ -279,9 +286,19 @@ def decode_impacts(facts: Mapping[str, Any]) -> tuple[Impact, ...]:
 
 def _decode_impacts(ending: Mapping[str, Any]) -> tuple[Impact, ...]:
     return tuple(
-        Impact(str(entity), float(time), _decode_float(speed), manner)
-        for entity, time, speed, manner in ending["impacts"]
+        Impact(str(entity), float(time), _decode_float(speed), manner, _decode_fault(*fault))
+        for entity, time, speed, manner, *fault in ending["impacts"]
     )
+
+
+def _decode_fault(fault: Sequence[Any] | None = None) -> Fault | None:
+    """Decode a fault; None if an early version did not store it."""
+    if fault is None:
+        return None
+    who, conflict, (side, other_side), point, reasons = fault
+    require_value(who in get_args(Culprit), "whose fault a collision is")
+    contact_point = None if point is None else (float(point[0]), float(point[1]))
+    return Fault(who, cast(Conflict, str(conflict)), (side, other_side), contact_point, tuple(map(str, reasons)))
 
 
 def decode_digest(facts: Mapping[str, Any], packed: bytes, meta: StudyMeta) -> ScenarioDigest:

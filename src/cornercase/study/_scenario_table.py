@@ -75,6 +75,11 @@ def build_scenario_table(
     first_impacts = [next(iter((impacts or {}).get(row.id, ())), None) for row in rows]
     columns["collision"] = pd.Series([None if hit is None else hit.entity for hit in first_impacts], dtype=object)
     columns["impact speed"] = np.array([np.nan if hit is None else hit.speed for hit in first_impacts])
+    faults = [None if hit is None else hit.fault for hit in first_impacts]
+    columns["fault"] = pd.Series([None if fault is None else fault.who for fault in faults], dtype=object)
+    columns["fault reason"] = pd.Series(
+        [None if fault is None else "; ".join(fault.reasons) for fault in faults], dtype=object
+    )
     for name, (members, labels) in clusters.items():
         column = pd.Series(pd.NA, index=ids, dtype="Int64")
         column.loc[members] = labels

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from types import MappingProxyType
 from typing import Final
 
 from cornercase._common.errors import PluginError
@@ -13,7 +14,8 @@ from cornercase.drivers.references.r157._preventability import ReferenceOutcome
 from cornercase.metrics import METRICS
 from cornercase.metrics._evaluation import evaluate_run
 from cornercase.metrics._explain import explain
-from cornercase.recordings import Recording
+from cornercase.metrics._outcome import Fault
+from cornercase.recordings import Collision, Recording
 from cornercase.study import ScenarioRecord, StudyFile
 from cornercase.study._damage import reraise_as_damage
 from cornercase.suite._requirement import Requirement
@@ -77,10 +79,23 @@ def judge(
     >>> judge(Requirement.parse("reach 2,0,0.5 within 1"), recording, "Ego", "Other").reason
     'Ego reaches (2, 0) at 0.2 s'
     """
+    return _judge(requirement, recording, ego, other, courses, references)
+
+
+def _judge(
+    requirement: Requirement,
+    recording: Recording,
+    ego: str,
+    other: str | Sequence[str],
+    courses: Mapping[str, FloatArray] | None = None,
+    references: Mapping[str, ReferenceOutcome] | None = None,
+    faults: Mapping[Collision, Fault] = MappingProxyType({}),
+) -> Verdict:
+    """Judge a recording; `faults` of collisions that are known are used."""
     texts = {name: outcome.describe(name) for name, outcome in (references or {}).items()}
     collides = {name: outcome.collides for name, outcome in (references or {}).items()}
     try:
-        evaluations = evaluate_run(requirement.expression.root, recording, ego, other, courses, collides)
+        evaluations = evaluate_run(requirement.expression.root, recording, ego, other, courses, collides, faults)
         verdicts = {
             name: Verdict(_STATES[evaluation.is_fulfilled()], requirement.text, *explain(evaluation, texts))
             for name, evaluation in evaluations.items()
@@ -138,10 +153,22 @@ def judge_scenario(study: StudyFile, row: ScenarioRecord, requirements: list[Req
     drivers = dict.fromkeys(name for item in applicable for name in item.expression.reference_drivers)
     outcomes = {name: study.reference_outcome(row.id, name) for name in drivers}
     references = {name: outcome for name, outcome in outcomes.items() if outcome is not None}
+    asks_for_fault = any(item.expression.asks_for_fault for item in applicable)
+    faults = _stored_faults(study, row.id, recording) if asks_for_fault else {}
     return [
-        judge(requirement, recording, meta.ego, meta.others, courses=courses, references=references)
-        for requirement in applicable
+        _judge(requirement, recording, meta.ego, meta.others, courses, references, faults) for requirement in applicable
     ]
+
+
+def _stored_faults(study: StudyFile, scenario: int, recording: Recording) -> dict[Collision, Fault]:
+    """Whose fault the collisions of a scenario are, as found when it ended: its roads were known then."""
+    stored = {(hit.time, hit.entity): hit.fault for hit in study.digest(scenario).outcomes[0].impacts}
+    faults = {}
+    for collision in recording.collisions:
+        for name in collision.entities:
+            if (fault := stored.get((collision.time, name))) is not None:
+                faults[collision] = fault
+    return faults
 
 
 def _entry_of_row(row: ScenarioRecord, names: tuple[str, ...]) -> str:

@@ -13,6 +13,7 @@ import numpy as np
 from cornercase._common.text.sanitize import quote_name
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.clustering.naming._predicates import (
+    FAULT,
     NamingFacts,
     Predicate,
     describe_ending,
@@ -134,6 +135,10 @@ def _name_by_ending(
     name = ClusterName(Predicate(f"{ego} {' or '.join(selected_endings)}", holds))
     for clause in predicates:
         if clause.text in _ENDING_ADVERBS and int((clause.holds & name.holds & is_member).sum()) >= needed:
+            name = name.with_qualifier(clause)
+            break
+    for clause in predicates:
+        if clause.quantity == FAULT and int((clause.holds & name.holds & is_member).sum()) >= needed:
             return name.with_qualifier(clause)
     return name
 

@@ -23,6 +23,9 @@ _TURN_ANGLE, _STRAIGHT_ANGLE, _LATERAL_SHIFT = math.pi / 4, math.pi / 9, 1.5
 
 # Smallest bound of a feature in a name, in m, s, m/s or m/s²: smaller ones are not visible.
 _SMALLEST_BOUND: Final = 0.1
+FAULT: Final = "fault"
+"""Quantity of predicates about whose fault a collision is."""
+
 # Digits that a bound may have in a name.
 _BOUND_DIGITS: Final = (1, 2, 3)
 
@@ -118,6 +121,7 @@ def predicates_with_fixed_bounds(facts: NamingFacts) -> list[Predicate]:
         Predicate("at low speed", hit < _LOW_SPEED),
         Predicate("at medium speed", (hit >= _LOW_SPEED) & (hit < _HIGH_SPEED)),
         Predicate("at high speed", hit >= _HIGH_SPEED),
+        *_predicates_of_fault(outcomes),
         Predicate("closely", (gap >= 0.0) & (gap < _SMALL_GAP)),
         Predicate("clear", gap >= _LARGE_GAP),
         Predicate("after a stop", stops),
@@ -138,6 +142,17 @@ def predicates_with_fixed_bounds(facts: NamingFacts) -> list[Predicate]:
     return clauses + [
         Predicate(text, np.array([text in scenario_texts for scenario_texts in texts_by_scenario])) for text in texts
     ]
+
+
+def _predicates_of_fault(outcomes: Sequence[Outcome]) -> list[Predicate]:
+    """Return predicates about whose fault the ego's first collision is."""
+    texts = [
+        outcome.fault.describe(outcome.ego, outcome.impacts[0].entity)
+        if outcome.fault is not None and outcome.fault.who != "undecided"
+        else ""
+        for outcome in outcomes
+    ]
+    return [Predicate(text, np.array([own == text for own in texts]), FAULT) for text in sorted(set(texts) - {""})]
 
 
 def _describe_other_entities(outcome: Outcome) -> Iterator[str]:

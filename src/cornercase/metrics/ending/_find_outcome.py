@@ -13,6 +13,7 @@ from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.metrics._outcome import Encounter, Impact, Manner, Outcome
 from cornercase.metrics.ending._path_crossing import BoxPath, find_path_crossing
 from cornercase.metrics.ending._poses import Poses
+from cornercase.metrics.fault._find_fault import find_fault
 from cornercase.recordings import Collision, Recording
 
 STANDING_SPEED: Final = 0.1
@@ -206,4 +207,5 @@ def _impact_from_collision(recording: Recording, ego: str, collision: Collision,
     elif _heading_difference(recording, i, j, instant) < _SAME_DIRECTION_ANGLE:
         along, _ = _relative_position(poses, i, j, instant)
         manner = "from behind" if along > 0.0 else "its rear"
-    return Impact(entity, collision.time, float(np.hypot(*(velocities[1] - velocities[0]))), manner)
+    speed = float(np.hypot(*(velocities[1] - velocities[0])))
+    return Impact(entity, collision.time, speed, manner, find_fault(recording, ego, collision))

@@ -13,9 +13,10 @@ import numpy as np
 from cornercase._common.errors import InputError
 from cornercase._common.typing import FloatArray
 from cornercase.metrics._measure import compute_course_and_score, evaluate_metrics
+from cornercase.metrics._outcome import Fault
 from cornercase.metrics._registry import METRICS
 from cornercase.metrics._severity import find_first_contact
-from cornercase.recordings import Recording
+from cornercase.recordings import Collision, Recording
 
 _MOTION_UNITS: Final = MappingProxyType({"x": "m", "y": "m", "heading": "rad", "speed": "m/s", "acceleration": "m/s²"})
 LATERAL_ACCELERATION: Final = "ego.lateral_acceleration"
@@ -59,6 +60,8 @@ class Signals:
     references : mapping of str to (bool or None), default {}
         Whether each reference driver in the ego's place collides; None if it does not cover such a scenario, missing if
         it was not run.
+    faults : dict of Collision to Fault, default {}
+        Whose fault collisions of the ego are, as far as that was found already.
     """
 
     time: FloatArray
@@ -67,6 +70,7 @@ class Signals:
     ego: str = ""
     others: tuple[str, ...] = ()
     references: Mapping[str, bool | None] = field(default_factory=dict)
+    faults: dict[Collision, Fault] = field(default_factory=dict)
 
 
 def signals_from_recording(

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Final, NamedTuple
 
 import numpy as np
 
 from cornercase._common.errors import InputError
 from cornercase._common.typing import BoolArray, FloatArray
-from cornercase.metrics._at_fault import is_at_fault
 from cornercase.metrics._distance import Clearance
+from cornercase.metrics._outcome import Fault
 from cornercase.metrics.expressions._ast import (
     Bound,
     EgoCollides,
@@ -85,15 +86,24 @@ def is_present(recording: Recording, ego: str, entity: str = "") -> BoolArray:
     return np.asarray(np.isfinite(recording.x[rows]).all(axis=0))
 
 
-def find_collisions(statement: EgoCollides, recording: Recording, ego: str) -> list[Collision]:
+def find_collisions(statement: EgoCollides, signals: Signals) -> list[Collision]:
     """Collisions in the recording to which a statement applies, in order of time."""
     return [
         collision
-        for collision in recording.collisions
-        if ego in collision.entities
+        for collision in recording_of(signals).collisions
+        if signals.ego in collision.entities
         and (not statement.entity or statement.entity in collision.entities)
-        and (not statement.at_fault or is_at_fault(recording, ego, collision))
+        and (not statement.at_fault or fault_of(collision, signals).who in ("ego", "both"))
     ]
+
+
+def fault_of(collision: Collision, signals: Signals) -> Fault:
+    """Whose fault a collision of the ego is; found once for all statements on the recording."""
+    if collision not in signals.faults:
+        from cornercase.metrics.fault._find_fault import find_fault
+
+        signals.faults[collision] = find_fault(recording_of(signals), signals.ego, collision)
+    return signals.faults[collision]
 
 
 def driven_distance(recording: Recording, ego: str) -> FloatArray:
@@ -120,10 +130,15 @@ def _evaluate_collision(statement: EgoCollides, signals: Signals, recording: Rec
     clearances = [metric.clip_course(course) for course in courses]
     margin = 0.0 - np.minimum.reduce([np.full(recording.time.shape, metric.cap), *clearances])
     truth = np.full(recording.time.shape, -1.0)
-    for collision in find_collisions(statement, recording, ego):
+    hits = find_collisions(statement, signals)
+    for collision in hits:
         instant = int(np.abs(recording.time - collision.time).argmin())
         margin[instant], truth[instant] = 0.0, 1.0
-    return LeafValues(margin, truth, bool(is_present(recording, ego, statement.entity).any()))
+    is_known = bool(is_present(recording, ego, statement.entity).any())
+    if statement.at_fault and not hits:
+        any_hits = find_collisions(replace(statement, at_fault=False), signals)
+        is_known &= all(fault_of(collision, signals).who != "undecided" for collision in any_hits)
+    return LeafValues(margin, truth, is_known)
 
 
 def _evaluate_position(statement: EgoReaches, recording: Recording, ego: str) -> LeafValues:

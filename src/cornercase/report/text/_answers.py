@@ -156,12 +156,28 @@ def _answer_collisions(data: ReportData) -> Answer:
     for manner, description in _MANNERS.items() if len(others) == 1 else ():
         if count := manners[manner]:
             sentences.append(f"{f'In {count}' if count < len(hardest) else 'Each time'} it {description}.")
+    if faults := _describe_faults(data):
+        sentences.append(faults)
     sentences.append(f"The hardest is scenario {hardest[0][0]}, at a relative speed of {hardest[0][1].speed:.2g} m/s.")
     points = [
-        f"Scenario {scenario}: {impact.speed:.2g} m/s, with {impact.entity} at {impact.time:.3g} s."
+        f"Scenario {scenario}: {impact.speed:.2g} m/s, with {impact.entity} at {impact.time:.3g} s"
+        + ("." if impact.fault is None else f"; {impact.fault.describe(ego, impact.entity)}.")
         for scenario, impact in hardest[:_MAX_POINTS]
     ]
     return Answer(name, question, " ".join(sentences), tuple(points))
+
+
+def _describe_faults(data: ReportData) -> str:
+    """Say whose fault the collisions are; empty if an early version stored none."""
+    meta, counts = data.summary.meta, data.summary.faults
+    other = meta.others[0] if len(meta.others) == 1 else "the other"
+    subjects = {"ego": meta.ego, "other": other, "both": "both"}
+    parts = [f"{name} in {counts[who]}" for who, name in subjects.items() if counts.get(who)]
+    undecided = f"in {counts['undecided']} it is undecided" if counts.get("undecided") else ""
+    if not parts:
+        return f"Whose fault it is: {undecided}." if undecided else ""
+    verb = "are" if len(parts) > 1 or counts["both"] else "is"
+    return "; ".join(filter(None, (f"At fault {verb} {_join_with_and(parts)}", undecided))) + "."
 
 
 def _answer_critical_share(data: ReportData) -> Answer:
@@ -261,8 +277,9 @@ def _answer_clusters(data: ReportData) -> Answer:
         return Answer(name, question, "The study has not been analysed yet; cornercase analyze finds the kinds.")
     divided = [by for by, analysis in analyses.items() if analysis.clustering.n_clusters > 1 and by != chosen]
     undivided = [by for by, analysis in analyses.items() if analysis.clustering.n_clusters <= 1]
+    bands = tuple(f"{bands.describe()}." for by, bands in data.summary.bands.items() if by in undivided)
     if analyses[chosen].clustering.n_clusters <= 1:
-        return Answer(name, question, f"There are no separate kinds by {_join_with_and(undivided)}.")
+        return Answer(name, question, f"There are no separate kinds by {_join_with_and(undivided)}.", bands)
     analysis = analyses[chosen]
     noise = int((analysis.labels < 0).sum())
     outside = f", and {noise} scenarios of noise" if noise else ""
@@ -279,6 +296,7 @@ def _answer_clusters(data: ReportData) -> Answer:
         sentences.append(f"There are also kinds by {_join_with_and(divided)}.")
     if undivided:
         sentences.append(f"There are no separate kinds by {_join_with_and(undivided)}.")
+    points += bands
     return Answer(name, question, " ".join(sentences), tuple(points))
 
 

@@ -11,6 +11,7 @@ from cornercase.clustering import Analysis, Profile, Rule
 from cornercase.clustering.naming._rules import EVERYWHERE_TEXT
 from cornercase.drivers._description import format_driver
 from cornercase.evidence import Estimate, Sensitivity
+from cornercase.evidence._bands import Bands
 from cornercase.reduction import ClusterShape, Coverage, CriticalCoverage, HeldOut, HeldOutCritical, ReducedSet
 from cornercase.report._summary import FailureSummary, MetricSummary, Summary
 from cornercase.report.text._phrases import (
@@ -30,7 +31,7 @@ from cornercase.study import StudyMeta
 NAME_LEVELS_BELOW_KEY: Final = {
     "parameters": 1, "metrics": 1, "at": 1, "clusters": 1, "collisions_not_measured_against": 1, "scenarios_against": 1,
     "mutual_information_with": 1, "outcomes": 1, "median": 1, "front": 2, "agreement": 1, "references": 1,
-    "coverage": 1, "drivers": 1, "failures": 1,
+    "coverage": 1, "drivers": 1, "failures": 1, "bands": 1,
 }  # fmt: skip
 """Number of levels below these keys whose keys are names of metrics, parameters or aspects."""
 # Words of the keys in which more than the underscores differ.
@@ -101,8 +102,10 @@ def summary_to_dict(summary: Summary) -> dict[str, Any]:
             else {}
         ),
         "collisions": summary.n_collisions,
+        **({"fault": dict(summary.faults)} if summary.faults else {}),
         **_unmeasured_collisions_to_dict(summary),
         "metrics": {name: _metric_to_dict(metric, meta) for name, metric in summary.metrics.items()},
+        **({"bands": {name: _bands_to_dict(bands) for name, bands in summary.bands.items()}} if summary.bands else {}),
         "clusters": {name: _clusters_to_dict(analysis, summary.n_run) for name, analysis in summary.analyses.items()},
         "seconds": {stage: round(seconds, 2) for stage, seconds in summary.seconds_by_stage.items()},
         "searched": summary.objective,
@@ -186,6 +189,15 @@ def _metric_to_dict(metric: MetricSummary, meta: StudyMeta) -> dict[str, Any]:
     if metric.constant_note:
         plain["note"] = metric.constant_note
     return plain
+
+
+def _bands_to_dict(bands: Bands) -> dict[str, Any]:
+    sizes = zip(bands.names, bands.sizes, strict=True)
+    return {
+        "by": bands.method,
+        **{name: {"scores": bands.describe_range(band), "scenarios": size} for band, (name, size) in enumerate(sizes)},
+        "explained_variance": bands.explained,
+    }
 
 
 def _clusters_to_dict(analysis: Analysis, n_run: int) -> dict[str, Any]:

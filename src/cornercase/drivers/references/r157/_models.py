@@ -160,6 +160,15 @@ def time_to_collision(motion: RelativeMotion) -> FloatArray:
     return np.where(closes, motion.gap / np.where(closes, closing, 1.0), np.inf)
 
 
+def min_cut_in_time(closing_speed: float) -> float:
+    """Time to collision in s at the intrusion of a vehicle that cuts in, above which its collision must be avoided.
+
+    Δv / (2 · 6 m/s²) + 0.35 s, with the speed difference Δv in m/s. UN Regulation No. 157, 5.2.5.2; (EU) 2022/1426 has
+    the same condition.
+    """
+    return closing_speed / (2.0 * _DECELERATION_157) + _DELAY_157
+
+
 def _assess_cc_human(motion: RelativeMotion) -> SafetyAssessment:
     in_the_way = (motion.lateral_gap < 0.0) & (motion.gap > 0.0)
     urgent = time_to_collision(motion) <= URGENT_TIME_TO_COLLISION

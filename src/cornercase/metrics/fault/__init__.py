@@ -1,0 +1,1 @@
+"""Who caused a collision, as far as the recorded motion and the roads show it."""

@@ -1,0 +1,124 @@
+"""One party to a collision: its motion until the contact, and how it would go on."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+
+from cornercase._common.geometry.boxes import box_corners, boxes_overlap
+from cornercase._common.typing import BoolArray, FloatArray
+from cornercase.recordings import Recording
+
+Poses = tuple[FloatArray, FloatArray, FloatArray]
+"""x and y of centres in m, and headings in rad."""
+
+_LOOK_BACK: Final = 10.0
+
+STANDING_SPEED: Final = 0.1
+"""Speed in m/s below which an entity stands."""
+
+
+@dataclass(frozen=True, eq=False)
+class Party:
+    """Motion of an entity until a contact; after it, the entity keeps its speed and direction.
+
+    `time` in s; `x` and `y` of the box's centre in m; `heading` in rad, without jumps; `speed` in m/s, negative when
+    reversing; shape (T,) each. `size` is length and width in m.
+    """
+
+    name: str
+    object_type: str
+    time: FloatArray
+    x: FloatArray
+    y: FloatArray
+    heading: FloatArray
+    speed: FloatArray
+    size: tuple[float, float]
+
+    @classmethod
+    def from_recording(cls, recording: Recording, name: str, end: float) -> Party:
+        """Take the motion in the last 10 s until `end` in s; without any instant if it is unknown."""
+        i = recording.entity_index(name)
+        center = recording.box_center(name)
+        is_known = np.isfinite(center).all(axis=1) & np.isfinite(recording.heading[i] + recording.speed[i])
+        is_recent = (recording.time <= end + 1e-9) & (recording.time >= end - _LOOK_BACK)
+        # The entity may have vanished before, and come again.
+        instants = np.flatnonzero(is_known & is_recent)
+        if len(instants):
+            gaps = np.flatnonzero(np.diff(instants) > 1)
+            instants = instants[gaps[-1] + 1 :] if len(gaps) else instants
+        return cls(
+            name,
+            recording.object_types[i].lower(),
+            recording.time[instants],
+            center[instants, 0],
+            center[instants, 1],
+            np.unwrap(recording.heading[i, instants]),
+            recording.speed[i, instants],
+            (float(recording.length[i]), float(recording.width[i])),
+        )
+
+    @property
+    def is_pedestrian(self) -> bool:
+        """Whether it is somebody on foot, or an animal."""
+        return self.object_type in ("pedestrian", "wheelchair", "animal")
+
+    @cached_property
+    def distance(self) -> FloatArray:
+        """Distance driven by each instant in m, shape (T,)."""
+        return np.append(0.0, np.cumsum(np.hypot(np.diff(self.x), np.diff(self.y))))
+
+    def speed_at(self, time: float) -> float:
+        """Speed in m/s, negative when reversing."""
+        return float(np.interp(time, self.time, self.speed))
+
+    def direction_at(self, time: float) -> float:
+        """Direction of motion in rad; that of the heading while it stands."""
+        heading = float(np.interp(time, self.time, self.heading))
+        return heading + np.pi if self.speed_at(time) < -STANDING_SPEED else heading
+
+    def velocity_at(self, time: float) -> FloatArray:
+        """Velocity in m/s, shape (2,)."""
+        heading = np.interp(time, self.time, self.heading)
+        return self.speed_at(time) * np.array([np.cos(heading), np.sin(heading)])
+
+    def poses_at(self, time: FloatArray) -> Poses:
+        """Poses of the box at times, shape (n,); straight on after the last instant."""
+        after = np.maximum(time - self.time[-1], 0.0)
+        velocity = self.velocity_at(float(self.time[-1]))
+        return (
+            np.interp(time, self.time, self.x) + velocity[0] * after,
+            np.interp(time, self.time, self.y) + velocity[1] * after,
+            np.interp(time, self.time, self.heading),
+        )
+
+    def poses_along(self, distance: FloatArray) -> Poses:
+        """Poses of the box at distances along its path in m, any shape; straight on after its end."""
+        beyond = np.maximum(distance - self.distance[-1], 0.0)
+        end = self.direction_at(float(self.time[-1]))
+        return (
+            np.interp(distance, self.distance, self.x) + np.cos(end) * beyond,
+            np.interp(distance, self.distance, self.y) + np.sin(end) * beyond,
+            np.interp(distance, self.distance, self.heading),
+        )
+
+    def corners(self, poses: Poses) -> FloatArray:
+        """Corners of the box at poses, shape (..., 4, 2)."""
+        return box_corners(*poses, *self.size)
+
+
+def boxes_touch(first: Party, poses: Poses, second: Party, other_poses: Poses) -> BoolArray:
+    """Whether the boxes of two entities touch at poses, which are broadcast; only boxes that are near are compared."""
+    x, y, heading, other_x, other_y, other_heading = np.broadcast_arrays(*poses, *other_poses)
+    reach = 0.5 * (math.hypot(*first.size) + math.hypot(*second.size))
+    is_near = (other_x - x) ** 2 + (other_y - y) ** 2 <= reach**2 * (1.0 + 1e-9)
+    touches = np.zeros(x.shape, dtype=np.bool_)
+    touches[is_near] = boxes_overlap(
+        first.corners((x[is_near], y[is_near], heading[is_near])),
+        second.corners((other_x[is_near], other_y[is_near], other_heading[is_near])),
+    )
+    return touches

@@ -1,0 +1,150 @@
+"""Who could still have acted: from when a collision was foreseeable, and until when braking would have avoided it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from cornercase._common.typing import BoolArray, FloatArray
+from cornercase.drivers._competent_driver import DELAY, FULL_BRAKING, JERK, RISK_PERCEPTION
+from cornercase.metrics.fault._party import STANDING_SPEED, Party, boxes_touch
+
+REACTION_TIME: Final = RISK_PERCEPTION + DELAY
+"""Time in s from a foreseeable danger to braking."""
+
+_HORIZON: Final = 5.0
+"""Time in s by which a driver looks ahead."""
+
+_LOOK_BACK: Final = 8.0
+"""Time in s before the contact from which on motion is considered."""
+
+_STEP: Final = 0.1
+"""Time step in s of predictions, and of the instants at which they are made."""
+
+_BRAKING_STEP: Final = 0.05
+
+_MAX_GAP: Final = 0.3
+"""Longest time in s for which a danger may seem to be over."""
+
+
+@dataclass(frozen=True)
+class Chance:
+    """Chance of one party to avoid a collision.
+
+    `foreseeable` is the time in s before the contact since when the party could see the collision come. `could_avoid`:
+    whether a careful and competent driver would have avoided it, who reacts to what is foreseeable. `is_whole`: whether
+    the recording shows when it became foreseeable, and does not begin later.
+    """
+
+    foreseeable: float
+    could_avoid: bool
+    is_whole: bool
+
+
+def find_chance(party: Party, partner: Party, contact: float, obstacles: Sequence[Party]) -> Chance:
+    """Find the chance of a party to avoid the collision with its partner by braking on its path.
+
+    The collision is foreseeable from the first instant from which on, without interruption, the partner can be seen and
+    both would collide within 5 s: the party on its path at its speed, the partner straight on. The driver is the
+    careful and competent one of UN Regulation No. 157 (Annex 4, Appendix 3), who recognises the danger within 0.4 s,
+    brakes after 0.75 s, and with 0.774 g within 0.6 s. The partner moves as recorded, and straight on after the
+    contact. A party that stands before they touch has avoided the collision. `obstacles` may hide the partner.
+    """
+    instants = _instants_before(party, partner, contact)
+    if not len(instants):
+        return Chance(0.0, False, False)
+    is_danger = _predicts_collision(party, partner, instants) & _can_see(party, partner, instants, obstacles)
+    foreseeable, unnoticed = 0.0, 0.0
+    for instant, danger in zip(instants.tolist(), is_danger.tolist(), strict=True):
+        unnoticed = 0.0 if danger else unnoticed + _STEP
+        if unnoticed > _MAX_GAP + 1e-9:
+            break
+        if danger:
+            foreseeable = contact - instant
+    could_avoid = foreseeable > 0.0 and can_brake(party, partner, contact - foreseeable)
+    return Chance(foreseeable, could_avoid, foreseeable < contact - float(instants[-1]))
+
+
+def can_brake(party: Party, partner: Party, noticed: float) -> bool:
+    """Whether a careful and competent driver avoids the partner, if it notices the danger at a time in s."""
+    return _avoids(party, partner, noticed, REACTION_TIME)
+
+
+def find_latest_braking(party: Party, partner: Party, contact: float) -> float | None:
+    """Time in s before the contact until which full braking at once avoids it; None if it never does.
+
+    Braking earlier is taken to be no worse.
+    """
+    instants = _instants_before(party, partner, contact)
+    if not len(instants):
+        return None
+    if not _avoids(party, partner, float(instants[-1]), 0.0):
+        return None
+    late, early = 0, len(instants) - 1
+    while late < early:
+        middle = (late + early) // 2
+        if _avoids(party, partner, float(instants[middle]), 0.0):
+            early = middle
+        else:
+            late = middle + 1
+    return contact - float(instants[early])
+
+
+def _instants_before(party: Party, partner: Party, contact: float) -> FloatArray:
+    """Instants before the contact in s, the latest first, at which both are known."""
+    begin = max(float(party.time[0]), float(partner.time[0]), contact - _LOOK_BACK)
+    return contact - _STEP * np.arange(1, max(int((contact - begin) / _STEP + 1e-6), 0) + 1)
+
+
+def _predicts_collision(party: Party, partner: Party, instants: FloatArray) -> BoolArray:
+    """Whether both would collide if the party goes on along its path and the partner straight on, shape (n,)."""
+    ahead = np.arange(_STEP, _HORIZON + _STEP / 2.0, _STEP)
+    speeds = np.abs(np.interp(instants, party.time, party.speed))
+    driven = np.interp(instants, party.time, party.distance)
+    poses = party.poses_along(driven[:, None] + speeds[:, None] * ahead)
+    x, y, heading, speed = (
+        np.interp(instants, partner.time, values)[:, None]
+        for values in (partner.x, partner.y, partner.heading, partner.speed)
+    )
+    other_poses = (x + speed * np.cos(heading) * ahead, y + speed * np.sin(heading) * ahead, heading)
+    return np.asarray(boxes_touch(party, poses, partner, other_poses).any(axis=1))
+
+
+def _can_see(party: Party, partner: Party, instants: FloatArray, obstacles: Sequence[Party]) -> BoolArray:
+    """Whether any corner of the partner's box is in sight of the party's centre, shape (n,)."""
+    sees = np.ones((len(instants), 4), dtype=np.bool_)
+    eye = np.stack([np.interp(instants, party.time, values) for values in (party.x, party.y)], -1)[:, None]
+    ray = partner.corners(partner.poses_at(instants)) - eye
+    for obstacle in obstacles:
+        x, y, heading = (
+            np.interp(instants, obstacle.time, v)[:, None] for v in (obstacle.x, obstacle.y, obstacle.heading)
+        )
+        is_there = (instants >= obstacle.time[0] - 1e-9) & (instants <= obstacle.time[-1] + 1e-9)
+        cos, sin = np.cos(heading), np.sin(heading)
+        enters, leaves = np.zeros(sees.shape), np.ones(sees.shape)
+        for c, s, half in ((cos, sin, 0.5 * obstacle.size[0]), (-sin, cos, 0.5 * obstacle.size[1])):
+            start = c * (eye[..., 0] - x) + s * (eye[..., 1] - y)
+            along = c * ray[..., 0] + s * ray[..., 1]
+            along = np.where(np.abs(along) > 1e-12, along, 1e-12)
+            first, last = (-half - start) / along, (half - start) / along
+            enters = np.maximum(enters, np.minimum(first, last))
+            leaves = np.minimum(leaves, np.maximum(first, last))
+        sees &= ~(is_there[:, None] & (enters < leaves))
+    return np.asarray(sees.any(axis=1))
+
+
+def _avoids(party: Party, partner: Party, start: float, delay: float) -> bool:
+    """Whether the party stands before they touch, if it brakes fully from `delay` s after `start` on."""
+    speed = abs(party.speed_at(start))
+    rise = FULL_BRAKING / JERK
+    elapsed = np.arange(0.0, delay + speed / FULL_BRAKING + rise + 2.0, _BRAKING_STEP)
+    braking = np.maximum(elapsed - delay, 0.0)
+    lost = np.where(braking < rise, 0.5 * JERK * braking**2, FULL_BRAKING * (braking - 0.5 * rise))
+    speeds = np.maximum(speed - lost, 0.0)
+    driven = np.append(0.0, np.cumsum(0.5 * (speeds[1:] + speeds[:-1]) * _BRAKING_STEP))
+    poses = party.poses_along(float(np.interp(start, party.time, party.distance)) + driven)
+    touches = boxes_touch(party, poses, partner, partner.poses_at(start + elapsed))
+    return not bool((touches & (speeds > STANDING_SPEED)).any())

@@ -1,0 +1,131 @@
+"""What the roads say: who has to yield at a junction, and who is on the wrong side."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+
+from cornercase._common.errors import InputError
+from cornercase._common.geometry.boxes import wrap_angle
+from cornercase.metrics._recorded_roads import read_recorded_roads
+from cornercase.metrics.fault._party import Party
+from cornercase.recordings import Recording
+from cornercase.roads._network import RoadNetwork
+from cornercase.roads._road_graph import JunctionConnection
+
+_LOOK_BACK: Final = 8.0
+_STEP: Final = 0.2
+
+_SIGN_DISTANCE: Final = 30.0
+"""Distance in m before the end of a road within which a sign belongs to the junction behind it."""
+
+_SPACING: Final = 0.5
+
+_YIELD_SIGNS: Final = frozenset(
+    {("", "205"), ("DE", "205"), ("DEU", "205"), ("", "206"), ("DE", "206"), ("DEU", "206")}
+)
+"""Country and type of signs that demand to yield or to stop: those of the German catalogue, OpenDRIVE's example."""
+
+
+def roads_of(recording: Recording) -> RoadNetwork | None:
+    """Return the roads on which a run was made; None if they are unknown, or cannot be read any more."""
+    if recording.road_file is None:
+        return None
+    try:
+        return read_recorded_roads(recording.road_file)
+    except InputError:
+        return None
+
+
+def find_who_yields(network: RoadNetwork, parties: tuple[Party, Party], contact: float) -> int | None:
+    """Return which of two parties has to yield to the other at a junction; None if the road file does not say.
+
+    By the ``<priority>`` of the junction, whose roads may be those that lead to it or those through it; else by signs
+    to yield or stop before it. The state of traffic lights is in no recording, so they say nothing.
+    """
+    if not any(network.priorities.values()) and not any(road.signals for road in network.roads):
+        return None
+    routes = [_roads_driven(network, party, contact) for party in parties]
+    junctions = [{network.roads[k].junction for k in route} - {"", "-1"} for route in routes]
+    for junction in sorted(junctions[0] & junctions[1]):
+        ids = [
+            _roads_through(network, junction, route, party, contact)
+            for route, party in zip(routes, parties, strict=True)
+        ]
+        for high, low in network.priorities.get(junction, ()):
+            for k in (0, 1):
+                if high in ids[1 - k] and low in ids[k] and low not in ids[1 - k]:
+                    return k
+        yields = [_has_yield_sign(network, route, junction) for route in routes]
+        if yields[0] != yields[1]:
+            return yields.index(True)
+    return None
+
+
+def is_on_wrong_side(network: RoadNetwork, party: Party, contact: float) -> bool | None:
+    """Whether an entity drives against the traffic of the lane below its centre; None in junctions and off the road."""
+    x, y = (np.array([np.interp(contact, party.time, values)]) for values in (party.x, party.y))
+    position = network.locate(x, y)
+    road, lane = int(position.road[0]), int(position.lane[0])
+    if (
+        lane == 0
+        or network.roads[road].junction not in ("", "-1")
+        or not network.has_lane_at(road, lane, position.s)[0]
+    ):
+        return None
+    lane_x, lane_y, heading = network.lane_to_xy_heading(road, lane, position.s, position.offset)
+    if np.hypot(lane_x[0] - x[0], lane_y[0] - y[0]) > 1.0:
+        return None
+    return abs(float(wrap_angle(party.direction_at(contact) - heading[0]))) > np.pi / 2.0
+
+
+def _roads_driven(network: RoadNetwork, party: Party, contact: float) -> list[int]:
+    """Indices of the roads that an entity was on before the contact, in order."""
+    begin = max(float(party.time[0]), contact - _LOOK_BACK)
+    route: list[int] = []
+    road, s = np.array([-1]), np.array([0.0])
+    for time in np.arange(begin, contact + 1e-9, _STEP):
+        x, y, heading = party.poses_at(np.array([time]))
+        road, s = network.track_road(road, s, x, y, heading)
+        if road[0] >= 0 and (not route or route[-1] != road[0]):
+            route.append(int(road[0]))
+    return route
+
+
+def _roads_through(network: RoadNetwork, junction: str, route: list[int], party: Party, contact: float) -> set[str]:
+    """Ids of the road from which a party enters a junction, and of the one through it on which it is at the contact."""
+    driven = {network.roads[k].road_id for k in route}
+    connections = [link for link in network.connections.get(junction, ()) if link[0] in driven and link[1]]
+    if not connections:
+        return driven
+    x, y, heading = (float(values[0]) for values in party.poses_at(np.array([contact])))
+
+    def deviation(link: JunctionConnection) -> float:
+        road = network.roads[network.road_index(link[1])]
+        lane = next(iter(link[3].values()), -1)
+        s = np.arange(0.0, road.length, _SPACING)
+        lane_x, lane_y, direction = network.lane_to_xy_heading(network.road_index(link[1]), lane, s, np.zeros(len(s)))
+        # A turn of one rad counts as two metres.
+        return float((np.hypot(lane_x - x, lane_y - y) + 2.0 * np.abs(wrap_angle(direction - heading))).min())
+
+    best = min(connections, key=deviation)
+    return {best[0], best[1]}
+
+
+def _has_yield_sign(network: RoadNetwork, route: list[int], junction: str) -> bool:
+    """Whether a sign to yield or stop stands at the end of the road from which a route enters a junction."""
+    for k, after in pairwise(route):
+        road = network.roads[k]
+        if network.roads[after].junction != junction or road.junction == junction:
+            continue
+        successor = road.successor
+        is_forward = successor is not None and successor.target_id == junction
+        return any(
+            (signal.country.upper(), signal.signal_type) in _YIELD_SIGNS
+            and (signal.faces_forward if is_forward else signal.faces_backward)
+            and (road.length - signal.s if is_forward else signal.s) <= _SIGN_DISTANCE
+            for signal in road.signals
+        )
+    return False
