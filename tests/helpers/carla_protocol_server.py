@@ -21,8 +21,8 @@ from typing import Any
 
 import msgpack
 
-# Numbers of the serializers in the registry of CARLA 0.9.16's client.
-COLLISION, WORLD = 0, 17
+# Numbers of the serializers in the registry of CARLA's clients, by their version where it matters.
+COLLISION, WORLD = 0, {"0.9.13": 15, "0.9.15": 16, "0.9.16": 17}
 STATE_SIZE, HEADER_PAD = 119, 0
 STEP = 0.05
 VERSION = "0.9.16"
@@ -136,7 +136,7 @@ class Server:
             # Who comes later gets it whole.
             del self.wrong["cut-at"]
             body = body[:-7]
-        self.send(1, self._header(WORLD) + head + body)
+        self.send(1, self._header(WORLD[self.wrong.get("version", VERSION)]) + head + body)
 
     # Calls
 
@@ -218,10 +218,10 @@ class Server:
         return value(self.tick())
 
     def do_get_actor_definitions(self):
-        def attribute(name, default, kind=4):
+        def attribute(name, default, kind=3):
             return [name, kind, default, [default], True, False]
 
-        def fixed(name, content, kind=4):
+        def fixed(name, content, kind=3):
             return [name, kind, content, [], False, False]
 
         role = attribute("role_name", "autopilot")
@@ -328,6 +328,9 @@ class Server:
 
     def do_get_vehicle_light_states(self, *_):
         return value([])
+
+    def do_get_vehicle_light_state(self, *_):
+        return value([0])
 
     def do_get_names_of_all_objects(self):
         return value([])

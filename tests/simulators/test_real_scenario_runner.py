@@ -16,7 +16,9 @@ import cornercase as cc
 from cornercase.scenario import ConcreteScenario
 from cornercase.scenario._file import ScenarioFile
 from cornercase.simulators import Carla, simulate
+from cornercase.simulators.carla._client_process import find_client_version
 from cornercase.simulators.carla._openscenario_1_0 import ConversionOptions, write_openscenario_1_0
+from cornercase.simulators.carla._runner_environment import RunnerEnvironment
 from helpers.carla_or_stand_in import Served
 from helpers.command_line import X
 from helpers.isolation import REFERENCE
@@ -27,6 +29,10 @@ pytestmark = pytest.mark.skipif(not FOLDER or not REFERENCE.is_dir(), reason="CO
 DURATION = 4.0
 # Half a frame at 130 km/h, and what a walker or a controlled car is behind.
 NEAR = 1.5
+
+
+def client_version():
+    return find_client_version(RunnerEnvironment.find(FOLDER, "", ""))
 
 
 def protocols():
@@ -62,9 +68,15 @@ def test_the_real_tree_of_each_protocol_is_built_and_moves_as_the_scenario_says(
     assert (tmp_path / "one.xosc").exists()
     sampled = {note.partition(" moves along")[0] for note in notes if " moves along a trajectory" in note}
     expected = simulate(scenario, duration=DURATION)
-    with Served(scenario.road_path_for({})) as server:
+    with Served(scenario.road_path_for({}), f"version={client_version()}") as server:
         simulator = Carla(
-            hosts=server.host, port=server.port, scenario_runner=FOLDER, ego="Ego", duration=DURATION, patience=20.0
+            hosts=server.host,
+            port=server.port,
+            scenario_runner=FOLDER,
+            ego="Ego",
+            duration=DURATION,
+            patience=20.0,
+            any_version=True,
         )
         (found,) = simulator.run([ConcreteScenario(file, {}, scenario)])
     assert not isinstance(found, Exception), found
@@ -84,10 +96,10 @@ class Approach(cc.SystemUnderTest):
 def test_a_driver_of_ones_own_drives_the_ego_as_on_the_builtin_simulator():
     concrete = ConcreteScenario(X, {})
     options: dict[str, Any] = {"duration": DURATION, "drivers": {"Ego": Approach()}}
-    with Served(X.with_suffix(".xodr")) as server:
+    with Served(X.with_suffix(".xodr"), f"version={client_version()}") as server:
         simulator = Carla(
             hosts=server.host, port=server.port, scenario_runner=FOLDER, ego="Ego", patience=20.0, undriven=True,
-            open_loop=True, **options,
+            open_loop=True, any_version=True, **options,
         )  # fmt: skip
         (found,) = simulator.run([concrete])
     assert not isinstance(found, Exception), found

@@ -10,7 +10,7 @@ from typing import Final
 from lxml import etree
 
 from cornercase._common.errors import InputError
-from cornercase.simulators.carla._storyboard_rewrite import E, format_number
+from cornercase.simulators.carla._storyboard_rewrite import E
 
 DRIVER_FILE: Final = Path(__file__).with_name("cornercase_driver.py")
 TRAJECTORY_FILE: Final = Path(__file__).with_name("cornercase_trajectory.py")
@@ -39,21 +39,24 @@ class DrivingAgents:
 
 
 def assign_controllers(
-    root: etree._Element, source: Path, ego: str, agents: DrivingAgents, box_offsets: Mapping[str, float]
+    root: etree._Element,
+    source: Path,
+    ego: str,
+    agents: DrivingAgents,
+    trajectories: Mapping[str, Mapping[str, str]],
 ) -> set[Path]:
     """Assign controllers to entities that ScenarioRunner's own controls do not move; return their files.
 
-    Entities with an initial route get one of cornercase, since ScenarioRunner 0.9.16 does not execute routes.
-    `box_offsets` has, for entities on trajectories, by how many m the centre of the box is ahead of the reference
-    point.
+    Entities with an initial route get one of cornercase, since ScenarioRunner does not execute routes. `trajectories`
+    has the properties of controllers of entities on trajectories.
     """
     controllers = set()
     for private in root.iterfind("Storyboard/Init/Actions/Private"):
         entity = private.get("entityRef", "")
         route = _pop_initial_route(private)
         properties = {}
-        if entity in box_offsets:
-            properties = {"module": TRAJECTORY_FILE.name, "center_x": format_number(box_offsets[entity])}
+        if entity in trajectories:
+            properties = {"module": TRAJECTORY_FILE.name, **trajectories[entity]}
         elif entity == ego and agents.agent is not None:
             properties = {
                 "module": DRIVER_FILE.name,
@@ -77,7 +80,7 @@ def assign_controllers(
             if old_action.find("ControllerAction") is not None:
                 private.remove(old_action)
         private.append(_make_controller_action(entity, properties))
-        controllers.add(TRAJECTORY_FILE if entity in box_offsets else DRIVER_FILE)
+        controllers.add(TRAJECTORY_FILE if entity in trajectories else DRIVER_FILE)
     return controllers
 
 

@@ -29,6 +29,7 @@ from cornercase.simulators.carla._route_check import find_deviating_entities, in
 from cornercase.simulators.carla._storyboard_rewrite import (
     add_missing_start_triggers,
     copy_stop_trigger_to_acts,
+    format_number,
     make_names_unique,
     remove_element,
     remove_entities_from_storyboard,
@@ -36,7 +37,7 @@ from cornercase.simulators.carla._storyboard_rewrite import (
     set_end_time,
     set_initial_state,
 )
-from cornercase.simulators.carla._trajectories import add_trajectories, simulate_builtin
+from cornercase.simulators.carla._trajectories import add_trajectories, make_trajectory, simulate_builtin
 
 _MINOR_REVISION: Final = 0
 # Attributes introduced after 1.0 that do not change the meaning of the rest.
@@ -139,7 +140,8 @@ class ConversionOptions:
     `agents`: agents that drive entities instead of the storyboard. `time_step`, `duration`: in s. `open_loop`: whether
     an entity may move along a trajectory although it should react to an agent-driven entity. `road_file`: path of the
     copied road file, relative to the new file (default: next to it). `controllers`: folder of cornercase's controllers,
-    likewise. `with_criteria`: whether ScenarioRunner judges the run by the criteria of the scenario.
+    likewise. `with_criteria`: whether ScenarioRunner judges the run by the criteria of the scenario. `is_run`: whether
+    only cornercase uses the file, so that it may lack the trajectories that controllers know.
     """
 
     agents: DrivingAgents = field(default_factory=DrivingAgents)
@@ -149,6 +151,7 @@ class ConversionOptions:
     road_file: str = ""
     controllers: str = ""
     with_criteria: bool = False
+    is_run: bool = False
 
 
 def write_openscenario_1_0(
@@ -257,7 +260,10 @@ def _make_tree_1_0(
     remove_ineffective(root)
     remove_entities_from_storyboard(root, set(actor_plan.sampled) | actor_plan.dropped)
     _rewrite_entities(root, ego, actor_plan, notes)
-    notes += add_trajectories(root, recording, list(actor_plan.sampled), ego)
+    trajectories = {} if recording is None else {name: make_trajectory(recording, name) for name in actor_plan.sampled}
+    notes += filter(None, (trajectory.note for trajectory in trajectories.values()))
+    # ScenarioRunner 0.9.13 knows no trajectories; in a run, the controller knows all.
+    add_trajectories(root, {} if options.is_run else trajectories, ego)
     centers: dict[str, float] = {}
     end = options.duration
     if recording is not None:
@@ -280,8 +286,12 @@ def _make_tree_1_0(
     _add_final_speeds(root, scenario, notes)
     _remove_later_attributes(root)
     controllers = assign_controllers(
-        root, scenario.path, ego, options.agents, {name: centers[name] for name in actor_plan.sampled}
-    )
+        root, scenario.path, ego, options.agents,
+        {
+            name: {"center_x": format_number(centers[name]), **trajectory.to_properties(ends=options.is_run)}
+            for name, trajectory in trajectories.items()
+        },
+    )  # fmt: skip
     return root, notes, controllers
 
 
