@@ -54,7 +54,11 @@ class ScenarioRunner:
             place = carla.Location(at["x"], -at["y"], 0.3 if walks is False else 1.0)
             turn = carla.Rotation(yaw=-math.degrees(at.get("h", 0.0)))
             speed = float(only(private, ".//AbsoluteTargetSpeed")["value"])
-            actors.append((world.spawn_actor(blueprint, carla.Transform(place, turn)), turn, speed, walks))
+            if options.waitForEgo and holder.find(".//Property[@value='ego_vehicle']") is not None:
+                (ego,) = (one for one in world.get_actors() if one.attributes.get("role_name") == holder.get("name"))
+                ego.set_transform(carla.Transform(place, turn))
+            else:
+                actors.append((world.spawn_actor(blueprint, carla.Transform(place, turn)), turn, speed, walks))
             world.tick()
         # Vehicles fall on their wheels.
         for _ in range(5):

@@ -8,6 +8,7 @@ from __future__ import annotations
 import importlib.util
 import json
 import shutil
+import subprocess
 import sys
 import tomllib
 import venv
@@ -327,6 +328,72 @@ def test_the_command_explores_with_repeated_runs(scenario, tmp_path):
             assert done.returncode == 0, done.stderr
             assert done.stdout.startswith("4 scenarios")
         assert study.meta.settings["carla"] == carla.Client("localhost", 1).get_client_version()
+
+
+STACK = """
+import sys, time, carla
+client = carla.Client(sys.argv[1], int(sys.argv[2]))
+client.set_timeout(20.0)
+world = client.get_world()
+blueprint = world.get_blueprint_library().find("vehicle.tesla.model3")
+blueprint.set_attribute("role_name", "Ego")
+ego = world.spawn_actor(blueprint, carla.Transform(carla.Location(-70.0, 1.75, 1.0)))
+print("ready", flush=True)
+while True:
+    ego.set_target_velocity(carla.Vector3D(5.0, 0.0, 0.0))
+    time.sleep(0.005)
+"""
+
+
+def test_an_ego_of_another_program_is_waited_for_and_left_alone(scenario):
+    with Served(ROAD) as server:
+        # Its world is that of the scenario, as a new one would be without the ego.
+        run(server, scenario, {"end": 0.2})
+        command = [sys.executable, "-c", STACK, server.host, str(server.port)]
+        stack = subprocess.Popen(command, stdout=subprocess.PIPE)
+        with stack:
+            try:
+                assert stack.stdout is not None
+                assert stack.stdout.readline() == b"ready\n"
+                simulator = Carla(**options(server, external_ego=True))
+                for _ in range(2):
+                    (found,) = ran(simulator, [ConcreteScenario(scenario, {"end": 2.0})])
+                    assert found.names == ("Ego", "C", "Walker")
+                    assert found.time[-1] == pytest.approx(2.0, abs=0.1)
+                    assert found.x[0][0] == pytest.approx(-80.0, abs=3.0)
+                    assert 5.0 < found.x[0][-1] - found.x[0][0] < 12.0
+                assert stack.poll() is None
+            finally:
+                stack.kill()
+
+
+def test_an_ego_of_another_program_has_no_other_driver():
+    for driver in ("normal", "cc-human"):
+        with pytest.raises(InputError, match="external_ego: something else drives Ego, too; leave out one of them"):
+            Carla(external_ego=True, drivers={"Ego": driver})
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"drivers": {"Ego": "cautious"}}, ["ego_speed sets only the first speed of Ego"]),
+        (
+            {"drivers": {"Ego": "cautious", "C": "normal"}},
+            ["ego_speed sets only the first speed of Ego", "c_speed has no effect", "ego_sync_s has no effect"],
+        ),
+        ({"external_ego": True}, ["ego_speed has no effect"]),
+        # A driver of cornercase is asked for that speed.
+        ({"drivers": {"Ego": "cc-human"}}, []),
+        # The file names the driver.
+        ({}, ["ego_speed sets only the first speed of Ego"]),
+    ],
+)
+def test_a_parameter_that_an_agent_overrides_is_named(given, said):
+    simulator = Carla(scenario_runner=str(RUNNER), undriven=True, **given)
+    noticed: list[str] = []
+    simulator.on_notice = noticed.append
+    simulator.check_supported(ScenarioFile.read(T))
+    assert [one.partition(", as an agent drives")[0] for one in noticed] == [f"the parameter {one}" for one in said]
 
 
 def test_what_carla_cannot_do_is_refused_before_there_is_a_study(tmp_path):

@@ -17,7 +17,8 @@ from cornercase.simulators.carla._runner_environment import RunnerEnvironment
 from cornercase.simulators.carla._tracker import EntityTracker
 
 _LAUNCHER: Final = Path(__file__).with_name("cornercase_launcher.py")
-_FRAME_FILE: Final = "first_frame"
+_FIRST_FRAME_FILE: Final = "first_frame"
+_LAST_FRAME_FILE: Final = "last_frame"
 _END_TIMEOUT, _POLL_INTERVAL = 2.0, 0.02
 # ScenarioRunner prints one of these when a scenario has ended; its exit code does not show it.
 _END_MESSAGES: Final = ("All scenario tests were passed", "Not all scenario tests were successful")
@@ -61,9 +62,12 @@ def run_scenario_runner(
             stderr=subprocess.STDOUT,
         )
         try:
-            stopped = _wait_for_end(process, tracker, file.with_name(_FRAME_FILE), limits, before_start)
+            stopped = _wait_for_end(process, tracker, file.with_name(_FIRST_FRAME_FILE), limits, before_start)
         finally:
             _end_process(process)
+    last_frame = file.with_name(_LAST_FRAME_FILE)
+    if last_frame.exists():
+        tracker.last_frame = int(last_frame.read_text(encoding="utf-8"))
     output_text = log.read_text(encoding="utf-8", errors="replace")
     if tracker.first_frame is None or not (stopped or any(last_line in output_text for last_line in _END_MESSAGES)):
         last_line = _last_error_line(output_text)

@@ -33,6 +33,7 @@ from cornercase.simulators.carla._openscenario_1_0 import (
     make_concrete_tree,
     write_openscenario_1_0,
 )
+from cornercase.simulators.carla._overridden_parameters import describe_overridden_parameters
 from cornercase.simulators.carla._runner_environment import RunnerEnvironment
 from cornercase.simulators.carla._scenario_runner import RunLimits, run_scenario_runner
 from cornercase.simulators.carla._server import CarlaServer
@@ -87,6 +88,9 @@ class Carla(Simulator):
         ``CORNERCASE_CARLA_PYTHON`` (else the current Python) and ``CARLA_ROOT``.
     agent, agent_config : str, optional
         File of your own agent for ScenarioRunner (``AutonomousAgent``), which drives the ego, and its configuration.
+    external_ego : bool, default False
+        Whether another program makes the ego, a vehicle with the role name `ego`, and drives it, such as Autoware by
+        CARLA's ROS bridge. ScenarioRunner waits for it (``--waitForEgo``) and puts it where the scenario begins.
     record : {"client", "recorder"}, default "client"
         Whether motion is recorded by the client or read from the file of CARLA's recorder, which the server writes and
         which must be accessible here.
@@ -130,6 +134,7 @@ class Carla(Simulator):
         carla_root: str = "",
         agent: str = "",
         agent_config: str = "",
+        external_ego: bool = False,
         record: Literal["client", "recorder"] = "client",
         folder: str = "",
         seed: int = 0,
@@ -155,6 +160,9 @@ class Carla(Simulator):
         self._last_scenario: ScenarioFile | None = None
         if self._attached is not None and agent:
             raise InputError(f"`drivers` {ego}: the agent {agent} drives the ego; leave out one of them.")
+        self._external_ego = bool(external_ego)
+        if self._external_ego and (agent or self._attached is not None or ego in self._drivers):
+            raise InputError(f"external_ego: something else drives {ego}, too; leave out one of them.")
         self._agent = None if not agent else _existing_file(agent, "agent")
         self._agent_config = None if not agent_config else _existing_file(agent_config, "agent_config")
 
@@ -173,6 +181,7 @@ class Carla(Simulator):
             "seed": self._seed,
             "carla": find_client_version(self._environment),
             # Recordings also depend on the agent.
+            "external_ego": self._external_ego,
             "agent": _file_fingerprint(self._agent),
             "agent_config": _file_fingerprint(self._agent_config),
         }
@@ -232,8 +241,19 @@ class Carla(Simulator):
         self._server.disconnect()
 
     def check_supported(self, scenario: ScenarioFile) -> None:
-        """Refuse a scenario with entities or drivers that CARLA does not have."""
-        self._behavior_agents(scenario)
+        """Refuse a scenario with entities or drivers that CARLA does not have; name parameters without effect."""
+        driven = {*self._behavior_agents(scenario)}
+        if self._agent or self._attached or self._external_ego:
+            driven.add(self._ego)
+        ego = {self._ego}
+        self.notify(
+            describe_overridden_parameters(
+                scenario,
+                driven,
+                externally=ego if self._external_ego else (),
+                obeying=ego if self._attached is not None else (),
+            )
+        )
 
     def _behavior_agents(self, scenario: ScenarioFile) -> dict[str, str]:
         scenario.require_entity(self._ego, "ego")
@@ -249,9 +269,10 @@ class Carla(Simulator):
                     " use another category."
                 )
             driver = self._drivers.get(name, scenario.drivers.get(name, ""))
-            if driver in BEHAVIORS and not (name == self._ego and self._attached):
+            is_driven = name == self._ego and bool(self._agent or self._attached or self._external_ego)
+            if driver in BEHAVIORS and not is_driven:
                 behaviors[name] = driver
-            elif driver and not self._undriven and not (name == self._ego and (self._agent or self._attached)):
+            elif driver and not self._undriven and not is_driven:
                 raise InputError(
                     f"{scenario.path}: '{name}' has the driver '{driver}', which CARLA does not support; `simulator`"
                     " carla:undriven=true runs it with the storyboard only."
@@ -266,7 +287,7 @@ class Carla(Simulator):
         folder = Path(tempfile.mkdtemp(prefix="cornercase-", dir=self._folder or None))
         try:
             if self._attached is None:
-                agents = DrivingAgents(behaviors, self._agent, self._agent_config)
+                agents = DrivingAgents(behaviors, self._agent, self._agent_config, external=self._external_ego)
                 return self._run_in_folder(folder, scenario, concrete, agents)
             located = replace(concrete, file=scenario)
             with AgentServer(self._attached, located, self._ego, self._time_step, folder) as server:
@@ -299,10 +320,15 @@ class Carla(Simulator):
         drivers.mkdir(exist_ok=True)
         server, road = self._server, scenario.road_path_for(concrete.values)
         town = carla_map_name(scenario, concrete.values)
+        text = ""
+        if road is not None and not town:
+            text = (folder / _ROAD_FILE).read_text(encoding="utf-8")
+            text = text[text.find("<OpenDRIVE") :]
+        external = self._ego if self._external_ego else ""
         server.connect(self._environment)
-        server.prepare(town, "" if road is None or town else (folder / _ROAD_FILE).read_text(encoding="utf-8"))
+        server.prepare(town, text, keep=external)
         log = folder / "cornercase.log"
-        with EntityTracker(server, scenario.entities, self._ego, self._time_step) as tracker:
+        with EntityTracker(server, scenario.entities, self._ego, self._time_step, external=external) as tracker:
             try:
                 run_scenario_runner(
                     self._environment, file, drivers, self._scenario_runner_options(), tracker,
@@ -320,6 +346,7 @@ class Carla(Simulator):
         return [
             "--host", server.host, "--port", server.port, "--timeout", server.patience,
             "--trafficManagerPort", self._traffic_port, "--trafficManagerSeed", self._seed,
+            *(["--waitForEgo"] if self._external_ego else []),
         ]  # fmt: skip
 
     def _read_recorder_file(self, path: Path, seen: Recording) -> Recording:

@@ -48,7 +48,8 @@ class EntityTracker:
 
     `names` are the role names of the actors; `external` may exist before the run. `time_step` is the time between
     frames in s. The run ends when the actor `ego` is removed. `missing` lists entities that the last search did
-    not find, `first_frame` is the number of the frame in which the storyboard begins.
+    not find, `first_frame` is the number of the frame in which the storyboard begins, `last_frame` of that in which it
+    ends.
     """
 
     def __init__(
@@ -58,6 +59,7 @@ class EntityTracker:
         self._names, self._ego, self._time_step = tuple(names), ego, time_step
         self.missing = self._names
         self.first_frame: int | None = None
+        self.last_frame: float = math.inf
         self._ids: dict[str, int] = {}
         self._entity_ids: frozenset[int] = frozenset()
         self._boxes: dict[str, _Box] = {}
@@ -135,7 +137,7 @@ class EntityTracker:
         ego = self._ids[self._ego]
         run: list[_TrackedFrame] = []
         for _, frame in sorted({frame.number: frame for frame in self._frames}.items()):
-            if frame.number < self.first_frame:
+            if not self.first_frame <= frame.number <= self.last_frame:
                 continue
             # When ScenarioRunner ends, it removes the entities and leaves synchronous mode.
             if ego not in frame.poses or (run and abs(frame.time_step - self._time_step) > 1e-6):
