@@ -16,6 +16,8 @@ from cornercase._common.errors import InputError
 from cornercase._common.io.atomic import atomic_write_group
 from cornercase._common.io.files import atomic_write, check_output_differs_from_source
 from cornercase._common.validation import check_parameter_values, check_path
+from cornercase.recordings import Recording
+from cornercase.roads._network import RoadNetwork
 from cornercase.scenario import Value
 from cornercase.scenario._axes import mirror_axes
 from cornercase.scenario._concrete_file import copy_companion_file
@@ -25,6 +27,7 @@ from cornercase.simulators.builtin._check import schema_errors
 from cornercase.simulators.carla._actor_plan import ActorPlan, plan_actors, refuse_unsupported, select_stop_conditions
 from cornercase.simulators.carla._code_injection import add_criteria, pop_criteria, refuse_code_injection
 from cornercase.simulators.carla._dialect import DrivingAgents, assign_controllers
+from cornercase.simulators.carla._ground import NARROW_WIDTH, VERGE_WIDTH, find_entities_beyond_ground, is_flat
 from cornercase.simulators.carla._route_check import find_deviating_entities, initial_heights
 from cornercase.simulators.carla._storyboard_rewrite import (
     add_missing_start_triggers,
@@ -59,6 +62,7 @@ _RULES_IN_1_0: Final = {"greaterOrEqual": "greaterThan", "lessOrEqual": "lessTha
 # Numbers and truth values of XML.
 _NUMBER_PATTERN: Final = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|-?INF|NaN|true|false", re.ASCII)
 _MAX_ENTITIES: Final = 500
+GROUND_NOTE: Final = "the world that CARLA makes of the road file has ground beside them up to"
 _AXES_NOTE: Final = (
     "Positions were converted from CARLA's left-handed axes (the description begins with 'CARLA:') to those of the road"
     " file; the new file's description lacks this prefix."
@@ -246,9 +250,12 @@ def _make_tree_1_0(
     slowest = (
         {} if recording is None else dict(zip(recording.names, np.fmin.reduce(recording.speed, axis=1), strict=True))
     )
+    beyond_ground = (
+        [] if recording is None or road is None else _describe_missing_ground(recording, road, scenario, options)
+    )
     axes_notes = (_AXES_NOTE,) if scenario.is_left_handed else ()
     actor_plan = plan_actors(root, sorted(driven), scenario.path, map_name, astray, slowest)
-    notes = [*axes_notes, *actor_plan.notes]
+    notes = [*axes_notes, *actor_plan.notes, *beyond_ground]
     for name in actor_plan.sampled if not options.open_loop else ():
         if name in actor_plan.reacting:
             raise InputError(
@@ -293,6 +300,18 @@ def _make_tree_1_0(
         },
     )  # fmt: skip
     return root, notes, controllers
+
+
+def _describe_missing_ground(
+    recording: Recording, road: Path, scenario: ScenarioFile, options: ConversionOptions
+) -> list[str]:
+    root = scenario.get_root(road)
+    width = VERGE_WIDTH if options.is_run and is_flat(root) else NARROW_WIDTH
+    distances = find_entities_beyond_ground(recording, RoadNetwork.from_xml(root, road), width)
+    return [
+        f"{name} goes {distance:.1f} m from the roads, but {GROUND_NOTE} {width:g} m."
+        for name, distance in distances.items()
+    ]
 
 
 def _rewrite_header(root: etree._Element, source: Path) -> None:

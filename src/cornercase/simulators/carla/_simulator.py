@@ -27,7 +27,9 @@ from cornercase.simulators._server_addresses import worker_address
 from cornercase.simulators.carla._agent_server import AGENT_FILE, AgentServer
 from cornercase.simulators.carla._client_process import find_client_version
 from cornercase.simulators.carla._dialect import BEHAVIORS, DrivingAgents
+from cornercase.simulators.carla._ground import road_text_for_carla
 from cornercase.simulators.carla._openscenario_1_0 import (
+    GROUND_NOTE,
     ConversionOptions,
     carla_map_name,
     make_concrete_tree,
@@ -310,7 +312,7 @@ class Carla(Simulator):
         self, folder: Path, scenario: ScenarioFile, concrete: ConcreteScenario, agents: DrivingAgents
     ) -> Recording:
         file, drivers = folder / "cornercase.xosc", folder / "drivers"
-        write_openscenario_1_0(
+        notes = write_openscenario_1_0(
             scenario, concrete.values, file, ego=self._ego,
             options=ConversionOptions(
                 agents, self._time_step, self._duration, open_loop=self._open_loop, road_file=_ROAD_FILE,
@@ -320,10 +322,11 @@ class Carla(Simulator):
         drivers.mkdir(exist_ok=True)
         server, road = self._server, scenario.road_path_for(concrete.values)
         town = carla_map_name(scenario, concrete.values)
+        self.notify(note.removesuffix(".") for note in notes if GROUND_NOTE in note)
         text = ""
         if road is not None and not town:
-            text = (folder / _ROAD_FILE).read_text(encoding="utf-8")
-            text = text[text.find("<OpenDRIVE") :]
+            text = road_text_for_carla(scenario.get_root(road))
+            (folder / _ROAD_FILE).write_text(text, encoding="utf-8")
         external = self._ego if self._external_ego else ""
         server.connect(self._environment)
         server.prepare(town, text, keep=external)
