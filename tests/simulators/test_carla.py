@@ -573,21 +573,24 @@ class Sensors:
             kind=blueprint.kind, attributes=blueprint.attributes, transform=transform, parent=parent, done=[],
         ))  # fmt: skip
         sensor = self.made[-1]
-        sensor.listen = lambda callback: callback(f"data of {sensor.kind}")
+        sensor.listen = lambda callback: setattr(sensor, "callback", callback)
         sensor.stop, sensor.destroy = (lambda: sensor.done.append("stop")), (lambda: sensor.done.append("destroy"))
         return sensor
 
     def tick(self):
         self.ticks += 1
+        for late, sensor in enumerate(self.made):
+            # It takes a while until a sensor sends.
+            if self.ticks > 2 * late:
+                sensor.callback(f"{self.ticks} of {sensor.kind}")
 
     # The interface of an agent
 
     def register_sensor(self, tag, sensor):
-        self.told[tag] = None
+        self.told[tag] = []
 
     def update_sensor(self, tag, data, frame):
-        assert tag in self.told
-        self.told[tag] = data
+        self.told[tag].append(data)
 
 
 class Blueprint:
@@ -752,11 +755,12 @@ def test_an_agent_of_ones_own_gets_the_route_and_its_sensors_and_is_closed(drive
     assert radar.transform.rotation.yaw == 90.0
     assert radar.transform.location.x == 2.0
     assert sensors.told == {
-        "IMU": "data of sensor.other.imu",
-        "RADAR": "data of sensor.other.radar",
-        "SPEED": {"speed": 3.0},
+        "IMU": ["4 of sensor.other.imu"],
+        "RADAR": ["4 of sensor.other.radar"],
+        "SPEED": [{"speed": 3.0}],
     }
-    assert sensors.ticks == 1
+    # Each once for the first step.
+    assert sensors.ticks == 4
     made.reset()
     assert imu.done == radar.done == ["stop", "destroy"]
     config, (gps, world), *rest = agent.said

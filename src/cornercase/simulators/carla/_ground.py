@@ -13,19 +13,23 @@ from cornercase.roads._network import RoadNetwork
 # Width in m of the ground that is added on both sides of roads, and of that of CARLA without it.
 VERGE_WIDTH: Final = 10.0
 NARROW_WIDTH: Final = 0.6
-_LANE_CONTENT: Final = f'<width sOffset="0" a="{VERGE_WIDTH:g}" b="0" c="0" d="0"/>'
+_MARK: Final = '<roadMark sOffset="0" type="none" weight="standard" color="standard" width="0" laneChange="none"/>'
+_LANE_CONTENT: Final = f'<width sOffset="0" a="{VERGE_WIDTH:g}" b="0" c="0" d="0"/>{_MARK}'
 
 
 def road_text_for_carla(root: etree._Element) -> str:
-    """Return the text of a road file, with ground beside flat roads, that begins with a plain ``<OpenDRIVE>``.
+    """Return the text of a road file, with ground beside flat roads and marks on all lanes.
 
-    ScenarioRunner 0.9.13 finds no other root element, and loads any map anew whose text is not the same. CARLA makes
-    ground of all lanes; lanes of the type ``none`` do not change where its waypoints and routes are.
+    It begins with a plain ``<OpenDRIVE>``: ScenarioRunner 0.9.13 finds no other root element, and loads any map anew
+    whose text is not the same. CARLA makes ground of all lanes; lanes of the type ``none`` do not change where its
+    waypoints and routes are.
     """
     root = etree.fromstring(etree.tostring(root))
     for element in root.iter("*"):
         element.tag = etree.QName(element).localname
     root.attrib.clear()
+    for lane in root.iterfind("road/lanes/laneSection/*/lane"):
+        _add_missing_mark(lane)
     if is_flat(root):
         for section in root.iterfind("road/lanes/laneSection"):
             _add_verges(section)
@@ -66,6 +70,12 @@ def find_entities_beyond_ground(recording: Recording, network: RoadNetwork, widt
         if distance > width:
             distances[name] = distance
     return distances
+
+
+def _add_missing_mark(lane: etree._Element) -> None:
+    """Add a road mark where a lane has none, as CARLA's agents fail there."""
+    if not any(float(mark.get("sOffset", "0")) <= 0.0 for mark in lane.iterfind("roadMark")):
+        lane.append(etree.fromstring(_MARK))
 
 
 def _add_verges(section: etree._Element) -> None:

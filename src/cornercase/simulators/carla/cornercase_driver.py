@@ -10,8 +10,9 @@ import importlib
 import inspect
 import os
 import sys
+import time
 import xml.etree.ElementTree as ElementTree
-from typing import Any, Dict, List, Optional, Tuple
+from typing import Any, Dict, List, Optional, Set, Tuple
 
 import carla
 from agents.navigation.behavior_agent import BehaviorAgent
@@ -29,6 +30,8 @@ _EXTENSION = 200.0
 _WAYPOINT_STEP = 2.0
 # Distance in m after which diverging lanes on a junction can be distinguished.
 _LOOKAHEAD = 15.0
+# Most ticks until all sensors send, and time in s for what they send to arrive.
+_MAX_SENSOR_TICKS, _SENSOR_DELAY = 100, 0.02
 # Where a sensor is: in m and degrees.
 _PLACEMENT = ("x", "y", "z", "pitch", "yaw", "roll")
 
@@ -100,11 +103,13 @@ class _UserAgent:
             self._agent.set_global_plan(*_interpolate_trajectory([actor.get_location(), *targets]))
         self._sensors: List[Any] = []
         self._speedometers: List[str] = []
+        # Sensors that have sent something, and whether the agent gets what they send.
+        self._heard: Set[str] = set()
+        self._is_listening = False
         for spec in self._agent.sensors():
             self._add_sensor(spec)
         if self._sensors:
-            # They have their first values for the first step.
-            CarlaDataProvider.get_world().tick()
+            self._start_sensors()
 
     def done(self) -> bool:
         return False
@@ -138,8 +143,27 @@ class _UserAgent:
         x, y, z, pitch, yaw, roll = (float(spec.get(name, 0.0)) for name in _PLACEMENT)
         transform = carla.Transform(carla.Location(x, y, z), carla.Rotation(pitch, yaw, roll))
         sensor = world.spawn_actor(blueprint, transform, self._actor)
-        sensor.listen(CallBack(tag, sensor, interface))
+        callback = CallBack(tag, sensor, interface)
+
+        def receive(data: Any) -> None:
+            self._heard.add(tag)
+            if self._is_listening:
+                callback(data)
+
+        sensor.listen(receive)
         self._sensors.append(sensor)
+
+    def _start_sensors(self) -> None:
+        """Tick until all sensors send, and once more, so that the agent has one value of each for its first step."""
+        world = CarlaDataProvider.get_world()
+        for _ in range(_MAX_SENSOR_TICKS):
+            world.tick()
+            # What was sent arrives in another thread.
+            time.sleep(_SENSOR_DELAY)
+            if len(self._heard) == len(self._sensors):
+                break
+        self._is_listening = True
+        world.tick()
 
 
 def _interpolate_trajectory(points: List[Any]) -> Any:
