@@ -92,7 +92,7 @@ class Carla(Simulator):
         File of your own agent for ScenarioRunner (``AutonomousAgent``), which drives the ego, and its configuration.
     external_ego : bool, default False
         Whether another program makes the ego, a vehicle with the role name `ego`, and drives it, such as Autoware by
-        CARLA's ROS bridge. ScenarioRunner waits for it (``--waitForEgo``) and puts it where the scenario begins.
+        CARLA's ROS bridge. ScenarioRunner waits for it and puts it where the scenario begins.
     record : {"client", "recorder"}, default "client"
         Whether motion is recorded by the client or read from the file of CARLA's recorder, which the server writes and
         which must be accessible here.
