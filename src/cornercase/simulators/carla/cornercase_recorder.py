@@ -39,12 +39,12 @@ class Client:
 
     def load_map(self, name: str, road: str, mesh: dict[str, Any], timeout: float, usual_timeout: float) -> None:
         """Load a map of CARLA by its name, or a world from the text of a road file, unless it is loaded."""
-        world = self._client.get_world()
-        self._client.set_timeout(timeout)
-        if road:
-            if _strip_before_root(world.get_map().to_opendrive()) != road:
-                self._client.generate_opendrive_world(road, carla.OpendriveGenerationParameters(**mesh))
-        elif name and world.get_map().name.rpartition("/")[2] != name:
+        loaded = self._client.get_world().get_map()
+        if road and _strip_before_root(loaded.to_opendrive()) != road:
+            self._client.set_timeout(timeout)
+            self._client.generate_opendrive_world(road, carla.OpendriveGenerationParameters(**mesh))
+        elif name and loaded.name.rpartition("/")[2] != name:
+            self._client.set_timeout(timeout)
             self._client.load_world(name)
         self._client.set_timeout(usual_timeout)
 
