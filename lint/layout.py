@@ -44,6 +44,8 @@ PUBLIC_MODULES = (
     "drivers/process/cornercase_client.py",
     "simulators/carla/cornercase_agent.py",
     "simulators/carla/cornercase_driver.py",
+    "simulators/carla/cornercase_launcher.py",
+    "simulators/carla/cornercase_recorder.py",
     "simulators/carla/cornercase_trajectory.py",
 )
 # Names that several modules or classes have, and why.

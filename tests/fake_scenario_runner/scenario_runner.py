@@ -1,7 +1,7 @@
 """Takes ScenarioRunner's options and moves the entities of a scenario straight on, as a client of CARLA.
 
 Entities keep the speed that they have at first, for as long as the storyboard's stop trigger says. What goes wrong
-is said by the environment variable FAKE_RUNNER.
+is said by the environment variable FAKE_RUNNER. As before 0.9.16, there is no option --frameRate.
 """
 
 import argparse
@@ -12,16 +12,8 @@ import time
 import xml.etree.ElementTree as ElementTree
 
 import carla
-
-assert not [folder for folder in sys.path if os.path.exists(os.path.join(folder, "road.xodr"))]
-parser = argparse.ArgumentParser()
-for name in ("host", "port", "timeout", "openscenario", "trafficManagerPort", "trafficManagerSeed"):
-    parser.add_argument(f"--{name}", required=True)
-parser.add_argument("--frameRate", required=True)
-parser.add_argument("--record", default="")
-parser.add_argument("--sync", action="store_true", required=True)
-options = parser.parse_args()
-wrong = os.environ.get("FAKE_RUNNER", "")
+from srunner.scenariomanager.carla_data_provider import CarlaDataProvider
+from srunner.scenariomanager.scenario_manager import ScenarioManager
 
 
 def only(element, path):
@@ -31,55 +23,88 @@ def only(element, path):
     return found.attrib
 
 
-root = ElementTree.parse(options.openscenario).getroot()
-assert only(root, "FileHeader")["revMinor"] == "0"
-if wrong == "cannot load":
-    print("The scenario cannot be loaded\nTraceback (most recent call last):\n  File 'x'\nKeyError: 'Ego'\nExiting")
-    sys.exit(1)
-client = carla.Client(options.host, int(options.port))
-client.set_timeout(float(options.timeout))
-world = client.get_world()
-settings = world.get_settings()
-settings.synchronous_mode, settings.fixed_delta_seconds = True, 1.0 / float(options.frameRate)
-world.apply_settings(settings)
-world.tick()
+class ScenarioRunner:
+    """Runs one scenario."""
 
-actors = []
-for holder in root.iterfind("Entities/ScenarioObject"):
-    walks = holder.find("Pedestrian") is not None
-    blueprint = world.get_blueprint_library().find("walker.pedestrian.0001" if walks else "vehicle.tesla.model3")
-    blueprint.set_attribute("role_name", holder.get("name"))
-    private = root.find(f"Storyboard/Init/Actions/Private[@entityRef='{holder.get('name')}']")
-    at = {key: float(value) for key, value in only(private, ".//WorldPosition").items()}
-    place = carla.Location(at["x"], -at["y"], 0.3 if walks is False else 1.0)
-    turn = carla.Rotation(yaw=-math.degrees(at.get("h", 0.0)))
-    speed = float(only(private, ".//AbsoluteTargetSpeed")["value"])
-    actors.append((world.spawn_actor(blueprint, carla.Transform(place, turn)), turn, speed, walks))
-    world.tick()
-if options.record:
-    client.start_recorder(os.path.join(os.environ["SCENARIO_RUNNER_ROOT"], options.record, "cornercase.log"), True)
-if wrong == "hang":
-    time.sleep(600)
-# As long as it takes at least to build the tree of a storyboard.
-time.sleep(0.2)
-for actor, turn, speed, walks in actors:
-    ahead = turn.get_forward_vector()
-    if walks:
-        actor.apply_control(carla.WalkerControl(ahead, speed))
-    else:
-        actor.set_target_velocity(ahead * speed)
-end = float(only(root, "Storyboard/StopTrigger//SimulationTimeCondition")["value"])
-for _ in range(round(end * float(options.frameRate))):
-    world.tick()
-    if wrong == "slow":
-        time.sleep(0.05)
-if wrong == "fails at the end":
-    print("RuntimeError: a storyboard that is none")
-    sys.exit(1)
-print("Nothing to analyze, this scenario has no criteria\nNot all scenario tests were successful")
-if options.record:
-    client.stop_recorder()
-for actor in [one[0] for one in actors]:
-    actor.destroy()
-settings.synchronous_mode, settings.fixed_delta_seconds = False, None
-world.apply_settings(settings)
+    frame_rate = 20.0
+
+    def __init__(self, options):
+        self.options, self.wrong = options, os.environ.get("FAKE_RUNNER", "")
+        self.root = ElementTree.parse(options.openscenario).getroot()
+        assert only(self.root, "FileHeader")["revMinor"] == "0"
+
+    def run(self):
+        options, root = self.options, self.root
+        client = carla.Client(options.host, int(options.port))
+        client.set_timeout(float(options.timeout))
+        world = CarlaDataProvider.world = client.get_world()
+        settings = world.get_settings()
+        settings.synchronous_mode, settings.fixed_delta_seconds = True, 1.0 / self.frame_rate
+        world.apply_settings(settings)
+        world.tick()
+
+        actors = []
+        for holder in root.iterfind("Entities/ScenarioObject"):
+            walks = holder.find("Pedestrian") is not None
+            library = world.get_blueprint_library()
+            blueprint = library.find("walker.pedestrian.0001" if walks else "vehicle.tesla.model3")
+            blueprint.set_attribute("role_name", holder.get("name"))
+            private = root.find(f"Storyboard/Init/Actions/Private[@entityRef='{holder.get('name')}']")
+            at = {key: float(value) for key, value in only(private, ".//WorldPosition").items()}
+            place = carla.Location(at["x"], -at["y"], 0.3 if walks is False else 1.0)
+            turn = carla.Rotation(yaw=-math.degrees(at.get("h", 0.0)))
+            speed = float(only(private, ".//AbsoluteTargetSpeed")["value"])
+            if options.waitForEgo and holder.find(".//Property[@value='ego_vehicle']") is not None:
+                (ego,) = (one for one in world.get_actors() if one.attributes.get("role_name") == holder.get("name"))
+                ego.set_transform(carla.Transform(place, turn))
+            else:
+                actors.append((world.spawn_actor(blueprint, carla.Transform(place, turn)), turn, speed, walks))
+            world.tick()
+        # Vehicles fall on their wheels.
+        for _ in range(5):
+            world.tick()
+        if self.wrong == "hang":
+            time.sleep(600)
+        manager = ScenarioManager()
+        manager.drive = lambda: self.drive(world, actors)
+        manager.run_scenario()
+        if self.wrong == "fails at the end":
+            raise RuntimeError("a storyboard that is none")
+        print("Nothing to analyze, this scenario has no criteria\nNot all scenario tests were successful")
+        for actor in [one[0] for one in actors]:
+            actor.destroy()
+        settings.synchronous_mode, settings.fixed_delta_seconds = False, None
+        world.apply_settings(settings)
+
+    def drive(self, world, actors):
+        for actor, turn, speed, walks in actors:
+            ahead = turn.get_forward_vector()
+            if walks:
+                actor.apply_control(carla.WalkerControl(ahead, speed))
+            else:
+                actor.set_target_velocity(ahead * speed)
+        end = float(only(self.root, "Storyboard/StopTrigger//SimulationTimeCondition")["value"])
+        for _ in range(round(end * self.frame_rate)):
+            world.tick()
+            if self.wrong == "slow":
+                time.sleep(0.05)
+
+
+def main():
+    """Read the options, and run."""
+    assert not [folder for folder in sys.path if os.path.exists(os.path.join(folder, "road.xodr"))]
+    parser = argparse.ArgumentParser()
+    for name in ("host", "port", "timeout", "openscenario", "trafficManagerPort", "trafficManagerSeed"):
+        parser.add_argument(f"--{name}", required=True)
+    parser.add_argument("--waitForEgo", action="store_true")
+    parser.add_argument("--sync", action="store_true", required=True)
+    options = parser.parse_args()
+    if os.environ.get("FAKE_RUNNER", "") == "cannot load":
+        print("The scenario cannot be loaded\nTraceback (most recent call last):\n  File 'x'\nKeyError: 'Ego'\nExiting")
+        return 1
+    try:
+        ScenarioRunner(options).run()
+    except RuntimeError as error:
+        print(f"RuntimeError: {error}")
+        return 1
+    return 0

@@ -21,8 +21,9 @@ from typing import Any
 
 import msgpack
 
-# Numbers of the serializers in the registry of CARLA 0.9.16's client.
-COLLISION, WORLD = 0, 17
+# Numbers of the serializers in the registry of CARLA's clients, by their version where it matters.
+COLLISION, WORLD = 0, {"0.9.13": 15, "0.9.15": 16, "0.9.16": 17}
+IMU, RADAR = {"0.9.13": 4, "0.9.15": 5, "0.9.16": 5}, {"0.9.13": 8, "0.9.15": 9, "0.9.16": 9}
 STATE_SIZE, HEADER_PAD = 119, 0
 STEP = 0.05
 VERSION = "0.9.16"
@@ -136,7 +137,14 @@ class Server:
             # Who comes later gets it whole.
             del self.wrong["cut-at"]
             body = body[:-7]
-        self.send(1, self._header(WORLD) + head + body)
+        version = self.wrong.get("version", VERSION)
+        for actor in self.actors.values():
+            if actor.kind == "sensor.other.imu":
+                at_rest = msgpack.packb([[0.0, 0.0, 9.81], [0.0, 0.0, 0.0], 1.5])
+                self.send(actor.number, self._header(IMU.get(version, 5)) + at_rest)
+            elif actor.kind == "sensor.other.radar":
+                self.send(actor.number, self._header(RADAR.get(version, 9)) + struct.pack("<4f", -3.0, 0.0, 0.1, 20.0))
+        self.send(1, self._header(WORLD.get(version, 17)) + head + body)
 
     # Calls
 
@@ -218,10 +226,10 @@ class Server:
         return value(self.tick())
 
     def do_get_actor_definitions(self):
-        def attribute(name, default, kind=4):
+        def attribute(name, default, kind=3):
             return [name, kind, default, [default], True, False]
 
-        def fixed(name, content, kind=4):
+        def fixed(name, content, kind=3):
             return [name, kind, content, [], False, False]
 
         role = attribute("role_name", "autopilot")
@@ -236,6 +244,8 @@ class Server:
             ("static.prop.chainbarrier", [role]),
             ("walker.pedestrian.0001", [role]),
             ("sensor.other.collision", [role]),
+            ("sensor.other.imu", [role]),
+            ("sensor.other.radar", [role, attribute("horizontal_fov", "30", 2), attribute("range", "100", 2)]),
             (
                 "static.trigger.friction",
                 [role, *(attribute(f"extent_{a}", "1") for a in "xyz"), attribute("friction", "0")],
@@ -328,6 +338,9 @@ class Server:
 
     def do_get_vehicle_light_states(self, *_):
         return value([])
+
+    def do_get_vehicle_light_state(self, *_):
+        return value([0])
 
     def do_get_names_of_all_objects(self):
         return value([])

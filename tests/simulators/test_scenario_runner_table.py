@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import json
 import re
 import sys
 from importlib import resources
@@ -403,13 +404,14 @@ def test_the_simulator_names_what_is_done_otherwise(write):
 
 
 def test_code_of_ours_runs_where_scenario_runner_does(monkeypatch):
-    """The trajectory controller, with all of its imports replaced."""
+    """The trajectory controller, with all of its imports replaced; it needs no times of ScenarioRunner's."""
     clock = SimpleNamespace(now=0.0)
     made = control_of(monkeypatch, clock)
     actor = Body()
-    control = made(actor, {"center_x": "1.4"})
+    parts = [[[0.0, 10.0, 0.0, 0.0], [1.0, 20.0, 0.0, 0.0], [2.0, 20.0, -10.0, -0.5 * np.pi]]]
+    control = made(actor, {"center_x": "1.4", "parts": json.dumps(parts), "starts": "[-1.0]"})
     control.run_step()
-    control.update_waypoints([place(10.0, 0.0, 0.0), place(20.0, 0.0, 0.0), place(20.0, 10.0, 90.0)], [0.0, 1.0, 2.0])
+    actor.move(0.05)
     for _ in range(39):
         clock.now += 0.05
         control.run_step()
@@ -428,10 +430,29 @@ def test_code_of_ours_runs_where_scenario_runner_does(monkeypatch):
     assert actor.put == 1
 
 
+def test_an_entity_jumps_and_vanishes_when_its_trajectory_does(monkeypatch):
+    clock = SimpleNamespace(now=0.0)
+    made = control_of(monkeypatch, clock)
+    actor = Body()
+    parts = [[[0.0, 0.0, 0.0, 0.0], [0.25, 1.0, 0.0, 0.0]], [[0.15, 50.0, 2.0, 0.0], [0.4, 51.0, 2.0, 0.0]]]
+    control = made(actor, {"parts": json.dumps(parts), "starts": "[-1.0, 0.125]", "end": "0.275"})
+    seen = []
+    for _ in range(6):
+        control.run_step()
+        actor.move(0.05)
+        seen.append((round(actor.x, 6), round(actor.y, 6)))
+        clock.now += 0.05
+    assert seen == [(0.2, 0.0), (0.4, 0.0), (0.6, 0.0), (50.2, -2.0), (50.4, -2.0), (50.6, -2.0)]
+    assert actor.is_alive
+    control.run_step()
+    assert not actor.is_alive
+    control.run_step()
+
+
 class Body:
     """A vehicle that moves with the velocities it is given."""
 
-    is_alive = True
+    is_alive, id = True, 7
 
     def __init__(self):
         self.x = self.y = self.yaw = 0.0
@@ -465,9 +486,6 @@ class Vector(SimpleNamespace):
     def __init__(self, x=0.0, y=0.0, z=0.0):
         super().__init__(x=x, y=y, z=z)
 
-    def distance(self, other):
-        return float(np.hypot(self.x - other.x, self.y - other.y))
-
 
 def place(x, y, yaw):
     return SimpleNamespace(location=Vector(x, y), rotation=SimpleNamespace(pitch=0.0, yaw=yaw, roll=0.0))
@@ -481,14 +499,18 @@ def control_of(monkeypatch, clock):
 
     class Basic:
         def __init__(self, actor):
-            self._actor, self._waypoints, self._times, self._reached_goal = actor, [], [], False
-
-        def update_waypoints(self, waypoints, times=None, start_time=None):
-            self._waypoints, self._times = waypoints, times
+            self._actor, self._reached_goal = actor, False
 
         def check_reached_waypoint_goal(self):
             return self._reached_goal
 
+    class Provider:
+        @staticmethod
+        def remove_actor_by_id(number):
+            assert number == Body.id
+            Body.is_alive = False
+
+    monkeypatch.setattr(Body, "is_alive", True)
     for package in ("srunner", "srunner.scenariomanager", "srunner.scenariomanager.actorcontrols"):
         module(package)
     module(
@@ -497,6 +519,7 @@ def control_of(monkeypatch, clock):
         Rotation=lambda pitch, yaw, roll: SimpleNamespace(pitch=pitch, yaw=yaw, roll=roll),
     )  # fmt: skip
     module("srunner.scenariomanager.actorcontrols.basic_control", BasicControl=Basic)
+    module("srunner.scenariomanager.carla_data_provider", CarlaDataProvider=Provider)
     module("srunner.scenariomanager.timer", GameTime=SimpleNamespace(get_time=lambda: clock.now))
     spec = importlib.util.spec_from_file_location("cornercase_trajectory", TRAJECTORY_FILE)
     assert spec is not None

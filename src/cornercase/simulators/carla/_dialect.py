@@ -10,11 +10,13 @@ from typing import Final
 from lxml import etree
 
 from cornercase._common.errors import InputError
-from cornercase.simulators.carla._storyboard_rewrite import E, format_number
+from cornercase.simulators.carla._storyboard_rewrite import E
 
 DRIVER_FILE: Final = Path(__file__).with_name("cornercase_driver.py")
 TRAJECTORY_FILE: Final = Path(__file__).with_name("cornercase_trajectory.py")
 BEHAVIORS: Final = ("aggressive", "cautious", "normal")
+# ScenarioRunner's own, which does nothing.
+_EXTERNAL_CONTROL: Final = "external_control"
 _INACTIVE_OVERRIDES: Final = (
     ("Throttle", "value"), ("Brake", "value"), ("Clutch", "value"), ("ParkingBrake", "value"),
     ("SteeringWheel", "value"), ("Gear", "number"),
@@ -26,34 +28,40 @@ class DrivingAgents:
     """Agents that drive entities instead of the storyboard.
 
     `behaviors`: CARLA's behaviour agents, by entity. `agent`: file of the user's own agent, which drives the ego.
-    `config`: its configuration.
+    `config`: its configuration. `external`: whether another program has made the ego and drives it.
     """
 
     behaviors: Mapping[str, str] = field(default_factory=dict)
     agent: Path | None = None
     config: Path | None = None
+    external: bool = False
 
     def driven_entities(self, ego: str) -> set[str]:
         """Return the entities that an agent drives."""
-        return set(self.behaviors) | ({ego} if self.agent is not None else set())
+        return set(self.behaviors) | ({ego} if self.agent is not None or self.external else set())
 
 
 def assign_controllers(
-    root: etree._Element, source: Path, ego: str, agents: DrivingAgents, box_offsets: Mapping[str, float]
+    root: etree._Element,
+    source: Path,
+    ego: str,
+    agents: DrivingAgents,
+    trajectories: Mapping[str, Mapping[str, str]],
 ) -> set[Path]:
     """Assign controllers to entities that ScenarioRunner's own controls do not move; return their files.
 
-    Entities with an initial route get one of cornercase, since ScenarioRunner 0.9.16 does not execute routes.
-    `box_offsets` has, for entities on trajectories, by how many m the centre of the box is ahead of the reference
-    point.
+    Entities with an initial route get one of cornercase, since ScenarioRunner does not execute routes. `trajectories`
+    has the properties of controllers of entities on trajectories.
     """
-    controllers = set()
+    controllers: set[Path] = set()
     for private in root.iterfind("Storyboard/Init/Actions/Private"):
         entity = private.get("entityRef", "")
         route = _pop_initial_route(private)
         properties = {}
-        if entity in box_offsets:
-            properties = {"module": TRAJECTORY_FILE.name, "center_x": format_number(box_offsets[entity])}
+        if entity in trajectories:
+            properties = {"module": TRAJECTORY_FILE.name, **trajectories[entity]}
+        elif entity == ego and agents.external:
+            properties = {"module": _EXTERNAL_CONTROL}
         elif entity == ego and agents.agent is not None:
             properties = {
                 "module": DRIVER_FILE.name,
@@ -71,13 +79,13 @@ def assign_controllers(
             properties = {"module": DRIVER_FILE.name}
         if not properties:
             continue
-        if len(route):
+        if len(route) and properties["module"] != _EXTERNAL_CONTROL:
             properties["route"] = etree.tostring(route, encoding="unicode")
         for old_action in private.findall("PrivateAction"):
             if old_action.find("ControllerAction") is not None:
                 private.remove(old_action)
         private.append(_make_controller_action(entity, properties))
-        controllers.add(TRAJECTORY_FILE if entity in box_offsets else DRIVER_FILE)
+        controllers |= {file for file in (TRAJECTORY_FILE, DRIVER_FILE) if file.name == properties["module"]}
     return controllers
 
 

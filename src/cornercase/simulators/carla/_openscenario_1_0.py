@@ -16,6 +16,8 @@ from cornercase._common.errors import InputError
 from cornercase._common.io.atomic import atomic_write_group
 from cornercase._common.io.files import atomic_write, check_output_differs_from_source
 from cornercase._common.validation import check_parameter_values, check_path
+from cornercase.recordings import Recording
+from cornercase.roads._network import RoadNetwork
 from cornercase.scenario import Value
 from cornercase.scenario._axes import mirror_axes
 from cornercase.scenario._concrete_file import copy_companion_file
@@ -25,10 +27,12 @@ from cornercase.simulators.builtin._check import schema_errors
 from cornercase.simulators.carla._actor_plan import ActorPlan, plan_actors, refuse_unsupported, select_stop_conditions
 from cornercase.simulators.carla._code_injection import add_criteria, pop_criteria, refuse_code_injection
 from cornercase.simulators.carla._dialect import DrivingAgents, assign_controllers
+from cornercase.simulators.carla._ground import NARROW_WIDTH, VERGE_WIDTH, find_entities_beyond_ground, is_flat
 from cornercase.simulators.carla._route_check import find_deviating_entities, initial_heights
 from cornercase.simulators.carla._storyboard_rewrite import (
     add_missing_start_triggers,
     copy_stop_trigger_to_acts,
+    format_number,
     make_names_unique,
     remove_element,
     remove_entities_from_storyboard,
@@ -36,7 +40,7 @@ from cornercase.simulators.carla._storyboard_rewrite import (
     set_end_time,
     set_initial_state,
 )
-from cornercase.simulators.carla._trajectories import add_trajectories, simulate_builtin
+from cornercase.simulators.carla._trajectories import add_trajectories, make_trajectory, simulate_builtin
 
 _MINOR_REVISION: Final = 0
 # Attributes introduced after 1.0 that do not change the meaning of the rest.
@@ -58,6 +62,7 @@ _RULES_IN_1_0: Final = {"greaterOrEqual": "greaterThan", "lessOrEqual": "lessTha
 # Numbers and truth values of XML.
 _NUMBER_PATTERN: Final = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|-?INF|NaN|true|false", re.ASCII)
 _MAX_ENTITIES: Final = 500
+GROUND_NOTE: Final = "the world that CARLA makes of the road file has ground beside them up to"
 _AXES_NOTE: Final = (
     "Positions were converted from CARLA's left-handed axes (the description begins with 'CARLA:') to those of the road"
     " file; the new file's description lacks this prefix."
@@ -139,7 +144,8 @@ class ConversionOptions:
     `agents`: agents that drive entities instead of the storyboard. `time_step`, `duration`: in s. `open_loop`: whether
     an entity may move along a trajectory although it should react to an agent-driven entity. `road_file`: path of the
     copied road file, relative to the new file (default: next to it). `controllers`: folder of cornercase's controllers,
-    likewise. `with_criteria`: whether ScenarioRunner judges the run by the criteria of the scenario.
+    likewise. `with_criteria`: whether ScenarioRunner judges the run by the criteria of the scenario. `is_run`: whether
+    only cornercase uses the file, so that it may lack the trajectories that controllers know.
     """
 
     agents: DrivingAgents = field(default_factory=DrivingAgents)
@@ -149,6 +155,7 @@ class ConversionOptions:
     road_file: str = ""
     controllers: str = ""
     with_criteria: bool = False
+    is_run: bool = False
 
 
 def write_openscenario_1_0(
@@ -243,9 +250,12 @@ def _make_tree_1_0(
     slowest = (
         {} if recording is None else dict(zip(recording.names, np.fmin.reduce(recording.speed, axis=1), strict=True))
     )
+    beyond_ground = (
+        [] if recording is None or road is None else _describe_missing_ground(recording, road, scenario, options)
+    )
     axes_notes = (_AXES_NOTE,) if scenario.is_left_handed else ()
     actor_plan = plan_actors(root, sorted(driven), scenario.path, map_name, astray, slowest)
-    notes = [*axes_notes, *actor_plan.notes]
+    notes = [*axes_notes, *actor_plan.notes, *beyond_ground]
     for name in actor_plan.sampled if not options.open_loop else ():
         if name in actor_plan.reacting:
             raise InputError(
@@ -257,7 +267,10 @@ def _make_tree_1_0(
     remove_ineffective(root)
     remove_entities_from_storyboard(root, set(actor_plan.sampled) | actor_plan.dropped)
     _rewrite_entities(root, ego, actor_plan, notes)
-    notes += add_trajectories(root, recording, list(actor_plan.sampled), ego)
+    trajectories = {} if recording is None else {name: make_trajectory(recording, name) for name in actor_plan.sampled}
+    notes += filter(None, (trajectory.note for trajectory in trajectories.values()))
+    # ScenarioRunner 0.9.13 knows no trajectories; in a run, the controller knows all.
+    add_trajectories(root, {} if options.is_run else trajectories, ego)
     centers: dict[str, float] = {}
     end = options.duration
     if recording is not None:
@@ -280,9 +293,25 @@ def _make_tree_1_0(
     _add_final_speeds(root, scenario, notes)
     _remove_later_attributes(root)
     controllers = assign_controllers(
-        root, scenario.path, ego, options.agents, {name: centers[name] for name in actor_plan.sampled}
-    )
+        root, scenario.path, ego, options.agents,
+        {
+            name: {"center_x": format_number(centers[name]), **trajectory.to_properties(ends=options.is_run)}
+            for name, trajectory in trajectories.items()
+        },
+    )  # fmt: skip
     return root, notes, controllers
+
+
+def _describe_missing_ground(
+    recording: Recording, road: Path, scenario: ScenarioFile, options: ConversionOptions
+) -> list[str]:
+    root = scenario.get_root(road)
+    width = VERGE_WIDTH if options.is_run and is_flat(root) else NARROW_WIDTH
+    distances = find_entities_beyond_ground(recording, RoadNetwork.from_xml(root, road), width)
+    return [
+        f"{name} goes {distance:.1f} m from the roads, but {GROUND_NOTE} {width:g} m."
+        for name, distance in distances.items()
+    ]
 
 
 def _rewrite_header(root: etree._Element, source: Path) -> None:

@@ -1,89 +1,95 @@
-"""A CARLA server and the client connected to it."""
+"""A CARLA server, and the client by which cornercase prepares and observes it."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from cornercase._common.errors import InputError
-from cornercase._common.io.files import read_file
+from cornercase._common.errors import InputError, SimulatorError
+from cornercase.simulators.carla._client_process import ClientError, ClientProcess
+from cornercase.simulators.carla._runner_environment import RunnerEnvironment
 
 _LOAD_TIMEOUT: Final = 120.0
-_MESH_OPTIONS: Final = {"vertex_distance": 2.0, "wall_height": 1.0, "additional_width": 0.6}
+# ScenarioRunner takes any mesh of the same road file. Walls would stand where walkers go.
+_MESH: Final = {
+    "vertex_distance": 2.0, "wall_height": 0.0, "additional_width": 0.6, "smooth_junctions": True,
+    "enable_mesh_visibility": True,
+}  # fmt: skip
 
 
 class CarlaServer:
     """A CARLA server that no other program uses; `patience` is the time in s to wait for an answer."""
 
-    def __init__(self, host: str, port: int, patience: float) -> None:
+    def __init__(self, host: str, port: int, patience: float, *, any_version: bool = False) -> None:
         self.host, self.port, self.patience = host, port, patience
-        self._client: Any = None
+        self._any_version = any_version
+        self._client: ClientProcess | None = None
 
-    def get_client(self) -> Any:
-        """Return the client, created at first use; `InputError` if no server of its version answers."""
-        if self._client is None:
-            import carla
-
-            client = carla.Client(self.host, self.port)
-            client.set_timeout(self.patience)
+    def connect(self, environment: RunnerEnvironment) -> None:
+        """Start the client unless it runs; `InputError` if no server of ScenarioRunner's version answers."""
+        if self._client is not None:
+            return
+        self._client = client = ClientProcess(environment)
+        try:
             try:
-                client_version, server_version = client.get_client_version(), client.get_server_version()
-            except RuntimeError as error:
+                versions = client.ask("connect", self.host, self.port, self.patience)
+            except ClientError as error:
                 raise InputError(
-                    f"No CARLA answers on {self.host}:{self.port} ({error}); start CarlaUE4.sh"
-                    f" -carla-rpc-port={self.port}."
+                    f"No CARLA answers on {self._address} ({error}); start CarlaUE4.sh -carla-rpc-port={self.port}."
                 ) from error
-            if client_version != server_version:
-                raise InputError(
-                    f"CARLA on {self.host}:{self.port} has version {server_version}, the client here {client_version};"
-                    f" start CARLA {client_version}."
-                )
-            self._client = client
-        return self._client
+            if not self._any_version:
+                client_version, server_version = versions
+                environment.check_versions(client_version, server_version, self._address)
+        except InputError:
+            self.disconnect()
+            raise
 
-    def reset_client(self) -> None:
-        """Create a new client at the next use, since the server may have been restarted."""
+    def disconnect(self) -> None:
+        """End the client; `connect` starts a new one."""
+        if self._client is not None:
+            self._client.close()
         self._client = None
 
-    def prepare_map(self, road: Path | str | None) -> None:
-        """Load a map (OpenDRIVE file or name of a CARLA map) unless it is loaded, and remove actors of earlier runs."""
-        import carla
-
-        client = self.get_client()
-        world = client.get_world()
-        if isinstance(road, Path):
-            text = _strip_before_root(read_file(road).decode(errors="replace"))
-            if _strip_before_root(world.get_map().to_opendrive()) != text:
-                # The same mesh as ScenarioRunner's, so that it finds its map loaded.
-                mesh = carla.OpendriveGenerationParameters(
-                    **_MESH_OPTIONS, smooth_junctions=True, enable_mesh_visibility=True
-                )
-                client.set_timeout(_LOAD_TIMEOUT)
-                world = client.generate_opendrive_world(text, mesh)
-        elif road is not None and world.get_map().name.rpartition("/")[2] != road:
-            client.set_timeout(_LOAD_TIMEOUT)
-            world = client.load_world(road)
-        client.set_timeout(self.patience)
+    def prepare(self, town: str, road: str, *, keep: str = "") -> None:
+        """Load a map of CARLA, or the text of a road file, and remove actors of earlier runs but for `keep`."""
+        self._ask("load_map", town, road, _MESH, _LOAD_TIMEOUT, self.patience)
         self.leave_synchronous_mode()
-        for actor in world.get_actors():
-            if actor.type_id.startswith(("vehicle.", "walker.", "sensor.", "controller.")):
-                actor.destroy()
+        self._ask("remove_actors", keep)
 
     def leave_synchronous_mode(self) -> None:
         """Leave synchronous mode, in which the server would wait for ticks that no client sends any more."""
-        world = self.get_client().get_world()
-        settings = world.get_settings()
-        if settings.synchronous_mode:
-            settings.synchronous_mode, settings.fixed_delta_seconds = False, None
-            world.apply_settings(settings)
+        self._ask("leave_synchronous_mode")
+
+    def start_recorder(self, path: Path) -> None:
+        """Let the server write a recording."""
+        self._ask("start_recorder", str(path))
 
     def stop_recorder(self) -> None:
         """Stop CARLA's recorder, so that it closes its file."""
-        client = self.get_client()
-        client.stop_recorder()
-        # The server answers this only after it has closed the file.
-        client.get_world().get_settings()
+        self._ask("stop_recorder")
 
+    def track(self, names: Sequence[str], external: str) -> None:
+        """Begin to record the actors with these role names; `external` may exist already."""
+        self._ask("track", list(names), external)
 
-def _strip_before_root(text: str) -> str:
-    return text[text.find("<OpenDRIVE") :]
+    def poll(self) -> dict[str, Any]:
+        """Return what was recorded since the last call."""
+        result: dict[str, Any] = self._ask("poll")
+        return result
+
+    def end_tracking(self) -> None:
+        """Record no longer."""
+        self._ask("end_tracking")
+
+    @property
+    def _address(self) -> str:
+        return f"{self.host}:{self.port}"
+
+    def _ask(self, method: str, *arguments: object) -> Any:
+        if self._client is None:
+            raise SimulatorError(f"CARLA on {self._address} is gone")
+        try:
+            return self._client.ask(method, *arguments)
+        except ClientError as error:
+            raise SimulatorError(f"CARLA on {self._address}: {error}") from error

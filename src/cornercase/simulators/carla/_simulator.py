@@ -8,10 +8,10 @@ import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
-from importlib.metadata import PackageNotFoundError, version
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Final, Literal
+
+import numpy as np
 
 from cornercase._common.errors import InputError, SimulationError, SimulatorError, suggest_name
 from cornercase._common.io.support_table import Notice, merge_notices
@@ -25,22 +25,23 @@ from cornercase.scenario._file import ScenarioFile
 from cornercase.simulators._base import Availability, Simulator, check_seed, check_settings
 from cornercase.simulators._server_addresses import worker_address
 from cornercase.simulators.carla._agent_server import AGENT_FILE, AgentServer
+from cornercase.simulators.carla._client_process import find_client_version
 from cornercase.simulators.carla._dialect import BEHAVIORS, DrivingAgents
+from cornercase.simulators.carla._ground import road_text_for_carla
 from cornercase.simulators.carla._openscenario_1_0 import (
+    GROUND_NOTE,
     ConversionOptions,
     carla_map_name,
     make_concrete_tree,
     write_openscenario_1_0,
 )
-from cornercase.simulators.carla._scenario_runner import ScenarioRunnerProcess, find_scenario_runner_folder
+from cornercase.simulators.carla._overridden_parameters import describe_overridden_parameters
+from cornercase.simulators.carla._runner_environment import RunnerEnvironment
+from cornercase.simulators.carla._scenario_runner import RunLimits, run_scenario_runner
 from cornercase.simulators.carla._server import CarlaServer
 from cornercase.simulators.carla._support_table import HandlingStatus, find_unsupported
 from cornercase.simulators.carla._tracker import EntityTracker
 
-_MISSING_CLIENT_MESSAGE: Final = (
-    "CARLA's client is not installed; pip install 'cornercase[carla]' with Python 3.11 or 3.12, on Linux or Windows on"
-    " x86-64."
-)
 # A server uses its port and the next two.
 _PORTS_PER_SERVER: Final = 4
 # Road file of a run, in a folder that is not on Python's path.
@@ -61,9 +62,9 @@ class Carla(Simulator):
     """Runs concrete scenarios by ScenarioRunner in synchronous mode, on a CARLA server that nothing else uses.
 
     Each scenario is written as OpenSCENARIO 1.0 and run by its own ScenarioRunner process, in ScenarioRunner's
-    environment. A second client records the motion of all entities. CARLA's behaviour agents drive entities with the
-    driver ``cautious``, ``normal`` or ``aggressive`` along their initial route; ScenarioRunner moves all others. CARLA
-    is not deterministic, so run each scenario several times.
+    environment. A client in the same environment records the motion of all entities. CARLA's behaviour agents drive
+    entities with the driver ``cautious``, ``normal`` or ``aggressive`` along their initial route; ScenarioRunner moves
+    all others. CARLA is not deterministic, so run each scenario several times.
 
     Parameters
     ----------
@@ -89,9 +90,12 @@ class Carla(Simulator):
         ``CORNERCASE_CARLA_PYTHON`` (else the current Python) and ``CARLA_ROOT``.
     agent, agent_config : str, optional
         File of your own agent for ScenarioRunner (``AutonomousAgent``), which drives the ego, and its configuration.
+    external_ego : bool, default False
+        Whether another program makes the ego, a vehicle with the role name `ego`, and drives it, such as Autoware by
+        CARLA's ROS bridge. ScenarioRunner waits for it and puts it where the scenario begins.
     record : {"client", "recorder"}, default "client"
-        Whether motion is recorded by the second client or read from the file of CARLA's recorder, which the server
-        writes and which must be accessible here.
+        Whether motion is recorded by the client or read from the file of CARLA's recorder, which the server writes and
+        which must be accessible here.
     folder : str, optional
         Where the files of each scenario and of the recorder are kept; by default they are deleted.
     seed : int, default 0
@@ -101,14 +105,15 @@ class Carla(Simulator):
     open_loop : bool, default False
         Whether an entity that ScenarioRunner cannot move by the storyboard may move along a trajectory of the builtin
         simulator, although it should react to an entity that an agent drives.
+    any_version : bool, default False
+        Whether a CARLA, its client and ScenarioRunner of different versions may be used.
     patience : float, default 20
         Time in s to wait for an answer of the server.
 
     Raises
     ------
     InputError
-        An option is out of range. `run` raises it if CARLA's client is not installed, or ScenarioRunner is not found or
-        too old.
+        An option is out of range. `run` raises it if CARLA's client or ScenarioRunner is not found.
     """
 
     name = "carla"
@@ -131,11 +136,13 @@ class Carla(Simulator):
         carla_root: str = "",
         agent: str = "",
         agent_config: str = "",
+        external_ego: bool = False,
         record: Literal["client", "recorder"] = "client",
         folder: str = "",
         seed: int = 0,
         undriven: bool = False,
         open_loop: bool = False,
+        any_version: bool = False,
         patience: float = 20.0,
     ) -> None:
         self._common_settings = check_settings(time_step, duration, on_collision, None)
@@ -147,33 +154,36 @@ class Carla(Simulator):
         self._time_step, self._duration, self._stop_on_collision = time_step, duration, on_collision == "stop"
         self._ego, self._record, self._seed = ego, record, check_seed(seed, "CARLA's traffic manager")
         self._undriven, self._open_loop = bool(undriven), bool(open_loop)
-        self._server = CarlaServer(*worker_address(hosts, port, worker, _PORTS_PER_SERVER), patience)
+        self._server = CarlaServer(
+            *worker_address(hosts, port, worker, _PORTS_PER_SERVER), patience, any_version=bool(any_version)
+        )
         self._runner_folders = scenario_runner, python, carla_root
         self._traffic_port, self._folder = 8000 + worker, folder
         self._last_scenario: ScenarioFile | None = None
         if self._attached is not None and agent:
             raise InputError(f"`drivers` {ego}: the agent {agent} drives the ego; leave out one of them.")
+        self._external_ego = bool(external_ego)
+        if self._external_ego and (agent or self._attached is not None or ego in self._drivers):
+            raise InputError(f"external_ego: something else drives {ego}, too; leave out one of them.")
         self._agent = None if not agent else _existing_file(agent, "agent")
         self._agent_config = None if not agent_config else _existing_file(agent_config, "agent_config")
 
     @cached_property
-    def _runner(self) -> ScenarioRunnerProcess:
-        return ScenarioRunnerProcess(*self._runner_folders)
+    def _environment(self) -> RunnerEnvironment:
+        return RunnerEnvironment.find(*self._runner_folders)
 
     @cached_property
     def settings(self) -> dict[str, object]:  # type: ignore[override]
         """Settings that recordings depend on; `InputError` if CARLA's client or ScenarioRunner is missing."""
-        _require_client()
-        # A missing ScenarioRunner is told before anything is run.
-        _ = self._runner
         return self._common_settings | {
             "drivers": self._drivers
             | ({} if self._attached is None else {self._ego: serialize_driver(self._attached)}),
             "ego": self._ego,
             "record": self._record,
             "seed": self._seed,
-            "carla": version("carla"),
+            "carla": find_client_version(self._environment),
             # Recordings also depend on the agent.
+            "external_ego": self._external_ego,
             "agent": _file_fingerprint(self._agent),
             "agent_config": _file_fingerprint(self._agent_config),
         }
@@ -198,15 +208,11 @@ class Carla(Simulator):
     @classmethod
     def availability(cls) -> Availability:
         """Return whether client and ScenarioRunner are installed; whether a server runs is not checked."""
+        client_version, missing = "", ""
         try:
-            client_version, missing = version("carla"), ""
-        except PackageNotFoundError:
-            client_version, missing = "", _MISSING_CLIENT_MESSAGE
-        if not missing:
-            try:
-                find_scenario_runner_folder("")
-            except InputError as error:
-                missing = str(error)
+            client_version = find_client_version(RunnerEnvironment.find("", "", ""))
+        except InputError as error:
+            missing = str(error)
         return Availability(
             client_version,
             missing,
@@ -221,7 +227,6 @@ class Carla(Simulator):
 
         Also raises `InputError` if no server answers, or a server of another version than the client's.
         """
-        _require_client()
         for concrete in concretes:
             scenario = self._last_scenario = concrete.load_file(self._last_scenario)
             behaviors = self._behavior_agents(scenario)
@@ -229,16 +234,28 @@ class Carla(Simulator):
                 yield self._run_scenario(scenario, concrete, behaviors)
             except SimulationError as error:
                 if isinstance(error, SimulatorError):
-                    self._server.reset_client()
+                    # The server may have been restarted.
+                    self._server.disconnect()
                 yield error
-            except RuntimeError as error:
-                # CARLA's client raises RuntimeError if the server is gone or does not answer in time.
-                self._server.reset_client()
-                yield SimulatorError(f"CARLA on {self._server.host}:{self._server.port}: {error}")
+
+    def close(self) -> None:
+        """End the client."""
+        self._server.disconnect()
 
     def check_supported(self, scenario: ScenarioFile) -> None:
-        """Refuse a scenario with entities or drivers that CARLA does not have."""
-        self._behavior_agents(scenario)
+        """Refuse a scenario with entities or drivers that CARLA does not have; name parameters without effect."""
+        driven = {*self._behavior_agents(scenario)}
+        if self._agent or self._attached or self._external_ego:
+            driven.add(self._ego)
+        ego = {self._ego}
+        self.notify(
+            describe_overridden_parameters(
+                scenario,
+                driven,
+                externally=ego if self._external_ego else (),
+                obeying=ego if self._attached is not None else (),
+            )
+        )
 
     def _behavior_agents(self, scenario: ScenarioFile) -> dict[str, str]:
         scenario.require_entity(self._ego, "ego")
@@ -254,9 +271,10 @@ class Carla(Simulator):
                     " use another category."
                 )
             driver = self._drivers.get(name, scenario.drivers.get(name, ""))
-            if driver in BEHAVIORS and not (name == self._ego and self._attached):
+            is_driven = name == self._ego and bool(self._agent or self._attached or self._external_ego)
+            if driver in BEHAVIORS and not is_driven:
                 behaviors[name] = driver
-            elif driver and not self._undriven and not (name == self._ego and (self._agent or self._attached)):
+            elif driver and not self._undriven and not is_driven:
                 raise InputError(
                     f"{scenario.path}: '{name}' has the driver '{driver}', which CARLA does not support; `simulator`"
                     " carla:undriven=true runs it with the storyboard only."
@@ -271,7 +289,7 @@ class Carla(Simulator):
         folder = Path(tempfile.mkdtemp(prefix="cornercase-", dir=self._folder or None))
         try:
             if self._attached is None:
-                agents = DrivingAgents(behaviors, self._agent, self._agent_config)
+                agents = DrivingAgents(behaviors, self._agent, self._agent_config, external=self._external_ego)
                 return self._run_in_folder(folder, scenario, concrete, agents)
             located = replace(concrete, file=scenario)
             with AgentServer(self._attached, located, self._ego, self._time_step, folder) as server:
@@ -294,63 +312,67 @@ class Carla(Simulator):
         self, folder: Path, scenario: ScenarioFile, concrete: ConcreteScenario, agents: DrivingAgents
     ) -> Recording:
         file, drivers = folder / "cornercase.xosc", folder / "drivers"
-        write_openscenario_1_0(
+        notes = write_openscenario_1_0(
             scenario, concrete.values, file, ego=self._ego,
             options=ConversionOptions(
                 agents, self._time_step, self._duration, open_loop=self._open_loop, road_file=_ROAD_FILE,
-                controllers=drivers.name,
+                controllers=drivers.name, is_run=True,
             ),
         )  # fmt: skip
         drivers.mkdir(exist_ok=True)
         server, road = self._server, scenario.road_path_for(concrete.values)
         town = carla_map_name(scenario, concrete.values)
-        server.prepare_map(town or (None if road is None else folder / _ROAD_FILE))
-        with EntityTracker(server.get_client(), scenario.entities, self._ego, self._time_step) as tracker:
+        self.notify(note.removesuffix(".") for note in notes if GROUND_NOTE in note)
+        text = ""
+        if road is not None and not town:
+            text = road_text_for_carla(scenario.get_root(road))
+            (folder / _ROAD_FILE).write_text(text, encoding="utf-8")
+        external = self._ego if self._external_ego else ""
+        server.connect(self._environment)
+        server.prepare(town, text, keep=external)
+        log = folder / "cornercase.log"
+        with EntityTracker(server, scenario.entities, self._ego, self._time_step, external=external) as tracker:
             try:
-                self._runner.run_file(
-                    file,
-                    drivers,
-                    self._scenario_runner_options(),
-                    tracker,
-                    duration=self._duration,
-                    until_collision=self._stop_on_collision,
-                    silence=_SILENCE_FACTOR * server.patience,
-                )
+                run_scenario_runner(
+                    self._environment, file, drivers, self._scenario_runner_options(), tracker,
+                    RunLimits(self._duration, self._stop_on_collision, _SILENCE_FACTOR * server.patience),
+                    time_step=self._time_step,
+                    before_start=(lambda: server.start_recorder(log)) if self._record == "recorder" else lambda: None,
+                )  # fmt: skip
             finally:
                 server.leave_synchronous_mode()
-            if self._record == "client":
-                return tracker.make_recording(file, self._duration, self._stop_on_collision)
-        return self._read_recorder_file(folder / "cornercase.log")
+            recording = tracker.make_recording(file, self._duration, self._stop_on_collision)
+        return recording if self._record == "client" else self._read_recorder_file(log, recording)
 
-    def _scenario_runner_options(self) -> dict[str, object]:
+    def _scenario_runner_options(self) -> list[object]:
         server = self._server
-        options: dict[str, object] = {
-            "--host": server.host, "--port": server.port, "--timeout": server.patience,
-            "--frameRate": repr(1.0 / self._time_step), "--trafficManagerPort": self._traffic_port,
-            "--trafficManagerSeed": self._seed,
-        }  # fmt: skip
-        # Relative to the folder of the run.
-        return options | ({"--record": "."} if self._record == "recorder" else {})
+        return [
+            "--host", server.host, "--port", server.port, "--timeout", server.patience,
+            "--trafficManagerPort", self._traffic_port, "--trafficManagerSeed", self._seed,
+            *(["--waitForEgo"] if self._external_ego else []),
+        ]  # fmt: skip
 
-    def _read_recorder_file(self, path: Path) -> Recording:
+    def _read_recorder_file(self, path: Path, seen: Recording) -> Recording:
+        """Return the motion from the recorder's file, which begins a frame after what the client has seen."""
         self._server.stop_recorder()
         if not path.is_file():
             raise SimulationError(
                 f"CARLA wrote no recording {path}; choose a folder that the server can write to, with carla:folder="
             )
         try:
-            recording = read_carla_log(path)
+            logged = read_carla_log(path)
         except InputError as error:
             raise SimulationError(str(error)) from error
-        end = self._duration
-        if self._stop_on_collision and recording.collisions:
-            end = min(end, recording.collisions[0].time)
-        count = int((recording.time <= end + 1e-9).sum())
+        count = min(len(seen.time) - 1, len(logged.time))
+        order = [seen.names.index(name) for name in logged.names]
         return replace(
-            recording,
-            time=recording.time[:count],
-            **{name: getattr(recording, name)[:, :count] for name in ("x", "y", "heading", "speed", "acceleration")},
-            collisions=tuple(collision for collision in recording.collisions if collision.time <= end),
+            logged,
+            time=seen.time[: count + 1],
+            **{
+                name: np.concatenate([getattr(seen, name)[order, :1], getattr(logged, name)[:, :count]], axis=1)
+                for name in ("x", "y", "heading", "speed", "acceleration")
+            },
+            collisions=seen.collisions,
         )
 
 
@@ -379,8 +401,3 @@ def _existing_file(text: str, option: str) -> Path:
 
 def _file_fingerprint(path: Path | None) -> str | None:
     return None if path is None else f"{path.name} {hashlib.sha256(path.read_bytes()).hexdigest()[:16]}"
-
-
-def _require_client() -> None:
-    if find_spec("carla") is None:
-        raise InputError(_MISSING_CLIENT_MESSAGE)

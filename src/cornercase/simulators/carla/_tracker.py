@@ -1,9 +1,9 @@
-"""A second client that records the motion of entities while ScenarioRunner runs."""
+"""Record the motion of entities while ScenarioRunner runs."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final, NamedTuple, Self
@@ -11,93 +11,83 @@ from typing import Any, Final, NamedTuple, Self
 from cornercase._common.errors import SimulationError, SimulatorError
 from cornercase.recordings import Collision, Recording
 from cornercase.recordings._from_samples import EntitySamples, box_center_from_point, recording_from_samples
+from cornercase.simulators.carla._server import CarlaServer
 
 _OBJECT_TYPES: Final = {"motorcycle": "motorbike", "Bus": "bus"}
-_COLLISION_SENSOR: Final = "sensor.other.collision"
 
 
 class _TrackedFrame(NamedTuple):
     number: int
     time_step: float
-    poses: dict[int, tuple[float, float, float, float]]
+    poses: dict[int, tuple[float, ...]]
     """x and y in m, heading in rad, speed in m/s, by the number of the actor."""
 
 
-class EntityTracker:
-    """Records the motion of all entities in a run, from the first frame in which all of them exist.
+class _Box(NamedTuple):
+    """Object type and box of an actor, in m; the centre of the box is ahead and to the left of its origin."""
 
-    `client` is a separate CARLA client, `names` are the role names of the actors, and `time_step` is the time between
-    frames in s. The run ends when the actor `ego` is removed. `missing` lists entities that the last search did not
-    find. CARLA's left-handed axes are converted: y and headings change sign.
+    object_type: str
+    length: float
+    width: float
+    ahead: float
+    left: float
+
+    @classmethod
+    def from_actor(cls, actor: Mapping[str, Any]) -> Self:
+        object_type = actor["base_type"]
+        if actor["type_id"].startswith("walker."):
+            object_type = "pedestrian"
+        elif not actor["type_id"].startswith("vehicle."):
+            object_type = "misc"
+        object_type = _OBJECT_TYPES.get(object_type, object_type or "car")
+        return cls(object_type, *(actor[key] for key in ("length", "width", "ahead", "left")))
+
+
+class EntityTracker:
+    """Records the motion of all entities in a run, by a client of its own.
+
+    `names` are the role names of the actors; `external` may exist before the run. `time_step` is the time between
+    frames in s. The run ends when the actor `ego` is removed. `missing` lists entities that the last search did
+    not find, `first_frame` is the number of the frame in which the storyboard begins, `last_frame` of that in which it
+    ends.
     """
 
-    def __init__(self, client: Any, names: Sequence[str], ego: str, time_step: float) -> None:
-        import carla
-
-        self._carla, self._client = carla, client
+    def __init__(
+        self, server: CarlaServer, names: Sequence[str], ego: str, time_step: float, *, external: str = ""
+    ) -> None:
+        self._server, self._external = server, external
         self._names, self._ego, self._time_step = tuple(names), ego, time_step
         self.missing = self._names
-        self._world = client.get_world()
-        self._earlier_actor_ids = {actor.id for actor in self._world.get_actors()}
+        self.first_frame: int | None = None
+        self.last_frame: float = math.inf
         self._ids: dict[str, int] = {}
         self._entity_ids: frozenset[int] = frozenset()
-        self._boxes: dict[str, tuple[str, float, float, float, float]] = {}
-        self._sensors: list[Any] = []
+        self._boxes: dict[str, _Box] = {}
         self._frames: list[_TrackedFrame] = []
         self._contacts: list[tuple[int, int, int]] = []
-        self._callback = self._world.on_tick(self._store_frame)
 
     def __enter__(self) -> Self:
+        self._server.track(self._names, self._external)
         return self
 
     def __exit__(self, *exception: object) -> None:
         # The server may be gone by now.
-        with suppress(RuntimeError):
-            self._world.remove_on_tick(self._callback)
-        for sensor in self._sensors:
-            with suppress(RuntimeError):
-                sensor.stop()
-                sensor.destroy()
+        with suppress(SimulatorError):
+            self._server.end_tracking()
 
-    def _store_frame(self, snapshot: Any) -> None:
-        """Store a frame; CARLA's client calls this in its own thread."""
-        entity_ids, poses = self._entity_ids, {}
-        for actor in snapshot:
-            # Until the entities are found, record all new actors.
-            if actor.id in self._earlier_actor_ids or (entity_ids and actor.id not in entity_ids):
-                continue
-            transform, velocity = actor.get_transform(), actor.get_velocity()
-            heading = -math.radians(transform.rotation.yaw)
-            speed = velocity.x * math.cos(heading) - velocity.y * math.sin(heading)
-            poses[actor.id] = (transform.location.x, -transform.location.y, heading, speed)
-        self._frames.append(_TrackedFrame(snapshot.timestamp.frame, snapshot.timestamp.delta_seconds, poses))
-
-    def find_entities(self) -> None:
-        """Search for entities that were not found before."""
-        if self._ids:
-            return
-        world = self._client.get_world()
-        actors = {}
-        for actor in world.get_actors():
-            name = actor.attributes.get("role_name", "")
-            if name in self._names and actor.id not in self._earlier_actor_ids:
-                actors[name] = actor
-        self.missing = tuple(name for name in self._names if name not in actors)
-        if self.missing:
-            return
-        # Read now, since the server forgets removed actors.
-        self._boxes = {name: _box_of(actors[name]) for name in self._names}
-        blueprint = world.get_blueprint_library().find(_COLLISION_SENSOR)
-        for actor in actors.values():
-            sensor = world.spawn_actor(blueprint, self._carla.Transform(), attach_to=actor)
-            sensor.listen(self._store_collision)
-            self._sensors.append(sensor)
-        self._ids = {name: actors[name].id for name in self._names}
-        self._entity_ids = frozenset(self._ids.values())
-
-    def _store_collision(self, event: Any) -> None:
-        if event.other_actor is not None:
-            self._contacts.append((event.frame, event.actor.id, event.other_actor.id))
+    def update(self) -> None:
+        """Take what was recorded since the last call, and look for entities that were not found before."""
+        news = self._server.poll()
+        self._frames += [
+            _TrackedFrame(number, step, {int(actor): tuple(pose) for actor, pose in poses.items()})
+            for number, step, poses in news["frames"]
+        ]
+        self._contacts += [(frame, actor, other) for frame, actor, other in news["contacts"]]
+        self.missing = tuple(news["missing"])
+        if news["entities"]:
+            self._boxes = {name: _Box.from_actor(actor) for name, actor in news["entities"].items()}
+            self._ids = {name: actor["id"] for name, actor in news["entities"].items()}
+            self._entity_ids = frozenset(self._ids.values())
 
     @property
     def has_collision(self) -> bool:
@@ -128,13 +118,12 @@ class EntityTracker:
             last = min(last, collisions[0][0])
         tracks = {}
         for name, number in self._ids.items():
-            object_type, length, width, ahead, right = self._boxes[name]
-            tracks[name] = track = EntitySamples(object_type, length, width)
+            box = self._boxes[name]
+            tracks[name] = track = EntitySamples(box.object_type, box.length, box.width)
             for frame in frames:
                 if frame.number <= last and number in frame.poses:
                     x, y, heading, speed = frame.poses[number]
-                    # The offset points to the right of the vehicle, also after the conversion of axes.
-                    center = box_center_from_point(x, y, heading, ahead, -right)
+                    center = box_center_from_point(x, y, heading, box.ahead, box.left)
                     track.samples[(frame.number - first) * self._time_step] = (*center, heading, speed, math.nan)
         collisions_until_end = [
             Collision((number - first) * self._time_step, pair) for number, pair in collisions if number <= last
@@ -142,20 +131,25 @@ class EntityTracker:
         return recording_from_samples(source, tracks, collisions_until_end)
 
     def _run_frames(self) -> list[_TrackedFrame]:
-        """Return frames at equal time steps, from the first with all entities to the last with the ego."""
-        if not self._ids:
+        """Return frames at equal time steps, from the one in which the storyboard begins to the last with the ego."""
+        if self.first_frame is None or not self._ids:
             return []
         ego = self._ids[self._ego]
-        frames = sorted({frame.number: frame for frame in self._frames}.values(), key=lambda frame: frame.number)
-        first_index = next((k for k, frame in enumerate(frames) if self._entity_ids <= frame.poses.keys()), len(frames))
         run: list[_TrackedFrame] = []
-        for frame in frames[first_index:]:
+        for _, frame in sorted({frame.number: frame for frame in self._frames}.items()):
+            if not self.first_frame <= frame.number <= self.last_frame:
+                continue
             # When ScenarioRunner ends, it removes the entities and leaves synchronous mode.
             if ego not in frame.poses or (run and abs(frame.time_step - self._time_step) > 1e-6):
                 break
             if run and frame.number != run[-1].number + 1:
                 raise SimulatorError(f"{frame.number - run[-1].number - 1} frames did not come from CARLA")
             run.append(frame)
+        if len(run) > 1:
+            # The storyboard sets the first speeds in this frame, so they are there in the next one.
+            speeds = {actor: pose[3] for actor, pose in run[1].poses.items()}
+            poses = {actor: (*pose[:3], speeds.get(actor, pose[3])) for actor, pose in run[0].poses.items()}
+            run[0] = run[0]._replace(poses=poses)
         return run
 
     def _first_collisions(self, frames: set[int]) -> list[tuple[int, tuple[str, str]]]:
@@ -167,20 +161,3 @@ class EntityTracker:
                 first_name, second_name = sorted((names[a], names[b]), key=self._names.index)
                 first.setdefault((first_name, second_name), frame)
         return sorted((frame, pair) for pair, frame in first.items())
-
-
-def _box_of(actor: Any) -> tuple[str, float, float, float, float]:
-    """Return object type, box length and width in m, and the offset of the box center ahead and to the right, in m."""
-    object_type = actor.attributes.get("base_type", "car")
-    if actor.type_id.startswith("walker."):
-        object_type = "pedestrian"
-    elif not actor.type_id.startswith("vehicle."):
-        object_type = "misc"
-    box = actor.bounding_box
-    return (
-        _OBJECT_TYPES.get(object_type, object_type or "car"),
-        2 * box.extent.x,
-        2 * box.extent.y,
-        box.location.x,
-        box.location.y,
-    )

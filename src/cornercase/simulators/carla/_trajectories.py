@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -51,8 +53,30 @@ def simulate_builtin(
     return recording
 
 
-def add_trajectories(root: etree._Element, recording: Recording | None, names: list[str], ego: str) -> list[str]:
-    """Add a story in which the named entities, if any, move as in a recording; return notes on differences."""
+@dataclass(frozen=True)
+class Trajectory:
+    """The motion of an entity, in several parts if it jumps.
+
+    `parts`: vertices as arrays with the columns time in s, x and y in m and heading in rad. `starts`: times after which
+    the parts begin. `first_speed`: in m/s, if it is not that of the motion that follows. `end`: time after which the
+    entity vanishes. `note`: what is not the same, if anything.
+    """
+
+    parts: tuple[FloatArray, ...]
+    starts: tuple[float, ...]
+    first_speed: float | None
+    end: float | None
+    note: str
+
+    def to_properties(self, *, ends: bool) -> dict[str, str]:
+        """Return the properties of `cornercase_trajectory.py`, which lets the entity vanish if `ends`."""
+        parts = [[[float(format_number(value)) for value in vertex] for vertex in part.tolist()] for part in self.parts]
+        properties = {"parts": json.dumps(parts), "starts": json.dumps([round(start, 6) for start in self.starts])}
+        return properties | ({"end": format_number(self.end)} if ends and self.end is not None else {})
+
+
+def add_trajectories(root: etree._Element, trajectories: Mapping[str, Trajectory], ego: str) -> None:
+    """Add a story in which entities, if any, follow their trajectories, and which lasts until the stop trigger."""
     storyboard = root.find("Storyboard")
     assert storyboard is not None
     stop = storyboard.find("StopTrigger")
@@ -62,14 +86,12 @@ def add_trajectories(root: etree._Element, recording: Recording | None, names: l
     else:
         stop.addprevious(story)
     act = etree.SubElement(story, "Act", name="cornercase trajectories")
-    notes = (
-        [] if recording is None else [note for name in names for note in _add_entity_trajectory(act, recording, name)]
-    )
+    for name, trajectory in trajectories.items():
+        _add_entity_trajectory(act, trajectory, name)
     # An event that never happens keeps the act, and so ScenarioRunner, running until the stop trigger.
     idle_maneuver = _add_maneuver_group(act, ego, "never")
     _add_event(idle_maneuver, "never", make_speed_action(0.0), make_time_condition("never", _NEVER_TIME))
     etree.SubElement(act, "StartTrigger").append(make_time_condition("from the beginning", -1.0))
-    return notes
 
 
 def _add_maneuver_group(act: etree._Element, entity: str, name: str) -> etree._Element:
@@ -83,49 +105,61 @@ def _add_event(maneuver: etree._Element, name: str, action: etree._Element, trig
     maneuver.append(E.Event(E.Action(action, name=name), E.StartTrigger(trigger), name=name, priority="overwrite"))
 
 
-def _add_entity_trajectory(act: etree._Element, recording: Recording, name: str) -> list[str]:
-    """Add the trajectory of an entity, in several parts if it jumps; return notes."""
+def make_trajectory(recording: Recording, name: str) -> Trajectory:
+    """Return the trajectory of an entity in a recording."""
     k = recording.names.index(name)
     is_present = np.isfinite(recording.x[k])
     count = len(is_present) if is_present.all() else int(np.argmin(is_present))
     time, x, y = recording.time[:count], recording.x[k, :count], recording.y[k, :count]
     heading, speed = np.unwrap(recording.heading[k, :count]), recording.speed[k, :count]
-    notes = []
-    maneuver = _add_maneuver_group(act, name, f"{name} along its trajectory")
-    jumps = _find_jumps(time, x, y, speed)
+    note, jumps = "", _find_jumps(time, x, y, speed)
     if len(jumps) > _MAX_JUMPS:
-        notes.append(f"{name} has the speed of its motion, from which its own differs at {len(jumps)} instants.")
+        note = f"{name} has the speed of its motion, from which its own differs at {len(jumps)} instants."
         jumps = []
-    start_trigger = make_time_condition(f"{name} starts", -1.0)
-    if jumps and jumps[0] == 0:
-        # The first speed does not match the motion that follows.
-        event = f"{name} has its first speed"
-        _add_event(maneuver, event, make_speed_action(max(float(speed[0]), 0.0)), start_trigger)
-        completed = E.StoryboardElementStateCondition(
-            storyboardElementType="event", storyboardElementRef=event, state="completeState"
-        )
-        start_trigger = make_condition(f"{event} before", completed)
-    starts = [0, *(i for i in jumps if i)]
-    for part, start in enumerate(starts):
-        end = starts[part + 1] if part + 1 < len(starts) else count
-        rows = np.arange(start, end)
+    begins = [0, *(i for i in jumps if i)]
+    parts, starts = [], [-1.0]
+    for part, begin in enumerate(begins):
+        end = begins[part + 1] if part + 1 < len(begins) else count
+        rows = np.arange(begin, end)
         trajectory = np.stack([time[rows], x[rows], y[rows], heading[rows]], axis=1)
         vertices = trajectory[_select_vertices(trajectory)]
         if part:
             # The first step leads to the target of the jump.
-            vertices = np.concatenate([[_extrapolate(trajectory[0], speed[start], time[start - 1])], vertices])
-            start_trigger = make_time_condition(f"{name} jumps", 0.5 * float(time[start - 1] + time[max(start - 2, 0)]))
-        if part + 1 < len(starts):
+            vertices = np.concatenate([[_extrapolate(trajectory[0], speed[begin], time[begin - 1])], vertices])
+            starts.append(0.5 * float(time[begin - 1] + time[max(begin - 2, 0)]))
+        if part + 1 < len(begins):
             vertices = np.concatenate(
                 [vertices, [_extrapolate(trajectory[-1], speed[end - 1], 2.0 * time[end] - time[end - 1])]]
             )
-        event_name = f"{name} moves" if part == 0 else f"{name} moves on from {time[start]:g} s"
-        _add_event(maneuver, event_name, _make_follow_action(vertices, event_name), start_trigger)
-    if count < len(is_present):
-        event, seconds = f"{name} vanishes", 0.5 * float(time[-1] + time[max(count - 2, 0)])
+        parts.append(vertices if len(vertices) > 1 else np.repeat(vertices, 2, axis=0))
+    return Trajectory(
+        tuple(parts),
+        tuple(starts),
+        max(float(speed[0]), 0.0) if jumps and jumps[0] == 0 else None,
+        0.5 * float(time[-1] + time[max(count - 2, 0)]) if count < len(is_present) else None,
+        note,
+    )
+
+
+def _add_entity_trajectory(act: etree._Element, trajectory: Trajectory, name: str) -> None:
+    maneuver = _add_maneuver_group(act, name, f"{name} along its trajectory")
+    start_trigger = make_time_condition(f"{name} starts", -1.0)
+    if trajectory.first_speed is not None:
+        event = f"{name} has its first speed"
+        _add_event(maneuver, event, make_speed_action(trajectory.first_speed), start_trigger)
+        completed = E.StoryboardElementStateCondition(
+            storyboardElementType="event", storyboardElementRef=event, state="completeState"
+        )
+        start_trigger = make_condition(f"{event} before", completed)
+    for k, (vertices, start) in enumerate(zip(trajectory.parts, trajectory.starts, strict=True)):
+        if k:
+            start_trigger = make_time_condition(f"{name} jumps", start)
+        event = f"{name} moves" if k == 0 else f"{name} moves on from {vertices[1, 0]:g} s"
+        _add_event(maneuver, event, _make_follow_action(vertices, event), start_trigger)
+    if trajectory.end is not None:
+        event = f"{name} vanishes"
         delete = E.GlobalAction(E.EntityAction(E.DeleteEntityAction(), entityRef=name))
-        _add_event(maneuver, event, delete, make_time_condition(event, seconds))
-    return notes
+        _add_event(maneuver, event, delete, make_time_condition(event, trajectory.end))
 
 
 def _extrapolate(vertex: FloatArray, speed: float, time: float) -> FloatArray:
@@ -148,8 +182,7 @@ def _find_jumps(time: FloatArray, x: FloatArray, y: FloatArray, speed: FloatArra
 def _make_follow_action(trajectory: FloatArray, name: str) -> etree._Element:
     """Create the action that follows a trajectory, given as an array with the columns time, x, y and heading."""
     vertices = [
-        E.Vertex(make_world_position(x, y, heading), time=format_number(time))
-        for time, x, y, heading in (trajectory if len(trajectory) > 1 else np.repeat(trajectory, 2, axis=0))
+        E.Vertex(make_world_position(x, y, heading), time=format_number(time)) for time, x, y, heading in trajectory
     ]
     shape = E.Shape(E.Polyline(*vertices))
     # Times since the start of the run, independent of when ScenarioRunner reaches the action.

@@ -7,17 +7,21 @@ cornercase.
 from __future__ import annotations
 
 import importlib
+import inspect
 import os
 import sys
+import time
 import xml.etree.ElementTree as ElementTree
-from typing import Any, Dict, List, Optional, Tuple
+from typing import Any, Dict, List, Optional, Set, Tuple
 
 import carla
 from agents.navigation.behavior_agent import BehaviorAgent
+from agents.navigation.global_route_planner import GlobalRoutePlanner
 from agents.navigation.local_planner import RoadOption
-from srunner.autoagents.agent_wrapper import AgentWrapper
+from srunner.autoagents.sensor_interface import CallBack
 from srunner.scenariomanager.actorcontrols.npc_vehicle_control import NpcVehicleControl
 from srunner.scenariomanager.carla_data_provider import CarlaDataProvider
+from srunner.scenariomanager.timer import GameTime
 from srunner.tools.openscenario_parser import OpenScenarioParser
 from srunner.tools.route_manipulation import interpolate_trajectory
 
@@ -26,6 +30,10 @@ _EXTENSION = 200.0
 _WAYPOINT_STEP = 2.0
 # Distance in m after which diverging lanes on a junction can be distinguished.
 _LOOKAHEAD = 15.0
+# Most ticks until all sensors send, and time in s for what they send to arrive.
+_MAX_SENSOR_TICKS, _SENSOR_DELAY = 100, 0.02
+# Where a sensor is: in m and degrees.
+_PLACEMENT = ("x", "y", "z", "pitch", "yaw", "roll")
 
 
 class CornercaseDriver(NpcVehicleControl):  # type: ignore[misc]
@@ -80,32 +88,96 @@ class CornercaseDriver(NpcVehicleControl):  # type: ignore[misc]
 
 
 class _UserAgent:
-    """The user's agent, run in the way in which ScenarioRunner runs it in route scenarios."""
+    """The user's agent with its sensors, as ScenarioRunner runs it in route scenarios.
+
+    Its `AgentWrapper` fails at sensors other than cameras, lidars and GNSS.
+    """
 
     def __init__(self, actor: Any, file: str, config: str, targets: List[Any]) -> None:
         sys.path.insert(0, os.path.dirname(file))
         module = importlib.import_module(os.path.splitext(os.path.basename(file))[0])
         # ScenarioRunner's naming convention: my_agent.py contains MyAgent.
         self._agent = getattr(module, module.__name__.title().replace("_", ""))(config)
+        self._actor = actor
         if targets:
-            self._agent.set_global_plan(*interpolate_trajectory([actor.get_location(), *targets]))
-        self._wrapper = AgentWrapper(self._agent)
-        self._wrapper.setup_sensors(actor)
+            self._agent.set_global_plan(*_interpolate_trajectory([actor.get_location(), *targets]))
+        self._sensors: List[Any] = []
+        self._speedometers: List[str] = []
+        # Sensors that have sent something, and whether the agent gets what they send.
+        self._heard: Set[str] = set()
+        self._is_listening = False
+        for spec in self._agent.sensors():
+            self._add_sensor(spec)
+        if self._sensors:
+            self._start_sensors()
 
     def done(self) -> bool:
         return False
 
     def run_step(self) -> Any:
-        return self._wrapper()
+        interface = self._agent.sensor_interface
+        for tag in self._speedometers:
+            forward, velocity = self._actor.get_transform().get_forward_vector(), self._actor.get_velocity()
+            speed = forward.x * velocity.x + forward.y * velocity.y + forward.z * velocity.z
+            interface.update_sensor(tag, {"speed": speed}, GameTime.get_frame())
+        return self._agent()
 
     def close(self) -> None:
-        self._wrapper.cleanup()
+        for sensor in self._sensors:
+            sensor.stop()
+            sensor.destroy()
         self._agent.destroy()
+
+    def _add_sensor(self, spec: Dict[str, Any]) -> None:
+        interface, tag = self._agent.sensor_interface, spec["id"]
+        if spec["type"] == "sensor.speedometer":
+            # Not one of CARLA's.
+            interface.register_sensor(tag, self)
+            self._speedometers.append(tag)
+            return
+        world = CarlaDataProvider.get_world()
+        blueprint = world.get_blueprint_library().find(spec["type"])
+        for name, value in spec.items():
+            if name not in ("type", "id", *_PLACEMENT) and blueprint.has_attribute(name):
+                blueprint.set_attribute(name, str(value))
+        x, y, z, pitch, yaw, roll = (float(spec.get(name, 0.0)) for name in _PLACEMENT)
+        transform = carla.Transform(carla.Location(x, y, z), carla.Rotation(pitch, yaw, roll))
+        sensor = world.spawn_actor(blueprint, transform, self._actor)
+        callback = CallBack(tag, sensor, interface)
+
+        def receive(data: Any) -> None:
+            self._heard.add(tag)
+            if self._is_listening:
+                callback(data)
+
+        sensor.listen(receive)
+        self._sensors.append(sensor)
+
+    def _start_sensors(self) -> None:
+        """Tick until all sensors send, and once more, so that the agent has one value of each for its first step."""
+        world = CarlaDataProvider.get_world()
+        for _ in range(_MAX_SENSOR_TICKS):
+            world.tick()
+            # What was sent arrives in another thread.
+            time.sleep(_SENSOR_DELAY)
+            if len(self._heard) == len(self._sensors):
+                break
+        self._is_listening = True
+        world.tick()
+
+
+def _interpolate_trajectory(points: List[Any]) -> Any:
+    """Return a route of waypoints, as positions of GNSS and of the world."""
+    if "world" in inspect.signature(interpolate_trajectory).parameters:
+        # 0.9.13
+        return interpolate_trajectory(CarlaDataProvider.get_world(), points)
+    return interpolate_trajectory(points)
 
 
 def _plan_route(actor: Any, targets: List[Any]) -> List[Tuple[Any, Any]]:
     """Return waypoints and road options from the actor's position along a route, and on beyond its end."""
-    planner = CarlaDataProvider.get_global_route_planner()
+    # ScenarioRunner 0.9.13 has no planner that all share.
+    planner = GlobalRoutePlanner(CarlaDataProvider.get_map(), _WAYPOINT_STEP)
     start = CarlaDataProvider.get_location(actor) or actor.get_location()
     plan: List[Tuple[Any, Any]] = []
     for target in targets:

@@ -6,11 +6,13 @@ cornercase.
 
 from __future__ import annotations
 
+import json
 import math
 from typing import Any, Dict, List, Optional, Tuple
 
 import carla
 from srunner.scenariomanager.actorcontrols.basic_control import BasicControl
+from srunner.scenariomanager.carla_data_provider import CarlaDataProvider
 from srunner.scenariomanager.timer import GameTime
 
 # Time in s within which a velocity leads to the target position, if the time step is unknown.
@@ -22,19 +24,23 @@ _MAX_DEVIATION = 3.0
 class CornercaseTrajectory(BasicControl):  # type: ignore[misc]
     """Moves a vehicle by its velocity, a walker by its steps, and any other entity by its position.
 
-    It replaces ScenarioRunner's own controls, which would leave the trajectory. ``center_x`` in `args` is the distance
-    in m by which the centre of the scenario's box is ahead of its reference point.
+    It replaces ScenarioRunner's own controls, which would leave the trajectory, and needs nothing of the storyboard. In
+    `args`, ``parts`` is a JSON list of the trajectory's parts, between jumps: lists of time in s, x and y in m and
+    heading in rad, in right-handed axes. Each part begins after one of the times ``starts``, and the entity vanishes
+    after the time ``end``, if any. ``center_x`` is the distance in m by which the centre of the scenario's box is ahead
+    of its reference point.
     """
 
     _actor: Any
-    _waypoints: List[Any]
-    _times: Optional[List[float]]
 
-    def __init__(self, actor: Any, args: Optional[Dict[str, str]] = None) -> None:
+    def __init__(self, actor: Any, args: Dict[str, str]) -> None:
         super().__init__(actor)
         is_movable = isinstance(actor, (carla.Vehicle, carla.Walker))
         actor_center_x = float(actor.bounding_box.location.x) if is_movable else 0.0
-        self._origin_offset = float((args or {}).get("center_x", actor_center_x)) - actor_center_x
+        self._origin_offset = float(args.get("center_x", actor_center_x)) - actor_center_x
+        self._parts: List[List[List[float]]] = json.loads(args["parts"])
+        self._starts: List[float] = json.loads(args["starts"])
+        self._end = float(args.get("end", "inf"))
         # Times of the trajectory start at the first tick of the run.
         self._start_time: Optional[float] = None
         self._last_time: Optional[float] = None
@@ -48,20 +54,24 @@ class CornercaseTrajectory(BasicControl):  # type: ignore[misc]
         now = GameTime.get_time()
         if self._start_time is None:
             self._start_time = now
-        if self._actor is None or not self._actor.is_alive or not self._waypoints or not self._times:
+        if self._actor is None or not self._actor.is_alive:
             return
         step = now - self._last_time if self._last_time is not None and now > self._last_time else _DEFAULT_STEP
         self._last_time = now
         elapsed = now - self._start_time
-        self._reached_goal = elapsed > self._times[-1]
-        x, y, yaw = self._pose_at(elapsed + step)
+        self._reached_goal = elapsed > self._parts[-1][-1][0]
+        if elapsed > self._end:
+            CarlaDataProvider.remove_actor_by_id(self._actor.id)
+            return
+        part = self._parts[max(k for k, start in enumerate(self._starts) if k == 0 or elapsed > start)]
+        x, y, yaw = self._pose_at(part, elapsed + step)
         transform = self._actor.get_transform()
         dx, dy = x - transform.location.x, y - transform.location.y
         if isinstance(self._actor, carla.Walker):
             self._move_walker(dx, dy, step)
         elif (
             isinstance(self._actor, carla.Vehicle)
-            and math.hypot(dx, dy) < _MAX_DEVIATION + self._speed_at(elapsed) * step
+            and math.hypot(dx, dy) < _MAX_DEVIATION + _speed_at(part, elapsed) * step
         ):
             vertical_speed = self._actor.get_velocity().z
             self._actor.set_target_velocity(carla.Vector3D(dx / step, dy / step, vertical_speed))
@@ -85,38 +95,26 @@ class CornercaseTrajectory(BasicControl):  # type: ignore[misc]
         )
         self._actor.apply_control(carla.WalkerControl(direction, distance / step if distance > 1e-4 else 0.0, False))
 
-    def _leg_at(self, elapsed: float) -> Tuple[int, float]:
-        """Return the index of the last vertex before a time, and the fraction of the leg to the next vertex."""
-        assert self._times is not None
-        last = len(self._times) - 1
-        k = min(sum(1 for time in self._times if time <= elapsed), last) - 1
-        k = max(k, 0)
-        if last == 0:
-            return 0, 0.0
-        span = self._times[k + 1] - self._times[k]
-        return k, min(max((elapsed - self._times[k]) / span, 0.0), 1.0) if span > 0.0 else 1.0
+    def _pose_at(self, part: List[List[float]], elapsed: float) -> Tuple[float, float, float]:
+        """Return the pose of the entity's actor at a time, in CARLA's left-handed axes: in m and degrees."""
+        start, end, fraction = _leg_at(part, elapsed)
+        x, y, heading = (start[k] + fraction * (end[k] - start[k]) for k in (1, 2, 3))
+        x, y = x + self._origin_offset * math.cos(heading), y + self._origin_offset * math.sin(heading)
+        return x, -y, -math.degrees(heading)
 
-    def _pose_at(self, elapsed: float) -> Tuple[float, float, float]:
-        """Return the pose of the entity's CARLA actor at a time: x and y in m, yaw in degrees."""
-        k, fraction = self._leg_at(elapsed)
-        start = self._waypoints[k]
-        end = self._waypoints[min(k + 1, len(self._waypoints) - 1)]
-        x = start.location.x + fraction * (end.location.x - start.location.x)
-        y = start.location.y + fraction * (end.location.y - start.location.y)
-        yaw = start.rotation.yaw + fraction * _wrap_degrees(end.rotation.yaw - start.rotation.yaw)
-        return (
-            x + self._origin_offset * math.cos(math.radians(yaw)),
-            y + self._origin_offset * math.sin(math.radians(yaw)),
-            yaw,
-        )
 
-    def _speed_at(self, elapsed: float) -> float:
-        assert self._times is not None
-        k, _ = self._leg_at(elapsed)
-        next_index = min(k + 1, len(self._waypoints) - 1)
-        span = self._times[next_index] - self._times[k]
-        distance = self._waypoints[k].location.distance(self._waypoints[next_index].location)
-        return float(distance / span) if span > 0.0 else 0.0
+def _leg_at(part: List[List[float]], elapsed: float) -> Tuple[List[float], List[float], float]:
+    """Return the vertices before and after a time, and the fraction of the way between them."""
+    k = min(max(sum(1 for vertex in part if vertex[0] <= elapsed) - 1, 0), len(part) - 2)
+    start, end = part[k], part[k + 1]
+    span = end[0] - start[0]
+    return start, end, min(max((elapsed - start[0]) / span, 0.0), 1.0) if span > 0.0 else 1.0
+
+
+def _speed_at(part: List[List[float]], elapsed: float) -> float:
+    start, end, _ = _leg_at(part, elapsed)
+    span = end[0] - start[0]
+    return math.hypot(end[1] - start[1], end[2] - start[2]) / span if span > 0.0 else 0.0
 
 
 def _wrap_degrees(degrees: float) -> float:

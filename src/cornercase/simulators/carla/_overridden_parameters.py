@@ -1,0 +1,70 @@
+"""Find parameters of a scenario that have no effect because something else drives an entity."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Iterator
+from typing import Final
+
+from lxml import etree
+
+from cornercase.scenario._file import ScenarioFile
+
+_REFERENCE_PATTERN: Final = re.compile(r"\$(\w+)")
+_ROUTE_OR_POSITION: Final = ("TeleportAction", "RoutingAction")
+
+
+def describe_overridden_parameters(
+    scenario: ScenarioFile, driven: Collection[str], *, externally: Collection[str], obeying: Collection[str]
+) -> Iterator[str]:
+    """Describe the parameters that only set what the drivers of the entities `driven` decide themselves.
+
+    The entities `externally` have not even a first speed or a route from the scenario; the drivers of the entities
+    `obeying` go on at the first speed.
+    """
+    names = {
+        element.get("name", "") for element in scenario.root.iterfind("ParameterDeclarations/ParameterDeclaration")
+    }
+    overridden: dict[str, set[str]] = {}
+    first_speeds: dict[str, set[str]] = {}
+    effective: set[str] = set()
+    for element in scenario.root.iter("*"):
+        used = names & {name for text in element.attrib.values() for name in _REFERENCE_PATTERN.findall(str(text))}
+        if not used:
+            continue
+        entity, is_speed = _find_overriding_entity(element, driven)
+        if not entity or (is_speed and entity in obeying):
+            effective |= used
+        elif is_speed and entity not in externally:
+            for name in used:
+                first_speeds.setdefault(name, set()).add(entity)
+        elif entity in externally or not _is_route_or_position(element):
+            for name in used:
+                overridden.setdefault(name, set()).add(entity)
+        else:
+            effective |= used
+    for name in sorted(first_speeds.keys() - effective):
+        entities = " and ".join(sorted(first_speeds[name]))
+        yield f"the parameter {name} sets only the first speed of {entities}, as an agent drives from then on"
+    for name in sorted(overridden.keys() - effective - first_speeds.keys()):
+        yield f"the parameter {name} has no effect, as an agent drives {' and '.join(sorted(overridden[name]))}"
+
+
+def _find_overriding_entity(element: etree._Element, driven: Collection[str]) -> tuple[str, bool]:
+    """Return the driven entity (or nothing) that the element tells to move, and whether it is its first speed."""
+    action = next(element.iterancestors("PrivateAction"), None)
+    if action is None:
+        return "", False
+    private = next(element.iterancestors("Private"), None)
+    if private is not None:
+        entity = private.get("entityRef", "")
+        return (entity, action.find(".//SpeedAction") is not None) if entity in driven else ("", False)
+    group = next(element.iterancestors("ManeuverGroup"), None)
+    actors = [] if group is None else [actor.get("entityRef", "") for actor in group.iterfind("Actors/EntityRef")]
+    return (actors[0], False) if actors and all(actor in driven for actor in actors) else ("", False)
+
+
+def _is_route_or_position(element: etree._Element) -> bool:
+    """Whether an element is part of where an entity begins, or of its first route."""
+    is_initial = next(element.iterancestors("Private"), None) is not None
+    return is_initial and next(element.iterancestors(*_ROUTE_OR_POSITION), None) is not None

@@ -1,0 +1,114 @@
+"""Find ScenarioRunner, the Python of its environment and CARLA's agents, of any version."""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Final, Self
+
+from cornercase._common.errors import InputError
+
+RUNNER_VARIABLE: Final = "SCENARIO_RUNNER_ROOT"
+PYTHON_VARIABLE: Final = "CORNERCASE_CARLA_PYTHON"
+CARLA_ROOT_VARIABLE: Final = "CARLA_ROOT"
+# CARLA 0.9.14 came without a ScenarioRunner.
+VERSIONS: Final = ("0.9.13", "0.9.15", "0.9.16")
+_FRAME_RATE_PATTERN: Final = re.compile(r"""['"]--frameRate['"]""")
+# ScenarioRunner has no constant with its version.
+_CHANGELOG_FILE: Final = "Docs/CHANGELOG.md"
+_VERSION_PATTERN: Final = re.compile(r"^## CARLA ScenarioRunner (\d[\w.]*)", re.MULTILINE)
+
+
+def describe_download(version: str) -> str:
+    """Return how to get ScenarioRunner of a version, to be put after "get it"."""
+    command = f"git clone --branch v{version} https://github.com/carla-simulator/scenario_runner"
+    return f"by `{command}` and set {RUNNER_VARIABLE} to its folder"
+
+
+@dataclass(frozen=True)
+class RunnerEnvironment:
+    """Folder of ScenarioRunner, Python of its environment, and folder of CARLA (may be empty)."""
+
+    folder: Path
+    python: str
+    carla_root: str
+
+    @classmethod
+    def find(cls, folder: str, python: str, carla_root: str) -> Self:
+        """Use the environment variables for empty arguments; `InputError` if ScenarioRunner is not found."""
+        return cls(
+            _find_scenario_runner_folder(folder),
+            python or os.environ.get(PYTHON_VARIABLE, "") or sys.executable,
+            carla_root or os.environ.get(CARLA_ROOT_VARIABLE, ""),
+        )
+
+    def variables(self, drivers: Path | None = None) -> dict[str, str]:
+        """Return the environment variables of a program that finds ScenarioRunner, CARLA's agents and `drivers`."""
+        roots = [self.folder, *filter(None, [drivers])]
+        if self.carla_root:
+            roots.append(Path(self.carla_root) / "PythonAPI" / "carla")
+        python_path = os.environ.get("PYTHONPATH", "")
+        return os.environ | {
+            "PYTHONPATH": os.pathsep.join([*map(str, roots), *filter(None, [python_path])]),
+            "PYTHONUNBUFFERED": "1",
+        }
+
+    @cached_property
+    def version(self) -> str:
+        """Version of ScenarioRunner; empty if it is not known."""
+        match = _VERSION_PATTERN.search(_read_source(self.folder / _CHANGELOG_FILE))
+        return "" if match is None else match[1]
+
+    @cached_property
+    def has_frame_rate(self) -> bool:
+        """Whether ScenarioRunner has the option ``--frameRate``, as since 0.9.16."""
+        return bool(_FRAME_RATE_PATTERN.search(_read_source(self.folder / "scenario_runner.py")))
+
+    def check_versions(self, client: str, server: str, address: str) -> None:
+        """Raise `InputError` if ScenarioRunner, client and server are not of one version."""
+        any_version = "; with `simulator` carla:any_version=true it is tried all the same."
+        for version in (server, client):
+            if version.split(".")[:2] == ["0", "10"]:
+                raise InputError(
+                    f"CARLA {version} has no ScenarioRunner, as it runs on Unreal Engine 5; use CARLA"
+                    f" {', '.join(VERSIONS[:-1])} or {VERSIONS[-1]}{any_version}"
+                )
+        if client != server:
+            raise InputError(
+                f"CARLA on {address} has version {server}, the client of {self.python} {client}; start CARLA {client},"
+                f" or get the other client by `{self.python} -m pip install carla=={server}`{any_version}"
+            )
+        if self.version not in ("", client):
+            release = (
+                client if client in VERSIONS else max(other for other in VERSIONS if other <= max(client, "0.9.13"))
+            )
+            raise InputError(
+                f"{self.folder}: ScenarioRunner {self.version} is not that of CARLA {client}; get it"
+                f" {describe_download(release)}{any_version}"
+            )
+
+
+def _find_scenario_runner_folder(explicit_folder: str) -> Path:
+    text = explicit_folder or os.environ.get(RUNNER_VARIABLE, "")
+    if not text:
+        raise InputError(
+            f"ScenarioRunner is not found; get that of your CARLA's version, as {describe_download('0.9.15')}."
+        )
+    folder = Path(text)
+    if not (folder / "scenario_runner.py").is_file():
+        raise InputError(
+            f"{folder}: contains no scenario_runner.py; set {RUNNER_VARIABLE} to the folder of ScenarioRunner."
+        )
+    return folder.resolve()
+
+
+def _read_source(path: Path) -> str:
+    """Return the text of a file; empty if there is no such file."""
+    try:
+        return path.read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return ""
