@@ -1,7 +1,7 @@
 """Speaks CARLA's protocol, so that CARLA's own client takes it for a server: the protocol only, no physics to speak of.
 
 Remote calls come by MessagePack on one port, snapshots and sensor events go out by a stream on the next. Vehicles follow
-their controls as points with a heading; two of them collide when their circles touch. Run it in a process of its own:
+their controls as points with a heading; two of them collide when their boxes touch. Run it in a process of its own:
 
     python carla_server.py PORT ROAD.xodr [what goes wrong]
 """
@@ -96,7 +96,7 @@ class Server:
         for one in bodies:
             for other in bodies:
                 pair = (one.number, other.number)
-                if one is other or math.dist(one.place[:2], other.place[:2]) > one.radius + other.radius:
+                if one is other or not touch(one, other) or "no-collisions" in self.wrong:
                     self.touching.discard(pair)
                     continue
                 if pair not in self.touching and self.log is not None:
@@ -175,7 +175,11 @@ class Server:
                 return refusal(f"no such actor: {error}")
 
     def described(self, actor):
-        return [actor.number, actor.parent, actor.description, box(actor), bytes([10]), actor.token]
+        return [actor.number, actor.parent, actor.description, self.box(actor), bytes([10]), actor.token]
+
+    def box(self, actor):
+        half = (0.0, 0.0) if actor is None else BOXES.get(actor.kind, (0.0, 0.0))
+        return [[float(self.wrong.get("box-ahead", 0.0)), 0.0, 0.7], [*half, 0.7], [0.0, 0.0, 0.0], 0]
 
     def do_version(self):
         return value(self.wrong.get("version", VERSION))
@@ -262,7 +266,7 @@ class Server:
         return value([self.described(self.actors[k]) for k in numbers if k in self.actors])
 
     def do_get_actor_bounding_box(self, number):
-        return value(box(self.actors.get(number)))
+        return value(self.box(self.actors.get(number)))
 
     def do_destroy_actor(self, number):
         for gone in [number, *(k for k, actor in self.actors.items() if actor.parent == number)]:
@@ -463,9 +467,21 @@ class Log:
         self._file.close()
 
 
-def box(actor):
-    half = (0.0, 0.0) if actor is None else BOXES.get(actor.kind, (0.0, 0.0))
-    return [[0.0, 0.0, 0.7], [*half, 0.7], [0.0, 0.0, 0.0], 0]
+def touch(one, other):
+    """Whether the boxes of two actors share a point: no side of either of them is between them."""
+    return not any(gap(a, b, across) > 0.0 for a, b in ((one, other), (other, one)) for across in (False, True))
+
+
+def gap(one, other, across):
+    """Gap in m between an actor's box and that of another along an axis of the former."""
+    turn = math.radians(one.place[4]) + (math.pi / 2 if across else 0.0)
+    axis = math.cos(turn), math.sin(turn)
+    distance = sum(part * (b - a) for part, a, b in zip(axis, one.place[:2], other.place[:2], strict=True))
+    reach = BOXES[one.kind][across]
+    for half, angle in zip(BOXES[other.kind], (0.0, math.pi / 2), strict=True):
+        yaw = math.radians(other.place[4]) + angle
+        reach += half * abs(axis[0] * math.cos(yaw) + axis[1] * math.sin(yaw))
+    return abs(distance) - reach
 
 
 def text(words):

@@ -9,10 +9,15 @@ import threading
 import time
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 if __name__ == "__main__":
     sys.path.insert(0, str(Path(__file__).parents[1]))
 
+import numpy as np
+
+from cornercase.simulators import Builtin
+from cornercase.testing._small_scenarios import write_small_scenarios
 from helpers import foreign_recordings as foreign
 
 
@@ -24,15 +29,18 @@ class Port:
     begins with; ``waits`` whether ``WaitForStatus`` waits, comes back at once, or is an error.
     """
 
-    def __init__(self, pieces=1, odd=None, waits="waits", course=(-1, -5, 0, 0, -3), write=None, state=(-2,), number=0):
+    def __init__(
+        self, pieces=1, odd=None, waits="waits", course=(-1, -5, 0, 0, -3), write=None, state=(-2,), number=0,
+        project=Path(), write_testrun=None,
+    ):  # fmt: skip
+        self.project, self._write_testrun = project, write_testrun
         self._listener = socket.create_server(("127.0.0.1", number))
         self.number = self._listener.getsockname()[1]
         self.asked: list[str] = []
-        self.project = Path()
         self._pieces, self._odd, self._waits, self._course = pieces, odd or {}, waits, course
         self._write = write or (lambda path, values: foreign.erg(path, speed=float(values["ego_speed"])))
         self._states, self._values, self._runs, self._begun = list(state), {}, 0, False
-        self._result = ""
+        self._result, self.testrun = "", ""
         threading.Thread(target=self._serve, daemon=True).start()
 
     def _serve(self):
@@ -81,6 +89,8 @@ class Port:
                     break
                 self._next()
             return b"Etimeout\r\n\r\n" if self._waits == "error" else b"O0\r\n\r\n"
+        if word == "LoadTestRun":
+            self.testrun = rest[0].strip('"')
         if word == "NamedValue":
             self._values[rest[1]] = rest[2]
             return b"O\r\n\r\n"
@@ -99,7 +109,10 @@ class Port:
             self._begun = False
             self._runs += 1
             self._result = f"SimOutput/pc/run{self._runs}.erg"
-            self._write(self.project / self._result, self._values)
+            if self._write_testrun is not None:
+                self._write_testrun(self.project / self._result, self.testrun)
+            else:
+                self._write(self.project / self._result, self._values)
         return self._states[0]
 
     def _next(self):
@@ -128,8 +141,72 @@ def write_testrun(folder, *more, names=("ego_speed", "gap", "lanes", "weather", 
     (folder / "Data" / "Vehicle" / "Examples" / "MyCar").write_text(f"Body.mass = $mass=1500\n{vehicle}\n")
 
 
+class SmallTestRuns:
+    """Writes the small scenarios of the checks as CarMaker would: the motion of the builtin simulator, with a fault."""
+
+    def __init__(self, project, fault=""):
+        self.folder = project / "scenarios"
+        self.folder.mkdir(exist_ok=True)
+        self.scenarios = {one.path.stem: one for one in write_small_scenarios(self.folder).values()}
+        skin = "Vehicle.OuterSkin = 0.7 0.9 0.2 5.2 -0.9 1.6" if fault == "box" else ""
+        write_testrun(project, names=(), vehicle=skin)
+        for stem in self.scenarios:
+            (project / "Data" / "TestRun" / stem).write_text((project / "Data" / "TestRun" / "Crossing").read_text())
+        self.fault = fault
+
+    def write(self, path, testrun):
+        (recording,) = Builtin().run([self.scenarios[testrun]])
+        columns = carmaker_columns(recording, self.fault)
+        foreign.write_erg(path, columns)
+
+
+def carmaker_columns(recording, fault=""):
+    """Columns of a result file, in CarMaker's conventions unless there is a fault."""
+    time = recording.time
+    columns: dict[str, tuple[str, Any]] = {}
+    late = np.maximum(np.arange(len(time)) - (fault == "late"), 0)
+    if fault == "stale":
+        late[-1] -= 1
+    for e, name in enumerate(recording.names):
+        heading, speed = recording.heading[e][late], recording.speed[e][late]
+        # From the reference point to the centre of the box, and from there to the middle of the rear end.
+        ahead = recording.center_x[e] - (0.0 if fault == "centre" else 0.5 * recording.length[e])
+        x = recording.x[e][late] + ahead * np.cos(heading)
+        y = recording.y[e][late] + ahead * np.sin(heading)
+        if fault == "speed" and name == "Ego":
+            x, speed = x[0] + speed[0] * time, speed[0] + 0 * speed
+        if fault == "mirror":
+            y, heading = -y, -heading
+        if fault == "heading":
+            heading = -heading
+        if fault == "feet":
+            x, y, speed = x / 0.3048, y / 0.3048, speed / 0.3048
+        names = (
+            ("Car.tx", "Car.ty", "Car.Yaw", "Car.v")
+            if name == "Ego"
+            else tuple(f"Traffic.{name}.{quantity}" for quantity in ("tx", "ty", "rz", "LongVel"))
+        )
+        columns |= {key: ("Double", values) for key, values in zip(names, (x, y, heading, speed), strict=True)}
+    count = (time > 0.8 * time[-1]).astype(int) if fault == "sensor" else 0 * time
+    return {
+        "Time": ("Double", time * (1.02 if fault == "drift" else 1.0)),
+        **columns,
+        "Sensor.Collision.Vhcl.Fr1.Count": ("Int", count),
+    }
+
+
+def small_port(project, fault="", number=0):
+    """A port that runs the small scenarios of the checks, with a fault."""
+    runs = SmallTestRuns(project, fault)
+    # Listens from the beginning on, so everything else has to be there.
+    return Port(pieces=1000, course=(), number=number, project=project, write_testrun=runs.write)
+
+
 def serve_alone(number, project, *wrong):
-    """Be a program that takes commands at a port; with ``crash-once`` it dies in its first run."""
+    """Be a program that takes commands at a port; with ``crash-once`` it dies in its first run.
+
+    With ``small`` it runs the small scenarios of the checks, with the fault that follows.
+    """
     with (project / "started.txt").open("a") as file:
         file.write("started\n")
 
@@ -138,7 +215,10 @@ def serve_alone(number, project, *wrong):
             os._exit(1)
         foreign.erg(path, speed=float(values["ego_speed"]))
 
-    Port(number=number, write=write, pieces=1000).project = project
+    if "small" in wrong:
+        small_port(project, *wrong[1:], number=number)
+    else:
+        Port(number=number, write=write, pieces=1000, project=project)
     threading.Event().wait()
 
 

@@ -114,6 +114,7 @@ class Carla(Simulator):
     name = "carla"
     requires = ("worker", "ego")
     parameter_passing = "file"
+    has_own_boxes = True
 
     def __init__(
         self,

@@ -103,6 +103,7 @@ class CarMaker(Simulator):
     name = "carmaker"
     requires = ("worker",)
     parameter_passing = "name"
+    runs_storyboard = False
 
     def __init__(
         self,
