@@ -5,7 +5,6 @@ is said by the environment variable FAKE_RUNNER.
 """
 
 import argparse
-import itertools
 import math
 import os
 import sys
@@ -13,6 +12,7 @@ import time
 import xml.etree.ElementTree as ElementTree
 
 import carla
+from playing import play  # type: ignore[import-not-found]
 
 assert not [folder for folder in sys.path if os.path.exists(os.path.join(folder, "road.xodr"))]
 parser = argparse.ArgumentParser()
@@ -46,94 +46,11 @@ world.apply_settings(settings)
 world.tick()
 
 
-class Track:
-    """Where an entity is to be: along the trajectory of its events, else straight on at its first speed."""
-
-    def __init__(self, name, fault):
-        private = root.find(f"Storyboard/Init/Actions/Private[@entityRef='{name}']")
-        self.start = {key: float(one) for key, one in only(private, ".//WorldPosition").items()}
-        self.speed = float(only(private, ".//AbsoluteTargetSpeed")["value"])
-        self.center = float(only(root, f"Entities/ScenarioObject[@name='{name}']//BoundingBox/Center")["x"])
-        self.fault = fault
-        self.legs: list[tuple[float, ...]] = []
-        for group in root.iter("ManeuverGroup"):
-            actor = group.find("Actors/EntityRef")
-            if actor is None or actor.get("entityRef") != name or fault == "speed":
-                continue
-            for shape in group.iterfind(".//FollowTrajectoryAction//Polyline"):
-                vertices = []
-                for vertex in shape.iterfind("Vertex"):
-                    at = {key: float(one) for key, one in only(vertex, ".//WorldPosition").items()}
-                    vertices.append((float(vertex.attrib["time"]), at["x"], at["y"], at.get("h", 0.0)))
-                # A later trajectory replaces the rest of an earlier one.
-                self.legs = [leg for leg in self.legs if leg[0] < vertices[0][0]] + vertices
-
-    def reference(self, time):
-        """x, y and heading of the reference point."""
-        if not self.legs:
-            heading, along = self.start.get("h", 0.0), self.speed * time
-            return self.start["x"] + along * math.cos(heading), self.start["y"] + along * math.sin(heading), heading
-        for (begin, *one), (end, *other) in itertools.pairwise(self.legs):
-            if time <= end:
-                part = max(time - begin, 0.0) / (end - begin)
-                turned = (other[2] - one[2] + math.pi) % (2 * math.pi) - math.pi
-                return (*(a + part * (b - a) for a, b in zip(one[:2], other[:2], strict=True)), one[2] + part * turned)
-        return self.legs[-1][1:]
-
-    def pose(self, time):
-        """x, y and heading of the centre of the box, and the speed."""
-        x, y, heading = self.reference(time)
-        before, after = self.reference(max(time - 0.01, 0.0)), self.reference(time + 0.01)
-        span = time + 0.01 - max(time - 0.01, 0.0)
-        speed = ((after[0] - before[0]) * math.cos(heading) + (after[1] - before[1]) * math.sin(heading)) / span
-        ahead = 0.0 if self.fault == "centre" else self.center
-        x, y = x + ahead * math.cos(heading), y + ahead * math.sin(heading)
-        if self.fault == "mirror":
-            y, heading = -y, -heading
-        if self.fault == "heading":
-            heading = -heading
-        if self.fault == "feet":
-            x, y, speed = x / 0.3048, y / 0.3048, speed / 0.3048
-        return x, y, heading, speed
-
-
-def play(fault):
-    """Move all entities as the file says, with a fault."""
-    tracks, step = [], 1.0 / float(options.frameRate)
-    for holder in root.iterfind("Entities/ScenarioObject"):
-        walks = holder.find("Pedestrian") is not None
-        blueprint = world.get_blueprint_library().find("walker.pedestrian.0001" if walks else "vehicle.tesla.model3")
-        blueprint.set_attribute("role_name", holder.get("name"))
-        track = Track(holder.get("name"), fault)
-        x, y, heading, _ = track.pose(0.0)
-        place = carla.Transform(carla.Location(x, -y, 0.3), carla.Rotation(yaw=-math.degrees(heading)))
-        tracks.append((world.spawn_actor(blueprint, place), track))
-    last = round(float(only(root, "Storyboard/StopTrigger//SimulationTimeCondition")["value"]) / step)
-    for k in range(last + 1):
-        late = max(k - 1, 0) if fault == "late" else k
-        # The server tells the very last frame again when its settings change, without entities.
-        if fault == "stale":
-            late = min(k, last - 2)
-        for actor, track in tracks:
-            x, y, heading, speed = track.pose(late * step * (1.02 if fault == "drift" else 1.0))
-            # The server moves it by its velocity before the frame is sent.
-            back = speed * step
-            x, y = x - back * math.cos(heading), y - back * math.sin(heading)
-            actor.set_transform(carla.Transform(carla.Location(x, -y, 0.3), carla.Rotation(yaw=-math.degrees(heading))))
-            actor.set_target_velocity(carla.Vector3D(speed * math.cos(heading), -speed * math.sin(heading), 0.0))
-        world.tick()
-        if k == 0:
-            # Whoever watches needs time to find them.
-            time.sleep(0.5)
-    print("Nothing to analyze, this scenario has no criteria\nNot all scenario tests were successful")
-    for actor, _ in tracks:
-        actor.destroy()
+if wrong.startswith("plays"):
+    play(world, root, 1.0 / float(options.frameRate), wrong.partition(" ")[2])
     settings.synchronous_mode, settings.fixed_delta_seconds = False, None
     world.apply_settings(settings)
-
-
-if wrong.startswith("plays"):
-    play(wrong.partition(" ")[2])
+    print("Nothing to analyze, this scenario has no criteria\nNot all scenario tests were successful")
     sys.exit()
 actors = []
 for holder in root.iterfind("Entities/ScenarioObject"):

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 import os
+import random
 import socket
 import struct
 import sys
@@ -57,6 +58,31 @@ class Server:
         self.actors, self.subscribers, self.touching = {}, {}, set()
         self.settings: Any = [False, False, [False], True, 0.01, 10, 0.0, True, 3000.0, 2000.0, True]
         self.lock, self.log, self.calls, self.stepped = threading.RLock(), None, 0, 0
+        self.late = 0.0
+        if "random" in self.wrong:
+            self._draw_fault(*self.wrong.pop("random").split(":"))
+
+    def _draw_fault(self, folder, count):
+        """Have one of a number of faults, which all servers with the same folder share; none if all have been."""
+        for number in range(int(count)):
+            try:
+                handle = os.open(Path(folder) / f"fault {number}", os.O_CREAT | os.O_EXCL | os.O_WRONLY)
+            except FileExistsError:
+                continue
+            # Whichever scenario meets it, some time after the start.
+            dice = random.Random(number)
+            tick = str(dice.randrange(1, 40))
+            kind = ("die-at", "lose", "cut-at", "hang-at", "refuse", "late", "silent", "half")[number % 8]
+            calls = ("get_map_data", "spawn_actor", "get_episode_settings")
+            choices = {"refuse": "", "late": "", "silent": dice.choice(calls), "half": dice.choice(calls)}
+            self.wrong[kind] = choices.get(kind, tick)
+            os.write(handle, f"{kind} {self.wrong[kind]}".encode())
+            os.close(handle)
+            break
+        if "refuse" in self.wrong:
+            print("no GPU", flush=True)
+            sys.exit(1)
+        self.late = 0.2 if "late" in self.wrong else 0.0
 
     def serve(self):
         for target in (self._listen_calls, self._listen_streams, self._run_by_itself):
@@ -82,6 +108,8 @@ class Server:
             self.stepped += bool(self.settings[0])
             if self.stepped == int(self.wrong.get("die-at", -1)):
                 os._exit(1)
+            if self.stepped == int(self.wrong.get("hang-at", -1)):
+                time.sleep(600)
             for actor in self.actors.values():
                 actor.move(self.step)
             self._collide()
@@ -153,6 +181,8 @@ class Server:
                     number, name, arguments = message[1:] if message[0] == 0 else (None, *message[1:])
                     if self.wrong.get("silent") == name:
                         time.sleep(60)
+                    if self.late and name != "tick_cue":
+                        time.sleep(self.late)
                     result = self._call(name, arguments[1:])
                     if number is None:
                         continue
@@ -504,5 +534,7 @@ if __name__ == "__main__":
     server = Server(int(sys.argv[1]), Path(sys.argv[2]).read_text(), sys.argv[3:])
     server.serve()
     print("ready", flush=True)
-    # Ends with who has started it.
+    # Ends with who has started it, unless that gives it no input.
     sys.stdin.read()
+    if "stay" in sys.argv:
+        threading.Event().wait()

@@ -216,7 +216,7 @@ def serve_alone(number, project, *wrong):
         foreign.erg(path, speed=float(values["ego_speed"]))
 
     if "small" in wrong:
-        small_port(project, *wrong[1:], number=number)
+        small_port(project, "".join(wrong[1:]), number)
     else:
         Port(number=number, write=write, pieces=1000, project=project)
     threading.Event().wait()

@@ -13,6 +13,7 @@ from cornercase._common.platform import describe_exit_code, kill_process_tree, s
 
 _LOCAL_HOSTS: Final = ("localhost", "127.0.0.1", "::1")
 _POLL_INTERVAL, _END_TIMEOUT = 0.1, 10.0
+_START_ATTEMPTS: Final = 2
 
 
 class ServerProcess:
@@ -68,11 +69,22 @@ class ServerProcess:
         return is_new
 
     def _start(self) -> None:
+        """Start the server, and try again if it fails: it may only have been unlucky."""
         error_class = SimulatorError if self._n_starts else InputError
         if self._is_ready():
             raise error_class(
                 f"Another server answers on port {self._port} already; end it, leave out start, or choose another port."
             )
+        for attempt in range(1, _START_ATTEMPTS + 1):
+            problem = self._try_to_start()
+            if not problem:
+                break
+            if attempt == _START_ATTEMPTS:
+                raise error_class(f"{self._name}, started by '{self._command}', {problem}.")
+        self._n_starts, self._n_scenarios = self._n_starts + 1, 0
+
+    def _try_to_start(self) -> str:
+        """Start the server and wait until it answers; return what went wrong, as a clause, or nothing."""
         self._log = tempfile.TemporaryFile()  # noqa: SIM115
         try:
             self._process = subprocess.Popen(
@@ -80,17 +92,16 @@ class ServerProcess:
             )
         except (OSError, ValueError) as error:
             raise InputError(f"{self._name} cannot be started by '{self._command}' ({error}).") from error
-        self._n_starts, self._n_scenarios = self._n_starts + 1, 0
         deadline = time.monotonic() + self._start_timeout
         while not self._is_ready():
             code = self._process.poll()
             if code is not None or time.monotonic() > deadline:
                 late = f"did not answer within {self._start_timeout:g} s"
-                end = late if code is None else describe_exit_code(code)
-                last_line = self._last_line()
+                problem = (late if code is None else describe_exit_code(code)) + self._last_line()
                 self.stop()
-                raise error_class(f"{self._name}, started by '{self._command}', {end}{last_line}.")
+                return problem
             time.sleep(_POLL_INTERVAL)
+        return ""
 
     def _last_line(self) -> str:
         """Return the last line that the server has printed, as a clause; empty if it has printed nothing."""

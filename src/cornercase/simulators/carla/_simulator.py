@@ -34,6 +34,7 @@ from cornercase.simulators.carla._openscenario_1_0 import (
 )
 from cornercase.simulators.carla._scenario_runner import ScenarioRunnerProcess, find_scenario_runner_folder
 from cornercase.simulators.carla._server import CarlaServer
+from cornercase.simulators.carla._started_server import make_carla_process
 from cornercase.simulators.carla._support_table import HandlingStatus, find_unsupported
 from cornercase.simulators.carla._tracker import EntityTracker
 
@@ -103,6 +104,11 @@ class Carla(Simulator):
         simulator, although it should react to an entity that an agent drives.
     patience : float, default 20
         Time in s to wait for an answer of the server.
+    start : str, optional
+        Command that starts a server for this worker, in which ``{port}`` stands for its port. It is started again
+        after a crash, a hang or a lost frame. By default a server runs already.
+    restart_after : int, default 0
+        Number of scenarios after which a server that was started so is started again; 0 for never.
 
     Raises
     ------
@@ -138,6 +144,8 @@ class Carla(Simulator):
         undriven: bool = False,
         open_loop: bool = False,
         patience: float = 20.0,
+        start: str = "",
+        restart_after: int = 0,
     ) -> None:
         self._common_settings = check_settings(time_step, duration, on_collision, None)
         self._drivers, self._attached = _read_drivers(drivers, ego)
@@ -149,6 +157,11 @@ class Carla(Simulator):
         self._ego, self._record, self._seed = ego, record, check_seed(seed, "CARLA's traffic manager")
         self._undriven, self._open_loop = bool(undriven), bool(open_loop)
         self._server = CarlaServer(*worker_address(hosts, port, worker, _PORTS_PER_SERVER), patience)
+        if not (isinstance(restart_after, int) and restart_after >= 0):
+            raise InputError(f"restart_after={restart_after}: give a number of scenarios from 1 on, or 0 for never.")
+        self._process = (
+            make_carla_process(start, self._server.host, self._server.port, restart_after) if start else None
+        )
         self._runner_folders = scenario_runner, python, carla_root
         self._traffic_port, self._folder = 8000 + worker, folder
         self._last_scenario: ScenarioFile | None = None
@@ -227,15 +240,28 @@ class Carla(Simulator):
             scenario = self._last_scenario = concrete.load_file(self._last_scenario)
             behaviors = self._behavior_agents(scenario)
             try:
+                if self._process is not None and self._process.prepare_scenario():
+                    self._server.reset_client()
                 yield self._run_scenario(scenario, concrete, behaviors)
             except SimulationError as error:
                 if isinstance(error, SimulatorError):
-                    self._server.reset_client()
+                    self._give_up_server()
                 yield error
             except RuntimeError as error:
                 # CARLA's client raises RuntimeError if the server is gone or does not answer in time.
-                self._server.reset_client()
+                self._give_up_server()
                 yield SimulatorError(f"CARLA on {self._server.host}:{self._server.port}: {error}")
+
+    def _give_up_server(self) -> None:
+        """End a server that was started here, so that the next scenario starts it again, and the client in any case."""
+        self._server.reset_client()
+        if self._process is not None:
+            self._process.stop()
+
+    def close(self) -> None:
+        """End the server that was started here."""
+        if self._process is not None:
+            self._process.stop()
 
     def check_supported(self, scenario: ScenarioFile) -> None:
         """Refuse a scenario with entities or drivers that CARLA does not have."""
