@@ -46,6 +46,8 @@ world.apply_settings(settings)
 world.tick()
 
 
+if wrong == "aborts":
+    os.abort()
 if wrong.startswith("plays"):
     play(world, root, 1.0 / float(options.frameRate), wrong.partition(" ")[2])
     settings.synchronous_mode, settings.fixed_delta_seconds = False, None

@@ -74,12 +74,14 @@ class ScenarioRunnerProcess:
             try:
                 stopped = _wait_for_end(process, tracker, duration, until_collision, silence)
             finally:
+                # A client aborts if an answer or a snapshot of the server is cut.
+                is_aborted = (process.poll() or 0) < 0
                 _end_process(process)
         output_text = log.read_text(encoding="utf-8", errors="replace")
         if tracker.missing or not (stopped or any(last_line in output_text for last_line in _END_MESSAGES)):
             last_line = _last_error_line(output_text)
             # A time-out may not happen again when the scenario is retried.
-            error_class = SimulatorError if "time-out of" in last_line else SimulationError
+            error_class = SimulatorError if is_aborted or "time-out of" in last_line else SimulationError
             raise error_class(f"ScenarioRunner did not run it to the end: {last_line}")
 
     def _environment_variables(self, folder: Path, drivers: Path) -> dict[str, str]:
