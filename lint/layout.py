@@ -38,6 +38,7 @@ LARGE_FUNCTIONS = {
     "reduction/_reduce.py reduce": _API,
     "roads/_lane_path.py from_points": "one parameter for each array of the path",
     "simulators/carla/_simulator.py __init__": _SIMULATOR,
+    "simulators/carmaker/_simulator.py __init__": _SIMULATOR,
 }
 # Modules that other programs start by their names.
 PUBLIC_MODULES = (

@@ -38,6 +38,18 @@ class NamedValue:
         self.name, self.value = name, value
 
 
+class OutputQuantities:
+    def __init__(self):
+        self.names = []
+
+    @classmethod
+    def create(cls):
+        return cls()
+
+    def add_quantities(self, names):
+        self.names += names
+
+
 class Project:
     loaded: "Project"
 
@@ -66,11 +78,16 @@ class Variation:
     def create_from_testrun(cls, testrun):
         return cls(testrun)
 
+    quantities = ()
+
     def set_name(self, name):
         self.name = name
 
     def set_nvalues(self, values):
         self.values = {one.name: one.value for one in values}
+
+    def set_outputquantities(self, quantities):
+        self.quantities = quantities.names
 
     def set_storage_mode(self, mode):
         assert mode is StorageMode.save
@@ -132,6 +149,10 @@ class SimControlInteractive:
     async def start_sim(self):
         if WRONG == "raise":
             raise RuntimeError("the application is gone")
+        crashed = Project.loaded.path / "crashed"
+        if WRONG == "raise once" and not crashed.exists():
+            crashed.touch()
+            raise RuntimeError("the application is gone")
         if self.status is SimControlState.configure:
             self.note(json.dumps(self.variation.values))
             self.status = SimControlState.running
@@ -145,6 +166,7 @@ class SimControlInteractive:
         if WRONG != "no file":
             number = len(list((Project.loaded.path / "SimOutput").glob("*.erg")))
             path = Project.loaded.path / "SimOutput" / f"run{number}.erg"
+            (Project.loaded.path / "quantities.txt").write_text(" ".join(self.variation.quantities))
             foreign_recordings.erg(path, speed=self.variation.values.get("ego_speed", foreign_recordings.SPEED))
         self.status = SimControlState.finished
 

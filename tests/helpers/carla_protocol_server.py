@@ -1,7 +1,7 @@
 """Speaks CARLA's protocol, so that CARLA's own client takes it for a server: the protocol only, no physics to speak of.
 
 Remote calls come by MessagePack on one port, snapshots and sensor events go out by a stream on the next. Vehicles follow
-their controls as points with a heading; two of them collide when their circles touch. Run it in a process of its own:
+their controls as points with a heading; two of them collide when their boxes touch. Run it in a process of its own:
 
     python carla_server.py PORT ROAD.xodr [what goes wrong]
 """
@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 import os
+import random
 import socket
 import struct
 import sys
@@ -58,6 +59,31 @@ class Server:
         self.actors, self.subscribers, self.touching = {}, {}, set()
         self.settings: Any = [False, False, [False], True, 0.01, 10, 0.0, True, 3000.0, 2000.0, True]
         self.lock, self.log, self.calls, self.stepped = threading.RLock(), None, 0, 0
+        self.late = 0.0
+        if "random" in self.wrong:
+            self._draw_fault(*self.wrong.pop("random").split(":"))
+
+    def _draw_fault(self, folder, count):
+        """Have one of a number of faults, which all servers with the same folder share; none if all have been."""
+        for number in range(int(count)):
+            try:
+                handle = os.open(Path(folder) / f"fault {number}", os.O_CREAT | os.O_EXCL | os.O_WRONLY)
+            except FileExistsError:
+                continue
+            # Whichever scenario meets it, some time after the start.
+            dice = random.Random(number)
+            tick = str(dice.randrange(1, 40))
+            kind = ("die-at", "lose", "cut-at", "hang-at", "refuse", "late", "silent", "half")[number % 8]
+            calls = ("get_map_data", "spawn_actor", "get_episode_settings")
+            choices = {"refuse": "", "late": "", "silent": dice.choice(calls), "half": dice.choice(calls)}
+            self.wrong[kind] = choices.get(kind, tick)
+            os.write(handle, f"{kind} {self.wrong[kind]}".encode())
+            os.close(handle)
+            break
+        if "refuse" in self.wrong:
+            print("no GPU", flush=True)
+            sys.exit(1)
+        self.late = 0.2 if "late" in self.wrong else 0.0
 
     def serve(self):
         for target in (self._listen_calls, self._listen_streams, self._run_by_itself):
@@ -83,6 +109,8 @@ class Server:
             self.stepped += bool(self.settings[0])
             if self.stepped == int(self.wrong.get("die-at", -1)):
                 os._exit(1)
+            if self.stepped == int(self.wrong.get("hang-at", -1)):
+                time.sleep(600)
             for actor in self.actors.values():
                 actor.move(self.step)
             self._collide()
@@ -97,7 +125,7 @@ class Server:
         for one in bodies:
             for other in bodies:
                 pair = (one.number, other.number)
-                if one is other or math.dist(one.place[:2], other.place[:2]) > one.radius + other.radius:
+                if one is other or not touch(one, other) or "no-collisions" in self.wrong:
                     self.touching.discard(pair)
                     continue
                 if pair not in self.touching and self.log is not None:
@@ -161,6 +189,8 @@ class Server:
                     number, name, arguments = message[1:] if message[0] == 0 else (None, *message[1:])
                     if self.wrong.get("silent") == name:
                         time.sleep(60)
+                    if self.late and name != "tick_cue":
+                        time.sleep(self.late)
                     result = self._call(name, arguments[1:])
                     if number is None:
                         continue
@@ -183,7 +213,11 @@ class Server:
                 return refusal(f"no such actor: {error}")
 
     def described(self, actor):
-        return [actor.number, actor.parent, actor.description, box(actor), bytes([10]), actor.token]
+        return [actor.number, actor.parent, actor.description, self.box(actor), bytes([10]), actor.token]
+
+    def box(self, actor):
+        half = (0.0, 0.0) if actor is None else BOXES.get(actor.kind, (0.0, 0.0))
+        return [[float(self.wrong.get("box-ahead", 0.0)), 0.0, 0.7], [*half, 0.7], [0.0, 0.0, 0.0], 0]
 
     def do_version(self):
         return value(self.wrong.get("version", VERSION))
@@ -272,7 +306,7 @@ class Server:
         return value([self.described(self.actors[k]) for k in numbers if k in self.actors])
 
     def do_get_actor_bounding_box(self, number):
-        return value(box(self.actors.get(number)))
+        return value(self.box(self.actors.get(number)))
 
     def do_destroy_actor(self, number):
         for gone in [number, *(k for k, actor in self.actors.items() if actor.parent == number)]:
@@ -476,9 +510,21 @@ class Log:
         self._file.close()
 
 
-def box(actor):
-    half = (0.0, 0.0) if actor is None else BOXES.get(actor.kind, (0.0, 0.0))
-    return [[0.0, 0.0, 0.7], [*half, 0.7], [0.0, 0.0, 0.0], 0]
+def touch(one, other):
+    """Whether the boxes of two actors share a point: no side of either of them is between them."""
+    return not any(gap(a, b, across) > 0.0 for a, b in ((one, other), (other, one)) for across in (False, True))
+
+
+def gap(one, other, across):
+    """Gap in m between an actor's box and that of another along an axis of the former."""
+    turn = math.radians(one.place[4]) + (math.pi / 2 if across else 0.0)
+    axis = math.cos(turn), math.sin(turn)
+    distance = sum(part * (b - a) for part, a, b in zip(axis, one.place[:2], other.place[:2], strict=True))
+    reach = BOXES[one.kind][across]
+    for half, angle in zip(BOXES[other.kind], (0.0, math.pi / 2), strict=True):
+        yaw = math.radians(other.place[4]) + angle
+        reach += half * abs(axis[0] * math.cos(yaw) + axis[1] * math.sin(yaw))
+    return abs(distance) - reach
 
 
 def text(words):
@@ -501,5 +547,7 @@ if __name__ == "__main__":
     server = Server(int(sys.argv[1]), Path(sys.argv[2]).read_text(), sys.argv[3:])
     server.serve()
     print("ready", flush=True)
-    # Ends with who has started it.
+    # Ends with who has started it, unless that gives it no input.
     sys.stdin.read()
+    if "stay" in sys.argv:
+        threading.Event().wait()

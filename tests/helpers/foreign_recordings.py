@@ -40,10 +40,10 @@ def esmini(path):
     path.write_text("\n".join(lines) + "\n")
 
 
-def erg(path, without=(), speed=SPEED):
+def erg(path, without=(), speed=SPEED, ahead=30.0, more=None):
     """Ego, which tells this speed, and T00 with boxes of 4.5 m x 1.8 m from their rear ends, 30 m apart."""
     x, y = way(TIME)
-    other_x, other_y = way(TIME, 30.0)
+    other_x, other_y = way(TIME, ahead)
     columns = {
         "Time": ("Double", TIME), "Car.tx": ("Double", x), "Car.ty": ("Double", y), "Car.v": ("Float", 0 * TIME + speed),
         "Car.Yaw": ("Float", 0 * TIME + HEADING), "Traffic.T00.tx": ("Double", other_x),
@@ -51,15 +51,19 @@ def erg(path, without=(), speed=SPEED):
         "Traffic.T00.v_0.y": ("Float", 0 * TIME + SPEED * np.sin(HEADING)), "Driver.GearNo": ("Int", TIME),
         "Padding": ("3 Bytes", TIME),
     }  # fmt: skip
+    write_erg(path, {name: one for name, one in (columns | (more or {})).items() if name not in without})
+
+
+def write_erg(path, columns):
+    """A result file with columns: type and values by name."""
     kinds = {"Double": "<f8", "Float": "<f4", "Int": "<i4", "3 Bytes": "V3"}
-    kept = {name: one for name, one in columns.items() if name not in without}
-    table = np.zeros(len(TIME), [(name, kinds[kind]) for name, (kind, _) in kept.items()])
-    for name, (kind, values) in kept.items():
+    table = np.zeros(len(columns["Time"][1]), [(name, kinds[kind]) for name, (kind, _) in columns.items()])
+    for name, (kind, values) in columns.items():
         if kind != "3 Bytes":
             table[name] = values
     path.write_bytes(b"CM-ERG\0\0" + struct.pack("<HHI", 1, table.dtype.itemsize, 0) + table.tobytes())
     about = ["#INFOFILE1.1 - Do not remove this line!", "File.Format = erg", "File.ByteOrder = LittleEndian"]
-    for k, (name, (kind, _)) in enumerate(kept.items(), 1):
+    for k, (name, (kind, _)) in enumerate(columns.items(), 1):
         about += [f"File.At.{k}.Name = {name}", f"File.At.{k}.Type = {kind}"]
     path.with_name(path.name + ".info").write_text("\n".join(about) + "\n")
 

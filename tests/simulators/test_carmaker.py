@@ -23,14 +23,17 @@ from cornercase._common.errors import InputError, NoticeWarning, SimulationError
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import CarMaker
 from cornercase.simulators.carmaker._cmapi_client import CmapiClient
+from cornercase.simulators.carmaker._licences import Licence
 from cornercase.simulators.carmaker._tcl_run import TclClient, TclTestRun
 from cornercase.simulators.pool._simulator import WorkerSimulator
 from cornercase.study import StudyFile
 from helpers import foreign_recordings as foreign
+from helpers.carla_or_stand_in import free_port
+from helpers.carmaker_port import Port, write_testrun
 from helpers.command_line import cornercase
 
 # Entities without boxes; another test covers boxes.
-pytestmark = pytest.mark.filterwarnings("ignore:.* have no <BoundingBox>:UserWarning")
+pytestmark = pytest.mark.filterwarnings("ignore:.* ha(s|ve) no <BoundingBox>:UserWarning")
 
 SAMPLE = Path(__file__).parents[3] / "shared" / "reference" / "simulators" / "carmaker" / "example.erg"
 SCENARIO = """<?xml version="1.0"?>
@@ -45,110 +48,12 @@ SCENARIO = """<?xml version="1.0"?>
 """
 
 
-class Port:
-    """A replacement for CarMaker that listens on a command port and goes through its states.
-
-    After ``StartSim`` it prepares, adapts its driver, runs and postprocesses, each for some questions for its status;
-    then it is idle, and its result lies in a new file; without a course it never begins. ``odd`` says what it answers instead, by the word a command
-    begins with; ``waits`` whether ``WaitForStatus`` waits, comes back at once, or is an error.
-    """
-
-    def __init__(self, pieces=1, odd=None, waits="waits", course=(-1, -5, 0, 0, -3), write=None, state=(-2,)):
-        self._listener = socket.create_server(("127.0.0.1", 0))
-        self.number = self._listener.getsockname()[1]
-        self.asked: list[str] = []
-        self.project = Path()
-        self._pieces, self._odd, self._waits, self._course = pieces, odd or {}, waits, course
-        self._write = write or (lambda path, values: foreign.erg(path, speed=float(values["ego_speed"])))
-        self._states, self._values, self._runs, self._begun = list(state), {}, 0, False
-        self._result = ""
-        threading.Thread(target=self._serve, daemon=True).start()
-
-    def _serve(self):
-        while True:
-            try:
-                line, _ = self._listener.accept()
-            except OSError:
-                return
-            threading.Thread(target=self._talk, args=(line,), daemon=True).start()
-
-    def _talk(self, line):
-        # The client may have disconnected.
-        with suppress(OSError):
-            self._answer_all(line)
-
-    def _answer_all(self, line):
-        heard = b""
-        with line:
-            while piece := line.recv(4096):
-                heard += piece
-                while b"\r" in heard:
-                    command, _, heard = heard.partition(b"\r")
-                    self.asked.append(command.decode())
-                    word = command.decode().split()[0]
-                    odd = self._odd.get(word)
-                    odd = odd.pop(0) if isinstance(odd, list) and odd else odd or None
-                    if odd == "close":
-                        return
-                    if odd == "silence":
-                        time.sleep(2)
-                    answer = odd.encode() if odd else self._answer(command.decode())
-                    half = odd == "Ocut"
-                    for k in range(0, len(answer), self._pieces):
-                        line.sendall(answer[k : k + self._pieces])
-                        time.sleep(0.001)
-                    if half:
-                        return
-
-    def _answer(self, command):
-        word, *rest = command.split()
-        if word == "SimStatus":
-            return b"O%d\r\n\r\n" % self._next()
-        if word == "WaitForStatus":
-            for _ in range(100 if self._waits == "waits" else 0):
-                if self._state() >= 0 if rest[0] == "running" else self._state() == -2:
-                    break
-                self._next()
-            return b"Etimeout\r\n\r\n" if self._waits == "error" else b"O0\r\n\r\n"
-        if word == "NamedValue":
-            self._values[rest[1]] = rest[2]
-            return b"O\r\n\r\n"
-        if word == "GetLastResultFName":
-            return f"O{self._result}\r\n\r\n".encode()
-        if word == "StartSim" and self._course is not None:
-            self._states, self._begun = [*self._course, -2], True
-        if word == "StopSim":
-            self._states, self._begun = [-3, -2], False
-        if word in ("LoadTestRun", "SaveMode", "StartSim", "StopSim"):
-            return b"\r\n"
-        return f'Einvalid command name "{word}"\r\n\r\n'.encode()
-
-    def _state(self):
-        if self._states[0] == -2 and self._begun:
-            self._begun = False
-            self._runs += 1
-            self._result = f"SimOutput/pc/run{self._runs}.erg"
-            self._write(self.project / self._result, self._values)
-        return self._states[0]
-
-    def _next(self):
-        """Return the state and move to the next; the last one stays."""
-        state = self._state()
-        if len(self._states) > 1:
-            self._states.pop(0)
-        return state
-
-    def close(self):
-        # Wakes up the thread that waits for a call.
-        self._listener.shutdown(socket.SHUT_RDWR)
-        self._listener.close()
-
-
 @pytest.fixture
 def project(tmp_path):
     folder = tmp_path / "project"
     (folder / "SimOutput" / "pc").mkdir(parents=True)
     foreign.erg(folder / "SimOutput" / "pc" / "run.erg")
+    write_testrun(folder)
     (tmp_path / "s.xosc").write_text(SCENARIO)
     return folder
 
@@ -178,11 +83,15 @@ def test_a_run_from_end_to_end_however_the_answers_are_split(project, pieces):
     np.testing.assert_allclose(found.speed[0], 42.5, atol=1e-4)
     commands = [command.partition(" ")[0] for command in port.asked]
     assert commands == [
-        "SimStatus", "LoadTestRun", "NamedValue", "SaveMode", "StartSim", "WaitForStatus", "SimStatus", "WaitForStatus",
+        "SimStatus", "LoadTestRun", "OutQuantsAdd", "NamedValue", "SaveMode", "StartSim", "WaitForStatus", "SimStatus", "WaitForStatus",
         "SimStatus", "GetLastResultFName",
     ]  # fmt: skip
     assert port.asked[1] == 'LoadTestRun "Crossing"'
-    assert port.asked[2] == "NamedValue set ego_speed 42.5"
+    assert port.asked[2] == (
+        "OutQuantsAdd {Time Car.tx Car.ty Car.Yaw Car.v Sensor.Collision.Vhcl.Fr1.Count Traffic.T00.tx Traffic.T00.ty"
+        " Traffic.T00.rz Traffic.T00.LongVel Traffic.T00.v_0.x Traffic.T00.v_0.y}"
+    )
+    assert port.asked[3] == "NamedValue set ego_speed 42.5"
     port.close()
 
 
@@ -275,7 +184,7 @@ def test_who_has_no_box_is_said(project):
 def test_values_are_one_tcl_word(project):
     port = Port()
     run(project, port, {"ego_speed": -1.5e-7, "weather": "heavy rain; exit"})
-    assert port.asked[2:4] == ["NamedValue set ego_speed -1.5e-07", "NamedValue set weather {heavy rain; exit}"]
+    assert port.asked[3:5] == ["NamedValue set ego_speed -1.5e-07", "NamedValue set weather {heavy rain; exit}"]
     found = run(project, port, {"weather": "} exit {"})
     assert "Tcl" in str(found)
     port.close()
@@ -291,7 +200,7 @@ def test_values_are_one_tcl_word(project):
         ),
         ({"StartSim": "close"}, "CarMaker closed the connection while answering 'StartSim'", True),
         ({"GetLastResultFName": "Ocut"}, "CarMaker closed the connection while answering 'GetLastResultFName'", True),
-        ({"SimStatus": ["O-6\r\n\r\n"]}, "CarMaker ended the TestRun with a fatal error", True),
+        ({"SimStatus": "O-6\r\n\r\n"}, "is not idle but stopped by a fatal error (-6)", True),
         ({"SimStatus": "Owell\r\n\r\n"}, "reports the status 'well', which is not a number", False),
         ({"GetLastResultFName": "O\r\n\r\n"}, "stored no result file", False),
         ({"GetLastResultFName": "OSimOutput/none.erg\r\n\r\n"}, "cannot be read", False),
@@ -462,7 +371,10 @@ def test_42_1_a_suite_gives_ipgs_module_the_named_values_too(cmapi, project):
         ({"testrun": "a[exit]"}, "a special character of Tcl"),
         ({"port": 0}, "localhost:0 is not a valid address"),
         ({"drivers": {"Ego": "normal"}}, "`drivers` Ego: no driver of cornercase drives in CarMaker"),
-        ({"on_collision": "stop"}, "only if the TestRun says so"),
+        ({"on_collision": "halt"}, "`on_collision` halt"),
+        ({"licences": -1}, "give a number of CarMakers from 1 on"),
+        ({"start": "CM.exe", "via": "port"}, "write {port} in its place"),
+        ({"start": "CM.exe -cmdport {port}", "hosts": "far", "via": "port"}, "on this machine, not on far"),
         ({"speedup": 0.0}, "both must be above 0"),
     ],
 )
@@ -496,8 +408,6 @@ def test_entities_that_carmaker_does_not_have_are_refused(project):
 @pytest.fixture
 def cmapi(monkeypatch, project):
     """A replacement for IPG's module with configurable failures."""
-    (project / "Data" / "TestRun").mkdir(parents=True)
-    (project / "Data" / "TestRun" / "Crossing").touch()
     monkeypatch.syspath_prepend(str(Path(__file__).parents[1] / "fake_cmapi"))
 
     def wrong(what):
@@ -547,7 +457,7 @@ def test_what_goes_wrong_by_ipgs_module_is_one_sentence(cmapi, project, wrong, k
     cmapi(wrong)
     control = CmapiClient(project, "Crossing", 2.0)
     with pytest.raises(kind) as caught:
-        control.run_testrun({"ego_speed": 42.5})
+        control.run_testrun("Crossing", {"ego_speed": 42.5})
     assert words in str(caught.value)
     assert ("stopped" in (project / "said.txt").read_text()) == (wrong == "hang")
     control.close()
@@ -556,7 +466,7 @@ def test_what_goes_wrong_by_ipgs_module_is_one_sentence(cmapi, project, wrong, k
 def test_a_run_of_somebody_else_is_stopped_before_ours_is_configured(cmapi, project):
     cmapi("busy")
     control = CmapiClient(project, "Crossing", 60.0)
-    assert control.run_testrun({"ego_speed": 7.0}).is_file()
+    assert control.run_testrun("Crossing", {"ego_speed": 7.0}).is_file()
     assert (project / "said.txt").read_text().splitlines()[:2] == ["connected", "stopped"]
     control.close()
 
@@ -566,7 +476,7 @@ def test_a_carmaker_that_does_not_come_to_rest_is_left(cmapi, project, monkeypat
     cmapi("restless")
     control = CmapiClient(project, "Crossing", 60.0)
     with pytest.raises(SimulatorError, match="is not idle within"):
-        control.run_testrun({"ego_speed": 7.0})
+        control.run_testrun("Crossing", {"ego_speed": 7.0})
     control.close()
 
 
@@ -612,3 +522,228 @@ def test_a_way_that_is_not_there_is_refused(project):
         CarMaker(testrun="Crossing", project=str(project), via="cmapi")
     with pytest.raises(InputError, match="did you mean 'port'"):
         CarMaker(testrun="Crossing", project=str(project), via="prot")  # type: ignore[arg-type]
+
+
+_BARE = '<ScenarioObject name="Ego"/>'
+
+
+def declare(project, *parameters, entities=""):
+    """A scenario file with more parameters."""
+    declared = "".join(f'<ParameterDeclaration name="{one}" parameterType="double" value="1"/>' for one in parameters)
+    text = SCENARIO.replace("</ParameterDeclarations>", f"{declared}</ParameterDeclarations>")
+    (project.parent / "s.xosc").write_text(text.replace('<ScenarioObject name="Ego"/>', entities or _BARE))
+
+
+def test_a_value_that_the_testrun_does_not_use_is_refused_before_anything_runs(project):
+    declare(project, "gpa")
+    port = Port()
+    done = cornercase(
+        "explore", project.parent / "s.xosc", "--range", "gpa=1:4", "--ego", "Ego", "--other", "T00", "--metric",
+        "distance", "--budget", "4", "-o", project.parent / "s.db",
+        "--simulator", f"carmaker:testrun=Crossing,project={project},hosts=127.0.0.1,port={port.number}",
+    )  # fmt: skip
+    assert done.returncode == 2
+    assert "Crossing (of CarMaker 8.0.2): this TestRun does not use the named value gpa" in done.stderr
+    assert "write $gpa=0 where it belongs" in done.stderr
+    assert not port.asked
+    assert not (project.parent / "s.db").exists()
+    port.close()
+    declare(project)
+    with pytest.raises(InputError, match="named value weight of the search"):
+        run(project, port, {"ego_speed": 3.0, "weight": 1.0})
+
+
+def test_a_value_in_the_vehicle_data_set_or_in_a_box_is_used(project):
+    ego = """<ScenarioObject name="Ego"><Vehicle name="e" vehicleCategory="car"><BoundingBox><Center x="1" y="0" z="1"/>
+<Dimensions length="$long" width="2" height="1"/></BoundingBox></Vehicle></ScenarioObject>"""
+    declare(project, "mass", "long", entities=ego)
+    port = Port()
+    assert run(project, port, {"ego_speed": 3.0, "mass": 1800.0, "long": 5.0}).length[0] == 5.0
+    assert "NamedValue set mass 1800" in port.asked
+    port.close()
+
+
+def test_a_testrun_elsewhere_is_not_checked_and_that_is_said(project):
+    (project / "Data" / "TestRun" / "Crossing").unlink()
+    port = Port()
+    with pytest.warns(NoticeWarning, match="Crossing: is not there, so that nobody checks whether .* uses ego_speed"):
+        assert run(project, port).names == ("Ego", "T00")
+    port.close()
+
+
+TRAFFIC = ("Traffic.0.Name = T00", "Traffic.0.ObjectClass = Truck", "Traffic.0.Basics.Dimension = 9.5 2.4 3")
+
+
+def test_boxes_come_from_the_vehicle_data_set_and_the_testrun(project, recwarn):
+    write_testrun(project, *TRAFFIC, vehicle="Vehicle.OuterSkin = -0.1 0.85 0.2 4.05 -0.85 1.6")
+    port = Port()
+    found = run(project, port)
+    np.testing.assert_allclose(found.length, [4.15, 9.5])
+    np.testing.assert_allclose(found.width, [1.7, 2.4])
+    assert found.object_types == ("car", "truck")
+    # From 0.1 m behind the position in the file to 4.05 m before it.
+    np.testing.assert_allclose([found.x[0, 0], found.y[0, 0]], foreign.way(0.0, 1.975), atol=1e-6)
+    assert not [one for one in recwarn if issubclass(one.category, NoticeWarning)]
+    port.close()
+
+
+def test_a_box_of_the_scenario_file_that_is_not_the_vehicles_is_said(project):
+    write_testrun(project, vehicle="Vehicle.OuterSkin = 0 0.9 0.2 4.5 -0.9 1.6")
+    ego = """<ScenarioObject name="Ego"><Vehicle name="e" vehicleCategory="car"><BoundingBox><Center x="1" y="0" z="1"/>
+<Dimensions length="5" width="2" height="1"/></BoundingBox></Vehicle></ScenarioObject>"""
+    declare(project, entities=ego)
+    port = Port()
+    with pytest.warns(NoticeWarning, match=r"box of Ego is 5 m x 2 m, and in the files of the TestRun 4\.5 m x 1\.8 m"):
+        assert run(project, port).length[0] == 5.0
+    port.close()
+
+
+def approaching(path, values, **more):
+    """T00 stands 20 m ahead of an ego at 8 m/s, whose front is 4.5 m ahead of its position."""
+    other_x, other_y = foreign.way(0.0 * foreign.TIME, 0.0)
+    ahead = 20.0
+    columns = {
+        "Traffic.T00.tx": ("Double", other_x + ahead * np.cos(foreign.HEADING)),
+        "Traffic.T00.ty": ("Double", other_y + ahead * np.sin(foreign.HEADING)),
+        "Traffic.T00.rz": ("Double", 0 * foreign.TIME + foreign.HEADING),
+        "Traffic.T00.LongVel": ("Double", 0 * foreign.TIME),
+    }
+    foreign.erg(path, more=columns | more)
+
+
+def test_collisions_come_from_boxes_and_may_end_the_recording(project):
+    port = Port(write=approaching)
+    found = run(project, port)
+    (collision,) = found.collisions
+    assert collision.entities == ("Ego", "T00")
+    # 15.5 m at 8 m/s.
+    assert collision.time == pytest.approx(2.0)
+    assert found.time[-1] == pytest.approx(4.0)
+    stopped = run(project, port, on_collision="stop")
+    assert stopped.time[-1] == pytest.approx(2.0)
+    assert stopped.collisions == found.collisions
+    port.close()
+
+
+def test_a_collision_sensor_counts(project):
+    # Its sensor sees the contact 0.1 s before the boxes touch, and later hits nobody that is known.
+    count = (foreign.TIME > 1.85).astype(int) + (foreign.TIME > 3.85)
+    port = Port(
+        write=lambda path, values: approaching(path, values, **{"Sensor.Collision.Vhcl.Fr1.Count": ("Int", count)})
+    )
+    assert [round(one.time, 6) for one in run(project, port).collisions] == [1.9]
+    port.close()
+    far = {"Sensor.Collision.Vhcl.Fr1.Count": ("Int", count)}
+    port = Port(write=lambda path, values: foreign.erg(path, more=far))
+    assert run(project, port).collisions == ()
+    port.close()
+
+
+def test_a_version_that_takes_no_output_quantities_runs_on(project):
+    port = Port(odd={"OutQuantsAdd": 'Einvalid command name "OutQuantsAdd"\r\n\r\n'})
+    assert run(project, port).names == ("Ego", "T00")
+    port.close()
+
+
+def test_ipgs_module_is_told_what_to_store(cmapi, project):
+    with closing(CarMaker(testrun="Crossing", project=str(project))) as simulator:
+        ran(simulator, [ConcreteScenario(project.parent / "s.xosc", {"ego_speed": 9.0})])
+    stored = (project / "quantities.txt").read_text().split()
+    assert {"Time", "Car.tx", "Traffic.T00.ty", "Sensor.Collision.Vhcl.Fr1.Count"} <= {*stored}
+
+
+def test_failsafe_is_left_before_the_next_run(project):
+    port = Port(state=[-6] * 10_000)
+    assert run(project, port).speed[0, 0] == pytest.approx(42.5)
+    assert [one.partition(" ")[0] for one in port.asked[:2]] == ["SimStatus", "StopSim"]
+    port.close()
+
+
+def test_a_carmaker_that_ipgs_module_has_lost_is_started_again(cmapi, project):
+    cmapi("raise once")
+    options = {"testrun": "Crossing", "project": str(project)}
+    simulator = WorkerSimulator("carmaker", options)
+    concretes = [ConcreteScenario(project.parent / "s.xosc", {"ego_speed": speed}) for speed in (20.0, 30.0)]
+    found = ran(simulator, concretes)
+    simulator.close()
+    assert [one.speed[0, 0] for one in found] == pytest.approx([20.0, 30.0])
+    said = (project / "said.txt").read_text().splitlines()
+    assert said.count("connected") == 2
+    assert [json.loads(one)["ego_speed"] for one in said if one.startswith("{")] == [20.0, 30.0]
+
+
+def test_a_carmaker_that_fails_again_costs_its_scenario_after_one_retry(cmapi, project):
+    cmapi("raise")
+    simulator = WorkerSimulator("carmaker", {"testrun": "Crossing", "project": str(project)})
+    (found,) = simulator.run([ConcreteScenario(project.parent / "s.xosc", {"ego_speed": 20.0})])
+    simulator.close()
+    assert str(found) == (
+        "cmapi, the Python package of CarMaker, failed with RuntimeError: the application is gone, tried 2 times"
+    )
+    assert (project / "said.txt").read_text().splitlines().count("connected") == 2
+
+
+def test_only_as_many_run_at_a_time_as_there_are_licences(tmp_path):
+    running, most = 0, 0
+    lock = threading.Lock()
+
+    def work():
+        nonlocal running, most
+        licence = Licence(2, tmp_path)
+        for _ in range(5):
+            licence.acquire()
+            with lock:
+                running += 1
+                most = max(most, running)
+            time.sleep(0.01)
+            with lock:
+                running -= 1
+            licence.release()
+
+    threads = [threading.Thread(target=work) for _ in range(5)]
+    for one in threads:
+        one.start()
+    for one in threads:
+        one.join(60)
+    assert (running, most) == (0, 2)
+
+
+def test_a_licence_that_another_worker_waits_for_is_given_back(cmapi, project, monkeypatch):
+    monkeypatch.setattr("cornercase.simulators.carmaker._licences.user_cache_folder", lambda: project.parent / "cache")
+    concrete = ConcreteScenario(project.parent / "s.xosc", {"ego_speed": 20.0})
+    other = Licence(1)
+    with closing(CarMaker(testrun="Crossing", project=str(project), licences=1)) as simulator:
+        ran(simulator, [concrete])
+        # Its CarMaker waits for the next scenario, and keeps the licence.
+        waiting = threading.Thread(target=other.acquire, daemon=True)
+        waiting.start()
+        waiting.join(0.5)
+        assert waiting.is_alive()
+        ran(simulator, [concrete])
+        waiting.join(60)
+        assert not waiting.is_alive()
+    other.release()
+    assert (project / "said.txt").read_text().splitlines()[-1] == "disconnected"
+
+
+def test_cornercase_starts_carmaker_and_starts_it_again_after_a_crash(project):
+    program = Path(__file__).parents[1] / "helpers" / "carmaker_port.py"
+    options = {
+        "testrun": "Crossing", "project": str(project), "via": "port", "port": free_port(),
+        "start": f"{sys.executable} {program} {{port}} {project} crash-once",
+    }  # fmt: skip
+    simulator = WorkerSimulator("carmaker", options)
+    concretes = [ConcreteScenario(project.parent / "s.xosc", {"ego_speed": speed}) for speed in (20.0, 30.0)]
+    found = ran(simulator, concretes)
+    simulator.close()
+    assert [one.speed[0, 0] for one in found] == pytest.approx([20.0, 30.0])
+    assert (project / "started.txt").read_text().split() == ["started"] * 2
+    with pytest.raises(OSError, match="refused"):
+        socket.create_connection(("127.0.0.1", options["port"]), 1.0)
+
+
+def test_a_carmaker_that_does_not_start_is_said_with_its_last_words(project):
+    command = f"{sys.executable} -c \"print('no licence'); import sys; sys.exit(3)\" {{port}}"
+    simulator = CarMaker(testrun="Crossing", project=str(project), via="port", port=free_port(), start=command)
+    with pytest.raises(InputError, match="ended with exit code 3; its last words: no licence"):
+        ran(simulator, [ConcreteScenario(project.parent / "s.xosc", {"ego_speed": 9.0})])

@@ -16,6 +16,7 @@ import pytest
 import cornercase as cc
 from conftest import moving, ran, scenario_file
 from cornercase._common.errors import InputError, SimulationError
+from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import SIMULATORS, Esmini
 from cornercase.simulators.pool._simulator import WorkerSimulator
@@ -91,6 +92,10 @@ def test_parameters_collisions_and_the_same_again():
     assert slow.speed[slow.names.index("Ego")].max() == pytest.approx(3.0)
     (wrong,) = Esmini(undriven=True).run([ConcreteScenario(T, {"no_such": 3.0})])
     assert str(wrong) == "esmini does not take the parameter no_such"
+    # A text where a number belongs costs its scenario alone.
+    nonsense, well = Esmini(undriven=True).run([ConcreteScenario(T, {"ego_speed": one}) for one in ("nonsense", 3.0)])
+    assert str(nonsense) == "esmini does not take the parameter ego_speed"
+    assert isinstance(well, Recording)
 
 
 @needs_library

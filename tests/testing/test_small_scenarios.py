@@ -13,6 +13,7 @@ import pytest
 from cornercase.recordings import Collision, Recording
 from cornercase.simulators import Builtin
 from cornercase.testing import run_checks, simulator_checks
+from cornercase.testing._corrections import box_centers as centers
 from cornercase.testing._deviations import SmallRun, run_small_scenario
 from cornercase.testing._small_scenarios import SMALL_SCENARIOS, write_small_scenarios
 from helpers.command_line import cornercase
@@ -63,23 +64,56 @@ def which_ends_early(recording: Recording) -> Recording:
     return replace(recording, time=recording.time[:half], **arrays)
 
 
-FAULTS: dict[str, tuple[Callable[[Recording], Recording], str]] = {
-    "y is mirrored": (lambda one: replace(one, y=-one.y), "position"),
-    "a tick late": (a_tick_late, "position"),
-    "collisions are lost": (lambda one: replace(one, collisions=()), "collision by any s"),
-    "collisions are invented": (hit_by_all, "collision by any s"),
-    "boxes about the wrong point": (lambda one: replace(one, center_x=0.0 * one.center_x), "box by"),
-    "boxes of another car": (lambda one: replace(one, width=one.width + 0.2), "box by"),
-    "time drifts": (lambda one: replace(one, time=1.01 * one.time), "position"),
-    "the ego ignores speeds": (ignores_speed, "speed by"),
-    "speeds in km/h": (lambda one: replace(one, speed=3.6 * one.speed), "speed by"),
-    "headings in degrees": (lambda one: replace(one, heading=np.rad2deg(one.heading)), "heading by"),
-    "headings clockwise": (lambda one: replace(one, heading=-one.heading), "heading by"),
-    "braking is positive": (lambda one: replace(one, acceleration=np.abs(one.acceleration)), "acceleration by"),
-    "another point of the vehicle": (lambda one: replace(one, x=one.x + 1.4), "position by"),
-    "other names": (with_the_wrong_name, "It has other entities: Ego"),
-    "an early end": (which_ends_early, "end by"),
-}
+def in_feet(recording: Recording) -> Recording:
+    arrays = {name: getattr(recording, name) / 0.3048 for name in ("x", "y", "speed", "acceleration")}
+    return replace(recording, **arrays)
+
+
+def stale(recording: Recording) -> Recording:
+    arrays = {name: getattr(recording, name).copy() for name in ("x", "y", "heading", "speed", "acceleration")}
+    for values in arrays.values():
+        values[:, -1] = values[:, -2]
+    return replace(recording, **arrays)
+
+
+# What is wrong, what the checks find, and what it looks like.
+FAULTS: dict[str, tuple[Callable[[Recording], Recording], str, str]] = {
+    "y is mirrored": (lambda one: replace(one, y=-one.y, heading=-one.heading), "position", "y is mirrored"),
+    "positions mirrored": (lambda one: replace(one, y=-one.y), "position", "y of positions alone is mirrored"),
+    "a tick late": (a_tick_late, "position", "it is a time step (0.05 s) late"),
+    "collisions are lost": (lambda one: replace(one, collisions=()), "collision by any s", "collisions are lost"),
+    "collisions are invented": (hit_by_all, "collision by any s", "collisions are invented"),
+    "boxes about the wrong point": (
+        lambda one: replace(one, center_x=one.center_x + 0.7), "position by", "boxes are about another point",
+    ),
+    "boxes of another car": (lambda one: replace(one, width=one.width + 0.2), "box by", ""),
+    "time drifts": (lambda one: replace(one, time=1.01 * one.time), "position", "its clock is 1.0% too fast"),
+    "the ego ignores speeds": (ignores_speed, "speed by", "Ego ignores changes of its speed"),
+    "speeds in km/h": (lambda one: replace(one, speed=3.6 * one.speed), "speed by", "speeds are in km/h"),
+    "lengths in feet": (in_feet, "position", "lengths are in feet"),
+    "headings in degrees": (
+        lambda one: replace(one, heading=np.rad2deg(one.heading), center_x=0 * one.center_x, x=centers(one)[0],
+                            y=centers(one)[1]),
+        "heading by", "headings are in degrees",
+    ),
+    "headings clockwise": (
+        lambda one: replace(one, heading=-one.heading), "heading by", "headings are clockwise",
+    ),
+    "braking is positive": (
+        lambda one: replace(one, acceleration=np.abs(one.acceleration)), "acceleration by", "braking is positive",
+    ),
+    "centres of boxes for reference points": (
+        lambda one: replace(one, x=centers(one)[0], y=centers(one)[1]), "position by",
+        "the reference point is that of the centre",
+    ),
+    "reference points for centres of boxes": (
+        lambda one: replace(one, center_x=0.0 * one.center_x), "position by",
+        "the reference point is taken for the centre",
+    ),
+    "a stale last frame": (stale, "position by", "the last frame is that before"),
+    "other names": (with_the_wrong_name, "It has other entities: Ego", ""),
+    "an early end": (which_ends_early, "end by", ""),
+}  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -88,11 +122,13 @@ def small(tmp_path_factory):
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_each_fault_is_found(fault, small):
-    change, words = FAULTS[fault]
+def test_each_fault_is_found_and_named(fault, small):
+    change, words, name_of_fault = FAULTS[fault]
     faulty = Faulty(change)
     # Ends at the first scenario that shows it.
-    assert any(words in run_small_scenario(faulty, name, small[name]).problem for name in SMALL_SCENARIOS)
+    problems = (run_small_scenario(faulty, name, small[name]).problem for name in SMALL_SCENARIOS)
+    seen = next(problem for problem in problems if words in problem and name_of_fault in problem)
+    assert ("it looks as if" in seen) == bool(name_of_fault)
 
 
 @pytest.fixture(scope="module")
@@ -150,6 +186,9 @@ def test_the_proof_holds_what_was_seen(tmp_path):
     assert len([name for name in names if name.endswith(".csv")]) == 24
     assert [scenario["name"] for scenario in found["scenarios"]] == [*SMALL_SCENARIOS]
     assert all(scenario["deviations"]["position"] == 0.0 for scenario in found["scenarios"])
+    assert all(scenario["spread"] == 0.0 for scenario in found["scenarios"])
+    assert all(scenario["seconds_again"] > 0.0 for scenario in found["scenarios"])
+    assert found["scenarios"][-1]["boxes"] == {"Ego": [4.5, 1.8], "T00": [6.0, 2.1]}
     assert all(check["problem"] == "" for check in found["checks"])
 
 

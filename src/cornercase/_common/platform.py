@@ -120,6 +120,22 @@ def lock_folder(folder: Path) -> Iterator[None]:
         yield
 
 
+def try_lock_file(handle: int) -> bool:
+    """Lock an open file, unless another process has; return whether it is locked. The lock ends with the process."""
+    try:
+        if sys.platform == "win32":
+            import msvcrt
+
+            msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
+        else:
+            import fcntl
+
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    return True
+
+
 def encode_path(path: Path) -> bytes:
     """Encode a path for the C library.
 

@@ -39,11 +39,15 @@ class EntitySamples:
 
 @dataclass(frozen=True)
 class EntityBox:
-    """Object type and box size of an entity, for motion files that contain neither; as in `Recording`."""
+    """Object type and box size of an entity, for motion files that contain neither; as in `Recording`.
+
+    `ahead` is the distance in m from the position in the file to the center of the box; if it is unknown, None.
+    """
 
     object_type: str
     length: float
     width: float
+    ahead: float | None = None
 
 
 def box_center_from_point(x: float, y: float, heading: float, ahead: float, left: float = 0.0) -> tuple[float, float]:

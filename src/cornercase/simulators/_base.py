@@ -76,6 +76,10 @@ class Simulator(Configurable, ABC):
     takes_driver_parameters : bool, default False
         Whether its drivers can differ between scenarios: ``concrete.values`` then also has values such as
         ``Ego.reaction``, for the option ``reaction`` of the driver of ``Ego``. They are refused otherwise.
+    runs_storyboard : bool, default True
+        Whether the storyboard of the scenario file says what happens; otherwise something else does, such as a TestRun.
+    has_own_boxes : bool, default False
+        Whether its vehicles are models with boxes of their own, instead of those of the scenario file.
     parameter_passing : {"name", "file"}, default "name"
         How it takes parameter values. ``"name"``: ``concrete.values`` has the values of all parameters that the
         scenario file declares. ``"file"``: it reads the file, and ``concrete.values`` has only the values that differ
@@ -110,6 +114,8 @@ class Simulator(Configurable, ABC):
     deterministic: ClassVar[bool] = False
     batched: ClassVar[bool] = False
     takes_driver_parameters: ClassVar[bool] = False
+    runs_storyboard: ClassVar[bool] = True
+    has_own_boxes: ClassVar[bool] = False
     parameter_passing: Literal["name", "file"] = "name"
     on_notice: Callable[[str], None] = staticmethod(issue_notice_warning)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -17,6 +17,7 @@ from cornercase.scenario import ConcreteScenario, LogicalScenario
 from cornercase.simulators import Simulator
 from cornercase.simulators._create import create_simulator
 from cornercase.simulators._results import check_simulator_accepts, run_scenarios
+from cornercase.testing._small_scenarios import write_small_scenarios
 
 N_CASES: Final = 4
 """Number of concrete scenarios of each logical scenario."""
@@ -124,6 +125,34 @@ class Cases:
         list of Recording or SimulationError
             In order.
         """
+        return list(self.iter_outcomes(simulator, rows, workers=workers, **options))
+
+    def iter_outcomes(
+        self,
+        simulator: str | Simulator = "builtin",
+        rows: Sequence[int] | None = None,
+        *,
+        workers: int = 1,
+        **options: Any,
+    ) -> Iterator[Recording | SimulationError]:
+        """Run all scenarios, or some of them, also those that fail.
+
+        Parameters
+        ----------
+        simulator : str or Simulator, default "builtin"
+            An object runs in this process, unless there are options.
+        rows : sequence of int, optional
+            Which scenarios, in this order; by default all.
+        workers : int, default 1
+            Number of worker processes.
+        **options
+            Of the simulator.
+
+        Yields
+        ------
+        Recording or SimulationError
+            In order, each as soon as it is there.
+        """
         concretes = self.concretes if rows is None else [self.concretes[row] for row in rows]
         # An object runs itself, in this process.
         starting = (
@@ -135,7 +164,7 @@ class Cases:
             check_simulator_accepts(started, [concretes[0].load_file()], concretes)
             # Limits that a driver exceeds are no breach of its contract.
             started.on_notice = _ignore_notice
-            return list(run_scenarios(started, concretes))
+            yield from run_scenarios(started, concretes)
 
 
 def default_cases() -> list[Cases]:
@@ -146,6 +175,12 @@ def default_cases() -> list[Cases]:
         _read(x_intersection, [], x_intersection.with_suffix(".space.xosc")),
         _read(folder / "r157" / "deceleration.xosc", ["gap=20:60", "deceleration=2:6"]),
     ]
+
+
+def storyless_cases(folder: Path) -> list[Cases]:
+    """Return scenarios for simulators in which something else than the storyboard says what happens."""
+    names = ("constant speed", "two that pass each other")
+    return [Cases((concrete,), "Ego") for concrete in write_small_scenarios(folder, *names).values()]
 
 
 def unlimited_cases(folder: Path) -> Cases:

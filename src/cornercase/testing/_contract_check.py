@@ -30,6 +30,10 @@ class ContractCheck:
     needs: str = ""
 
 
+class NotTried(Exception):  # noqa: N818
+    """A check cannot be tried; the message says why, as a sentence."""
+
+
 @dataclass(frozen=True)
 class CheckResult:
     """What came of a check.
@@ -44,12 +48,15 @@ class CheckResult:
         How long it took.
     blocked_by : str, default ""
         Name of the check that failed and that this one needs, so that it was not run; empty if it was run.
+    not_tried : str, default ""
+        Why it could not be tried, as a sentence; empty if it was tried.
     """
 
     name: str
     problem: str
     seconds: float
     blocked_by: str = ""
+    not_tried: str = ""
 
 
 def run_checks(checks: Iterable[ContractCheck]) -> Iterator[CheckResult]:
@@ -72,10 +79,12 @@ def run_checks(checks: Iterable[ContractCheck]) -> Iterator[CheckResult]:
                 causes[check.name] = cause
                 yield CheckResult(check.name, f"It was not run, as it needs '{cause}'.", 0.0, cause)
                 continue
-            begin, requests = time.perf_counter(), count_requests()
+            begin, requests, not_tried = time.perf_counter(), count_requests(), ""
             try:
                 check.run()
                 problem = ""
+            except NotTried as error:
+                problem, not_tried = "", str(error)
             except (AssertionError, InputError) as error:
                 problem = str(error)
             except BaseException as error:
@@ -84,4 +93,4 @@ def run_checks(checks: Iterable[ContractCheck]) -> Iterator[CheckResult]:
             raise_interrupt()
             if problem:
                 causes[check.name] = check.name
-            yield CheckResult(check.name, problem, time.perf_counter() - begin)
+            yield CheckResult(check.name, problem, time.perf_counter() - begin, not_tried=not_tried)

@@ -5,17 +5,23 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Final
 
 import numpy as np
+from lxml import etree
 
 from cornercase._common.errors import SimulationError
 from cornercase._common.geometry.boxes import wrap_angle
 from cornercase._common.typing import FloatArray
 from cornercase.recordings import Recording
+from cornercase.recordings._compare import max_position_difference
 from cornercase.scenario import ConcreteScenario
-from cornercase.simulators import Builtin, Simulator
+from cornercase.simulators import SIMULATORS, Builtin, Simulator
 from cornercase.testing._cases import Cases
+from cornercase.testing._corrections import box_centers, iter_corrections
 
 TOLERANCES: Final = {
     "position": 0.5,
@@ -28,6 +34,8 @@ TOLERANCES: Final = {
 }
 """Largest deviations that count as agreement, as in `Deviations`."""
 
+# s by which the same instant may differ.
+_SAME_TIME: Final = 1e-6
 _UNITS: Final = {
     "position": "m",
     "heading": "rad",
@@ -43,13 +51,18 @@ _UNITS: Final = {
 class Deviations:
     """The largest deviations of an entity from the builtin simulator; infinite where one cannot be told."""
 
-    position: float  # m, at an instant
+    position: float  # m, of the centre of the bounding box at an instant
     heading: float  # rad, at an instant
     speed: float  # m/s, on average over time, as speeds jump where an action begins
     acceleration: float  # m/s², the median over time
     collision: float  # s, of when two entities collide first; infinite if they collide in one recording only
-    box: float  # m, of length, width and centre of its bounding box
+    box: float  # m, of length and width of its bounding box; 0 if the simulator has its own
     end: float  # s, of the end of the recording
+
+    @property
+    def size(self) -> float:
+        """The largest deviation but that of the end, which is part of some corrections, in parts of its tolerance."""
+        return max(float(value) / TOLERANCES[name] for name, value in asdict(self).items() if name != "end")
 
     @property
     def problem(self) -> str:
@@ -64,45 +77,93 @@ class Deviations:
 
 @dataclass(frozen=True)
 class SmallRun:
-    """A run of a small scenario in a simulator, beside one in the builtin simulator."""
+    """Two runs of a small scenario in a simulator, beside one in the builtin simulator."""
 
     name: str
     problem: str  # why they do not agree, as a sentence; empty if they do
     deviations: Deviations | None  # None if there is no recording that can be compared
-    seconds: float
+    seconds: float  # of the first run, with the start of the simulator
+    seconds_again: float  # of the second one
+    spread: float | None  # m between positions in both runs; None if that cannot be told
     own: Recording | None
     expected: Recording
 
 
 def run_small_scenario(simulator: str | Simulator, name: str, concrete: ConcreteScenario) -> SmallRun:
-    """Run a small scenario in a simulator and in the builtin one."""
-    (expected,) = Builtin().run([concrete])
-    assert isinstance(expected, Recording), expected
+    """Run a small scenario twice in a simulator and once in the builtin one."""
+    outcomes, seconds = list[Recording | SimulationError](), list[float]()
     begin = time.perf_counter()
-    (own,) = Cases((concrete,), "Ego").outcomes(simulator)
-    seconds = time.perf_counter() - begin
+    for outcome in Cases((concrete, concrete), "Ego").iter_outcomes(simulator):
+        outcomes.append(outcome)
+        seconds.append(time.perf_counter() - begin)
+        begin = time.perf_counter()
+    own, again = outcomes
+    has_own_boxes = SIMULATORS.get_class(simulator).has_own_boxes
+    expected = _run_builtin(concrete, own if has_own_boxes and isinstance(own, Recording) else None)
+    run = partial(SmallRun, name, seconds=seconds[0], seconds_again=seconds[1], expected=expected)
     if isinstance(own, SimulationError):
-        return SmallRun(name, f"It failed: {own}.", None, seconds, None, expected)
+        return run(f"It failed: {own}.", None, spread=None, own=None)
+    spread = None if isinstance(again, SimulationError) else max_position_difference(own, again)
     missing = sorted({*expected.names} ^ {*own.names})
     if missing:
-        return SmallRun(name, f"It has other entities: {', '.join(missing)}.", None, seconds, own, expected)
+        return run(f"It has other entities: {', '.join(missing)}.", None, spread=spread, own=own)
     deviations = measure_deviations(own, expected)
-    return SmallRun(name, deviations.problem, deviations, seconds, own, expected)
+    problem = deviations.problem
+    if problem and (cause := diagnose(own, expected)):
+        problem = f"{problem.removesuffix('.')}; it looks as if {cause}."
+    return run(problem, deviations, spread=spread, own=own)
+
+
+def _run_builtin(concrete: ConcreteScenario, boxes: Recording | None) -> Recording:
+    """Run a scenario in the builtin simulator, with the boxes of a recording if there is one."""
+    with TemporaryDirectory() as name:
+        if boxes is not None:
+            root = etree.parse(concrete.path).getroot()
+            for element in root.iter("ScenarioObject"):
+                dimensions = element.find(".//Dimensions")
+                if dimensions is not None and element.get("name") in boxes.names:
+                    e = boxes.entity_index(element.get("name", ""))
+                    dimensions.set("length", f"{boxes.length[e]:.6g}")
+                    dimensions.set("width", f"{boxes.width[e]:.6g}")
+            road = root.find("RoadNetwork/LogicFile")
+            assert road is not None
+            road.set("filepath", str((concrete.path.parent / road.get("filepath", "")).resolve()))
+            path = Path(name) / concrete.path.name
+            path.write_bytes(etree.tostring(root))
+            concrete = ConcreteScenario(path, {})
+        (expected,) = Builtin().run([concrete])
+    assert isinstance(expected, Recording), expected
+    return expected
+
+
+def diagnose(own: Recording, expected: Recording) -> str:
+    """Return what is wrong with a recording, as a clause: what agrees best if it is undone; empty if nothing does."""
+    best, cause = np.inf, ""
+    for clause, corrected in iter_corrections(own, expected):
+        deviations = measure_deviations(corrected, expected)
+        if not deviations.problem and deviations.size < best:
+            best, cause = deviations.size, clause
+    return cause
 
 
 def measure_deviations(own: Recording, expected: Recording) -> Deviations:
     """Return how far a recording is from another one of the same entities, at the instants of the latter."""
     end = min(own.time[-1], expected.time[-1])
-    at = expected.time[(expected.time <= end) & (expected.time >= own.time[0])]
+    # Instants may differ by rounding.
+    at = expected.time[(expected.time <= end + _SAME_TIME) & (expected.time >= own.time[0] - _SAME_TIME)]
     rows = [own.entity_index(name) for name in expected.names]
     begin = int(np.searchsorted(expected.time, at[0])) if len(at) else 0
     shown = slice(begin, begin + len(at))
-    x, y, speed, acceleration = (
+    x, y = (
+        _resample(own.time, own_center[rows], at) - expected_center[:, shown]
+        for own_center, expected_center in zip(box_centers(own), box_centers(expected), strict=True)
+    )
+    speed, acceleration = (
         _resample(own.time, getattr(own, name)[rows], at) - getattr(expected, name)[:, shown]
-        for name in ("x", "y", "speed", "acceleration")
+        for name in ("speed", "acceleration")
     )
     heading = wrap_angle(_resample(own.time, np.unwrap(own.heading[rows]), at) - expected.heading[:, shown])
-    boxes = [np.abs(getattr(own, name)[rows] - getattr(expected, name)) for name in ("length", "width", "center_x")]
+    boxes = [np.abs(getattr(own, name)[rows] - getattr(expected, name)) for name in ("length", "width")]
     return Deviations(
         position=_largest(np.hypot(x, y)),
         heading=_largest(np.abs(heading)),

@@ -15,6 +15,7 @@ import numpy as np
 
 from cornercase import __version__
 from cornercase._common.io.files import atomic_write
+from cornercase.recordings import Recording
 from cornercase.simulators import SIMULATORS, Simulator
 from cornercase.testing._contract_check import CheckResult
 from cornercase.testing._deviations import TOLERANCES, SmallRun
@@ -58,6 +59,9 @@ def _describe(
                 "name": run.name,
                 "problem": run.problem,
                 "seconds": round(run.seconds, 3),
+                "seconds_again": round(run.seconds_again, 3),
+                "spread": None if run.spread is None else float(f"{run.spread:.4g}"),
+                "boxes": None if run.own is None else _boxes(run.own),
                 "deviations": None if run.deviations is None else _rounded(asdict(run.deviations)),
             }
             for run in runs
@@ -68,3 +72,11 @@ def _describe(
 def _rounded(deviations: Mapping[str, float]) -> dict[str, float | None]:
     """Return deviations to 4 digits; None for one that is infinite, which JSON does not know."""
     return {name: float(f"{value:.4g}") if np.isfinite(value) else None for name, value in deviations.items()}
+
+
+def _boxes(recording: Recording) -> dict[str, list[float]]:
+    """Return length and width of each entity in m."""
+    return {
+        name: [round(float(length), 3), round(float(width), 3)]
+        for name, length, width in zip(recording.names, recording.length, recording.width, strict=True)
+    }

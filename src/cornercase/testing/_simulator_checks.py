@@ -17,8 +17,9 @@ from cornercase._common.geometry.boxes import wrap_angle
 from cornercase.recordings import Recording
 from cornercase.recordings._compare import are_bitwise_equal, max_position_difference
 from cornercase.simulators import SIMULATORS, Simulator
-from cornercase.testing._cases import Cases, default_cases
-from cornercase.testing._contract_check import ContractCheck
+from cornercase.testing._cases import Cases, default_cases, storyless_cases
+from cornercase.testing._contract_check import ContractCheck, NotTried
+from cornercase.testing._crash import crash_during_runs
 from cornercase.testing._deviations import SmallRun, run_small_scenario
 from cornercase.testing._small_scenarios import SMALL_SCENARIOS, write_small_scenarios
 
@@ -30,6 +31,8 @@ _MOVING: Final = 2.0
 _MAX_SLIP: Final = 0.35
 _AVAILABLE: Final = "can run on this machine"
 _RUNS: Final = "gives one recording per scenario"
+# Folders of scenarios that checks will run.
+_FOLDERS: Final = list[TemporaryDirectory[str]]()
 # What a check needs; all others need recordings.
 _NEEDS: Final = {_AVAILABLE: "", _RUNS: _AVAILABLE}
 
@@ -54,8 +57,8 @@ def simulator_checks(
     -------
     list of ContractCheck
     """
-    given = cases if cases is not None else default_cases()
     declared = SIMULATORS.get_class(simulator)
+    given = cases if cases is not None else _default_cases(declared)
     checks = {
         _AVAILABLE: _is_available,
         _RUNS: _gives_recordings,
@@ -67,6 +70,8 @@ def simulator_checks(
         checks["repeats itself, as it declares"] = _repeats
     if declared.batched:
         checks["gives the same alone and among other scenarios"] = _is_independent
+    if not declared.in_process:
+        checks["goes on after a crash on purpose"] = _survives_crash
     # Without drivers, as each simulator has its own.
     for name in SMALL_SCENARIOS:
         checks[f"agrees with the builtin simulator: {name}"] = partial(_agrees, name=name, on_run=on_run)
@@ -76,9 +81,20 @@ def simulator_checks(
     ]
 
 
+def _default_cases(declared: type[Simulator]) -> list[Cases]:
+    if declared.runs_storyboard:
+        return default_cases()
+    folder = TemporaryDirectory()
+    # Removed when the process ends, at the latest.
+    _FOLDERS.append(folder)
+    return storyless_cases(Path(folder.name))
+
+
 def _is_available(simulator: Any, _: Sequence[Cases]) -> None:
-    problem = SIMULATORS.get_class(simulator).availability().problem
-    assert not problem, problem
+    # Options may name a server on another machine, or start one.
+    if not (isinstance(simulator, str) and ":" in simulator):
+        problem = SIMULATORS.get_class(simulator).availability().problem
+        assert not problem, problem
     created = SIMULATORS.create(simulator) if isinstance(simulator, str) else simulator
     json.dumps(dict(created.settings))
 
@@ -161,3 +177,15 @@ def _is_independent(simulator: Any, all_cases: Sequence[Cases]) -> None:
     for cases in all_cases:
         together, alone = cases.run(simulator), cases.run(simulator, [0])
         assert are_bitwise_equal(together[0], alone[0]), "Alone, a scenario differs from the one in a batch."
+
+
+def _survives_crash(simulator: Any, all_cases: Sequence[Cases]) -> None:
+    if not isinstance(simulator, str):
+        raise NotTried("An object runs in this process; give its name.")
+    concrete = all_cases[0].concretes[0]
+    before, after = crash_during_runs(simulator, concrete, all_cases[0].entity)
+    for recording in after:
+        assert isinstance(recording, Recording), f"After a crash, a scenario failed: {recording}."
+        distance = max_position_difference(before, recording)
+        assert distance is not None, "After a crash, a recording has other entities or instants."
+        assert distance < _TOLERANCE, f"After a crash, an entity is {distance:.2f} m elsewhere."

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -17,11 +18,14 @@ _Y: Final = -5.25
 
 
 class SmallScenario(NamedTuple):
-    """One of the scenarios: what it shows, its road, its entities and what they do at first and later."""
+    """One of the scenarios: what it shows, its road, the kinds of its entities and what they do at first and later.
+
+    Entities have the names that CarMaker's result files have.
+    """
 
     name: str
     road: str
-    entities: Sequence[str]
+    entities: Mapping[str, str]
     init: Mapping[str, Sequence[str]]
     events: Sequence[str]
     duration: float
@@ -59,7 +63,7 @@ def _document(scenario: SmallScenario, road: str) -> str:
 <FileHeader revMajor="1" revMinor="0" date="2026-01-01T00:00:00" description="{scenario.name}" author="cornercase"/>
 <CatalogLocations/>
 <RoadNetwork><LogicFile filepath="{road}"/></RoadNetwork>
-<Entities>{"".join(_ENTITIES[name] for name in scenario.entities)}</Entities>
+<Entities>{"".join(_ENTITIES[kind](name) for name, kind in scenario.entities.items())}</Entities>
 <Storyboard><Init><Actions>{init}</Actions></Init>{story}
 <StopTrigger>{_at_time(scenario.duration)}</StopTrigger></Storyboard>
 </OpenSCENARIO>
@@ -76,13 +80,17 @@ def _vehicle(name: str, length: float, width: float, center: float) -> str:
 <Properties/></Vehicle></ScenarioObject>"""
 
 
-_ENTITIES: Final = {
-    "Ego": _vehicle("Ego", 4.5, 1.8, 1.4),
-    "Van": _vehicle("Van", 6.0, 2.1, 1.9),
-    "Walker": """<ScenarioObject name="Walker">
-<Pedestrian name="Walker" model="walker" mass="75" pedestrianCategory="pedestrian"><ParameterDeclarations/>
+def _walker(name: str) -> str:
+    return f"""<ScenarioObject name="{name}">
+<Pedestrian name="{name}" model="walker" mass="75" pedestrianCategory="pedestrian"><ParameterDeclarations/>
 <BoundingBox><Center x="0" y="0" z="0.9"/><Dimensions width="0.6" length="0.4" height="1.8"/></BoundingBox>
-<Properties/></Pedestrian></ScenarioObject>""",
+<Properties/></Pedestrian></ScenarioObject>"""
+
+
+_ENTITIES: Final[Mapping[str, Callable[[str], str]]] = {
+    "car": partial(_vehicle, length=4.5, width=1.8, center=1.4),
+    "van": partial(_vehicle, length=6.0, width=2.1, center=1.9),
+    "walker": _walker,
 }
 
 
@@ -148,11 +156,11 @@ value="{distance}" freespace="false" rule="lessThan"/></EntityCondition>
 
 
 _SMALL_SCENARIOS: Final = (
-    SmallScenario("constant speed", _MOTORWAY, ["Ego"], {"Ego": [_teleport(100, _Y), _speed(20)]}, [], 6.0),
+    SmallScenario("constant speed", _MOTORWAY, {"Ego": "car"}, {"Ego": [_teleport(100, _Y), _speed(20)]}, [], 6.0),
     SmallScenario(
         "braking to a stop",
         _MOTORWAY,
-        ["Ego"],
+        {"Ego": "car"},
         {"Ego": [_teleport(100, _Y), _speed(20)]},
         [_event("Ego", _speed(0, "linear", 4.0), _at_time(1.0))],
         7.0,
@@ -160,7 +168,7 @@ _SMALL_SCENARIOS: Final = (
     SmallScenario(
         "smooth change of speed",
         _MOTORWAY,
-        ["Ego"],
+        {"Ego": "car"},
         {"Ego": [_teleport(100, _Y), _speed(10)]},
         [_event("Ego", _speed(25, "sinusoidal", 5.0), _at_time(0.5))],
         7.0,
@@ -168,7 +176,7 @@ _SMALL_SCENARIOS: Final = (
     SmallScenario(
         "lane change",
         _MOTORWAY,
-        ["Ego"],
+        {"Ego": "car"},
         {"Ego": [_teleport(100, _Y), _speed(20)]},
         [_event("Ego", _lane_change(-1, 4.0), _at_time(1.0))],
         7.0,
@@ -176,30 +184,30 @@ _SMALL_SCENARIOS: Final = (
     SmallScenario(
         "two that pass each other",
         _MOTORWAY,
-        ["Ego", "Van"],
-        {"Ego": [_teleport(100, _Y), _speed(25)], "Van": [_teleport(140, -1.75), _speed(15)]},
+        {"Ego": "car", "T00": "van"},
+        {"Ego": [_teleport(100, _Y), _speed(25)], "T00": [_teleport(140, -1.75), _speed(15)]},
         [],
         8.0,
     ),
     SmallScenario(
         "a leader that brakes when the ego is near",
         _MOTORWAY,
-        ["Ego", "Van"],
-        {"Ego": [_teleport(100, _Y), _speed(20)], "Van": [_teleport(200, _Y), _speed(10)]},
+        {"Ego": "car", "T00": "van"},
+        {"Ego": [_teleport(100, _Y), _speed(20)], "T00": [_teleport(200, _Y), _speed(10)]},
         [
-            _event("Van", _speed(5, "linear", 2.0), _near("Ego", "Van", 60.0)),
-            _event("Ego", _speed(5, "linear", 3.0), _near("Ego", "Van", 50.0)),
+            _event("T00", _speed(5, "linear", 2.0), _near("Ego", "T00", 60.0)),
+            _event("Ego", _speed(5, "linear", 3.0), _near("Ego", "T00", 50.0)),
         ],
         9.0,
     ),
     SmallScenario(
         "a trajectory with times",
         _CROSSING,
-        ["Ego", "Walker"],
-        {"Ego": [_teleport(-40, -1.75), _speed(8)], "Walker": [_teleport(18, 4.6, -1.5708)]},
+        {"Ego": "car", "T00": "walker"},
+        {"Ego": [_teleport(-40, -1.75), _speed(8)], "T00": [_teleport(18, 4.6, -1.5708)]},
         [
             _event(
-                "Walker",
+                "T00",
                 _trajectory([(0, 18, 4.6, -1.5708), (2, 18, 2.0, -1.5708), (5, 18, -5.0, -1.5708)]),
                 _at_time(0.5),
             )
@@ -209,12 +217,13 @@ _SMALL_SCENARIOS: Final = (
     SmallScenario(
         "a trajectory at the entity's own speed",
         _MOTORWAY,
-        ["Ego"],
+        {"Ego": "car"},
         {"Ego": [_teleport(100, _Y), _speed(15)]},
         [
             _event(
                 "Ego",
-                _trajectory([(0, 107.5, _Y, 0), (0, 150, _Y, 0), (0, 200, _Y + 4.0, 0.08)], has_times=False),
+                # It begins where the ego is then, since a jump may come a time step earlier or later.
+                _trajectory([(0, 108.25, _Y, 0), (0, 150, _Y, 0), (0, 200, _Y + 4.0, 0.08)], has_times=False),
                 _at_time(0.5),
             )
         ],
@@ -223,19 +232,19 @@ _SMALL_SCENARIOS: Final = (
     SmallScenario(
         "a standing van is hit from behind",
         _MOTORWAY,
-        ["Ego", "Van"],
-        {"Ego": [_teleport(100, _Y), _speed(15)], "Van": [_teleport(150, _Y), _speed(0)]},
+        {"Ego": "car", "T00": "van"},
+        {"Ego": [_teleport(100, _Y), _speed(15)], "T00": [_teleport(150, _Y), _speed(0)]},
         [],
         5.0,
     ),
     SmallScenario(
         "a walker is hit from the side",
         _MOTORWAY,
-        ["Ego", "Walker"],
-        {"Ego": [_teleport(100, _Y), _speed(10)], "Walker": [_teleport(130, _Y - 4.0, 1.5708)]},
+        {"Ego": "car", "T00": "walker"},
+        {"Ego": [_teleport(100, _Y), _speed(10)], "T00": [_teleport(130, _Y - 4.0, 1.5708)]},
         [
             _event(
-                "Walker",
+                "T00",
                 _trajectory([(0, 130, _Y - 4.0, 1.5708), (4, 130, _Y + 4.0, 1.5708)]),
                 _at_time(0.5),
             )
@@ -245,8 +254,8 @@ _SMALL_SCENARIOS: Final = (
     SmallScenario(
         "a stop 0.4 m behind a van",
         _MOTORWAY,
-        ["Ego", "Van"],
-        {"Ego": [_teleport(100, _Y), _speed(10)], "Van": [_teleport(130.4, _Y), _speed(0)]},
+        {"Ego": "car", "T00": "van"},
+        {"Ego": [_teleport(100, _Y), _speed(10)], "T00": [_teleport(130.4, _Y), _speed(0)]},
         # It goes about 5 m, and 20 m while it brakes; its front is 3.65 m ahead of its rear axle, the van's rear 1.1 m
         # behind its own.
         [_event("Ego", _speed(0, "linear", 4.0), _at_time(0.5))],
@@ -255,9 +264,9 @@ _SMALL_SCENARIOS: Final = (
     SmallScenario(
         "an arrival at the same time",
         _CROSSING,
-        ["Ego", "Van"],
-        {"Ego": [_teleport(-40, -1.75), _speed(9)], "Van": [_teleport(39.9, 1.75, 3.1416), _speed(4)]},
-        [_event("Van", _synchronize("Ego", (12.0, 1.75), (-10.0, -1.75)), _at_time(0.5))],
+        {"Ego": "car", "T00": "van"},
+        {"Ego": [_teleport(-40, -1.75), _speed(9)], "T00": [_teleport(39.9, 1.75, 3.1416), _speed(4)]},
+        [_event("T00", _synchronize("Ego", (12.0, 1.75), (-10.0, -1.75)), _at_time(0.5))],
         5.0,
     ),
 )

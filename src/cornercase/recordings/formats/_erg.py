@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -13,6 +14,7 @@ import numpy.typing as npt
 from cornercase._common.errors import InputError
 from cornercase._common.io.files import read_file
 from cornercase._common.typing import FloatArray
+from cornercase.recordings._box_contacts import find_collisions
 from cornercase.recordings._from_samples import EntityBox, EntitySamples, recording_from_samples
 from cornercase.recordings._recording import Recording
 
@@ -22,6 +24,7 @@ _NUMPY_TYPES: Final = {
     "ULongLong": "u8", "Short": "i2", "UShort": "u2", "Char": "i1", "UChar": "u1",
 }  # fmt: skip
 _NAME_KEY: Final = re.compile(r"File\.At\.(\d{1,9})\.Name")
+_COLLISION_COUNT: Final = re.compile(r"Sensor\.Collision\.Vhcl\.\w+\.Count")
 _PADDING_TYPE: Final = re.compile(r"(\d{1,5}) Bytes")
 # Largest file in bytes: an hour of a thousand quantities.
 _MAX_FILE_SIZE: Final = 2_000_000_000
@@ -79,8 +82,9 @@ def _iter_info_entries(text: str) -> Iterator[tuple[str, str]]:
 def read_erg(path: Path | str, entity_boxes: Mapping[str, EntityBox] | None = None) -> Recording:
     """Read the motion of ``Ego`` and of traffic objects (``T00``, ``T01``, …) from a result file.
 
-    Positions are those of the middle of the vehicle's rear end, as in CarMaker's vehicle frame. Result files contain no
-    boxes: entities that are not in `entity_boxes` are cars of 4.5 m x 1.8 m.
+    Positions are those of the middle of the vehicle's rear end, as in CarMaker's vehicle frame, unless a box says where
+    its center is. Result files contain no boxes: entities that are not in `entity_boxes` are cars of 4.5 m x 1.8 m. Two
+    entities collide when their boxes touch, or when the ego's collision sensor counts and another box is near.
     """
     path = Path(path)
     columns = read_erg_columns(path)
@@ -105,14 +109,17 @@ def read_erg(path: Path | str, entity_boxes: Mapping[str, EntityBox] | None = No
         if speed is None:
             speed = np.full(len(time), np.nan) if along is None or across is None else np.hypot(along, across)
         tracks[name] = _create_entity_samples(boxes.get(name, _DEFAULT_BOX), time, x, y, heading, speed)
-    return recording_from_samples(path, tracks)
+    counts = [column for name, column in columns.items() if _COLLISION_COUNT.fullmatch(name)]
+    hits = time[1:][np.sum([np.diff(count.astype(np.float64)) > 0 for count in counts], axis=0) > 0] if counts else []
+    recording = recording_from_samples(path, tracks)
+    return replace(recording, collisions=find_collisions(recording, "Ego", [float(hit) for hit in hits]))
 
 
 def _create_entity_samples(
     box: EntityBox, time: FloatArray, x: FloatArray, y: FloatArray, heading: FloatArray, speed: FloatArray
 ) -> EntitySamples:
     track = EntitySamples(box.object_type, box.length, box.width)
-    ahead = 0.5 * box.length
+    ahead = 0.5 * box.length if box.ahead is None else box.ahead
     rows = np.stack([x + ahead * np.cos(heading), y + ahead * np.sin(heading), heading, speed], axis=1)
     for instant, row in zip(time.tolist(), rows.astype(np.float64).tolist(), strict=True):
         track.samples[instant] = (row[0], row[1], row[2], row[3], float("nan"))

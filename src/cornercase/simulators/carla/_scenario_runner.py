@@ -64,6 +64,8 @@ def run_scenario_runner(
         try:
             stopped = _wait_for_end(process, tracker, file.with_name(_FIRST_FRAME_FILE), limits, before_start)
         finally:
+            # A client aborts if an answer or a snapshot of the server is cut.
+            is_aborted = (process.poll() or 0) < 0
             _end_process(process)
     last_frame = file.with_name(_LAST_FRAME_FILE)
     if last_frame.exists():
@@ -72,7 +74,7 @@ def run_scenario_runner(
     if tracker.first_frame is None or not (stopped or any(last_line in output_text for last_line in _END_MESSAGES)):
         last_line = _last_error_line(output_text)
         # A time-out may not happen again when the scenario is retried.
-        error_class = SimulatorError if "time-out of" in last_line else SimulationError
+        error_class = SimulatorError if is_aborted or "time-out of" in last_line else SimulationError
         raise error_class(f"ScenarioRunner did not run it to the end: {last_line}")
 
 

@@ -39,6 +39,7 @@ from cornercase.simulators.carla._overridden_parameters import describe_overridd
 from cornercase.simulators.carla._runner_environment import RunnerEnvironment
 from cornercase.simulators.carla._scenario_runner import RunLimits, run_scenario_runner
 from cornercase.simulators.carla._server import CarlaServer
+from cornercase.simulators.carla._started_server import make_carla_process
 from cornercase.simulators.carla._support_table import HandlingStatus, find_unsupported
 from cornercase.simulators.carla._tracker import EntityTracker
 
@@ -109,6 +110,11 @@ class Carla(Simulator):
         Whether a CARLA, its client and ScenarioRunner of different versions may be used.
     patience : float, default 20
         Time in s to wait for an answer of the server.
+    start : str, optional
+        Command that starts a server for this worker, in which ``{port}`` stands for its port. It is started again
+        after a crash, a hang or a lost frame. By default a server runs already.
+    restart_after : int, default 0
+        Number of scenarios after which a server that was started so is started again; 0 for never.
 
     Raises
     ------
@@ -119,6 +125,7 @@ class Carla(Simulator):
     name = "carla"
     requires = ("worker", "ego")
     parameter_passing = "file"
+    has_own_boxes = True
 
     def __init__(
         self,
@@ -144,6 +151,8 @@ class Carla(Simulator):
         open_loop: bool = False,
         any_version: bool = False,
         patience: float = 20.0,
+        start: str = "",
+        restart_after: int = 0,
     ) -> None:
         self._common_settings = check_settings(time_step, duration, on_collision, None)
         self._drivers, self._attached = _read_drivers(drivers, ego)
@@ -154,8 +163,13 @@ class Carla(Simulator):
         self._time_step, self._duration, self._stop_on_collision = time_step, duration, on_collision == "stop"
         self._ego, self._record, self._seed = ego, record, check_seed(seed, "CARLA's traffic manager")
         self._undriven, self._open_loop = bool(undriven), bool(open_loop)
+        if not (isinstance(restart_after, int) and restart_after >= 0):
+            raise InputError(f"restart_after={restart_after}: give a number of scenarios from 1 on, or 0 for never.")
         self._server = CarlaServer(
             *worker_address(hosts, port, worker, _PORTS_PER_SERVER), patience, any_version=bool(any_version)
+        )
+        self._process = (
+            make_carla_process(start, self._server.host, self._server.port, restart_after) if start else None
         )
         self._runner_folders = scenario_runner, python, carla_root
         self._traffic_port, self._folder = 8000 + worker, folder
@@ -231,16 +245,25 @@ class Carla(Simulator):
             scenario = self._last_scenario = concrete.load_file(self._last_scenario)
             behaviors = self._behavior_agents(scenario)
             try:
+                if self._process is not None and self._process.prepare_scenario():
+                    self._server.disconnect()
                 yield self._run_scenario(scenario, concrete, behaviors)
             except SimulationError as error:
                 if isinstance(error, SimulatorError):
-                    # The server may have been restarted.
-                    self._server.disconnect()
+                    self._give_up_server()
                 yield error
 
-    def close(self) -> None:
-        """End the client."""
+    def _give_up_server(self) -> None:
+        """End a server that was started here, so that the next scenario starts it again, and the client in any case."""
         self._server.disconnect()
+        if self._process is not None:
+            self._process.stop()
+
+    def close(self) -> None:
+        """End the client, and the server that was started here."""
+        self._server.disconnect()
+        if self._process is not None:
+            self._process.stop()
 
     def check_supported(self, scenario: ScenarioFile) -> None:
         """Refuse a scenario with entities or drivers that CARLA does not have; name parameters without effect."""

@@ -7,7 +7,7 @@ import inspect
 import os
 import signal
 import threading
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Future
 from contextlib import suppress
 from importlib.util import find_spec
@@ -28,17 +28,18 @@ def is_cmapi_installed() -> bool:
 
 
 class CmapiClient:
-    """Starts CarMaker once, and runs a TestRun with named values.
+    """Starts CarMaker once, and runs TestRuns with named values.
 
-    The event loop of IPG's module runs in its own thread. `timeout` is the time limit in s of the start and of each
-    run. Raises `InputError` if CarMaker does not start.
+    CarMaker is started with a variation of `testrun`. The event loop of IPG's module runs in its own thread. `timeout`
+    is the time limit in s of the start and of each run. Raises `InputError` if CarMaker does not start.
     """
 
     def __init__(self, project: Path, testrun: str, timeout: float) -> None:
         import cmapi
 
         self._cmapi: Any = cmapi
-        self._project, self._testrun, self._timeout = project, testrun, timeout
+        self._project, self._timeout = project, timeout
+        self._first_testrun = testrun
         self._started: Future[None] = Future()
         self._thread = threading.Thread(target=self._run_event_loop, daemon=True)
         self._thread.start()
@@ -66,7 +67,7 @@ class CmapiClient:
         self._control, self._master = cmapi.SimControlInteractive(), cmapi.CarMaker()
         await self._control.set_master(self._master)
         # CarMaker connects only when there is a variation to run.
-        self._control.set_variation(self._make_variation({}))
+        self._control.set_variation(self._make_variation(self._first_testrun, {}, ()))
         try:
             starting = asyncio.ensure_future(self._control.start_and_connect())
             ended = asyncio.ensure_future(self._end_event.wait())
@@ -88,19 +89,27 @@ class CmapiClient:
             with suppress(Exception):
                 os.kill(int(self._master.get_pid()), signal.SIGTERM)
 
-    def _make_variation(self, values: Mapping[str, Value]) -> Any:
+    def _make_variation(self, testrun: str, values: Mapping[str, Value], quantities: Sequence[str]) -> Any:
         cmapi = self._cmapi
-        testrun = cmapi.Project.instance().load_testrun_parametrization(Path(self._testrun))
-        variation = cmapi.Variation.create_from_testrun(testrun)
+        loaded = cmapi.Project.instance().load_testrun_parametrization(Path(testrun))
+        variation = cmapi.Variation.create_from_testrun(loaded)
         variation.set_name("cornercase")
         variation.set_nvalues([cmapi.NamedValue(name, value) for name, value in values.items()])
         variation.set_storage_mode(cmapi.StorageMode.save)
+        # Versions without it store what the project's list says.
+        with suppress(AttributeError):
+            stored = cmapi.OutputQuantities.create()
+            stored.add_quantities(list(quantities))
+            variation.set_outputquantities(stored)
         return variation
 
-    def run_testrun(self, values: Mapping[str, Value]) -> Path:
-        """Run the TestRun with named values, and return the result file; `SimulationError` if there is none in time."""
+    def run_testrun(self, testrun: str, values: Mapping[str, Value], quantities: Sequence[str] = ()) -> Path:
+        """Run a TestRun with named values, and return the result file with these quantities.
+
+        Raises `SimulationError` if there is none in time, and `SimulatorError` if CarMaker has to be started again.
+        """
         before = ResultFileTracker(self._project)
-        future = asyncio.run_coroutine_threadsafe(self._run_testrun_async(values), self._loop)
+        future = asyncio.run_coroutine_threadsafe(self._run_testrun_async(testrun, values, quantities), self._loop)
         try:
             # The coroutine stops the run after `patience`; this time limit is for a module that does not answer.
             future.result(2 * self._timeout + _END_TIMEOUT)
@@ -118,19 +127,21 @@ class CmapiClient:
             )
         return written[0]
 
-    async def _run_testrun_async(self, values: Mapping[str, Value]) -> None:
+    async def _run_testrun_async(self, testrun: str, values: Mapping[str, Value], quantities: Sequence[str]) -> None:
         control, states = self._control, self._cmapi.ConditionSimState
         # A variation is accepted only in the state `configure`: not while a run is active, or ended without being left.
         if control.get_status() != self._cmapi.SimControlState.configure and not await self._stop_run():
             raise SimulatorError(f"CarMaker is not idle within {_END_TIMEOUT:g} s")
-        variation = self._make_variation(values)
+        variation = self._make_variation(testrun, values, quantities)
         control.set_variation(variation)
         await control.start_sim()
         try:
             await asyncio.wait_for(control.create_simstate_condition(states.finished).wait(), self._timeout)
         except TimeoutError:
-            await self._stop_run()
-            raise SimulationError(f"CarMaker did not end the TestRun within {self._timeout:g} s") from None
+            message = f"CarMaker did not end the TestRun within {self._timeout:g} s"
+            if await self._stop_run():
+                raise SimulationError(message) from None
+            raise SimulatorError(f"{message}, and does not stop it") from None
         failed = False
         # Not all versions of the module report how a run ended.
         with suppress(AttributeError):

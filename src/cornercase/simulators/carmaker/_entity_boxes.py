@@ -1,40 +1,61 @@
-"""Read boxes and types of entities from the scenario file, since CarMaker's result files contain neither."""
+"""Boxes and types of entities, from the scenario file or the TestRun, since CarMaker's result files contain neither."""
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
+from dataclasses import replace
+from typing import Final
 
 from lxml import etree
 
-from cornercase._common.errors import NoticeWarning
 from cornercase.recordings._from_samples import EntityBox
 from cornercase.scenario import Value
 from cornercase.scenario._file import ScenarioFile
 from cornercase.scenario._scope import Scope
+from cornercase.simulators.carmaker._testrun_files import TestRunFiles
 
-_DEFAULT_BOX = EntityBox("car", 4.5, 1.8)
-_OBJECT_TYPES = {"Pedestrian": "pedestrian", "MiscObject": "misc"}
+_DEFAULT_BOX: Final = EntityBox("car", 4.5, 1.8)
+_OBJECT_TYPES: Final = {"Pedestrian": "pedestrian", "MiscObject": "misc"}
+# m by which a box of the scenario file may differ from that of the TestRun.
+_SAME_BOX: Final = 0.1
 
 
-def read_entity_boxes(scenario: ScenarioFile, values: Mapping[str, Value]) -> dict[str, EntityBox]:
-    """Return the box of each entity; an entity without a box in the file becomes a car of 4.5 m x 1.8 m."""
+def find_entity_boxes(
+    scenario: ScenarioFile, values: Mapping[str, Value], testrun: TestRunFiles | None
+) -> dict[str, EntityBox]:
+    """Return the box of each entity: that of the scenario file, else of the TestRun, else a car of 4.5 m x 1.8 m."""
     # Named values that the scenario does not declare are for the TestRun only.
     declared = {name: value for name, value in values.items() if name in scenario.parameters}
-    return {name: box or _DEFAULT_BOX for name, box in _read_boxes(scenario, declared).items()}
+    stored = {} if testrun is None else testrun.boxes
+    boxes = dict[str, EntityBox]()
+    for name, box in _read_boxes(scenario, declared).items():
+        other = stored.get(name)
+        if box is None:
+            boxes[name] = other or _DEFAULT_BOX
+        else:
+            boxes[name] = box if other is None else replace(box, ahead=other.ahead)
+    return boxes
 
 
-def warn_about_missing_boxes(scenario: ScenarioFile) -> None:
-    """Warn about entities without a box in the scenario file."""
-    missing = [name for name, box in _read_boxes(scenario, {}).items() if box is None]
+def describe_box_problems(scenario: ScenarioFile, testrun: TestRunFiles | None) -> list[str]:
+    """Return sentences about entities without a box anywhere, and about boxes that are not those of the TestRun."""
+    boxes, stored = _read_boxes(scenario, {}), {} if testrun is None else testrun.boxes
+    sentences = [
+        f"{scenario.path}: the box of {name} is {box.length:g} m x {box.width:g} m, and in the files of the TestRun"
+        f" {stored[name].length:g} m x {stored[name].width:g} m; that of the scenario file is taken"
+        for name, box in boxes.items()
+        if box is not None
+        and name in stored
+        and max(abs(box.length - stored[name].length), abs(box.width - stored[name].width)) > _SAME_BOX
+    ]
+    missing = [name for name, box in boxes.items() if box is None and name not in stored]
     if missing:
         verb = "has" if len(missing) == 1 else "have"
-        warnings.warn(
+        sentences.append(
             f"{scenario.path}: {', '.join(missing)} {verb} no <BoundingBox>, and CarMaker's result files have no sizes;"
-            f" assumed to be a car of {_DEFAULT_BOX.length:g} m x {_DEFAULT_BOX.width:g} m",
-            NoticeWarning,
-            stacklevel=3,
+            f" assumed to be a car of {_DEFAULT_BOX.length:g} m x {_DEFAULT_BOX.width:g} m"
         )
+    return sentences
 
 
 def _read_boxes(scenario: ScenarioFile, values: Mapping[str, Value]) -> dict[str, EntityBox | None]:

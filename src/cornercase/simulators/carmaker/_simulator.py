@@ -5,25 +5,37 @@ from __future__ import annotations
 import re
 import socket
 from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Set as AbstractSet
 from pathlib import Path
 from typing import Final, Literal
 
-from cornercase._common.errors import InputError, SimulationError, suggest_name
+from lxml import etree
+
+from cornercase._common.errors import InputError, SimulationError, SimulatorError, suggest_name
+from cornercase._common.validation import check_str
 from cornercase.drivers._resolve import DriverLike
 from cornercase.recordings import Recording
+from cornercase.recordings._box_contacts import cut_after
 from cornercase.recordings._from_samples import EntityBox
 from cornercase.recordings.formats._erg import read_erg
 from cornercase.scenario import ConcreteScenario, Value
 from cornercase.scenario._file import ScenarioFile
 from cornercase.simulators._base import Availability, Simulator
 from cornercase.simulators._server_addresses import worker_address
+from cornercase.simulators._server_process import ServerProcess
 from cornercase.simulators.carmaker._cmapi_client import CmapiClient, is_cmapi_installed
-from cornercase.simulators.carmaker._entity_boxes import read_entity_boxes, warn_about_missing_boxes
+from cornercase.simulators.carmaker._entity_boxes import describe_box_problems, find_entity_boxes
+from cornercase.simulators.carmaker._licences import Licence
 from cornercase.simulators.carmaker._tcl_run import START_TIMEOUT, TclClient, TclTestRun
+from cornercase.simulators.carmaker._testrun_files import TestRunFiles, read_testrun_files
 
 _DEFAULT_PORT: Final = 16660
 # Time limit in s to connect to a CarMaker on this machine.
 _CONNECT_TIMEOUT: Final = 0.2
+# In the name of a TestRun, what stands for the name of the scenario file.
+_SCENARIO: Final = "{scenario}"
+# A parameter in a value or expression of OpenSCENARIO.
+_REFERENCE: Final = re.compile(r"\$([A-Za-z_]\w*)")
 _MISSING_MESSAGE: Final = (
     f"IPG's Python module cmapi is not installed here, and no CarMaker listens on port {_DEFAULT_PORT}; install the"
     f" module from CarMaker's folder, or start CarMaker with -cmdport {_DEFAULT_PORT}. One on another machine or port"
@@ -31,9 +43,9 @@ _MISSING_MESSAGE: Final = (
 )
 
 
-def _is_port_open() -> bool:
+def _is_port_open(host: str = "127.0.0.1", port: int = _DEFAULT_PORT) -> bool:
     try:
-        socket.create_connection(("127.0.0.1", _DEFAULT_PORT), _CONNECT_TIMEOUT).close()
+        socket.create_connection((host, port), _CONNECT_TIMEOUT).close()
     except OSError:
         return False
     return True
@@ -46,7 +58,8 @@ class CarMaker(Simulator):
     its command port.
 
     The scenario file only defines parameters, entities (``Ego`` and the traffic objects ``T00``, ``T01``, …) and their
-    boxes. The TestRun defines what happens; its file uses the named values. Motion is read from the result file.
+    boxes. The TestRun defines what happens; its file uses the named values. Motion is read from the result file, and
+    collisions from the ego's collision sensor and from boxes.
 
     Parameters
     ----------
@@ -54,12 +67,13 @@ class CarMaker(Simulator):
         Not used: CarMaker stores its results at its own rate.
     duration : float, default 60
         Maximum simulated time in s.
-    on_collision : {"continue"}, default "continue"
-        In CarMaker a collision does not end a run, unless the TestRun says so.
+    on_collision : {"continue", "stop"}, default "continue"
+        Whether a recording ends with its first collision. CarMaker goes on, unless the TestRun says otherwise.
     drivers : mapping, optional
         Must be empty: the TestRun defines CarMaker's driver.
     testrun : str
-        Name of the TestRun in the project's ``Data/TestRun``.
+        Name of the TestRun in the project's ``Data/TestRun``; ``{scenario}`` in it stands for the name of the scenario
+        file without its ending.
     project : str
         Folder of the CarMaker project with the result files; several, separated by ``+``, are used by the workers in
         turn. With ``cmapi`` each worker needs its own.
@@ -73,6 +87,12 @@ class CarMaker(Simulator):
         How CarMaker is controlled.
     speedup : float, default 1
         Minimum factor by which CarMaker runs faster than real time; it determines the time-outs.
+    licences : int, default 0
+        How many CarMakers may run at a time on this host, whatever the number of workers and searches of this user; 0
+        is without limit.
+    start : str, optional
+        Command that starts a CarMaker with a command port, in which ``{port}`` stands for its port. It is started
+        again after a crash, a hang or a fatal error. By default a CarMaker runs already.
 
     Raises
     ------
@@ -83,6 +103,7 @@ class CarMaker(Simulator):
     name = "carmaker"
     requires = ("worker",)
     parameter_passing = "name"
+    runs_storyboard = False
 
     def __init__(
         self,
@@ -98,48 +119,40 @@ class CarMaker(Simulator):
         worker: int = 0,
         via: Literal["auto", "cmapi", "port"] = "auto",
         speedup: float = 1.0,
+        licences: int = 0,
+        start: str = "",
     ) -> None:
-        if drivers:
-            raise InputError(
-                f"`drivers` {', '.join(drivers)}: no driver of cornercase drives in CarMaker; the TestRun has its own."
-            )
-        if on_collision != "continue":
-            raise InputError("`on_collision` stop: in CarMaker a collision ends a run only if the TestRun says so.")
-        if not testrun or not project:
-            raise InputError("CarMaker needs a TestRun: `simulator` carmaker:testrun=NAME,project=FOLDER.")
+        _check_drivers_and_licences(drivers, licences)
+        check_str("on_collision", on_collision, ("continue", "stop"))
         projects = project.split("+")
-        for folder in projects:
-            if not Path(folder).is_dir():
-                raise InputError(
-                    f"{folder}: there is no such folder; give that of the CarMaker project as project=DIR."
-                )
-        if via not in ("auto", "cmapi", "port"):
-            raise InputError(f"via={via}: {suggest_name(str(via), ('auto', 'cmapi', 'port'))}")
-        if via == "cmapi" and not is_cmapi_installed():
-            raise InputError(
-                "IPG's Python module cmapi cannot be imported; add the folder Python/python3.X of CarMaker's"
-                " installation to PYTHONPATH, or use carmaker:via=port."
-            )
-        if any(sign in testrun for sign in '"$[]{}\\;\r\n'):
-            raise InputError(f"The name of the TestRun '{testrun}' contains a special character of Tcl.")
-        if not (0.0 < duration < float("inf") and 0.0 < speedup < float("inf")):
-            raise InputError(
-                f"A duration of {duration:g} s at a speed-up of {speedup:g} is not possible; both must be above 0."
-            )
+        _check_testrun(testrun, projects)
+        _check_interface(via, duration, speedup)
         self._testrun, self._project = testrun, Path(projects[worker % len(projects)])
         self._host, self._port = worker_address(hosts, port, worker)
         self._timeout = duration / speedup + START_TIMEOUT
+        self._licence, self._stop_on_collision = Licence(licences), on_collision == "stop"
         self._uses_api = is_cmapi_installed() if via == "auto" else via == "cmapi"
         if self._uses_api and worker >= len(projects):
             raise InputError(
                 f"`workers`: with cmapi each worker needs its own CarMaker project, and there are {len(projects)}; give"
                 " more as project=A+B, or use carmaker:via=port."
             )
+        if start and self._uses_api:
+            raise InputError(f"start={start}: cmapi starts CarMaker by itself; add via=port, or leave out start.")
+        self._server = (
+            ServerProcess("CarMaker", start, self._host, self._port, self._is_server_ready, start_timeout=START_TIMEOUT)
+            if start
+            else None
+        )
         self._api: CmapiClient | None = None
+        self._n_starts = 0
         self._tcl_client: TclClient | None = None
         self._last_scenario: ScenarioFile | None = None
-        self._warned_path: Path | None = None
-        self.settings: dict[str, object] = {"testrun": testrun, "duration": duration}
+        self._checked_path: Path | None = None
+        self._testrun_files: dict[str, TestRunFiles | None] = {}
+        self.settings: dict[str, object] = {
+            "testrun": testrun, "duration": duration, "on_collision": on_collision,
+        }  # fmt: skip
 
     @classmethod
     def availability(cls) -> Availability:
@@ -148,7 +161,7 @@ class CarMaker(Simulator):
             "",
             "" if is_cmapi_installed() or _is_port_open() else _MISSING_MESSAGE,
             (
-                "vehicle dynamics", "traffic objects", "collisions go on",
+                "vehicle dynamics", "traffic objects", "collisions go on or end the recording",
                 "needs IPG's cmapi, or a running CarMaker (-cmdport)",
             ),
         )  # fmt: skip
@@ -156,25 +169,72 @@ class CarMaker(Simulator):
     def run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Recording | SimulationError]:
         """Run scenarios; also raises `InputError` if CarMaker does not listen, has no licence or lacks an entity."""
         for concrete in concretes:
-            self._last_scenario = concrete.load_file(self._last_scenario)
-            self.check_supported(self._last_scenario)
-            bodies = read_entity_boxes(self._last_scenario, concrete.values)
-            if self._uses_api:
-                yield self._run_with_api(concrete.values, bodies)
-                continue
-            if self._tcl_client is None:
-                self._tcl_client = TclClient(self._host, self._port)
+            scenario = self._last_scenario = concrete.load_file(self._last_scenario)
+            self.check_supported(scenario)
+            testrun = self._testrun_name(scenario)
+            files = self._read_testrun(testrun)
+            if files is not None:
+                _require_used(concrete.values.keys() - set(scenario.parameters), files, "the search")
+            boxes = find_entity_boxes(scenario, concrete.values, files)
+            self._licence.acquire()
             try:
-                port_run = TclTestRun(self._tcl_client, self._project, self._timeout)
-                yield _read_recording(port_run.run_testrun(self._testrun, concrete.values), bodies)
-            except SimulationError as error:
-                # After an error, the answer to an old command may still arrive on this connection.
-                self._tcl_client.close()
-                self._tcl_client = None
-                yield error
+                outcome = self._run_scenario(testrun, concrete.values, scenario.entities, boxes)
+            finally:
+                self._give_back_licence()
+            yield outcome
 
-    def close(self) -> None:
-        """End the CarMaker that was started here, or disconnect from a running one."""
+    def _run_scenario(
+        self, testrun: str, values: Mapping[str, Value], entities: Sequence[str], boxes: Mapping[str, EntityBox]
+    ) -> Recording | SimulationError:
+        try:
+            path = self._run_testrun(testrun, values, _output_quantities(entities))
+            return _read_recording(path, boxes, self._stop_on_collision)
+        except SimulationError as error:
+            if isinstance(error, SimulatorError):
+                # It may hang, or have lost its state (FailSafe): the next scenario starts it again.
+                self._disconnect()
+                if self._server is not None:
+                    self._server.stop()
+            return error
+
+    def _run_testrun(self, testrun: str, values: Mapping[str, Value], quantities: Sequence[str]) -> Path:
+        if self._uses_api:
+            return self._start_by_api(testrun).run_testrun(testrun, values, quantities)
+        if self._server is not None and self._server.prepare_scenario():
+            self._disconnect()
+        if self._tcl_client is None:
+            self._tcl_client = TclClient(self._host, self._port)
+        try:
+            return TclTestRun(self._tcl_client, self._project, self._timeout, quantities).run_testrun(testrun, values)
+        except SimulationError:
+            # After an error, the answer to an old command may still arrive on this connection.
+            self._disconnect()
+            raise
+
+    def _start_by_api(self, testrun: str) -> CmapiClient:
+        if self._api is None:
+            try:
+                self._api = CmapiClient(self._project, testrun, self._timeout)
+            except InputError as error:
+                if self._n_starts:
+                    raise SimulatorError(f"CarMaker did not start again: {str(error).removesuffix('.')}") from error
+                raise
+            self._n_starts += 1
+        return self._api
+
+    def _give_back_licence(self) -> None:
+        """Give the licence back unless a CarMaker that was started here keeps it and no other worker waits for it."""
+        if self._licence.is_awaited():
+            self._disconnect()
+            if self._server is not None:
+                self._server.stop()
+        if self._api is None and (self._server is None or not self._server.is_running):
+            self._licence.release()
+
+    def _is_server_ready(self) -> bool:
+        return _is_port_open(self._host, self._port)
+
+    def _disconnect(self) -> None:
         if self._api is not None:
             self._api.close()
             self._api = None
@@ -182,8 +242,15 @@ class CarMaker(Simulator):
             self._tcl_client.close()
             self._tcl_client = None
 
+    def close(self) -> None:
+        """End the CarMaker that was started here, or disconnect from a running one."""
+        self._disconnect()
+        if self._server is not None:
+            self._server.stop()
+        self._licence.release()
+
     def check_supported(self, scenario: ScenarioFile) -> None:
-        """Refuse a scenario with entities that CarMaker does not have."""
+        """Refuse a scenario with entities that CarMaker does not have, or parameters that its TestRun does not use."""
         for name in scenario.entities:
             if not re.fullmatch(r"Ego|T\d{2,}", name):
                 raise InputError(
@@ -191,23 +258,96 @@ class CarMaker(Simulator):
                     " objects Ego, T00, T01, …, as in its result files."
                 )
         # Once per file.
-        if self._warned_path != scenario.path:
-            self._warned_path = scenario.path
-            warn_about_missing_boxes(scenario)
+        if self._checked_path == scenario.path:
+            return
+        self._checked_path = scenario.path
+        testrun = self._testrun_name(scenario)
+        files = self._read_testrun(testrun)
+        if files is None:
+            self.notify(
+                [
+                    f"{self._project / 'Data' / 'TestRun' / testrun}: is not there, so that nobody checks whether the"
+                    f" TestRun uses {', '.join(scenario.parameters) or 'named values'}"
+                ]
+            )
+        else:
+            # What other parts of the scenario file use, such as boxes, need not be in the TestRun.
+            _require_used(set(scenario.parameters) - _names_in_use(scenario), files, str(scenario.path))
+        self.notify(describe_box_problems(scenario, files))
 
-    def _run_with_api(
-        self, values: Mapping[str, Value], bodies: Mapping[str, EntityBox]
-    ) -> Recording | SimulationError:
-        if self._api is None:
-            self._api = CmapiClient(self._project, self._testrun, self._timeout)
-        try:
-            return _read_recording(self._api.run_testrun(values), bodies)
-        except SimulationError as error:
-            return error
+    def _testrun_name(self, scenario: ScenarioFile) -> str:
+        return self._testrun.replace(_SCENARIO, scenario.path.stem)
+
+    def _read_testrun(self, testrun: str) -> TestRunFiles | None:
+        if testrun not in self._testrun_files:
+            self._testrun_files[testrun] = read_testrun_files(self._project, testrun)
+        return self._testrun_files[testrun]
 
 
-def _read_recording(path: Path, boxes: Mapping[str, EntityBox]) -> Recording:
+def _check_drivers_and_licences(drivers: Mapping[str, DriverLike] | None, licences: int) -> None:
+    if drivers:
+        raise InputError(
+            f"`drivers` {', '.join(drivers)}: no driver of cornercase drives in CarMaker; the TestRun has its own."
+        )
+    if not (isinstance(licences, int) and licences >= 0):
+        raise InputError(f"licences={licences}: give a number of CarMakers from 1 on, or 0 for any number.")
+
+
+def _check_testrun(testrun: str, projects: Sequence[str]) -> None:
+    if not testrun or not projects[0]:
+        raise InputError("CarMaker needs a TestRun: `simulator` carmaker:testrun=NAME,project=FOLDER.")
+    for folder in projects:
+        if not Path(folder).is_dir():
+            raise InputError(f"{folder}: there is no such folder; give that of the CarMaker project as project=DIR.")
+    if any(sign in testrun.replace(_SCENARIO, "") for sign in '"$[]{}\\;\r\n'):
+        raise InputError(f"The name of the TestRun '{testrun}' contains a special character of Tcl.")
+
+
+def _check_interface(via: str, duration: float, speedup: float) -> None:
+    if via not in ("auto", "cmapi", "port"):
+        raise InputError(f"via={via}: {suggest_name(via, ('auto', 'cmapi', 'port'))}")
+    if via == "cmapi" and not is_cmapi_installed():
+        raise InputError(
+            "IPG's Python module cmapi cannot be imported; add the folder Python/python3.X of CarMaker's"
+            " installation (9 or later) to PYTHONPATH, or use carmaker:via=port."
+        )
+    if not (0.0 < duration < float("inf") and 0.0 < speedup < float("inf")):
+        raise InputError(
+            f"A duration of {duration:g} s at a speed-up of {speedup:g} is not possible; both must be above 0."
+        )
+
+
+def _names_in_use(scenario: ScenarioFile) -> set[str]:
+    """Return the names of parameters that values in the scenario file refer to."""
+    values = (str(value) for element in scenario.root.iter(etree.Element) for value in element.attrib.values())
+    return {name for value in values if "$" in value for name in _REFERENCE.findall(value)}
+
+
+def _require_used(names: AbstractSet[str], files: TestRunFiles, owner: str) -> None:
+    """Refuse named values that a TestRun does not use; CarMaker would accept them silently."""
+    unused = sorted(names - files.named_values)
+    if unused:
+        written = f" (of CarMaker {files.version})" if files.version else ""
+        raise InputError(
+            f"{files.path}{written}: this TestRun does not use the named value {', '.join(unused)} of {owner}; write"
+            f" ${unused[0]}=0 where it belongs, with a default of your choice, or leave the parameter out."
+        )
+
+
+def _output_quantities(entities: Sequence[str]) -> list[str]:
+    """Return what a result file needs of the entities; quantities that a version does not have are ignored."""
+    of_traffic = ("tx", "ty", "rz", "LongVel", "v_0.x", "v_0.y")
+    return [
+        *("Time", "Car.tx", "Car.ty", "Car.Yaw", "Car.v", "Sensor.Collision.Vhcl.Fr1.Count"),
+        *(f"Traffic.{name}.{quantity}" for name in entities if name != "Ego" for quantity in of_traffic),
+    ]
+
+
+def _read_recording(path: Path, boxes: Mapping[str, EntityBox], stop_on_collision: bool) -> Recording:
     try:
-        return read_erg(path, boxes)
+        recording = read_erg(path, boxes)
     except InputError as error:
         raise SimulationError(str(error)) from error
+    if stop_on_collision and recording.collisions:
+        return cut_after(recording, recording.collisions[0].time)
+    return recording

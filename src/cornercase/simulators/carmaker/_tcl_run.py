@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import socket
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Final
@@ -95,16 +95,21 @@ class TclClient:
 
 
 class TclTestRun:
-    """Runs a TestRun.
+    """Runs a TestRun, whose result file gets `quantities` besides those that CarMaker stores anyway.
 
     `run_timeout` is the time limit of the run in s, `start_timeout` the limit for starting or stopping. CarMaker's
     command `WaitForStatus` makes polling rare. Its answer may be late or an error, so only `SimStatus` counts.
     """
 
     def __init__(
-        self, client: TclClient, project: Path, run_timeout: float, start_timeout: float = START_TIMEOUT
+        self,
+        client: TclClient,
+        project: Path,
+        run_timeout: float,
+        quantities: Sequence[str] = (),
+        start_timeout: float = START_TIMEOUT,
     ) -> None:
-        self._client, self._project = client, project
+        self._client, self._project, self._quantities = client, project, quantities
         self._run_timeout, self._start_timeout = run_timeout, start_timeout
 
     def run_testrun(self, testrun: str, values: Mapping[str, Value]) -> Path:
@@ -112,6 +117,13 @@ class TclTestRun:
         self._require_idle()
         before = ResultFileTracker(self._project)
         self._send(f'LoadTestRun "{testrun}"')
+        if self._quantities:
+            # A version that does not know it stores what the project's list says; what is missing there is said later.
+            try:
+                self._send(f"OutQuantsAdd {{{' '.join(self._quantities)}}}")
+            except SimulationError as error:
+                if isinstance(error, SimulatorError):
+                    raise
         for name, value in values.items():
             self._send(f"NamedValue set {_format_tcl_word(name)} {_format_tcl_word(value)}")
         self._send("SaveMode save_all")
@@ -124,8 +136,8 @@ class TclTestRun:
         return self._client.send(command, self._start_timeout)
 
     def _require_idle(self) -> None:
-        """Stop whatever is running, and wait until CarMaker is idle."""
-        status = self._read_status()
+        """Stop whatever is running, and wait until CarMaker is idle, also after a fatal error (FailSafe)."""
+        status = self._read_status(raises_if_fatal=False)
         if status == _IDLE:
             return
         status = self._stop_run()
@@ -137,7 +149,7 @@ class TclTestRun:
     def _stop_run(self) -> int:
         self._send("StopSim")
         self._wait_for_state("idle", self._start_timeout)
-        return self._poll_status(lambda status: status == _IDLE, self._start_timeout)
+        return self._poll_status(lambda status: status == _IDLE, self._start_timeout, raises_if_fatal=False)
 
     def _wait_for_start(self, earlier_files: ResultFileTracker) -> None:
         """Wait until the run has started; a short run may end before the first poll."""
@@ -199,14 +211,14 @@ class TclTestRun:
             if isinstance(error, SimulatorError):
                 raise
 
-    def _poll_status(self, is_accepted: Callable[[int], bool], seconds: float) -> int:
+    def _poll_status(self, is_accepted: Callable[[int], bool], seconds: float, *, raises_if_fatal: bool = True) -> int:
         """Poll the status until `is_accepted` accepts it, or for a number of seconds; return the last status."""
         deadline = time.monotonic() + seconds
-        while not is_accepted(status := self._read_status()) and time.monotonic() < deadline:
+        while not is_accepted(status := self._read_status(raises_if_fatal)) and time.monotonic() < deadline:
             time.sleep(_POLL_INTERVAL)
         return status
 
-    def _read_status(self) -> int:
+    def _read_status(self, raises_if_fatal: bool = True) -> int:
         text = self._send("SimStatus")
         try:
             status = int(text)
@@ -217,7 +229,7 @@ class TclTestRun:
                 "CarMaker waits for a licence, or has lost its licence; restore the licence server and run the same"
                 " command again to resume."
             )
-        if status == _FATAL:
+        if status == _FATAL and raises_if_fatal:
             # Clear the error for the next run.
             with suppress(SimulationError):
                 self._send("StopSim")

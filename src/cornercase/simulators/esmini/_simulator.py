@@ -189,7 +189,12 @@ class Esmini(Simulator):
 
         def set_parameters(_: object) -> None:
             for name, value in own.items():
-                if set_parameter(lib, name, value, parameter_types.get(name, "")) != 0:
+                # A text where a number belongs; an exception in a callback would be printed and forgotten.
+                try:
+                    is_taken = set_parameter(lib, name, value, parameter_types.get(name, "")) == 0
+                except ValueError:
+                    is_taken = False
+                if not is_taken:
                     rejected.append(name)
 
         # Keep a reference until the run is over: esmini only stores the address.
