@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import cornercase as cc
 from conftest import (
     car,
     event,
@@ -373,3 +374,47 @@ def test_what_a_driver_was_told_stays_and_is_its_own(tmp_path):
     assert len(kept) > 30
     assert all((told == then).all() for told, then in kept)
     assert all(same_recording(*pair) for pair in zip(held, driven_by(tmp_path, scribble), strict=True))
+
+
+def line_file(folder, length, lead):
+    """The ego drives north from the road at 30 m/s, along `length` m of a trajectory; a car stands `lead` m ahead."""
+    vertices = "".join(
+        f'<Vertex time="0"><Position><WorldPosition x="60" y="{y}"/></Position></Vertex>' for y in ("0", "$length")
+    )
+    position = f'<Position><WorldPosition x="60" y="{lead}" h="1.5707963"/></Position>'
+    across = f"<PrivateAction><TeleportAction>{position}</TeleportAction></PrivateAction>"
+    follow = trajectory(f"<Polyline>{vertices}</Polyline>", "<None/>", "position")
+    return scenario_file(
+        folder,
+        init=private("Ego", follow, speed_action("30")) + private("Other", across, speed_action("0")),
+        entities=car("Ego") + car("Other"),
+        parameters=f'<ParameterDeclaration name="length" parameterType="double" value="{length}"/>',
+    )
+
+
+class Stopping(cc.SystemUnderTest):
+    """Brakes for what it sees less than 200 m ahead, and a little for what is farther away."""
+
+    def step(self, view, dt):
+        leader = view.leader
+        assert np.isfinite(view.ego.distance)
+        if leader is None:
+            return 0.0
+        return -8.0 if leader.gap < 200.0 else -0.1
+
+
+@pytest.mark.parametrize("driver", ["normal", Stopping()])
+def test_a_driver_brakes_at_the_end_of_a_long_trajectory(tmp_path, driver):
+    path = line_file(tmp_path, 5000, 2900)
+    simulator = Builtin(time_step=0.1, duration=130.0, drivers={"Ego": driver})
+    (recording,) = ran(simulator, [ConcreteScenario(path)])
+    assert not recording.collisions
+    assert recording.y[0][-1] > 2700.0
+
+
+def test_how_far_a_function_sees_beyond_its_trajectory_does_not_depend_on_others(tmp_path):
+    path = line_file(tmp_path, 50, 310)
+    simulator = Builtin(time_step=0.1, duration=1.0, drivers={"Ego": Stopping()})
+    (alone,) = ran(simulator, [ConcreteScenario(path, {"length": 50})])
+    together = ran(simulator, [ConcreteScenario(path, {"length": length}) for length in (50, 1000)])
+    assert same_recording(alone, together[0])
