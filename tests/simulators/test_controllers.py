@@ -27,7 +27,8 @@ from conftest import (
 )  # fmt: skip
 from cornercase._common.errors import InputError, NoticeWarning, SimulationError
 from cornercase._common.process.signals import collect_interrupts
-from cornercase.drivers import Driver
+from cornercase.drivers import Driver, EquippedDriver
+from cornercase.drivers.vehicles._single_track import SingleTrack
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import Builtin
@@ -376,6 +377,11 @@ def test_what_a_driver_was_told_stays_and_is_its_own(tmp_path):
     assert all(same_recording(*pair) for pair in zip(held, driven_by(tmp_path, scribble), strict=True))
 
 
+class Cruise(cc.SystemUnderTest):
+    def step(self, view, dt):
+        return 0.0
+
+
 def line_file(folder, length, lead):
     """The ego drives north from the road at 30 m/s, along `length` m of a trajectory; a car stands `lead` m ahead."""
     vertices = "".join(
@@ -418,3 +424,24 @@ def test_how_far_a_function_sees_beyond_its_trajectory_does_not_depend_on_others
     (alone,) = ran(simulator, [ConcreteScenario(path, {"length": 50})])
     together = ran(simulator, [ConcreteScenario(path, {"length": length}) for length in (50, 1000)])
     assert same_recording(alone, together[0])
+
+
+@pytest.mark.parametrize(
+    "driver", ["simple + kinematic", "simple + single-track", EquippedDriver(Cruise(), vehicle=SingleTrack())]
+)
+@pytest.mark.parametrize("begin", [-2, 6])
+def test_a_steered_vehicle_comes_back_to_a_trajectory_that_leaves_it(tmp_path, driver, begin):
+    # At 30°, from its own place or 8 m beside it.
+    vertices = "".join(
+        f'<Vertex time="0"><Position><WorldPosition x="{x}" y="{y}"/></Position></Vertex>'
+        for x, y in ((60, begin), (100, begin + 23), (200, begin + 23))
+    )
+    follow = trajectory(f"<Polyline>{vertices}</Polyline>", "<None/>", "position")
+    path = scenario_file(
+        tmp_path,
+        init=private("Ego", teleport("50"), speed_action("10")),
+        story=story_of(event("follows", follow, time_trigger("0.975"))),
+    )
+    (recording,) = ran(Builtin(time_step=DT, duration=12.0, drivers={"Ego": driver}), [ConcreteScenario(path)])
+    assert recording.x[0][-1] > 150.0
+    assert recording.y[0][-1] == pytest.approx(begin + 23, abs=0.1)

@@ -153,7 +153,7 @@ class DriverControl:
         np.copyto(world.speed[e], motion.state.speed, where=rows)
         if any_true(steered := rows & motion.is_steered):
             move_to_pose(world, e, motion.state.x, motion.state.y, motion.state.heading, steered)
-            follow_lane_at_position(world, e, steered)
+            follow_lane_at_position(world, e, steered, is_tracked=motion.is_tracked)
 
     def _make_situation(self, track_number: int, track: Track, dt: float, rows: BoolArray) -> Situation:
         world, e, box = self._world, self.entity, self._world.entities[self.entity]

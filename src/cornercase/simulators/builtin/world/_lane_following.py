@@ -12,7 +12,7 @@ from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.roads._lane_path import LanePath
 from cornercase.roads._network import RoadNetwork
 from cornercase.simulators.builtin.tracks._lane import LaneTrack
-from cornercase.simulators.builtin.tracks._track import NO_TRACK, Pose, Track
+from cornercase.simulators.builtin.tracks._track import NO_TRACK, Pose, Track, Trajectory
 from cornercase.simulators.builtin.world._road_position import follows_lane, road_pose
 from cornercase.simulators.builtin.world._trailers import align_trailers
 from cornercase.simulators.builtin.world._world import World
@@ -83,17 +83,19 @@ def attach_to_lane(world: World, entity: int, where: BoolArray, pose: Pose | Non
         world.turn[entity][rows] = np.where(np.abs(turn) < _ALIGNED, 0.0, turn)
 
 
-def follow_lane_at_position(world: World, entity: int, where: BoolArray) -> None:
+def follow_lane_at_position(world: World, entity: int, where: BoolArray, *, is_tracked: BoolArray) -> None:
     """Make a steered entity follow the lane in which it is, once it has left its own.
 
     It keeps following its track off the road, where traffic runs against its heading, and while the storyboard leads it
-    to another lane.
+    to another lane; also on a trajectory where `is_tracked` (N,), as nothing else than its track steers it there.
     """
     network = world.network
     if network is None:
         return
     left = np.zeros_like(where)
     for _, track, at in world.iter_followed_tracks(entity, where & ~world.changes_lanes[entity]):
+        if isinstance(track, Trajectory):
+            at = at[~is_tracked[at]]
         far = at[np.abs(world.offset[entity][at]) > _half_lane_width(world, entity, track, at) + _LANE_HYSTERESIS]
         left[far] = True
     at = np.flatnonzero(left)
