@@ -51,8 +51,13 @@ def place_entity(world: World, entity: int, pose: Pose, where: BoolArray) -> Non
     attach_to_lane(world, entity, where & ((world.track[entity] == NO_TRACK) | follows_lane(world, entity)), pose)
 
 
-def attach_to_lane(world: World, entity: int, where: BoolArray, pose: Pose | None = None) -> None:
-    """Make an entity follow the lane at its position (or at `pose`), in the direction of its heading."""
+def attach_to_lane(
+    world: World, entity: int, where: BoolArray, pose: Pose | None = None, *, may_move: bool = True
+) -> None:
+    """Make an entity follow the lane at its position (or at `pose`), in the direction of its heading.
+
+    One beyond the end of the road is moved to that end, or follows nothing unless it `may_move`.
+    """
     world.track[entity][where] = NO_TRACK
     world.stranded[entity][where] = False
     if world.network is None:
@@ -73,14 +78,17 @@ def attach_to_lane(world: World, entity: int, where: BoolArray, pose: Pose | Non
         follow_track(world, entity, track, distance, rows)
         world.offset[entity][rows] = pose.offset[rows] if key[3] else -pose.offset[rows]
         x, y, heading = track.pose_at(distance[rows], world.offset[entity][rows], np.flatnonzero(rows))
-        if world.current_action is not None:
-            is_off = rows.copy()
-            is_off[rows] = np.hypot(x - pose.x[rows], y - pose.y[rows]) > _MAX_PLACEMENT_ERROR
+        is_off = rows.copy()
+        is_off[rows] = np.hypot(x - pose.x[rows], y - pose.y[rows]) > _MAX_PLACEMENT_ERROR
+        if may_move and world.current_action is not None:
             why = f"{world.names[entity]} lies beyond the end of the nearest road, and is placed at that end"
             world.add_notice(world.current_action, "position", why, is_off)
         turn = wrap_angle(pose.heading[rows] - heading)
         # Headings of sampled lanes are not exact: ignore small differences.
         world.turn[entity][rows] = np.where(np.abs(turn) < _ALIGNED, 0.0, turn)
+        if not may_move:
+            world.track[entity][is_off] = NO_TRACK
+            world.offset[entity][is_off] = world.turn[entity][is_off] = 0.0
 
 
 def follow_lane_at_position(world: World, entity: int, where: BoolArray, *, is_tracked: BoolArray) -> None:
