@@ -29,6 +29,7 @@ from cornercase._common.errors import InputError, NoticeWarning, SimulationError
 from cornercase._common.process.signals import collect_interrupts
 from cornercase.drivers import Driver, EquippedDriver
 from cornercase.drivers.vehicles._single_track import SingleTrack
+from cornercase.drivers.vehicles._vehicle_model import VEHICLES
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import Builtin
@@ -445,3 +446,16 @@ def test_a_steered_vehicle_comes_back_to_a_trajectory_that_leaves_it(tmp_path, d
     (recording,) = ran(Builtin(time_step=DT, duration=12.0, drivers={"Ego": driver}), [ConcreteScenario(path)])
     assert recording.x[0][-1] > 150.0
     assert recording.y[0][-1] == pytest.approx(begin + 23, abs=0.1)
+
+
+@pytest.mark.parametrize("vehicle", ["actuators", "kinematic", "single-track", "kinematic:lag=0.2"])
+@pytest.mark.parametrize("driver", [Cruise(), "simple"])
+def test_a_vehicle_that_the_scenario_starts_backwards_stops_before_it_drives(tmp_path, vehicle, driver):
+    path = scenario_file(tmp_path, init=private("Ego", teleport("50"), speed_action("-5")))
+    equipped = (
+        f"{driver} + {vehicle}" if isinstance(driver, str) else EquippedDriver(driver, vehicle=VEHICLES.create(vehicle))
+    )
+    (recording,) = ran(Builtin(time_step=DT, duration=2.0, drivers={"Ego": equipped}), [ConcreteScenario(path)])
+    assert recording.x[0] == pytest.approx(50.0, abs=0.3)
+    assert recording.heading[0] == pytest.approx(0.0, abs=1e-3)
+    assert recording.speed[0][1:] == pytest.approx(0.0, abs=1e-9)
