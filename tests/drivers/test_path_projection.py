@@ -57,3 +57,10 @@ def test_what_is_far_from_its_path_is_searched_along_it():
     found = locate_on_path(BEND, np.array([0.0]), *place, np.zeros(1), np.zeros(1))
     gaps = np.hypot(BEND.x - 40.0, BEND.y - 30.0)
     assert found.along[0] == pytest.approx(BEND.distance[gaps.argmin()], abs=STEP)
+
+
+def test_who_is_far_beyond_the_end_of_its_path_is_seen_from_the_line_beyond_it():
+    found = locate_on_path(BEND, np.array([5e3]), *(np.array([value]) for value in (500.0, 600.0, 1.5, 0.0)))
+    dx, dy = 500.0 - BEND.x[-1], 600.0 - BEND.y[-1]
+    assert found.along[0] == pytest.approx(BEND.distance[-1] + dx * np.cos(1.5) + dy * np.sin(1.5))
+    assert found.offset[0] == pytest.approx(dy * np.cos(1.5) - dx * np.sin(1.5))

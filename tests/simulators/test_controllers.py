@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import cornercase as cc
 from conftest import (
     car,
     event,
@@ -26,7 +27,9 @@ from conftest import (
 )  # fmt: skip
 from cornercase._common.errors import InputError, NoticeWarning, SimulationError
 from cornercase._common.process.signals import collect_interrupts
-from cornercase.drivers import Driver
+from cornercase.drivers import Driver, EquippedDriver
+from cornercase.drivers.vehicles._single_track import SingleTrack
+from cornercase.drivers.vehicles._vehicle_model import VEHICLES
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import Builtin
@@ -373,3 +376,86 @@ def test_what_a_driver_was_told_stays_and_is_its_own(tmp_path):
     assert len(kept) > 30
     assert all((told == then).all() for told, then in kept)
     assert all(same_recording(*pair) for pair in zip(held, driven_by(tmp_path, scribble), strict=True))
+
+
+class Cruise(cc.SystemUnderTest):
+    def step(self, view, dt):
+        return 0.0
+
+
+def line_file(folder, length, lead):
+    """The ego drives north from the road at 30 m/s, along `length` m of a trajectory; a car stands `lead` m ahead."""
+    vertices = "".join(
+        f'<Vertex time="0"><Position><WorldPosition x="60" y="{y}"/></Position></Vertex>' for y in ("0", "$length")
+    )
+    position = f'<Position><WorldPosition x="60" y="{lead}" h="1.5707963"/></Position>'
+    across = f"<PrivateAction><TeleportAction>{position}</TeleportAction></PrivateAction>"
+    follow = trajectory(f"<Polyline>{vertices}</Polyline>", "<None/>", "position")
+    return scenario_file(
+        folder,
+        init=private("Ego", follow, speed_action("30")) + private("Other", across, speed_action("0")),
+        entities=car("Ego") + car("Other"),
+        parameters=f'<ParameterDeclaration name="length" parameterType="double" value="{length}"/>',
+    )
+
+
+class Stopping(cc.SystemUnderTest):
+    """Brakes for what it sees less than 200 m ahead, and a little for what is farther away."""
+
+    def step(self, view, dt):
+        leader = view.leader
+        assert np.isfinite(view.ego.distance)
+        if leader is None:
+            return 0.0
+        return -8.0 if leader.gap < 200.0 else -0.1
+
+
+@pytest.mark.parametrize("driver", ["normal", Stopping()])
+def test_a_driver_brakes_at_the_end_of_a_long_trajectory(tmp_path, driver):
+    path = line_file(tmp_path, 5000, 2900)
+    simulator = Builtin(time_step=0.1, duration=130.0, drivers={"Ego": driver})
+    (recording,) = ran(simulator, [ConcreteScenario(path)])
+    assert not recording.collisions
+    assert recording.y[0][-1] > 2700.0
+
+
+def test_how_far_a_function_sees_beyond_its_trajectory_does_not_depend_on_others(tmp_path):
+    path = line_file(tmp_path, 50, 310)
+    simulator = Builtin(time_step=0.1, duration=1.0, drivers={"Ego": Stopping()})
+    (alone,) = ran(simulator, [ConcreteScenario(path, {"length": 50})])
+    together = ran(simulator, [ConcreteScenario(path, {"length": length}) for length in (50, 1000)])
+    assert same_recording(alone, together[0])
+
+
+@pytest.mark.parametrize(
+    "driver", ["simple + kinematic", "simple + single-track", EquippedDriver(Cruise(), vehicle=SingleTrack())]
+)
+@pytest.mark.parametrize("begin", [-2, 6])
+def test_a_steered_vehicle_comes_back_to_a_trajectory_that_leaves_it(tmp_path, driver, begin):
+    # At 30°, from its own place or 8 m beside it.
+    vertices = "".join(
+        f'<Vertex time="0"><Position><WorldPosition x="{x}" y="{y}"/></Position></Vertex>'
+        for x, y in ((60, begin), (100, begin + 23), (200, begin + 23))
+    )
+    follow = trajectory(f"<Polyline>{vertices}</Polyline>", "<None/>", "position")
+    path = scenario_file(
+        tmp_path,
+        init=private("Ego", teleport("50"), speed_action("10")),
+        story=story_of(event("follows", follow, time_trigger("0.975"))),
+    )
+    (recording,) = ran(Builtin(time_step=DT, duration=12.0, drivers={"Ego": driver}), [ConcreteScenario(path)])
+    assert recording.x[0][-1] > 150.0
+    assert recording.y[0][-1] == pytest.approx(begin + 23, abs=0.1)
+
+
+@pytest.mark.parametrize("vehicle", ["actuators", "kinematic", "single-track", "kinematic:lag=0.2"])
+@pytest.mark.parametrize("driver", [Cruise(), "simple"])
+def test_a_vehicle_that_the_scenario_starts_backwards_stops_before_it_drives(tmp_path, vehicle, driver):
+    path = scenario_file(tmp_path, init=private("Ego", teleport("50"), speed_action("-5")))
+    equipped = (
+        f"{driver} + {vehicle}" if isinstance(driver, str) else EquippedDriver(driver, vehicle=VEHICLES.create(vehicle))
+    )
+    (recording,) = ran(Builtin(time_step=DT, duration=2.0, drivers={"Ego": equipped}), [ConcreteScenario(path)])
+    assert recording.x[0] == pytest.approx(50.0, abs=0.3)
+    assert recording.heading[0] == pytest.approx(0.0, abs=1e-3)
+    assert recording.speed[0][1:] == pytest.approx(0.0, abs=1e-9)

@@ -125,3 +125,14 @@ def test_back_at_its_start_a_trajectory_ends_there(tmp_path):
 def test_a_closed_trajectory_that_cannot_be_followed_is_refused(tmp_path, shape, timing, why):
     with pytest.raises(cc.InputError, match=why):
         run(tmp_path, follow(shape, timing=timing).replace('closed="false"', 'closed="true"'))
+
+
+@pytest.mark.parametrize("drivers", [{}, {"Ego": "simple"}, {"Ego": "simple + kinematic"}])
+def test_who_ends_its_trajectory_beyond_the_road_stays_there(tmp_path, drivers):
+    # The road ends at 500 m.
+    init = f'<Private entityRef="Ego">{teleport("470")}{speed_action("10")}</Private>'
+    action = follow(polyline(vertex(480, -2), vertex(530, -2)))
+    path = scenario_file(tmp_path, init=init, story=story_of(event("e", action, time_trigger("0.975"))))
+    (recording,) = ran(Builtin(time_step=DT, duration=8.0, drivers=drivers), [ConcreteScenario(path)])
+    assert recording.x[0][-1] == pytest.approx(530.0, abs=0.6)
+    assert (np.diff(recording.x[0]) > -1e-9).all()

@@ -27,11 +27,12 @@ class DrivenMotion:
     """Motion at the end of a step, for N scenarios.
 
     Where `is_steered` (N,), the vehicle has the pose in `state`. Where not, it goes along its path, and only its speed
-    counts.
+    counts. Where `is_tracked` (N,), nothing but a tracker steers it, along its path.
     """
 
     state: PlanarMotion
     is_steered: BoolArray
+    is_tracked: BoolArray
 
 
 @dataclass(eq=False)
@@ -107,8 +108,9 @@ class Mover:
                     heading[n] += wrap_angle(direction - heading[n])
         is_steered = active & (memory.is_free | is_exact)
         is_driven = is_steered & ~is_exact
+        is_tracked = is_driven & np.isnan(steering)
         if is_driven.any():
-            self._track_path(situation, begin, steering, is_driven)
+            self._track_path(situation, begin, steering, is_tracked)
             if self._steered is None:
                 self._steered = VEHICLES.create(_DEFAULT_VEHICLE)
                 self._steered.start(self._start)
@@ -118,7 +120,7 @@ class Mover:
             after = self._drive(self._steered, begin, acceleration, steering.clip(-limit, limit), dt, is_driven)
             for values, driven in ((x, after.x), (y, after.y), (heading, after.heading), (speed, after.speed)):
                 values[is_driven] = driven[is_driven]
-        return DrivenMotion(PlanarMotion(x, y, heading, speed, (speed - begin.speed) / dt), is_steered)
+        return DrivenMotion(PlanarMotion(x, y, heading, speed, (speed - begin.speed) / dt), is_steered, is_tracked)
 
     def follows_trajectory(self, controls: Controls) -> BoolArray:
         """Return in which scenarios the driver gives a trajectory, or one is followed, (N,)."""
@@ -176,11 +178,8 @@ class Mover:
             del self._memory.changes[n]
         return None
 
-    def _track_path(
-        self, situation: Situation, begin: PlanarMotion, steering: FloatArray, is_driven: BoolArray
-    ) -> None:
-        """Steer along the path in the driven scenarios without a steering angle."""
-        rows = is_driven & np.isnan(steering)
+    def _track_path(self, situation: Situation, begin: PlanarMotion, steering: FloatArray, rows: BoolArray) -> None:
+        """Steer along the path in the scenarios of a mask."""
         if rows.any():
             ahead = begin.speed * (0.5 * situation.time_step + self._response)
             poses = locate_on_path(situation.path, situation.distance, begin.x, begin.y, begin.heading, ahead)

@@ -84,7 +84,7 @@ def project_point(distance, path_x, path_y, heading, max_chord, own_distance, x,
     """
     if not (math.isfinite(x) and math.isfinite(y)):
         return math.nan, math.nan, math.nan, False
-    first = max(_find_first_from(distance, own_distance - _BEHIND) - 1, 0)
+    first = min(max(_find_first_from(distance, own_distance - _BEHIND) - 1, 0), distance.size - 2)
     last = min(_find_first_from(distance, own_distance + _AHEAD) + 1, distance.size - 1)
     nearest = _find_nearest_sample(path_x, path_y, max_chord, first, last, x, y)
     return _project_onto_chords(distance, path_x, path_y, heading, first, last, nearest, x, y)

@@ -65,7 +65,7 @@ class Batch:
         self._time_step = time_step
         self.failure: DriverError | None = None
         try:
-            self._read_file(prepared, scope, seeds, drivers)
+            self._read_file(prepared, scope, seeds, drivers, duration)
         except InputError as error:
             minor, message = later_minor_version(prepared.scenario.root), str(error)
             if minor is not None and "not supported" in message:
@@ -74,7 +74,12 @@ class Batch:
         self._stepper = Stepper(self._world, self._storyboard, time_step, duration, stop_at_collision, coupling)
 
     def _read_file(
-        self, prepared: PreparedScenario, scope: Scope, seeds: Sequence[int], drivers: Mapping[str, Driver | str]
+        self,
+        prepared: PreparedScenario,
+        scope: Scope,
+        seeds: Sequence[int],
+        drivers: Mapping[str, Driver | str],
+        duration: float,
     ) -> None:
         scenario = prepared.scenario
         prepared.check_elements_supported()
@@ -95,7 +100,7 @@ class Batch:
                     f"has {len(objects)} entities; the builtin simulator supports at most {_MAX_ENTITIES}."
                 )
         entities, tows = read_entities(objects, scope)
-        self._world = World(entities, scope.n_scenarios, network, tows, self._time_step)
+        self._world = World(entities, scope.n_scenarios, network, tows, self._time_step, duration)
         self._world.values = self._values
         self._world.signal_controllers = read_signal_controllers(scenario.root, scope)
         self._world.selections = _read_entity_selections(scenario.root, self._world, scope)

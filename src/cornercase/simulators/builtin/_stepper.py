@@ -342,7 +342,8 @@ class Stepper:
         world = self._world
         for driving in self._driver_actions:
             if driving.in_fleet and driving.steers:
-                follow_lane_at_position(world, driving.entity, driving.find_scenarios_in_charge())
+                rows = driving.find_scenarios_in_charge()
+                follow_lane_at_position(world, driving.entity, rows, is_tracked=rows)
 
 
 def _bind_arguments(*arguments: Any) -> tuple[Callable[[int, int], object], bool]:

@@ -23,6 +23,8 @@ _SEAM_OFFSET: Final = 0.5
 _MAX_STEP_BACK: Final = 5.0
 # Distance in m from the end of a road or a trajectory at which an entity has reached it.
 _END_TOLERANCE: Final = 1e-3
+# m; no run goes farther along a trajectory.
+_REACH: Final = 20_000.0
 _ONE_ROW: Final = np.zeros(1, dtype=np.int64)
 
 
@@ -36,7 +38,7 @@ class FollowedPath:
         self._lib, self._network = lib, network
         self._track: Track | None = trajectory
         self._route: tuple[tuple[str, int, float], ...] = ()
-        self.path: DrivenPath | None = None if trajectory is None else sample_trajectory(trajectory)
+        self.path: DrivenPath | None = None if trajectory is None else sample_trajectory(trajectory, _REACH)
         self.distance = 0.0
 
     @property

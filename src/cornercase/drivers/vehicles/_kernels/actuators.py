@@ -156,7 +156,8 @@ def _follow(value, request, lag, max_rate, limit, duration):
 def speed_after(speed, gain, max_speed):
     """Return the speed after a step, and the share of the step in which a vehicle that stops in it still moves."""
     if speed + gain < 0.0:
-        return 0.0, speed / -gain
+        # One that the scenario has sent backwards stops at once.
+        return 0.0, speed / -gain if speed > 0.0 else 0.0
     return min(speed + gain, max_speed), 1.0
 
 

@@ -27,8 +27,10 @@ from cornercase.simulators.builtin.world._lane_following import follow_lane_at_p
 from cornercase.simulators.builtin.world._track_motion import move_to_pose, shift_along_trajectory
 from cornercase.simulators.builtin.world._world import World
 
-# Trajectories for drivers, in m: sample spacing, straight extension beyond the end, and longest length.
-_SAMPLE_SPACING, _EXTENSION_LENGTH, _MAX_LENGTH = 0.5, 200.0, 2000.0
+# Trajectories for drivers, in m: sample spacing, and straight extension beyond the end, farther than anybody looks.
+_SAMPLE_SPACING, _EXTENSION_LENGTH = 0.5, 400.0
+# m/s, of an entity without a limit.
+_MAX_SPEED = 100.0
 # Number of points of trajectories that are computed at once.
 _MAX_POINTS = 10_000
 
@@ -151,7 +153,7 @@ class DriverControl:
         np.copyto(world.speed[e], motion.state.speed, where=rows)
         if any_true(steered := rows & motion.is_steered):
             move_to_pose(world, e, motion.state.x, motion.state.y, motion.state.heading, steered)
-            follow_lane_at_position(world, e, steered)
+            follow_lane_at_position(world, e, steered, is_tracked=motion.is_tracked)
 
     def _make_situation(self, track_number: int, track: Track, dt: float, rows: BoolArray) -> Situation:
         world, e, box = self._world, self.entity, self._world.entities[self.entity]
@@ -202,17 +204,24 @@ class DriverControl:
                 self._paths[track_number] = driven_path(track.path)
         elif isinstance(track, Trajectory) and self._sampled_versions.get(track_number) != track.version:
             # A restarted trajectory may have another shape.
-            self._paths[track_number], self._sampled_versions[track_number] = sample_trajectory(track), track.version
+            path = sample_trajectory(track, self._reach_along(track_number))
+            self._paths[track_number], self._sampled_versions[track_number] = path, track.version
         return self._paths[track_number]
 
+    def _reach_along(self, track_number: int) -> float:
+        """Return the distance in m along a track that the entity can reach until the end of the run."""
+        world, max_speed = self._world, self._world.entities[self.entity].max_speed
+        begins = world.distance[self.entity][world.track[self.entity] == track_number]
+        return float(begins.max(initial=0.0)) + min(max_speed, _MAX_SPEED) * world.duration
 
-def sample_trajectory(track: Trajectory) -> DrivenPath:
-    """Return samples of a trajectory, which may differ between scenarios, as a path for drivers.
+
+def sample_trajectory(track: Trajectory, reach: float) -> DrivenPath:
+    """Return samples of a trajectory up to `reach` m, which may differ between scenarios, as a path for drivers.
 
     Distances are the same in all scenarios, and extend further than a driver looks. So what the driver sees in a
     scenario does not depend on the other scenarios.
     """
-    ends = np.minimum(track.lengths, _MAX_LENGTH)
+    ends = np.minimum(track.lengths, reach)
     distances = _SAMPLE_SPACING * np.arange(int(np.ceil((ends.max() + _EXTENSION_LENGTH) / _SAMPLE_SPACING)) + 1)
     x, y, heading, curvature = (np.empty((len(ends), len(distances))) for _ in range(4))
     # Some at a time: a call takes long, and all points at once need much memory.

@@ -94,12 +94,12 @@ class FollowTrajectoryAction(CompiledAction):
         world.x[e][where], world.y[e][where], world.heading[e][where] = x[where], y[where], heading[where]
 
     def release(self, world: World, where: BoolArray) -> None:
-        attach_to_lane(world, self._entity, where)
+        attach_to_lane(world, self._entity, where, may_move=False)
 
     def leave_track(self, world: World, where: BoolArray) -> None:
         """Follow the road beyond the end of the trajectory; the heading relative to the road stays the same."""
         e = self._entity
-        attach_to_lane(world, e, where)
+        attach_to_lane(world, e, where, may_move=False)
         for _, lane, at in world.iter_followed_tracks(e, where):
             # If roads have a small gap, the shift onto the lane does not count as motion.
             x, y, _ = lane.pose_at(world.distance[e][at], world.offset[e][at], at)

@@ -12,7 +12,7 @@ from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.roads._lane_path import LanePath
 from cornercase.roads._network import RoadNetwork
 from cornercase.simulators.builtin.tracks._lane import LaneTrack
-from cornercase.simulators.builtin.tracks._track import NO_TRACK, Pose, Track
+from cornercase.simulators.builtin.tracks._track import NO_TRACK, Pose, Track, Trajectory
 from cornercase.simulators.builtin.world._road_position import follows_lane, road_pose
 from cornercase.simulators.builtin.world._trailers import align_trailers
 from cornercase.simulators.builtin.world._world import World
@@ -51,8 +51,13 @@ def place_entity(world: World, entity: int, pose: Pose, where: BoolArray) -> Non
     attach_to_lane(world, entity, where & ((world.track[entity] == NO_TRACK) | follows_lane(world, entity)), pose)
 
 
-def attach_to_lane(world: World, entity: int, where: BoolArray, pose: Pose | None = None) -> None:
-    """Make an entity follow the lane at its position (or at `pose`), in the direction of its heading."""
+def attach_to_lane(
+    world: World, entity: int, where: BoolArray, pose: Pose | None = None, *, may_move: bool = True
+) -> None:
+    """Make an entity follow the lane at its position (or at `pose`), in the direction of its heading.
+
+    One beyond the end of the road is moved to that end, or follows nothing unless it `may_move`.
+    """
     world.track[entity][where] = NO_TRACK
     world.stranded[entity][where] = False
     if world.network is None:
@@ -73,27 +78,32 @@ def attach_to_lane(world: World, entity: int, where: BoolArray, pose: Pose | Non
         follow_track(world, entity, track, distance, rows)
         world.offset[entity][rows] = pose.offset[rows] if key[3] else -pose.offset[rows]
         x, y, heading = track.pose_at(distance[rows], world.offset[entity][rows], np.flatnonzero(rows))
-        if world.current_action is not None:
-            is_off = rows.copy()
-            is_off[rows] = np.hypot(x - pose.x[rows], y - pose.y[rows]) > _MAX_PLACEMENT_ERROR
+        is_off = rows.copy()
+        is_off[rows] = np.hypot(x - pose.x[rows], y - pose.y[rows]) > _MAX_PLACEMENT_ERROR
+        if may_move and world.current_action is not None:
             why = f"{world.names[entity]} lies beyond the end of the nearest road, and is placed at that end"
             world.add_notice(world.current_action, "position", why, is_off)
         turn = wrap_angle(pose.heading[rows] - heading)
         # Headings of sampled lanes are not exact: ignore small differences.
         world.turn[entity][rows] = np.where(np.abs(turn) < _ALIGNED, 0.0, turn)
+        if not may_move:
+            world.track[entity][is_off] = NO_TRACK
+            world.offset[entity][is_off] = world.turn[entity][is_off] = 0.0
 
 
-def follow_lane_at_position(world: World, entity: int, where: BoolArray) -> None:
+def follow_lane_at_position(world: World, entity: int, where: BoolArray, *, is_tracked: BoolArray) -> None:
     """Make a steered entity follow the lane in which it is, once it has left its own.
 
     It keeps following its track off the road, where traffic runs against its heading, and while the storyboard leads it
-    to another lane.
+    to another lane; also on a trajectory where `is_tracked` (N,), as nothing else than its track steers it there.
     """
     network = world.network
     if network is None:
         return
     left = np.zeros_like(where)
     for _, track, at in world.iter_followed_tracks(entity, where & ~world.changes_lanes[entity]):
+        if isinstance(track, Trajectory):
+            at = at[~is_tracked[at]]
         far = at[np.abs(world.offset[entity][at]) > _half_lane_width(world, entity, track, at) + _LANE_HYSTERESIS]
         left[far] = True
     at = np.flatnonzero(left)

@@ -113,9 +113,9 @@ class World:
     The arrays (E, N) are views of `floats`, `flags` and `numbers` (N, K, E): write into them, and never replace them.
     `overlapping` (E, E, N) is a view of `overlaps` (N, E, E).
 
-    Time: `time`, `last_step` (N,) and `time_step` in s. `running` (N,): scenarios in the current frame. `changed` (N,):
-    scenarios whose storyboard has changed in this frame. `started`: whether the first frame is over, in which nothing
-    moves.
+    Time: `time`, `last_step` (N,), `time_step` and the longest `duration` in s. `running` (N,): scenarios in the
+    current frame. `changed` (N,): scenarios whose storyboard has changed in this frame. `started`: whether the first
+    frame is over, in which nothing moves.
 
     Motion: `friction` (N,): coefficient of the road, for vehicle models. `step_velocity` in m/s and `step_acceleration`
     in m/s² of the last step, as x and y. `needs_road_check`: whether a condition asks for entities off the road.
@@ -182,9 +182,10 @@ class World:
         network: RoadNetwork | None,
         tows: tuple[Tow, ...] = (),
         time_step: float = 0.05,
+        duration: float = 60.0,
     ) -> None:
         self.entities, self.tows = entities, tows
-        self.time_step = time_step
+        self.time_step, self.duration = time_step, duration
         self.names = [entity.name for entity in entities]
         self.scenarios = scenarios
         self.network = network
