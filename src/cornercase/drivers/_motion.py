@@ -187,7 +187,8 @@ class Mover:
 
     def _limit(self, acceleration: FloatArray) -> FloatArray:
         body = self._start.body
-        return np.clip(np.nan_to_num(acceleration), -body.max_deceleration, body.max_acceleration)
+        decided = np.where(np.isnan(acceleration), 0.0, acceleration)
+        return np.clip(decided, -body.max_deceleration, body.max_acceleration)
 
     def _drive(
         self,

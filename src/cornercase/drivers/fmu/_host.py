@@ -16,6 +16,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from ctypes import c_int64, c_uint8, c_uint32
+from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO, Final
 
@@ -37,14 +38,23 @@ class _Table:
         functions = fmu.setters if verb == "Set" else fmu.getters
         if kind not in functions:
             raise FmuError(f"its library has no function fmi{fmu.version}{verb}{kind}")
-        self.name, self.call = f"{verb}{kind}", functions[kind]
-        self.references, self.count = (c_uint32 * len(references))(*references), len(references)
-        self.stride = width * ctypes.sizeof(C_TYPES[fmu.version][kind])
-        self.address = address
-        self.tail = (width,) if fmu.version == 3 else ()
+        self.name, self._call = f"{verb}{kind}", functions[kind]
+        self._references = (c_uint32 * len(references))(*references)
+        self._stride = width * ctypes.sizeof(C_TYPES[fmu.version][kind])
+        self._address = address
+        self._tail = (width,) if fmu.version == 3 else ()
+
+    def bind(self, instance: Instance, row: int) -> Callable[[], int]:
+        """Return the call that passes a row to an instance, or back."""
+        address = self._address + row * self._stride
+        arguments = instance.component, self._references, len(self._references), address, *self._tail
+        return partial(self._call, *arguments)
+
+    def write_row(self, row: int, values: bytes) -> None:
+        ctypes.memmove(self._address + row * self._stride, values, self._stride)
 
     def read_row(self, row: int) -> bytes:
-        return ctypes.string_at(self.address + row * self.stride, self.stride)
+        return ctypes.string_at(self._address + row * self._stride, self._stride)
 
 
 class Host:
@@ -86,6 +96,8 @@ class Host:
         self._written = [[b""] * len(self._message_outputs) for _ in range(n)]
         self._size, self._n_steps = message["step"], message["steps"]
         self._instances, self._steps = [None] * n, [0] * n
+        # Calls by scenario that pass its inputs and outputs, with their names.
+        self._setters, self._getters = ([list[tuple[str, Callable[[], int]]]() for _ in range(n)] for _ in range(2))
         self._failed: set[int] = set()
         # Inputs and outputs of one scenario, to find out whether a reset gives the same bytes.
         self._is_reset_known = message["reset"] is not None
@@ -154,6 +166,9 @@ class Host:
 
     def _initialize(self, instance: Instance, row: int) -> None:
         self._progress[0] += 1
+        self._setters[row], self._getters[row] = (
+            [(table.name, table.bind(instance, row)) for table in tables] for tables in (self._inputs, self._outputs)
+        )
         for kind, reference, values in self._parameters:
             instance.set(kind, [reference], [values[row % len(values)]])
         for layout, static in self._static:
@@ -163,25 +178,23 @@ class Host:
         instance.exit_initialization()
 
     def _set_inputs(self, instance: Instance, row: int) -> None:
-        for table in self._inputs:
-            address = table.address + row * table.stride
-            if table.call(instance.component, table.references, table.count, address, *table.tail) > WARNING:
-                raise FmuError(f"fmi{self._fmu.version}{table.name} returned an error")
+        for name, call in self._setters[row]:
+            if call() > WARNING:
+                raise FmuError(f"fmi{self._fmu.version}{name} returned an error")
         if self._n_messages:
             self._buffers[row].pass_to(instance)
 
     def _get_outputs(self, instance: Instance, row: int) -> None:
-        for table in self._outputs:
-            address = table.address + row * table.stride
-            if table.call(instance.component, table.references, table.count, address, *table.tail) > WARNING:
-                raise FmuError(f"fmi{self._fmu.version}{table.name} returned an error")
+        for name, call in self._getters[row]:
+            if call() > WARNING:
+                raise FmuError(f"fmi{self._fmu.version}{name} returned an error")
         if self._message_outputs:
             self._written[row] = [read_message(instance, layout) for layout in self._message_outputs]
 
     def _do_steps(self, instance: Instance, first: int) -> None:
-        step, component, size = self._fmu.step, instance.component, self._size
+        step, component, size, progress = self._fmu.step, instance.component, self._size, self._progress
         for k in range(first, first + self._n_steps):
-            self._progress[0] += 1
+            progress[0] += 1
             step(component, k * size, size)
 
     def end(self, reset: bool | None) -> bool | None:
@@ -206,7 +219,7 @@ class Host:
             instance.reset()
             for k, (inputs, messages, outputs) in enumerate(self._recorded):
                 for table, values in zip(self._inputs, inputs, strict=True):
-                    ctypes.memmove(table.address + row * table.stride, values, table.stride)
+                    table.write_row(row, values)
                 self._buffers[row].replace(messages)
                 if k == 0:
                     self._initialize(instance, row)

@@ -103,12 +103,14 @@ class Fmu:
         self._terminate = self.function("Terminate", c_void_p)
         self._free = self.function("FreeInstance", c_void_p, returns=None)
         self._exit_initialization = self.function("ExitInitializationMode", c_void_p)
+        self._ended = ctypes.c_bool()
         if self.version == 2:
             self._setup_experiment = self.function(
                 "SetupExperiment", c_void_p, c_int, c_double, c_double, c_int, c_double
             )
             self._enter_initialization = self.function("EnterInitializationMode", c_void_p)
             self._do_step = self.function("DoStep", c_void_p, c_double, c_double, c_int)
+            self._step_arguments: tuple[Any, ...] = (1,)
             self._callbacks = self._make_callbacks()
         else:
             self._enter_initialization = self.function(
@@ -118,8 +120,8 @@ class Fmu:
             self._do_step = self.function(
                 "DoStep", c_void_p, c_double, c_double, ctypes.c_bool, *flags, POINTER(c_double)
             )
-            self._event, self._ended, self._early = (ctypes.c_bool() for _ in range(3))
-            self._reached = c_double()
+            event, early, reached = ctypes.c_bool(), ctypes.c_bool(), c_double()
+            self._step_arguments = True, byref(event), byref(self._ended), byref(early), byref(reached)
             self._logger_3 = _LOGGER_3(self._log_3)
 
     def _has(self, verb: str, kind: str) -> bool:
@@ -186,15 +188,10 @@ class Fmu:
 
     def step(self, component: int, time: float, size: float) -> None:
         """Let an instance do a step of `size` s from `time`; raises `FmuError`."""
-        if self.version == 2:
-            status = self._do_step(component, time, size, 1)
-        else:
-            status = self._do_step(
-                component, time, size, True, byref(self._event), byref(self._ended), byref(self._early), self._reached
-            )
+        status = self._do_step(component, time, size, *self._step_arguments)
         if status > WARNING:
             self.check("DoStep", status)
-        if self.version == 3 and self._ended.value:
+        if self._ended.value:
             raise FmuError("fmi3DoStep asked to end the simulation")
 
     def _make_callbacks(self) -> _Callbacks2:

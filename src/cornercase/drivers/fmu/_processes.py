@@ -14,13 +14,14 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from functools import lru_cache
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final, NoReturn
 
 import numpy as np
 import numpy.typing as npt
 
-from cornercase._common.platform import describe_exit_code, detached_process_options
+from cornercase._common.platform import count_available_cpus, describe_exit_code, detached_process_options
 from cornercase._common.process.reaper import Reaper
 from cornercase._common.text.sanitize import escape_control_characters, remove_folders, shorten
 from cornercase._common.typing import BoolArray
@@ -30,6 +31,8 @@ from cornercase.drivers.fmu._osmp_buffers import MessageLayout
 
 MAX_PROCESSES: Final = 32
 """Most processes at the same time, for an FMU that wants one for each instance."""
+# A process more pays from so many scenarios on.
+_SCENARIOS_PER_PROCESS: Final = 100
 # Shortest time limit in s of the start of the process and of a batch.
 _START_TIMEOUT: Final = 60.0
 # Log lines that a failure shows, and their length together; bytes of the log that are kept.
@@ -74,7 +77,7 @@ def process_reaper() -> Reaper:
 
 
 class FmuProcesses:
-    """The instances of an FMU for the scenarios of a batch: in one process, or in one each if `once_per_process`.
+    """The instances of an FMU for the scenarios of a batch: in a few processes, or in one each if `once_per_process`.
 
     `timeout` is the time in s that a call of the FMU may take.
     """
@@ -103,7 +106,9 @@ class FmuProcesses:
         self._used = []
         if self._once and scenarios > MAX_PROCESSES:
             raise FmuProcessError(f"the FMU wants a process for each of {scenarios} scenarios")
-        self._rows = [slice(n, n + 1) for n in range(scenarios)] if self._once else [slice(0, scenarios)]
+        n_processes = min(count_available_cpus(), -(-scenarios // _SCENARIOS_PER_PROCESS))
+        bounds = np.linspace(0, scenarios, (scenarios if self._once else n_processes) + 1).astype(int).tolist()
+        self._rows = [slice(*pair) for pair in pairwise(bounds)]
         self._processes = [process for process in self._processes if process.is_usable]
         while len(self._processes) < len(self._rows):
             self._processes.append(_Process(self._source, self._timeout))

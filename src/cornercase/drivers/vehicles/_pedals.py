@@ -22,5 +22,6 @@ def pedals_to_acceleration(throttle: FloatArray, brake: FloatArray, body: Body) 
     """
     highest = body.max_acceleration if np.isfinite(body.max_acceleration) else _MAX_ACCELERATION
     lowest = -(body.max_deceleration if np.isfinite(body.max_deceleration) else _MAX_DECELERATION)
-    acceleration = np.nan_to_num(throttle) * highest + np.nan_to_num(brake) * lowest
-    return np.where(np.isnan(throttle) & np.isnan(brake), np.nan, acceleration)
+    has_throttle, has_brake = ~np.isnan(throttle), ~np.isnan(brake)
+    acceleration = np.where(has_throttle, throttle, 0.0) * highest + np.where(has_brake, brake, 0.0) * lowest
+    return np.where(has_throttle | has_brake, acceleration, np.nan)

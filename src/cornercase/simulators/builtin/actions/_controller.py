@@ -127,14 +127,14 @@ class DriverControl:
     def _motion_at_start(self) -> PlanarMotion:
         """Return the motion at the start of the step, in which an action may have moved the entity already."""
         world, e = self._world, self.entity
-        x, y, heading = self._pose_at_start(e)
+        x, y, heading = self._poses_at_start()[:, e]
         return PlanarMotion(x, y, heading, world.speed[e].copy(), world.acceleration[e].copy())
 
-    def _pose_at_start(self, entity: int) -> FloatArray:
-        """Return x, y and heading of an entity at the start of the step, (3, N)."""
+    def _poses_at_start(self) -> FloatArray:
+        """Return x, y and heading of all entities at the start of the step, (3, E, N)."""
         world = self._world
         states = ((world.x, world.from_x), (world.y, world.from_y), (world.heading, world.from_heading))
-        return np.stack([np.where(world.jumped[entity], now[entity], before[entity]) for now, before in states])
+        return np.stack([np.where(world.jumped, now, before) for now, before in states])
 
     def _apply(self, decision: Decision, rows: BoolArray) -> None:
         """Do what the driver decides in the scenarios of a mask."""
@@ -162,11 +162,11 @@ class DriverControl:
         others = np.empty((len(OTHERS_ROWS), len(self._others), world.scenarios))
         copy_driver_inputs(world.floats, world.flags, e, own, others)
         if self.attachment.sees_start_of_step:
-            own[1:4] = self._pose_at_start(e)
-            for a, other in enumerate(k for k in range(len(world.entities)) if k != e):
-                # Those that it cannot see are NaN.
-                at_start = np.vstack((self._pose_at_start(other), world.before[other]))
-                np.copyto(others[:, a], at_start, where=~np.isnan(others[:, a]))
+            at_start = self._poses_at_start()
+            own[1:4] = at_start[:, e]
+            at_start = np.delete(np.concatenate((at_start, world.before[np.newaxis])), e, axis=1)
+            # Those that it cannot see are NaN.
+            np.copyto(others, at_start, where=~np.isnan(others))
         distance, x, y, heading, speed, acceleration, target_speed = own
         others_x, others_y, others_heading, others_speed = others.transpose(0, 2, 1)
         others_length, others_width, others_center_x = self._others_boxes.copy()
