@@ -31,7 +31,7 @@ from cornercase.drivers.fmu._osmp_buffers import MessageLayout
 
 MAX_PROCESSES: Final = 32
 """Most processes at the same time, for an FMU that wants one for each instance."""
-# A process more pays from so many scenarios on.
+# Scenarios for which another process pays.
 _SCENARIOS_PER_PROCESS: Final = 100
 # Shortest time limit in s of the start of the process and of a batch.
 _START_TIMEOUT: Final = 60.0
