@@ -165,7 +165,19 @@ def test_one_server_runs_many_and_is_left_as_it_was(scenario):
         assert [round(one.x[1][-1]) for one in found] == [-60, -50]
         world = carla.Client(server.host, server.port).get_world()
         assert not world.get_settings().synchronous_mode
+        assert not world.get_settings().no_rendering_mode
         assert not [one for one in world.get_actors() if one.type_id.startswith(("vehicle", "walker", "sensor"))]
+
+
+@pytest.mark.parametrize(("given", "renders"), [({}, False), ({"rendering": True}, True)])
+def test_pictures_are_drawn_during_runs_only_if_wished(scenario, given, renders):
+    with Served(ROAD) as server:
+        simulator = Carla(**options(server), **given)
+        simulator._server.connect(simulator._environment)
+        simulator._server.prepare("", "")
+        settings = carla.Client(server.host, server.port).get_world().get_settings()
+        assert settings.no_rendering_mode is not renders
+        simulator.close()
 
 
 def test_one_of_carlas_maps_is_loaded_by_its_name_and_a_road_file_by_its_text(scenario):

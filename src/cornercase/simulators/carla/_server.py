@@ -19,10 +19,15 @@ _MESH: Final = {
 
 
 class CarlaServer:
-    """A CARLA server that no other program uses; `patience` is the time in s to wait for an answer."""
+    """A CARLA server that no other program uses.
 
-    def __init__(self, host: str, port: int, patience: float, *, any_version: bool = False) -> None:
-        self.host, self.port, self.patience = host, port, patience
+    `patience` is the time in s to wait for an answer. `renders` is whether it draws pictures.
+    """
+
+    def __init__(
+        self, host: str, port: int, patience: float, *, any_version: bool = False, renders: bool = True
+    ) -> None:
+        self.host, self.port, self.patience, self._renders = host, port, patience, renders
         self._any_version = any_version
         self._client: ClientProcess | None = None
 
@@ -54,7 +59,7 @@ class CarlaServer:
     def prepare(self, town: str, road: str, *, keep: str = "") -> None:
         """Load a map of CARLA, or the text of a road file, and remove actors of earlier runs but for `keep`."""
         self._ask("load_map", town, road, _MESH, _LOAD_TIMEOUT, self.patience)
-        self.leave_synchronous_mode()
+        self._ask("leave_synchronous_mode", self._renders)
         self._ask("remove_actors", keep)
 
     def leave_synchronous_mode(self) -> None:

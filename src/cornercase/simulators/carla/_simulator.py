@@ -115,6 +115,8 @@ class Carla(Simulator):
         after a crash, a hang or a lost frame. By default a server runs already.
     restart_after : int, default 0
         Number of scenarios after which a server that was started so is started again; 0 for never.
+    rendering : bool, optional
+        Whether the server draws pictures, which cameras need. By default it does with ``agent`` or ``external_ego``.
 
     Raises
     ------
@@ -153,6 +155,7 @@ class Carla(Simulator):
         patience: float = 20.0,
         start: str = "",
         restart_after: int = 0,
+        rendering: bool | None = None,
     ) -> None:
         self._common_settings = check_settings(time_step, duration, on_collision, None)
         self._drivers, self._attached = _read_drivers(drivers, ego)
@@ -166,7 +169,10 @@ class Carla(Simulator):
         if not (isinstance(restart_after, int) and restart_after >= 0):
             raise InputError(f"restart_after={restart_after}: give a number of scenarios from 1 on, or 0 for never.")
         self._server = CarlaServer(
-            *worker_address(hosts, port, worker, _PORTS_PER_SERVER), patience, any_version=bool(any_version)
+            *worker_address(hosts, port, worker, _PORTS_PER_SERVER),
+            patience,
+            any_version=bool(any_version),
+            renders=bool(agent or external_ego) if rendering is None else bool(rendering),
         )
         self._process = (
             make_carla_process(start, self._server.host, self._server.port, restart_after) if start else None

@@ -26,6 +26,8 @@ class Client:
     def __init__(self) -> None:
         self._client: Any = None
         self._tracker: Tracker | None = None
+        # Whether the server had been told to draw nothing.
+        self._draws_not: bool | None = None
 
     def get_version(self) -> str:
         """Return the version of the client."""
@@ -57,12 +59,19 @@ class Client:
             if actor.type_id.startswith(_OWN_ACTORS) and not is_external:
                 actor.destroy()
 
-    def leave_synchronous_mode(self) -> None:
-        """Leave synchronous mode, in which the server would wait for ticks that nobody sends any more."""
+    def leave_synchronous_mode(self, renders: bool | None = None) -> None:
+        """Leave synchronous mode, in which the server would wait for ticks that nobody sends any more.
+
+        `renders` is whether the server draws pictures until the next call without it.
+        """
         world = self._client.get_world()
         settings = world.get_settings()
-        if settings.synchronous_mode:
+        if self._draws_not is None:
+            self._draws_not = settings.no_rendering_mode
+        draws_not = self._draws_not if renders is None else not renders
+        if settings.synchronous_mode or settings.no_rendering_mode != draws_not:
             settings.synchronous_mode, settings.fixed_delta_seconds = False, None
+            settings.no_rendering_mode = draws_not
             world.apply_settings(settings)
 
     def start_recorder(self, path: str) -> None:
