@@ -30,7 +30,7 @@ class ContractCheck:
     needs: str = ""
 
 
-class NotTried(Exception):  # noqa: N818
+class NotTriedError(Exception):
     """A check cannot be tried; the message says why, as a sentence."""
 
 
@@ -83,7 +83,7 @@ def run_checks(checks: Iterable[ContractCheck]) -> Iterator[CheckResult]:
             try:
                 check.run()
                 problem = ""
-            except NotTried as error:
+            except NotTriedError as error:
                 problem, not_tried = "", str(error)
             except (AssertionError, InputError) as error:
                 problem = str(error)

@@ -17,7 +17,7 @@ from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import SIMULATORS
 from cornercase.simulators._create import create_simulator
 from cornercase.simulators._results import Outcome, run_scenarios
-from cornercase.testing._contract_check import NotTried
+from cornercase.testing._contract_check import NotTriedError
 
 # s that scenarios should run, so that there is time for a crash, and how many there are at most.
 _RUN_TIME, _MAX_SCENARIOS = 2.0, 200
@@ -27,10 +27,10 @@ def crash_during_runs(simulator: str, concrete: ConcreteScenario, ego: str) -> t
     """Run a scenario, then again while the simulator is killed; return the first and the later outcomes.
 
     If the simulator is a server that its worker process has started, the server is killed, else the worker process.
-    Raises `NotTried` if the server was started by somebody else.
+    Raises `NotTriedError` if the server was started by somebody else.
     """
     if "start" in declared_options(SIMULATORS.get_class(simulator)) and "start=" not in simulator:
-        raise NotTried("cornercase has not started its server; let it do so by the option start.")
+        raise NotTriedError("cornercase has not started its server; let it do so by the option start.")
     own = psutil.Process()
     others = {process.pid for process in own.children(recursive=True)}
     with create_simulator(simulator, {}, ego=ego, workers=1) as started:

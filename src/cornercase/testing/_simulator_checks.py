@@ -18,7 +18,7 @@ from cornercase.recordings import Recording
 from cornercase.recordings._compare import are_bitwise_equal, max_position_difference
 from cornercase.simulators import SIMULATORS, Simulator
 from cornercase.testing._cases import Cases, default_cases, storyless_cases
-from cornercase.testing._contract_check import ContractCheck, NotTried
+from cornercase.testing._contract_check import ContractCheck, NotTriedError
 from cornercase.testing._crash import crash_during_runs
 from cornercase.testing._deviations import SmallRun, run_small_scenario
 from cornercase.testing._small_scenarios import SMALL_SCENARIOS, write_small_scenarios
@@ -181,7 +181,7 @@ def _is_independent(simulator: Any, all_cases: Sequence[Cases]) -> None:
 
 def _survives_crash(simulator: Any, all_cases: Sequence[Cases]) -> None:
     if not isinstance(simulator, str):
-        raise NotTried("An object runs in this process; give its name.")
+        raise NotTriedError("An object runs in this process; give its name.")
     concrete = all_cases[0].concretes[0]
     before, after = crash_during_runs(simulator, concrete, all_cases[0].entity)
     for recording in after:

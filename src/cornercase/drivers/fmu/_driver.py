@@ -37,7 +37,7 @@ _Scalar = bool | int | float | str
 class FmuDriver(DrivingFunction):
     """Drives by a functional mock-up unit (FMI 2.0 or 3.0, co-simulation).
 
-    Each concrete scenario has an instance of its own. The instances run in a process of their own, so that a crash of
+    Each concrete scenario has an instance of its own. The instances run in processes of their own, so that a crash of
     the FMU fails only the scenario at fault.
 
     Parameters

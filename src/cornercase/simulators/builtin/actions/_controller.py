@@ -117,21 +117,17 @@ class DriverControl:
         world, e = self._world, self.entity
         active = self.find_scenarios_in_charge()
         # A steered entity may follow another track afterwards.
-        track_numbers = world.track[e].copy()
+        track_numbers, at_start = world.track[e].copy(), self._poses_at_start()
         for k, track in enumerate([*world.tracks[e]]):
             rows = active & (track_numbers == k)
             if any_true(rows) and not (isinstance(track, Trajectory) and track.times is not None):
-                situation = self._make_situation(k, track, dt, rows)
-                self._apply(self.attachment.step(situation, self._motion_at_start()), rows)
-
-    def _motion_at_start(self) -> PlanarMotion:
-        """Return the motion at the start of the step, in which an action may have moved the entity already."""
-        world, e = self._world, self.entity
-        x, y, heading = self._poses_at_start()[:, e]
-        return PlanarMotion(x, y, heading, world.speed[e].copy(), world.acceleration[e].copy())
+                situation = self._make_situation(k, track, dt, rows, at_start)
+                x, y, heading = at_start[:, e]
+                motion = PlanarMotion(x, y, heading, world.speed[e].copy(), world.acceleration[e].copy())
+                self._apply(self.attachment.step(situation, motion), rows)
 
     def _poses_at_start(self) -> FloatArray:
-        """Return x, y and heading of all entities at the start of the step, (3, E, N)."""
+        """Return x, y and heading of all entities at the start of the step, in which actions may have moved them."""
         world = self._world
         states = ((world.x, world.from_x), (world.y, world.from_y), (world.heading, world.from_heading))
         return np.stack([np.where(world.jumped, now, before) for now, before in states])
@@ -155,18 +151,20 @@ class DriverControl:
             move_to_pose(world, e, motion.state.x, motion.state.y, motion.state.heading, steered)
             follow_lane_at_position(world, e, steered, is_tracked=motion.is_tracked)
 
-    def _make_situation(self, track_number: int, track: Track, dt: float, rows: BoolArray) -> Situation:
+    def _make_situation(
+        self, track_number: int, track: Track, dt: float, rows: BoolArray, at_start: FloatArray
+    ) -> Situation:
+        """Return what the driver is given; `at_start` (3, E, N) are the poses at the start of the step."""
         world, e, box = self._world, self.entity, self._world.entities[self.entity]
         # A driver may store or modify its input: give it arrays of its own.
         own = np.empty((len(OWN_ROWS), world.scenarios))
         others = np.empty((len(OTHERS_ROWS), len(self._others), world.scenarios))
         copy_driver_inputs(world.floats, world.flags, e, own, others)
         if self.attachment.sees_start_of_step:
-            at_start = self._poses_at_start()
             own[1:4] = at_start[:, e]
-            at_start = np.delete(np.concatenate((at_start, world.before[np.newaxis])), e, axis=1)
+            others_at_start = np.delete(np.concatenate((at_start, world.before[np.newaxis])), e, axis=1)
             # Those that it cannot see are NaN.
-            np.copyto(others, at_start, where=~np.isnan(others))
+            np.copyto(others, others_at_start, where=~np.isnan(others))
         distance, x, y, heading, speed, acceleration, target_speed = own
         others_x, others_y, others_heading, others_speed = others.transpose(0, 2, 1)
         others_length, others_width, others_center_x = self._others_boxes.copy()
