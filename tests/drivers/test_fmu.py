@@ -20,7 +20,7 @@ from cornercase.drivers.fmu._instance import Fmu, FmuError
 from cornercase.drivers.fmu._model import read_fmu
 from cornercase.study import StudyFile
 from helpers.command_line import cornercase
-from helpers.fmus import PYTHON_AEB, make_fmu, make_python_fmu, make_steering_fmu
+from helpers.fmus import PYTHON_AEB, make_fmu, make_python_fmu, make_steering_fmu, step_instance
 
 DECELERATION = EXAMPLES / "r157" / "deceleration.xosc"
 NCAP = Path(__file__).parents[3] / "shared" / "reference" / "openscenario" / "ncap" / "OpenSCENARIO" / "NCAP"
@@ -412,10 +412,10 @@ def test_an_fmu_in_this_process(folder, tmp_path, version):
     assert instance.get(real, [2, 1]) == [20.0, 10.0]
     assert instance.get(integer, [20]) == [3]
     for k in range(3):
-        instance.step(0.05 * k, 0.05)
+        step_instance(instance, 0.05 * k, 0.05)
     assert instance.get(real, [6]) == [-8.0]
     with pytest.raises(FmuError, match=rf"fmi{version}DoStep returned fmi{version}Error"):
-        instance.step(1.0, 0.05)
+        step_instance(instance, 1.0, 0.05)
     assert lines[-1].endswith("sensor 3")
     instance.reset()
     assert instance.get(integer, [20]) == [0]

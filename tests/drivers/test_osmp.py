@@ -18,7 +18,7 @@ from cornercase.drivers.fmu._model import read_fmu
 from cornercase.drivers.fmu._osmp_buffers import pass_message
 from cornercase.study import StudyFile
 from helpers.command_line import cornercase
-from helpers.fmus import make_osmp_fmu, message_variables
+from helpers.fmus import make_osmp_fmu, message_variables, step_instance
 
 osi = pytest.importorskip("osi3")
 
@@ -391,7 +391,7 @@ class TestRules:
         self.start(instance, init)
         for k, view in enumerate(views):
             pass_message(instance, VIEW, view)
-            instance.step(0.05 * k, 0.05)
+            step_instance(instance, 0.05 * k, 0.05)
         assert not lines
 
     CHANGES: ClassVar[dict[str, Any]] = {
@@ -417,27 +417,27 @@ class TestRules:
         instance, lines, init, views = steps
         self.start(instance, init)
         pass_message(instance, VIEW, views[0])
-        instance.step(0.0, 0.05)
+        step_instance(instance, 0.0, 0.05)
         bad = self.altered(views[1], self.CHANGES[rule])
         if rule == "SensorView can be parsed":
             bad = bad[:-3]
         pass_message(instance, VIEW, bad)
         with pytest.raises(FmuError):
-            instance.step(0.05, 0.05)
+            step_instance(instance, 0.05, 0.05)
         assert lines == [f"OSMP: {rule}"]
 
     def test_time_and_buffers(self, steps):
         instance, lines, init, views = steps
         self.start(instance, init)
         with pytest.raises(FmuError):
-            instance.step(0.0, 0.05)
+            step_instance(instance, 0.0, 0.05)
         pass_message(instance, VIEW, views[5])
         with pytest.raises(FmuError):
-            instance.step(0.0, 0.05)
-        instance.step(0.25, 0.05)
+            step_instance(instance, 0.0, 0.05)
+        step_instance(instance, 0.25, 0.05)
         pass_message(instance, VIEW, views[4])
         with pytest.raises(FmuError):
-            instance.step(0.3, 0.05)
+            step_instance(instance, 0.3, 0.05)
         assert lines == [
             "OSMP: SensorView has an address and a size",
             "OSMP: SensorView is not of the future",
@@ -456,9 +456,9 @@ class TestRules:
             halves = [ctypes.c_int32(part).value for part in (address, address >> 32)]
             instance.set("Integer", [0, 1, 2], [*halves, len(views[k])])
             if k == 0:
-                instance.step(0.0, 0.05)
+                step_instance(instance, 0.0, 0.05)
         with pytest.raises(FmuError):
-            instance.step(0.05, 0.05)
+            step_instance(instance, 0.05, 0.05)
         assert lines == ["OSMP: the buffer of the step before stays as it was"]
 
     def test_the_roads(self, steps):

@@ -8,10 +8,13 @@ import subprocess
 import tempfile
 import zipfile
 from collections.abc import Mapping
+from ctypes import c_double
 from pathlib import Path
 
 import fmpy
 import pytest
+
+from cornercase.drivers.fmu._instance import Instance
 
 SOURCES = Path(__file__).parents[1] / "data" / "fmu"
 HEADERS = Path(fmpy.__file__).parent / "c-code"
@@ -197,3 +200,8 @@ def make_python_fmu(folder: Path, code: str = PYTHON_AEB) -> Path:
     builder = pytest.importorskip("pythonfmu.builder")
     (folder / "python_aeb.py").write_text(code)
     return Path(builder.FmuBuilder.build_FMU(folder / "python_aeb.py", dest=folder))
+
+
+def step_instance(instance: Instance, time: float, size: float) -> None:
+    """Let an instance do one step of `size` s from a time in s."""
+    instance.bind_step(c_double(time), size)()

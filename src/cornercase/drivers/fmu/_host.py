@@ -15,8 +15,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from ctypes import c_int64, c_uint8, c_uint32
-from functools import partial
+from ctypes import c_double, c_int64, c_size_t, c_uint8, c_uint32, c_void_p
 from pathlib import Path
 from typing import Any, BinaryIO, Final
 
@@ -35,20 +34,19 @@ class _Table:
     """Variables of one type in the shared memory: a row per scenario."""
 
     def __init__(self, fmu: Fmu, verb: str, kind: str, references: list[int], width: int, address: int) -> None:
-        functions = fmu.setters if verb == "Set" else fmu.getters
-        if kind not in functions:
-            raise FmuError(f"its library has no function fmi{fmu.version}{verb}{kind}")
-        self.name, self._call = f"{verb}{kind}", functions[kind]
+        self.name, self._fmu = f"{verb}{kind}", fmu
         self._references = (c_uint32 * len(references))(*references)
         self._stride = width * ctypes.sizeof(C_TYPES[fmu.version][kind])
         self._address = address
-        self._tail = (width,) if fmu.version == 3 else ()
+        self._tail = (c_size_t(width),) if fmu.version == 3 else ()
+        # A library without this function is told at the start of the batch.
+        self.bind(0, 0)
 
-    def bind(self, instance: Instance, row: int) -> Callable[[], int]:
+    def bind(self, component: int, row: int) -> Callable[[], int]:
         """Return the call that passes a row to an instance, or back."""
-        address = self._address + row * self._stride
-        arguments = instance.component, self._references, len(self._references), address, *self._tail
-        return partial(self._call, *arguments)
+        references, values = ctypes.addressof(self._references), self._address + row * self._stride
+        pointers = c_void_p(component), c_void_p(references), c_size_t(len(self._references)), c_void_p(values)
+        return self._fmu.bind(self.name, *pointers, *self._tail)
 
     def write_row(self, row: int, values: bytes) -> None:
         ctypes.memmove(self._address + row * self._stride, values, self._stride)
@@ -96,8 +94,10 @@ class Host:
         self._written = [[b""] * len(self._message_outputs) for _ in range(n)]
         self._size, self._n_steps = message["step"], message["steps"]
         self._instances, self._steps = [None] * n, [0] * n
-        # Calls by scenario that pass its inputs and outputs, with their names.
+        # Calls by scenario that pass its inputs and outputs, with their names, and that step it from a time.
         self._setters, self._getters = ([list[tuple[str, Callable[[], int]]]() for _ in range(n)] for _ in range(2))
+        self._steppers: list[Callable[[], None]] = [lambda: None] * n
+        self._time = c_double()
         self._failed: set[int] = set()
         # Inputs and outputs of one scenario, to find out whether a reset gives the same bytes.
         self._is_reset_known = message["reset"] is not None
@@ -141,7 +141,7 @@ class Host:
     def _step_row(self, row: int) -> None:
         instance = self._instances[row] or self._set_up(row)
         self._set_inputs(instance, row)
-        self._do_steps(instance, self._steps[row])
+        self._do_steps(row, self._steps[row])
         self._steps[row] += self._n_steps
         self._get_outputs(instance, row)
         if not self._is_reset_known and self._recorded_row in (-1, row):
@@ -167,8 +167,10 @@ class Host:
     def _initialize(self, instance: Instance, row: int) -> None:
         self._progress[0] += 1
         self._setters[row], self._getters[row] = (
-            [(table.name, table.bind(instance, row)) for table in tables] for tables in (self._inputs, self._outputs)
+            [(table.name, table.bind(instance.component, row)) for table in tables]
+            for tables in (self._inputs, self._outputs)
         )
+        self._steppers[row] = instance.bind_step(self._time, self._size)
         for kind, reference, values in self._parameters:
             instance.set(kind, [reference], [values[row % len(values)]])
         for layout, static in self._static:
@@ -191,11 +193,12 @@ class Host:
         if self._message_outputs:
             self._written[row] = [read_message(instance, layout) for layout in self._message_outputs]
 
-    def _do_steps(self, instance: Instance, first: int) -> None:
-        step, component, size, progress = self._fmu.step, instance.component, self._size, self._progress
+    def _do_steps(self, row: int, first: int) -> None:
+        step, time, progress = self._steppers[row], self._time, self._progress
         for k in range(first, first + self._n_steps):
             progress[0] += 1
-            step(component, k * size, size)
+            time.value = k * self._size
+            step()
 
     def end(self, reset: bool | None) -> bool | None:
         """End a batch; return whether instances may be reset, or None as long as that is not known."""
@@ -224,7 +227,7 @@ class Host:
                 if k == 0:
                     self._initialize(instance, row)
                 self._set_inputs(instance, row)
-                self._do_steps(instance, k * self._n_steps)
+                self._do_steps(row, k * self._n_steps)
                 self._get_outputs(instance, row)
                 if self._read_row(row) != outputs:
                     return False

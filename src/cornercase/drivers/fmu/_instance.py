@@ -9,8 +9,9 @@ import ctypes
 import os
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from ctypes import POINTER, byref, c_char_p, c_double, c_int, c_size_t, c_uint32, c_void_p
+from ctypes import byref, c_char_p, c_double, c_int, c_size_t, c_uint32, c_void_p
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -82,8 +83,9 @@ class Fmu:
     """An FMU whose library is loaded into this process; raises `FmuError` if it cannot be loaded.
 
     `setters` and `getters` are the C functions by type (``"Real"``, ``"Integer"``, …): they take an instance, the value
-    references and their number, a pointer to values, and in FMI 3.0 the number of values. `on_log` gets each line that
-    the FMU logs.
+    references and their number, a pointer to values, and in FMI 3.0 the number of values. `step_arguments` are those of
+    a step after instance, time and size; `has_ended` is set by a step that asks to end the simulation. `on_log` gets
+    each line that the FMU logs.
     """
 
     def __init__(self, source: FmuSource, on_log: Callable[[str], None] = lambda line: None) -> None:
@@ -94,34 +96,37 @@ class Fmu:
             self._dll = ctypes.CDLL(source.library)
         except OSError as error:
             raise FmuError(f"its library cannot be loaded: {error}") from error
-        pointers = (c_void_p, c_void_p, c_size_t, c_void_p, *((c_size_t,) if self.version == 3 else ()))
+        signature = (c_void_p, c_void_p, c_size_t, c_void_p, *((c_size_t,) if self.version == 3 else ()))
         self.setters, self.getters = (
-            {kind: self.function(f"{verb}{kind}", *pointers) for kind in C_TYPES[self.version] if self._has(verb, kind)}
+            {
+                kind: self.function(f"{verb}{kind}", *signature)
+                for kind in C_TYPES[self.version]
+                if self._has(verb, kind)
+            }
             for verb in ("Set", "Get")
         )
         self.reset = self.function("Reset", c_void_p)
         self._terminate = self.function("Terminate", c_void_p)
         self._free = self.function("FreeInstance", c_void_p, returns=None)
         self._exit_initialization = self.function("ExitInitializationMode", c_void_p)
-        self._ended = ctypes.c_bool()
+        # Told at once if it is missing, as what is declared above.
+        self.bind("DoStep")
+        self.has_ended = ctypes.c_bool()
         if self.version == 2:
             self._setup_experiment = self.function(
                 "SetupExperiment", c_void_p, c_int, c_double, c_double, c_int, c_double
             )
             self._enter_initialization = self.function("EnterInitializationMode", c_void_p)
-            self._do_step = self.function("DoStep", c_void_p, c_double, c_double, c_int)
-            self._step_arguments: tuple[Any, ...] = (1,)
+            self.step_arguments: tuple[Any, ...] = (c_int(1),)
             self._callbacks = self._make_callbacks()
         else:
             self._enter_initialization = self.function(
                 "EnterInitializationMode", c_void_p, ctypes.c_bool, c_double, c_double, ctypes.c_bool, c_double
             )
-            flags = (POINTER(ctypes.c_bool),) * 3
-            self._do_step = self.function(
-                "DoStep", c_void_p, c_double, c_double, ctypes.c_bool, *flags, POINTER(c_double)
-            )
-            event, early, reached = ctypes.c_bool(), ctypes.c_bool(), c_double()
-            self._step_arguments = True, byref(event), byref(self._ended), byref(early), byref(reached)
+            self._flags = ctypes.c_bool(), ctypes.c_bool(), c_double()
+            event, early, reached = self._flags
+            pointers = (c_void_p(ctypes.addressof(flag)) for flag in (event, self.has_ended, early, reached))
+            self.step_arguments = ctypes.c_bool(True), *pointers
             self._logger_3 = _LOGGER_3(self._log_3)
 
     def _has(self, verb: str, kind: str) -> bool:
@@ -135,6 +140,12 @@ class Fmu:
             raise FmuError(f"its library has no function {self._prefix}{name}") from None
         function.argtypes, function.restype = arguments, returns
         return function
+
+    def bind(self, name: str, *arguments: Any) -> Callable[[], int]:
+        """Return a C function with its arguments, which are values of ctypes: a call need not convert them."""
+        if not hasattr(self._dll, f"{self._prefix}{name}"):
+            raise FmuError(f"its library has no function {self._prefix}{name}")
+        return partial(self._dll[f"{self._prefix}{name}"], *arguments)
 
     def check(self, name: str, status: int) -> None:
         """Raise `FmuError` for a status that is neither OK nor a warning."""
@@ -185,14 +196,6 @@ class Fmu:
             set_logging = self.function("SetDebugLogging", c_void_p, flag, c_size_t, c_void_p)
             set_logging(component, 1, len(categories), names)
         return Instance(self, component)
-
-    def step(self, component: int, time: float, size: float) -> None:
-        """Let an instance do a step of `size` s from `time`; raises `FmuError`."""
-        status = self._do_step(component, time, size, *self._step_arguments)
-        if status > WARNING:
-            self.check("DoStep", status)
-        if self._ended.value:
-            raise FmuError("fmi3DoStep asked to end the simulation")
 
     def _make_callbacks(self) -> _Callbacks2:
         c_library = load_c_library()
@@ -252,9 +255,19 @@ class Instance:
         """End the initialization; steps follow."""
         self.fmu.check("ExitInitializationMode", self.fmu._exit_initialization(self.component))
 
-    def step(self, time: float, size: float) -> None:
-        """Do a step of `size` s from `time`."""
-        self.fmu.step(self.component, time, size)
+    def bind_step(self, time: c_double, size: float) -> Callable[[], None]:
+        """Return what does a step of `size` s from the value of `time` at that moment."""
+        fmu = self.fmu
+        do_step = fmu.bind("DoStep", c_void_p(self.component), time, c_double(size), *fmu.step_arguments)
+
+        def step() -> None:
+            status = do_step()
+            if status > WARNING:
+                fmu.check("DoStep", status)
+            if fmu.has_ended.value:
+                raise FmuError("fmi3DoStep asked to end the simulation")
+
+        return step
 
     def reset(self) -> None:
         """Return to the state after the instantiation."""
