@@ -10,6 +10,7 @@ import numpy as np
 
 from cornercase._common.configurable import with_numbers
 from cornercase._common.errors import InputError, PluginError, SimulationError
+from cornercase._common.masks import any_true
 from cornercase._common.plugin_errors import (
     format_time_of_failure,
     is_built_in,
@@ -169,19 +170,23 @@ class Attachment:
         controls = self._decide(situation)
         active, time = truth.active, truth.time
         failures = {n: failure for n, failure in controls.failures.items() if active[n]}
-        pressed = pedals_to_acceleration(controls.throttle, controls.brake, self._start.body)
-        acceleration = np.where(np.isnan(controls.acceleration), pressed, controls.acceleration)
-        is_decided = np.isfinite(acceleration)
-        goes_on = np.isnan(acceleration) & self._mover.follows_trajectory(controls)
-        if isinstance(self.driver, DrivingFunction):
-            self._fail_undecided(active & np.isnan(acceleration) & ~goes_on, time, failures)
-        self._fail(active & ~(is_decided | goes_on), acceleration, "an acceleration in m/s²", time, failures)
-        self._fail(active & np.isinf(controls.steering), controls.steering, "an angle in rad", time, failures)
-        self._note_exceeded_steering(controls.steering, active, time)
-        acceleration = self._clip_acceleration(acceleration, active & is_decided, time)
+        acceleration = controls.acceleration.copy()
+        if any_true(active & ~np.isfinite(acceleration)):
+            pressed = pedals_to_acceleration(controls.throttle, controls.brake, self._start.body)
+            acceleration = np.where(np.isnan(acceleration), pressed, acceleration)
+            goes_on = np.isnan(acceleration) & self._mover.follows_trajectory(controls)
+            undecided = active & ~(np.isfinite(acceleration) | goes_on)
+            if isinstance(self.driver, DrivingFunction):
+                self._fail_undecided(undecided & np.isnan(acceleration), time, failures)
+            self._fail(undecided, acceleration, "an acceleration in m/s²", time, failures)
+        if any_true(steers := active & ~np.isnan(controls.steering)):
+            self._fail(steers & np.isinf(controls.steering), controls.steering, "an angle in rad", time, failures)
+            self._note_exceeded_steering(controls.steering, steers, time)
+        acceleration = self._clip_acceleration(acceleration, active & np.isfinite(acceleration), time)
         start = PlanarMotion(**{name: copies[name] for name in _STATE}) if begin is None else begin
         motion = self._mover.step(truth, start, controls, acceleration, active)
-        self._refuse_jumps(active & motion.is_steered, start, motion.state, truth, failures)
+        if any_true(motion.is_steered):
+            self._refuse_jumps(active & motion.is_steered, start, motion.state, truth, failures)
         return Decision(motion, failures)
 
     def _refuse_jumps(

@@ -243,13 +243,15 @@ class Controls:
         return controls
 
     @classmethod
-    def from_scalar(cls, controls: Sequence[Control | None], failures: Mapping[int, SimulationError]) -> Controls:
+    def from_scalar(
+        cls, controls: Sequence[Control | float | None], failures: Mapping[int, SimulationError]
+    ) -> Controls:
         """Return the controls of a batch from one per scenario.
 
         Parameters
         ----------
-        controls : sequence of Control, length N
-            None where there is none.
+        controls : sequence of Control or float, length N
+            A number is an acceleration in m/s². None where there is none.
         failures : mapping of int to SimulationError
             By scenario.
 
@@ -261,6 +263,9 @@ class Controls:
         trajectories: dict[int, Trajectory] = {}
         for n, control in enumerate(controls):
             if control is None:
+                continue
+            if isinstance(control, float):
+                batch.acceleration[n] = control
                 continue
             for name in _UNITS:
                 value: Any = getattr(control, name)

@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 
 from cornercase._common.geometry.boxes import wrap_angle
+from cornercase._common.masks import any_true
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.drivers._base import Situation
 from cornercase.drivers._controls import Controls
@@ -131,6 +132,9 @@ class Mover:
     def _begin_maneuvers(self, time: float, begin: PlanarMotion, controls: Controls, active: BoolArray) -> None:
         """Begin and end trajectories and lane changes as the driver asks."""
         memory = self._memory
+        if not (controls.trajectories or memory.followed or memory.changes or any_true(controls.lane_change != 0)):
+            memory.last_request[active] = 0.0
+            return
         for n, given in controls.trajectories.items():
             if active[n] and not (n in memory.followed and memory.followed[n].given is given):
                 may_reverse = self._start.body.object_type != "pedestrian"

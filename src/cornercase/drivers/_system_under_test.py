@@ -8,6 +8,7 @@ from contextlib import suppress
 from copy import deepcopy
 from dataclasses import dataclass, is_dataclass
 from inspect import signature
+from math import isfinite
 from typing import TYPE_CHECKING, Any, ClassVar, Final, Self
 
 import numpy as np
@@ -224,7 +225,7 @@ class ScalarFunction(DrivingFunction):
     def decide(self, situation: Situation) -> Controls:
         """Let each active object decide."""
         shared = SharedView(situation, self._network)
-        controls: list[Control | None] = [None] * len(situation.active)
+        controls: list[Control | float | None] = [None] * len(situation.active)
         failures = dict[int, SimulationError]()
         for n in np.flatnonzero(situation.active).tolist():
             if n in self._failures:
@@ -235,6 +236,10 @@ class ScalarFunction(DrivingFunction):
                 returned: object = self._objects[n].step(View(shared, n), situation.time_step)
             except BaseException as error:
                 failures[n] = make_scenario_failure(self._name, error, requests, situation.time)
+                continue
+            if type(returned) is float and isfinite(returned):
+                # Most functions return one, and a `Control` takes longer to make than to decide.
+                controls[n] = returned
                 continue
             try:
                 controls[n] = Control.from_returned(returned)

@@ -158,7 +158,7 @@ class SharedView:
         ego = (s.distance, s.x, s.y, s.heading, s.speed)
         others = (s.others_x, s.others_y, s.others_heading, s.others_speed)
         arrays = (np.ascontiguousarray(array, dtype=np.float64) for array in (*ego, *others))
-        look(*s.path.rows, (s.length, s.width, s.center_x), *arrays, boxes, own, objects, leader)
+        look(*s.path.rows, (s.length, s.width, s.center_x), *arrays, boxes, s.active, own, objects, leader)
         return own, objects, leader
 
     @property
@@ -211,10 +211,15 @@ class SharedView:
         poses: list[list[float]] = self.own_pose_on_path.T.tolist()
         return poses
 
+    @property
+    def leader(self) -> IntArray:
+        """Index of the leader, (N,); -1 for none."""
+        return self._seen[2]
+
     @cached_property
     def leaders(self) -> list[int]:
         """Index of the leader by scenario; -1 for none."""
-        leaders: list[int] = self._seen[2].tolist()
+        leaders: list[int] = self.leader.tolist()
         return leaders
 
     @cached_property

@@ -22,15 +22,21 @@ NO_LEADER: Final = -1
 def look(
     distance, path_x, path_y, path_heading, max_chord, box,
     own_distance, x, y, heading, speed, others_x, others_y, others_heading, others_speed, others_boxes,
-    own, objects, leader,
+    active, own, objects, leader,
 ):  # fmt: skip
     """Fill in what is seen in N scenarios: `own` (N, 3), `objects` (N, A, 8) and `leader` (N,).
+
+    Where `active` (N,) is False, nothing is seen: numbers are NaN.
 
     A path has arrays (1, P) or (N, P). `box` and `others_boxes` (3, A) are lengths, widths and centres. `own` is along,
     offset and direction of the path there. A leader is the index of the nearest object ahead in the path.
     """
     length, width, center = box
     for n in range(x.shape[0]):
+        if not active[n]:
+            own[n], objects[n], leader[n] = math.nan, math.nan, NO_LEADER
+            objects[n, :, IN_PATH] = 0.0
+            continue
         row = n if distance.shape[0] > 1 else 0
         path = distance[row], path_x[row], path_y[row], path_heading[row], max_chord[row]
         own[n, 0], own[n, 1], own[n, 2], _ = project_point_nearby(*path, own_distance[n], x[n], y[n])

@@ -37,16 +37,6 @@ class Traffic:
         x, y, _ = self.shared.relative
         return np.argsort(np.hypot(x, y), axis=1, kind="stable")
 
-    @cached_property
-    def _leader(self) -> IntArray:
-        """Rank of the leader among the sorted ones, (N,); A if there is none."""
-        x, gap, in_path = self.field("x"), self.field("gap"), self.field("in_path")
-        if not x.shape[1]:
-            return np.zeros(len(x), dtype=np.int64)
-        is_ahead = (in_path > 0.0) & (gap >= 0.0) & (x > 0.0)
-        nearest = np.argmin(np.where(is_ahead, gap, np.inf), axis=1)
-        return np.where(is_ahead.any(axis=1), nearest, x.shape[1])
-
     def field(self, name: str) -> FloatArray:
         """Return what is known about the others, sorted, (N, A); NaN for those that do not exist."""
         if name not in self._fields:
@@ -65,9 +55,10 @@ class Traffic:
 
     def of_leader(self, name: str) -> FloatArray:
         """Return what is known about the leader, (N,); NaN where there is none."""
-        values = self.field(name)
-        padded: FloatArray = np.column_stack((values, np.full(len(values), np.nan)))
-        of_leader: FloatArray = padded[np.arange(len(values)), self._leader]
+        leader, values = self.shared.leader, _OTHER_FIELDS[name](self)
+        if not values.shape[1]:
+            return np.full(len(values), np.nan)
+        of_leader: FloatArray = np.where(leader < 0, np.nan, values[np.arange(len(values)), leader])
         return of_leader
 
     def of_path(self, field: str, ahead: float) -> FloatArray:

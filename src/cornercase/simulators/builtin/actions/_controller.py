@@ -117,20 +117,11 @@ class DriverControl:
         world, e = self._world, self.entity
         active = self.find_scenarios_in_charge()
         # A steered entity may follow another track afterwards.
-        track_numbers, at_start = world.track[e].copy(), self._poses_at_start()
+        track_numbers = world.track[e].copy()
         for k, track in enumerate([*world.tracks[e]]):
             rows = active & (track_numbers == k)
             if any_true(rows) and not (isinstance(track, Trajectory) and track.times is not None):
-                situation = self._make_situation(k, track, dt, rows, at_start)
-                x, y, heading = at_start[:, e]
-                motion = PlanarMotion(x, y, heading, world.speed[e].copy(), world.acceleration[e].copy())
-                self._apply(self.attachment.step(situation, motion), rows)
-
-    def _poses_at_start(self) -> FloatArray:
-        """Return x, y and heading of all entities at the start of the step, in which actions may have moved them."""
-        world = self._world
-        states = ((world.x, world.from_x), (world.y, world.from_y), (world.heading, world.from_heading))
-        return np.stack([np.where(world.jumped, now, before) for now, before in states])
+                self._apply(self.attachment.step(*self._make_situation(k, track, dt, rows)), rows)
 
     def _apply(self, decision: Decision, rows: BoolArray) -> None:
         """Do what the driver decides in the scenarios of a mask."""
@@ -141,10 +132,9 @@ class DriverControl:
         world.steered[e][rows] = motion.is_steered[rows]
         if self.attachment.vehicle is not None:
             world.pace[e][rows] = 0.5 * (world.speed[e] + motion.state.speed)[rows]
-        if self.attachment.sees_start_of_step:
+        if self.attachment.sees_start_of_step and any_true(goes := rows & world.moved[e] & ~motion.is_steered):
             # The storyboard has moved it along a trajectory by the speed that it had.
             covered = (world.pace[e] if self.attachment.vehicle is not None else motion.state.speed) * world.time_step
-            goes = rows & world.moved[e] & ~motion.is_steered
             shift_along_trajectory(world, e, goes, covered - world.speed[e] * world.time_step)
         np.copyto(world.speed[e], motion.state.speed, where=rows)
         if any_true(steered := rows & motion.is_steered):
@@ -152,23 +142,19 @@ class DriverControl:
             follow_lane_at_position(world, e, steered, is_tracked=motion.is_tracked)
 
     def _make_situation(
-        self, track_number: int, track: Track, dt: float, rows: BoolArray, at_start: FloatArray
-    ) -> Situation:
-        """Return what the driver is given; `at_start` (3, E, N) are the poses at the start of the step."""
+        self, track_number: int, track: Track, dt: float, rows: BoolArray
+    ) -> tuple[Situation, PlanarMotion]:
+        """Return what the driver is given, and the motion at the start of the step."""
         world, e, box = self._world, self.entity, self._world.entities[self.entity]
         # A driver may store or modify its input: give it arrays of its own.
         own = np.empty((len(OWN_ROWS), world.scenarios))
         others = np.empty((len(OTHERS_ROWS), len(self._others), world.scenarios))
-        copy_driver_inputs(world.floats, world.flags, e, own, others)
-        if self.attachment.sees_start_of_step:
-            own[1:4] = at_start[:, e]
-            others_at_start = np.delete(np.concatenate((at_start, world.before[np.newaxis])), e, axis=1)
-            # Those that it cannot see are NaN.
-            np.copyto(others, others_at_start, where=~np.isnan(others))
+        begin = np.empty((3, world.scenarios))
+        copy_driver_inputs(world.floats, world.flags, e, self.attachment.sees_start_of_step, begin, own, others)
         distance, x, y, heading, speed, acceleration, target_speed = own
         others_x, others_y, others_heading, others_speed = others.transpose(0, 2, 1)
         others_length, others_width, others_center_x = self._others_boxes.copy()
-        return Situation(
+        situation = Situation(
             time=float(world.time[rows].max()),
             time_step=dt,
             path=self.path_of_track(track_number, track),
@@ -194,6 +180,8 @@ class DriverControl:
             others_name=self._others_name,
             signals=world.signals,
         )
+        begin_x, begin_y, begin_heading = begin
+        return situation, PlanarMotion(begin_x, begin_y, begin_heading, speed.copy(), acceleration.copy())
 
     def path_of_track(self, track_number: int, track: Track) -> DrivenPath:
         """Return the path along one of the entity's tracks, in the form that drivers get."""

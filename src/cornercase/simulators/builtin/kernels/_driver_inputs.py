@@ -11,8 +11,13 @@ from typing import Final
 from cornercase._common.numba.kernel import kernel
 from cornercase.simulators.builtin.world._state_layout import (
     ACCELERATION,
+    BEFORE,
     DISTANCE,
+    FROM_HEADING,
+    FROM_X,
+    FROM_Y,
     HEADING,
+    JUMPED,
     PRESENT,
     SPEED,
     TARGET_SPEED,
@@ -25,19 +30,31 @@ OWN_ROWS: Final = (DISTANCE, X, Y, HEADING, SPEED, ACCELERATION, TARGET_SPEED)
 """What a driver is given of its own entity, as rows of `World.floats`."""
 OTHERS_ROWS: Final = (X, Y, HEADING, SPEED)
 """What a driver is given of the others, as rows of `World.floats`."""
+# What takes their place if they are to be those at the start of the step, where the entity has not jumped; the speed
+# has no such place of the own entity, whose actions change it after its driver was asked.
+_STARTS: Final = (FROM_X, FROM_Y, FROM_HEADING, BEFORE)
 
 
 @kernel(interpreted_seconds=lambda floats, *_: 1e-5 * floats.shape[0] * floats.shape[2], error_model="numpy")
-def copy_driver_inputs(floats, flags, entity, own, others):
+def copy_driver_inputs(floats, flags, entity, is_at_start, begin, own, others):
     """Copy the state of an entity to `own` (7, N), and that of A other entities to `others` (4, A, N).
 
-    It is NaN for entities that the driven entity cannot see, since they are absent or hidden by an action.
+    It is NaN for entities that the driven entity cannot see, since they are absent or hidden by an action. Actions may
+    have moved entities in this step already: with `is_at_start`, the poses and the speeds of the others are those at
+    the start of the step. `begin` (3, N) is the entity's own pose then in either case.
     """
     for n in range(floats.shape[0]):
         for q in range(len(OWN_ROWS)):
             own[q, n] = floats[n, OWN_ROWS[q], entity]
+        for q in range(3):
+            begin[q, n] = floats[n, OTHERS_ROWS[q] if flags[n, JUMPED, entity] else _STARTS[q], entity]
+            if is_at_start:
+                own[q + 1, n] = begin[q, n]
         for a in range(others.shape[1]):
             other = a if a < entity else a + 1
             is_visible = flags[n, PRESENT, other] and flags[n, VISIBLE, other]
             for q in range(len(OTHERS_ROWS)):
-                others[q, a, n] = floats[n, OTHERS_ROWS[q], other] if is_visible else math.nan
+                row = OTHERS_ROWS[q]
+                if is_at_start and (q == 3 or not flags[n, JUMPED, other]):
+                    row = _STARTS[q]
+                others[q, a, n] = floats[n, row, other] if is_visible else math.nan

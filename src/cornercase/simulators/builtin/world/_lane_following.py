@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 
 from cornercase._common.geometry.boxes import is_facing_forward, wrap_angle
+from cornercase._common.masks import any_true
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.roads._lane_path import LanePath
 from cornercase.roads._network import RoadNetwork
@@ -60,11 +61,10 @@ def attach_to_lane(
     """
     world.track[entity][where] = NO_TRACK
     world.stranded[entity][where] = False
-    if world.network is None:
+    if world.network is None or not any_true(where):
         return
     if pose is None or pose.lane is None or pose.road is None:
-        location = world.network.locate(world.x[entity], world.y[entity])
-        pose = Pose(world.x[entity], world.y[entity], world.heading[entity], *location)
+        pose = _locate_entity(world, world.network, entity, where)
     assert pose.offset is not None
     _, lane, s = pose.road_coordinates()
     road, section, along = _road_section_direction(world, pose, where)
@@ -89,6 +89,14 @@ def attach_to_lane(
         if not may_move:
             world.track[entity][is_off] = NO_TRACK
             world.offset[entity][is_off] = world.turn[entity][is_off] = 0.0
+
+
+def _locate_entity(world: World, network: RoadNetwork, entity: int, where: BoolArray) -> Pose:
+    """Return the pose of an entity; its road coordinates are found in the scenarios of a mask, and 0 in all others."""
+    n = world.scenarios
+    road, lane, s, offset = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64), np.zeros(n), np.zeros(n)
+    road[where], lane[where], s[where], offset[where] = network.locate(world.x[entity][where], world.y[entity][where])
+    return Pose(world.x[entity], world.y[entity], world.heading[entity], road, lane, s, offset)
 
 
 def follow_lane_at_position(world: World, entity: int, where: BoolArray, *, is_tracked: BoolArray) -> None:
