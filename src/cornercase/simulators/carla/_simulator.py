@@ -37,6 +37,7 @@ from cornercase.simulators.carla._openscenario_1_0 import (
 )
 from cornercase.simulators.carla._overridden_parameters import describe_overridden_parameters
 from cornercase.simulators.carla._runner_environment import RunnerEnvironment
+from cornercase.simulators.carla._runner_process import RunnerProcess
 from cornercase.simulators.carla._scenario_runner import RunLimits, run_scenario_runner
 from cornercase.simulators.carla._server import CarlaServer
 from cornercase.simulators.carla._started_server import make_carla_process
@@ -178,6 +179,7 @@ class Carla(Simulator):
             make_carla_process(start, self._server.host, self._server.port, restart_after) if start else None
         )
         self._runner_folders = scenario_runner, python, carla_root
+        self._runner: RunnerProcess | None = None
         self._traffic_port, self._folder = 8000 + worker, folder
         self._last_scenario: ScenarioFile | None = None
         if self._attached is not None and agent:
@@ -266,7 +268,9 @@ class Carla(Simulator):
             self._process.stop()
 
     def close(self) -> None:
-        """End the client, and the server that was started here."""
+        """End ScenarioRunner, the client, and the server that was started here."""
+        if self._runner is not None:
+            self._runner.close()
         self._server.disconnect()
         if self._process is not None:
             self._process.stop()
@@ -357,13 +361,15 @@ class Carla(Simulator):
             text = road_text_for_carla(scenario.get_root(road))
             (folder / _ROAD_FILE).write_text(text, encoding="utf-8")
         external = self._ego if self._external_ego else ""
+        if self._runner is None:
+            self._runner = RunnerProcess(self._environment)
         server.connect(self._environment)
         server.prepare(town, text, keep=external)
         log = folder / "cornercase.log"
         with EntityTracker(server, scenario.entities, self._ego, self._time_step, external=external) as tracker:
             try:
                 run_scenario_runner(
-                    self._environment, file, drivers, self._scenario_runner_options(), tracker,
+                    self._runner, file, drivers, self._scenario_runner_options(), tracker,
                     RunLimits(self._duration, self._stop_on_collision, _SILENCE_FACTOR * server.patience),
                     time_step=self._time_step,
                     before_start=(lambda: server.start_recorder(log)) if self._record == "recorder" else lambda: None,
