@@ -363,7 +363,7 @@ class Carla(Simulator):
         external = self._ego if self._external_ego else ""
         if self._runner is None:
             self._runner = RunnerProcess(self._environment)
-        server.connect(self._environment)
+        server.connect(self._environment, has_answered=self._process is not None)
         server.prepare(town, text, keep=external)
         log = folder / "cornercase.log"
         with EntityTracker(server, scenario.entities, self._ego, self._time_step, external=external) as tracker:

@@ -49,7 +49,7 @@ def main() -> int:
         sys.stderr.flush()
         child = os.fork() if can_fork else 0
         if child == 0 and can_fork:
-            _seed_anew()
+            _seed_again()
         if child == 0:
             if not can_fork:
                 _answer(answers, "started", os.getpid())
@@ -88,7 +88,7 @@ def _read_schema() -> None:
     except ImportError:
         return
     path = os.path.join(os.path.dirname(os.path.abspath(str(user.__file__))), "../openscenario/OpenSCENARIO.xsd")
-    library = getattr(user, "xmlschema", None)
+    library = vars(user).get("xmlschema")
     if library is None or not os.path.isfile(path):
         return
     schema = library.XMLSchema(path)
@@ -101,7 +101,7 @@ def _read_schema() -> None:
     user.xmlschema = SimpleNamespace(**changed)  # type: ignore[attr-defined]
 
 
-def _seed_anew() -> None:
+def _seed_again() -> None:
     """Give this process other random numbers than its siblings; Python does that for the module `random`."""
     if "numpy" in sys.modules:
         sys.modules["numpy"].random.seed()
