@@ -9,6 +9,7 @@ import argparse
 import math
 import os
 import signal
+import socket
 import sys
 import threading
 import time
@@ -79,6 +80,11 @@ class ScenarioRunner:
 
         if self.wrong == "aborts":
             os.abort()
+        # As the client does for its traffic manager, until the process ends.
+        try:
+            self.traffic_manager = socket.create_server(("", int(options.trafficManagerPort)))
+        except OSError as error:
+            raise RuntimeError("the system failed to create because of bind error.") from error
         actors = []
         if self.wrong.startswith("plays"):
             self.play(world)
@@ -111,6 +117,8 @@ class ScenarioRunner:
         manager = ScenarioManager()
         manager.drive = lambda: self.drive(world, actors)
         manager.run_scenario()
+        if self.wrong == "watchdog":
+            raise RuntimeError("Timeout occurred during scenario execution")
         if self.wrong == "fails at the end":
             raise RuntimeError("a storyboard that is none")
         if self.wrong == "does not end":

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import socket
 import sys
+from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -88,15 +90,25 @@ def test_a_program_with_threads_of_its_own_runs_one_scenario(server, scenario, p
 @FORKED_ONLY
 def test_after_a_failure_there_is_a_new_program(server, scenario, programs, monkeypatch, tmp_path):
     faults = tmp_path / "faults"
-    faults.write_text("\n".join(["", "cannot load", "", "aborts", "", "fails at the end", "", ""]))
+    wrong = ["cannot load", "aborts", "fails at the end", "watchdog"]
+    faults.write_text("".join(f"\n{fault}\n" for fault in wrong) + "\n")
     monkeypatch.setenv("FAKE_RUNNER", f"@{faults}")
-    outcomes = run(make_simulator(server), scenario, [140.0] * 7)
-    assert are_the_same(outcomes[::2], outcomes[:1] * 4)
+    outcomes = run(make_simulator(server), scenario, [140.0] * 9)
+    assert are_the_same(outcomes[::2], outcomes[:1] * 5)
     failures = outcomes[1::2]
-    assert [type(failure) for failure in failures] == [SimulationError, SimulatorError, SimulationError]
+    # Only what may not happen again is tried again.
+    own, others = SimulationError, SimulatorError
+    assert [type(failure) for failure in failures] == [own, others, own, others]
     assert "KeyError: 'Ego'" in str(failures[0])
     assert "a storyboard that is none" in str(failures[2])
-    assert len(programs()) == 4
+    assert len(programs()) == 5
+
+
+def test_the_port_of_another_scenario_runners_traffic_manager_is_left_alone(server, scenario):
+    # That of the first worker of any other search, if nobody has it yet.
+    with suppress(OSError), socket.create_server(("", 8000)):
+        (found,) = run(make_simulator(server), scenario, STARTS[:1])
+        assert isinstance(found, Recording), found
 
 
 @FORKED_ONLY

@@ -19,6 +19,8 @@ _LAST_FRAME_FILE: Final = "last_frame"
 _END_TIMEOUT, _POLL_INTERVAL = 2.0, 0.02
 # ScenarioRunner prints one of these when a scenario has ended; its exit code does not show it.
 _END_MESSAGES: Final = ("All scenario tests were passed", "Not all scenario tests were successful")
+# Of errors that are not the scenario's: CARLA's client, ScenarioRunner's watchdog, the traffic manager's port.
+_WORDS_OF_SERVER: Final = ("time-out of", "Timeout occurred during scenario execution", "because of bind error")
 _ERROR_PATTERN: Final = re.compile(r"^\w*(Error|Exception)\b")
 
 
@@ -65,8 +67,9 @@ def run_scenario_runner(
         output = log.read_text(encoding="utf-8", errors="replace")
         if tracker.first_frame is None or not (stopped or any(message in output for message in _END_MESSAGES)):
             last_line = _last_error_line(output)
-            # A time-out may not happen again when the scenario is retried.
-            error_class = SimulatorError if is_aborted or "time-out of" in last_line else SimulationError
+            # It may not happen again when the scenario is retried.
+            is_of_server = is_aborted or any(words in last_line for words in _WORDS_OF_SERVER)
+            error_class = SimulatorError if is_of_server else SimulationError
             raise error_class(f"ScenarioRunner did not run it to the end: {last_line}")
         is_done = True
     finally:

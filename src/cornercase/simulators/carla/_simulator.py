@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import shutil
+import socket
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -180,7 +181,7 @@ class Carla(Simulator):
         )
         self._runner_folders = scenario_runner, python, carla_root
         self._runner: RunnerProcess | None = None
-        self._traffic_port, self._folder = 8000 + worker, folder
+        self._folder = folder
         self._last_scenario: ScenarioFile | None = None
         if self._attached is not None and agent:
             raise InputError(f"`drivers` {ego}: the agent {agent} drives the ego; leave out one of them.")
@@ -383,7 +384,7 @@ class Carla(Simulator):
         server = self._server
         return [
             "--host", server.host, "--port", server.port, "--timeout", server.patience,
-            "--trafficManagerPort", self._traffic_port, "--trafficManagerSeed", self._seed,
+            "--trafficManagerPort", _find_free_port(), "--trafficManagerSeed", self._seed,
             *(["--waitForEgo"] if self._external_ego else []),
         ]  # fmt: skip
 
@@ -425,6 +426,17 @@ def _read_drivers(drivers: Mapping[str, DriverLike] | None, ego: str) -> tuple[d
         else:
             attached = driver_by_name(driver) if isinstance(driver, str) else driver
     return behaviors, attached
+
+
+def _find_free_port() -> int:
+    """Return a port for CARLA's traffic manager, which its client opens on this machine.
+
+    With a fixed one, two ScenarioRunners on a machine would disturb each other, and the server takes a traffic manager
+    that was killed for one that runs.
+    """
+    with socket.socket() as free:
+        free.bind(("", 0))
+        return int(free.getsockname()[1])
 
 
 def _existing_file(text: str, option: str) -> Path:
