@@ -46,13 +46,12 @@ def run_scenario_runner(
 ) -> None:
     """Run a file until the scenario ends; `before_start` is called when all entities exist.
 
-    After a failure, `runner` is closed, so that the next scenario starts it anew.
+    After a failure, `runner` is closed, so that the next scenario starts it again.
     """
     arguments = ["--sync", "--openscenario", file.resolve(), *options]
     if runner.environment.has_frame_rate:
         arguments += ["--frameRate", repr(1.0 / time_step)]
     log = file.with_name("scenario_runner.log")
-    is_done = False
     runner.start(file.parent, log, drivers, 1.0 / time_step, arguments)
     try:
         try:
@@ -71,10 +70,9 @@ def run_scenario_runner(
             is_of_server = is_aborted or any(words in last_line for words in _WORDS_OF_SERVER)
             error_class = SimulatorError if is_of_server else SimulationError
             raise error_class(f"ScenarioRunner did not run it to the end: {last_line}")
-        is_done = True
-    finally:
-        if not is_done:
-            runner.close()
+    except BaseException:
+        runner.close()
+        raise
 
 
 def _wait_for_end(

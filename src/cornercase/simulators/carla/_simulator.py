@@ -64,10 +64,11 @@ _SILENCE_FACTOR: Final = 3
 class Carla(Simulator):
     """Runs concrete scenarios by ScenarioRunner in synchronous mode, on a CARLA server that nothing else uses.
 
-    Each scenario is written as OpenSCENARIO 1.0 and run by its own ScenarioRunner process, in ScenarioRunner's
-    environment. A client in the same environment records the motion of all entities. CARLA's behaviour agents drive
-    entities with the driver ``cautious``, ``normal`` or ``aggressive`` along their initial route; ScenarioRunner moves
-    all others. CARLA is not deterministic, so run each scenario several times.
+    Each scenario is written as OpenSCENARIO 1.0 and run by a ScenarioRunner process of its own, in ScenarioRunner's
+    environment; on Linux that is a fork of one that has imported ScenarioRunner. A client in the same environment
+    records the motion of all entities. CARLA's behaviour agents drive entities with the driver ``cautious``,
+    ``normal`` or ``aggressive`` along their initial route; ScenarioRunner moves all others. CARLA is not
+    deterministic, so run each scenario several times.
 
     Parameters
     ----------
