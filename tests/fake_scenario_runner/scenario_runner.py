@@ -10,6 +10,7 @@ import math
 import os
 import signal
 import socket
+import subprocess
 import sys
 import threading
 import time
@@ -80,6 +81,8 @@ class ScenarioRunner:
 
         if self.wrong == "aborts":
             os.abort()
+        if self.wrong == "agent starts a program":
+            subprocess.run([sys.executable, "-c", "import sys; sys.stdin.read()"], timeout=20.0, check=True)
         # As the client does for its traffic manager, until the process ends.
         try:
             self.traffic_manager = socket.create_server(("", int(options.trafficManagerPort)))

@@ -111,6 +111,12 @@ def test_the_port_of_another_scenario_runners_traffic_manager_is_left_alone(serv
         assert isinstance(found, Recording), found
 
 
+def test_a_program_of_an_agent_does_not_get_what_is_for_the_next_scenario(server, scenario, monkeypatch):
+    monkeypatch.setenv("FAKE_RUNNER", "agent starts a program")
+    for found in run(make_simulator(server), scenario, STARTS[:2]):
+        assert isinstance(found, Recording), found
+
+
 @FORKED_ONLY
 def test_a_scenario_that_does_not_end_is_killed_alone(server, scenario, programs, monkeypatch, tmp_path):
     faults = tmp_path / "faults"

@@ -37,9 +37,14 @@ def main() -> int:
     can_fork = _can_fork(n_threads)
     if can_fork:
         _read_schema()
+    # Programs that an agent starts have nothing to read, else they would take the requests of later scenarios.
+    requests = os.dup(0)
+    nothing = os.open(os.devnull, os.O_RDONLY)
+    os.dup2(nothing, 0)
+    os.close(nothing)
     child = 0
     while True:
-        line = _read_line()
+        line = _read_line(requests)
         if child:
             # Not before, so that until now the number means no other process.
             os.waitpid(child, 0)
@@ -54,7 +59,7 @@ def main() -> int:
             if not can_fork:
                 _answer(answers, "started", os.getpid())
             answers.close()
-            return _run_scenario(json.loads(line))
+            return _run_scenario(json.loads(line), requests)
         _answer(answers, "started", child)
         state = os.waitid(os.P_PID, child, os.WEXITED | os.WNOWAIT)
         assert state is not None
@@ -107,8 +112,8 @@ def _seed_again() -> None:
         sys.modules["numpy"].random.seed()
 
 
-def _run_scenario(request: dict[str, Any]) -> int:
-    """Run ScenarioRunner in this process, and return its exit status."""
+def _run_scenario(request: dict[str, Any], requests: int) -> int:
+    """Run ScenarioRunner in this process when the next line of `requests` comes, and return its exit status."""
     log = os.open(request["log"], os.O_WRONLY | os.O_APPEND | os.O_CREAT)
     for stream in (1, 2):
         os.dup2(log, stream)
@@ -127,7 +132,7 @@ def _run_scenario(request: dict[str, Any]) -> int:
     def run_when_recorded(manager: Any) -> Any:
         world = provider.get_world()
         _write_frame(world, FIRST_FRAME_FILE)
-        if not _read_line():
+        if not _read_line(requests):
             raise RuntimeError("cornercase has ended the run")
         result = run_scenario(manager)
         _write_frame(world, LAST_FRAME_FILE)
@@ -139,11 +144,11 @@ def _run_scenario(request: dict[str, Any]) -> int:
     return int(scenario_runner.main() or 0)
 
 
-def _read_line() -> str:
-    """Return a line of standard input, empty at its end; read no further, since a fork reads the next one."""
+def _read_line(requests: int) -> str:
+    """Return a line of an open file, empty at its end; read no further, since a fork reads the next one."""
     line = b""
     while not line.endswith(b"\n"):
-        character = os.read(0, 1)
+        character = os.read(requests, 1)
         if not character:
             return ""
         line += character
