@@ -1,15 +1,21 @@
 """Takes ScenarioRunner's options and moves the entities of a scenario straight on, as a client of CARLA.
 
 Entities keep the speed that they have at first, for as long as the storyboard's stop trigger says. What goes wrong
-is said by the environment variable FAKE_RUNNER. As before 0.9.16, there is no option --frameRate.
+is said by the environment variable FAKE_RUNNER, or for each scenario by a line of the file that it names after an @. As
+before 0.9.16, there is no option --frameRate. Like the original's, its classes keep what a scenario has left there.
 """
 
 import argparse
 import math
 import os
+import signal
+import socket
+import subprocess
 import sys
+import threading
 import time
 import xml.etree.ElementTree as ElementTree
+from typing import ClassVar
 
 import carla
 from playing import play, spawn_players  # type: ignore[import-not-found]
@@ -24,13 +30,42 @@ def only(element, path):
     return found.attrib
 
 
+def note_start():
+    """Write down that a process has imported this."""
+    if "FAKE_RUNNER_STARTS" in os.environ:
+        with open(os.environ["FAKE_RUNNER_STARTS"], "a") as file:
+            print(os.getpid(), file=file)
+    if os.environ.get("FAKE_RUNNER", "") == "thread":
+        threading.Thread(target=time.sleep, args=(600,), daemon=True).start()
+
+
+note_start()
+
+
+def what_goes_wrong():
+    """What goes wrong in this scenario."""
+    wrong = os.environ.get("FAKE_RUNNER", "")
+    if not wrong.startswith("@"):
+        return wrong
+    with open(wrong[1:], "r+") as file:
+        first, *others = file.read().split("\n")
+        file.seek(0)
+        file.truncate()
+        file.write("\n".join(others))
+    return first
+
+
 class ScenarioRunner:
     """Runs one scenario."""
 
     frame_rate = 20.0
+    # Those of the present scenario, and of earlier ones, which nobody removes.
+    ego_vehicles: ClassVar[list[str]] = []
 
-    def __init__(self, options):
-        self.options, self.wrong = options, os.environ.get("FAKE_RUNNER", "")
+    def __init__(self, options, wrong):
+        self.options, self.wrong = options, wrong
+        self.ego_vehicles.append("Ego")
+        assert self.ego_vehicles == ["Ego"]
         self.root = ElementTree.parse(options.openscenario).getroot()
         assert only(self.root, "FileHeader")["revMinor"] == "0"
 
@@ -46,6 +81,13 @@ class ScenarioRunner:
 
         if self.wrong == "aborts":
             os.abort()
+        if self.wrong == "agent starts a program":
+            subprocess.run([sys.executable, "-c", "import sys; sys.stdin.read()"], timeout=20.0, check=True)
+        # As the client does for its traffic manager, until the process ends.
+        try:
+            self.traffic_manager = socket.create_server(("", int(options.trafficManagerPort)))
+        except OSError as error:
+            raise RuntimeError("the system failed to create because of bind error.") from error
         actors = []
         if self.wrong.startswith("plays"):
             self.play(world)
@@ -71,13 +113,19 @@ class ScenarioRunner:
         # Vehicles fall on their wheels.
         for _ in range(5):
             world.tick()
+        if self.wrong == "does not end":
+            signal.signal(signal.SIGTERM, signal.SIG_IGN)
         if self.wrong == "hang":
             time.sleep(600)
         manager = ScenarioManager()
         manager.drive = lambda: self.drive(world, actors)
         manager.run_scenario()
+        if self.wrong == "watchdog":
+            raise RuntimeError("Timeout occurred during scenario execution")
         if self.wrong == "fails at the end":
             raise RuntimeError("a storyboard that is none")
+        if self.wrong == "does not end":
+            time.sleep(600)
         print("Nothing to analyze, this scenario has no criteria\nNot all scenario tests were successful")
         for actor in [one[0] for one in actors]:
             actor.destroy()
@@ -115,11 +163,12 @@ def main():
     parser.add_argument("--waitForEgo", action="store_true")
     parser.add_argument("--sync", action="store_true", required=True)
     options = parser.parse_args()
-    if os.environ.get("FAKE_RUNNER", "") == "cannot load":
+    wrong = what_goes_wrong()
+    if wrong == "cannot load":
         print("The scenario cannot be loaded\nTraceback (most recent call last):\n  File 'x'\nKeyError: 'Ego'\nExiting")
         return 1
     try:
-        ScenarioRunner(options).run()
+        ScenarioRunner(options, wrong).run()
     except RuntimeError as error:
         print(f"RuntimeError: {error}")
         return 1

@@ -58,7 +58,7 @@ class Server:
         self.frame, self.time, self.episode, self.next = 100, 0.0, 1, 200
         self.actors, self.subscribers, self.touching = {}, {}, set()
         self.settings: Any = [False, False, [False], True, 0.01, 10, 0.0, True, 3000.0, 2000.0, True]
-        self.lock, self.log, self.calls, self.stepped = threading.RLock(), None, 0, 0
+        self.lock, self.log, self.versions, self.stepped = threading.RLock(), None, 0, 0
         self.late = 0.0
         if "random" in self.wrong:
             self._draw_fault(*self.wrong.pop("random").split(":"))
@@ -220,6 +220,12 @@ class Server:
         return [[float(self.wrong.get("box-ahead", 0.0)), 0.0, 0.7], [*half, 0.7], [0.0, 0.0, 0.0], 0]
 
     def do_version(self):
+        self.versions += 1
+        # Who waits for the server has its answer, and the next who asks gets none.
+        if self.versions == 2 and "die-once" in self.wrong:
+            with suppress(FileExistsError):
+                Path(self.wrong["die-once"]).mkdir()
+                os._exit(1)
         return value(self.wrong.get("version", VERSION))
 
     def do_get_episode_info(self):

@@ -14,9 +14,9 @@ from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators.pool._simulator import WorkerSimulator
 from cornercase.study import StudyFile
-from cornercase.testing._small_scenarios import write_small_scenarios
 from helpers.carla_or_stand_in import REAL, free_port
 from helpers.command_line import cornercase
+from helpers.passing_cars import write_passing_cars
 
 pytestmark = pytest.mark.skipif(
     find_spec("carla") is None or bool(REAL), reason="it takes the client of the extra 'carla', and a stand-in"
@@ -28,17 +28,7 @@ RUNNER = HERE / "fake_scenario_runner"
 
 @pytest.fixture
 def scenario(tmp_path):
-    """A car that drives past a parked van, which begins anywhere."""
-    path = write_small_scenarios(tmp_path, "two that pass each other")["two that pass each other"].path
-    text = path.read_text(encoding="utf-8").replace('x="140"', 'x="$start"')
-    text = text.replace('value="8.0" rule', 'value="1.0" rule')
-    text = text.replace(
-        "<CatalogLocations/>",
-        '<ParameterDeclarations><ParameterDeclaration name="start" parameterType="double" value="140"/>'
-        "</ParameterDeclarations><CatalogLocations/>",
-    )
-    path.write_text(text, encoding="utf-8")
-    return path
+    return write_passing_cars(tmp_path)
 
 
 def options(scenario, *wrong):
@@ -77,6 +67,15 @@ def test_a_server_that_never_starts_ends_the_search(scenario):
     done = explore(scenario, given, "s.db", 2)
     assert done.returncode == 2
     assert "ended with exit code 1; its last words: no GPU" in done.stderr
+
+
+def test_a_server_that_dies_as_soon_as_it_answers_costs_a_try_alone(scenario, tmp_path, monkeypatch):
+    monkeypatch.setenv("FAKE_RUNNER", "plays")
+    simulator = WorkerSimulator("carla", options(scenario, f"die-once={tmp_path / 'died'}"), retries=1)
+    (found,) = simulator.run([ConcreteScenario(scenario, {"start": 140.0})])
+    simulator.close()
+    assert (tmp_path / "died").exists()
+    assert is_whole(found, 140.0)
 
 
 def test_a_scenario_runner_that_aborts_is_run_again(scenario, monkeypatch):

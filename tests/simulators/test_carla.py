@@ -12,6 +12,7 @@ import subprocess
 import sys
 import tomllib
 import venv
+from contextlib import suppress
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 
@@ -295,13 +296,20 @@ def test_a_client_that_aborts_costs_the_scenario_alone(scenario):
     assert well.time[-1] == pytest.approx(0.5, abs=0.2)
 
 
-def command_lines():
-    return [one.info["cmdline"] or () for one in psutil.process_iter(["cmdline"])]
+def launchers(mark):
+    """Processes of ScenarioRunner with this text in an environment variable."""
+    found = []
+    for process in psutil.process_iter(["cmdline"]):
+        if any("cornercase_launcher.py" in part for part in process.info["cmdline"] or ()):
+            with suppress(psutil.Error):
+                found += [process] * (process.environ().get("FAKE_RUNNER_STARTS") == mark)
+    return found
 
 
 @STUB_ONLY
-def test_a_scenario_that_hangs_takes_its_scenario_runner_with_it(scenario, monkeypatch):
+def test_a_scenario_that_hangs_takes_its_scenario_runner_with_it(scenario, monkeypatch, tmp_path):
     monkeypatch.setenv("FAKE_RUNNER", "hang")
+    monkeypatch.setenv("FAKE_RUNNER_STARTS", str(tmp_path / "starts"))
     with Served(ROAD) as server:
         simulator = WorkerSimulator("carla", options(server, patience=60.0), timeout=4.0, retries=0)
         try:
@@ -309,7 +317,8 @@ def test_a_scenario_that_hangs_takes_its_scenario_runner_with_it(scenario, monke
         finally:
             simulator.close()
         assert str(found) == "the simulator did not end within 4 s, tried once"
-        until(lambda: not any(f"--port {server.port}" in " ".join(one) for one in command_lines()))
+        assert (tmp_path / "starts").exists()
+        until(lambda: not launchers(str(tmp_path / "starts")))
         monkeypatch.setenv("FAKE_RUNNER", "")
         # Its leftovers are removed before the next run.
         assert run(server, scenario, {"end": 1.0}).names == ("Ego", "C", "Walker")

@@ -94,9 +94,17 @@ def test_the_real_tree_of_each_protocol_is_built_and_moves_as_the_scenario_says(
 class Approach(cc.SystemUnderTest):
     """Accelerates up to 12 m/s."""
 
+    n_objects = 3
+
     def step(self, view, dt):
-        assert len(view.objects) == 3
+        assert len(view.objects) == self.n_objects
         return 0.5 if view.ego.speed < 12.0 else 0.0
+
+
+class ApproachOne(Approach):
+    """The same, with a single other vehicle."""
+
+    n_objects = 1
 
 
 def test_a_driver_of_ones_own_drives_the_ego_as_on_the_builtin_simulator():
@@ -177,6 +185,35 @@ def ended(process):
     finally:
         process.kill()
         process.communicate()
+
+
+@pytest.mark.parametrize(
+    ("drivers", "files"),
+    [({}, (T, X, T)), ({"Ego": "cautious"}, (T, X, T)), ({"Ego": ApproachOne()}, (T, T))],
+    ids=["storyboard", "behaviour agent", "own driver"],
+)
+def test_scenarios_of_one_program_are_to_the_bit_those_of_a_program_each(drivers, files):
+    concretes = [ConcreteScenario(file, {}) for file in files]
+
+    def make():
+        return Carla(
+            hosts=server.host, port=server.port, scenario_runner=FOLDER, ego="Ego", duration=DURATION, patience=20.0,
+            any_version=True, undriven=True, open_loop=True, drivers=drivers,
+        )  # fmt: skip
+
+    with Served(T.with_suffix(".xodr"), f"version={client_version()}") as server:
+        alone = []
+        for concrete in concretes:
+            with make() as simulator:
+                alone += simulator.run([concrete])
+        with make() as simulator:
+            together = list(simulator.run(concretes))
+    for one, other in zip(together, alone, strict=True):
+        assert not isinstance(one, Exception), one
+        assert not isinstance(other, Exception), other
+        assert (one.names, one.collisions) == (other.names, other.collisions)
+        for name in ("time", "x", "y", "heading", "speed", "acceleration"):
+            assert np.array_equal(getattr(one, name), getattr(other, name), equal_nan=True), name
 
 
 @pytest.mark.parametrize("driver", ["cautious", "normal", "aggressive"])

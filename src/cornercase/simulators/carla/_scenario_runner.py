@@ -1,27 +1,26 @@
-"""Run ScenarioRunner as a process in its own environment."""
+"""Run a scenario by ScenarioRunner, and see when it ends."""
 
 from __future__ import annotations
 
 import re
-import subprocess
 import time
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 from cornercase._common.errors import SimulationError, SimulatorError
-from cornercase._common.platform import kill_process_tree, make_parent_check
-from cornercase.simulators.carla._runner_environment import RunnerEnvironment
+from cornercase._common.platform import make_parent_check
+from cornercase.simulators.carla._runner_process import RunnerProcess
 from cornercase.simulators.carla._tracker import EntityTracker
 
-_LAUNCHER: Final = Path(__file__).with_name("cornercase_launcher.py")
 _FIRST_FRAME_FILE: Final = "first_frame"
 _LAST_FRAME_FILE: Final = "last_frame"
 _END_TIMEOUT, _POLL_INTERVAL = 2.0, 0.02
 # ScenarioRunner prints one of these when a scenario has ended; its exit code does not show it.
 _END_MESSAGES: Final = ("All scenario tests were passed", "Not all scenario tests were successful")
+# Of errors that are not the scenario's: CARLA's client, ScenarioRunner's watchdog, the traffic manager's port.
+_WORDS_OF_SERVER: Final = ("time-out of", "Timeout occurred during scenario execution", "because of bind error")
 _ERROR_PATTERN: Final = re.compile(r"^\w*(Error|Exception)\b")
 
 
@@ -35,7 +34,7 @@ class RunLimits:
 
 
 def run_scenario_runner(
-    environment: RunnerEnvironment,
+    runner: RunnerProcess,
     file: Path,
     drivers: Path,
     options: Sequence[object],
@@ -45,41 +44,39 @@ def run_scenario_runner(
     time_step: float,
     before_start: Callable[[], None] = lambda: None,
 ) -> None:
-    """Run a file in a process of its own until the scenario ends; `before_start` is called when all entities exist."""
-    frame_rate = repr(1.0 / time_step)
-    command = [environment.python, str(_LAUNCHER), frame_rate, "--sync", "--openscenario", str(file)]
-    command += [str(option) for option in options]
-    if environment.has_frame_rate:
-        command += ["--frameRate", frame_rate]
+    """Run a file until the scenario ends; `before_start` is called when all entities exist.
+
+    After a failure, `runner` is closed, so that the next scenario starts it again.
+    """
+    arguments = ["--sync", "--openscenario", file.resolve(), *options]
+    if runner.environment.has_frame_rate:
+        arguments += ["--frameRate", repr(1.0 / time_step)]
     log = file.with_name("scenario_runner.log")
-    with log.open("wb") as output:
-        process = subprocess.Popen(
-            command,
-            cwd=file.parent,
-            env=environment.variables(drivers),
-            stdin=subprocess.PIPE,
-            stdout=output,
-            stderr=subprocess.STDOUT,
-        )
+    runner.start(file.parent, log, drivers, 1.0 / time_step, arguments)
+    try:
         try:
-            stopped = _wait_for_end(process, tracker, file.with_name(_FIRST_FRAME_FILE), limits, before_start)
+            stopped = _wait_for_end(runner, tracker, file.with_name(_FIRST_FRAME_FILE), limits, before_start)
         finally:
             # A client aborts if an answer or a snapshot of the server is cut.
-            is_aborted = (process.poll() or 0) < 0
-            _end_process(process)
-    last_frame = file.with_name(_LAST_FRAME_FILE)
-    if last_frame.exists():
-        tracker.last_frame = int(last_frame.read_text(encoding="utf-8"))
-    output_text = log.read_text(encoding="utf-8", errors="replace")
-    if tracker.first_frame is None or not (stopped or any(last_line in output_text for last_line in _END_MESSAGES)):
-        last_line = _last_error_line(output_text)
-        # A time-out may not happen again when the scenario is retried.
-        error_class = SimulatorError if is_aborted or "time-out of" in last_line else SimulationError
-        raise error_class(f"ScenarioRunner did not run it to the end: {last_line}")
+            is_aborted = (runner.poll() or 0) < 0
+            runner.end_scenario()
+        last_frame = file.with_name(_LAST_FRAME_FILE)
+        if last_frame.exists():
+            tracker.last_frame = int(last_frame.read_text(encoding="utf-8"))
+        output = log.read_text(encoding="utf-8", errors="replace")
+        if tracker.first_frame is None or not (stopped or any(message in output for message in _END_MESSAGES)):
+            last_line = _last_error_line(output)
+            # It may not happen again when the scenario is retried.
+            is_of_server = is_aborted or any(words in last_line for words in _WORDS_OF_SERVER)
+            error_class = SimulatorError if is_of_server else SimulationError
+            raise error_class(f"ScenarioRunner did not run it to the end: {last_line}")
+    except BaseException:
+        runner.close()
+        raise
 
 
 def _wait_for_end(
-    process: subprocess.Popen[bytes],
+    runner: RunnerProcess,
     tracker: EntityTracker,
     frame_file: Path,
     limits: RunLimits,
@@ -87,19 +84,16 @@ def _wait_for_end(
 ) -> bool:
     """Wait until the run or the parent process has ended or must end; True if ScenarioRunner must be stopped."""
     has_parent, frames, last_frame_time = make_parent_check(), 0, time.monotonic()
-    while process.poll() is None and has_parent():
+    while runner.poll() is None and has_parent():
         tracker.update()
         if tracker.first_frame is None and not tracker.missing and frame_file.exists():
             # The storyboard waits until all entities are recorded, so no collision is lost.
             tracker.first_frame = int(frame_file.read_text(encoding="utf-8"))
             before_start()
-            assert process.stdin is not None
-            process.stdin.write(b"\n")
-            process.stdin.flush()
+            runner.begin_storyboard()
         elapsed, ended = tracker.progress()
         if ended:
-            with suppress(subprocess.TimeoutExpired):
-                process.wait(_END_TIMEOUT)
+            runner.wait(_END_TIMEOUT)
             return False
         if tracker.n_frames > frames:
             frames, last_frame_time = tracker.n_frames, time.monotonic()
@@ -111,20 +105,6 @@ def _wait_for_end(
         time.sleep(_POLL_INTERVAL)
     tracker.update()
     return False
-
-
-def _end_process(process: subprocess.Popen[bytes]) -> None:
-    """Terminate ScenarioRunner so that it can clean up; kill it if it does not end."""
-    if process.stdin is not None:
-        with suppress(OSError):
-            process.stdin.close()
-    if process.poll() is None:
-        process.terminate()
-        with suppress(subprocess.TimeoutExpired):
-            process.wait(_END_TIMEOUT)
-    if process.poll() is None:
-        kill_process_tree(process.pid)
-        process.wait()
 
 
 def _last_error_line(output: str) -> str:

@@ -31,8 +31,11 @@ class CarlaServer:
         self._any_version = any_version
         self._client: ClientProcess | None = None
 
-    def connect(self, environment: RunnerEnvironment) -> None:
-        """Start the client unless it runs; `InputError` if no server of ScenarioRunner's version answers."""
+    def connect(self, environment: RunnerEnvironment, *, has_answered: bool = False) -> None:
+        """Start the client unless it runs; `InputError` if no server of ScenarioRunner's version answers.
+
+        If the server has just answered a call, its silence is a `SimulatorError`.
+        """
         if self._client is not None:
             return
         self._client = client = ClientProcess(environment)
@@ -40,13 +43,15 @@ class CarlaServer:
             try:
                 versions = client.ask("connect", self.host, self.port, self.patience)
             except ClientError as error:
+                if has_answered:
+                    raise SimulatorError(f"CARLA on {self._address} answers no longer: {error}") from error
                 raise InputError(
                     f"No CARLA answers on {self._address} ({error}); start CarlaUE4.sh -carla-rpc-port={self.port}."
                 ) from error
             if not self._any_version:
                 client_version, server_version = versions
                 environment.check_versions(client_version, server_version, self._address)
-        except InputError:
+        except (InputError, SimulatorError):
             self.disconnect()
             raise
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import shutil
+import socket
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -37,6 +38,7 @@ from cornercase.simulators.carla._openscenario_1_0 import (
 )
 from cornercase.simulators.carla._overridden_parameters import describe_overridden_parameters
 from cornercase.simulators.carla._runner_environment import RunnerEnvironment
+from cornercase.simulators.carla._runner_process import RunnerProcess
 from cornercase.simulators.carla._scenario_runner import RunLimits, run_scenario_runner
 from cornercase.simulators.carla._server import CarlaServer
 from cornercase.simulators.carla._started_server import make_carla_process
@@ -62,10 +64,11 @@ _SILENCE_FACTOR: Final = 3
 class Carla(Simulator):
     """Runs concrete scenarios by ScenarioRunner in synchronous mode, on a CARLA server that nothing else uses.
 
-    Each scenario is written as OpenSCENARIO 1.0 and run by its own ScenarioRunner process, in ScenarioRunner's
-    environment. A client in the same environment records the motion of all entities. CARLA's behaviour agents drive
-    entities with the driver ``cautious``, ``normal`` or ``aggressive`` along their initial route; ScenarioRunner moves
-    all others. CARLA is not deterministic, so run each scenario several times.
+    Each scenario is written as OpenSCENARIO 1.0 and run by a ScenarioRunner process of its own, in ScenarioRunner's
+    environment; on Linux that is a fork of one that has imported ScenarioRunner. A client in the same environment
+    records the motion of all entities. CARLA's behaviour agents drive entities with the driver ``cautious``,
+    ``normal`` or ``aggressive`` along their initial route; ScenarioRunner moves all others. CARLA is not
+    deterministic, so run each scenario several times.
 
     Parameters
     ----------
@@ -178,7 +181,8 @@ class Carla(Simulator):
             make_carla_process(start, self._server.host, self._server.port, restart_after) if start else None
         )
         self._runner_folders = scenario_runner, python, carla_root
-        self._traffic_port, self._folder = 8000 + worker, folder
+        self._runner: RunnerProcess | None = None
+        self._folder = folder
         self._last_scenario: ScenarioFile | None = None
         if self._attached is not None and agent:
             raise InputError(f"`drivers` {ego}: the agent {agent} drives the ego; leave out one of them.")
@@ -266,7 +270,9 @@ class Carla(Simulator):
             self._process.stop()
 
     def close(self) -> None:
-        """End the client, and the server that was started here."""
+        """End ScenarioRunner, the client, and the server that was started here."""
+        if self._runner is not None:
+            self._runner.close()
         self._server.disconnect()
         if self._process is not None:
             self._process.stop()
@@ -357,13 +363,15 @@ class Carla(Simulator):
             text = road_text_for_carla(scenario.get_root(road))
             (folder / _ROAD_FILE).write_text(text, encoding="utf-8")
         external = self._ego if self._external_ego else ""
-        server.connect(self._environment)
+        if self._runner is None:
+            self._runner = RunnerProcess(self._environment)
+        server.connect(self._environment, has_answered=self._process is not None)
         server.prepare(town, text, keep=external)
         log = folder / "cornercase.log"
         with EntityTracker(server, scenario.entities, self._ego, self._time_step, external=external) as tracker:
             try:
                 run_scenario_runner(
-                    self._environment, file, drivers, self._scenario_runner_options(), tracker,
+                    self._runner, file, drivers, self._scenario_runner_options(), tracker,
                     RunLimits(self._duration, self._stop_on_collision, _SILENCE_FACTOR * server.patience),
                     time_step=self._time_step,
                     before_start=(lambda: server.start_recorder(log)) if self._record == "recorder" else lambda: None,
@@ -377,7 +385,7 @@ class Carla(Simulator):
         server = self._server
         return [
             "--host", server.host, "--port", server.port, "--timeout", server.patience,
-            "--trafficManagerPort", self._traffic_port, "--trafficManagerSeed", self._seed,
+            "--trafficManagerPort", _find_free_port(), "--trafficManagerSeed", self._seed,
             *(["--waitForEgo"] if self._external_ego else []),
         ]  # fmt: skip
 
@@ -419,6 +427,17 @@ def _read_drivers(drivers: Mapping[str, DriverLike] | None, ego: str) -> tuple[d
         else:
             attached = driver_by_name(driver) if isinstance(driver, str) else driver
     return behaviors, attached
+
+
+def _find_free_port() -> int:
+    """Return a port for CARLA's traffic manager, which its client opens on this machine.
+
+    With a fixed one, two ScenarioRunners on a machine would disturb each other, and the server takes a traffic manager
+    that was killed for one that runs.
+    """
+    with socket.socket() as free:
+        free.bind(("", 0))
+        return int(free.getsockname()[1])
 
 
 def _existing_file(text: str, option: str) -> Path:
