@@ -2,6 +2,7 @@ from ._estimates import AuditEstimates as AuditEstimates
 from ._estimates import CriticalEstimates as CriticalEstimates
 from ._estimates import CriticalSetEstimates as CriticalSetEstimates
 from ._page import write_report as write_report
+from ._settings_page import write_settings_page as write_settings_page
 from ._summary import FailureSummary as FailureSummary
 from ._summary import MetricSummary as MetricSummary
 from ._summary import Summary as Summary
