@@ -124,6 +124,20 @@ def take_settings(browser: Browser, study: Path, folder: Path) -> None:
         write_picture(page.screenshot(animations="disabled"), "settings")
 
 
+def take_paper(folder: Path) -> None:
+    """Take the picture of the paper's figure 5, as docs/report.md says."""
+    from cornercase.exploration._explore import explore_config
+    from cornercase.exploration._paper_examples import paper_experiment_config
+    from cornercase.report import write_paper_figures
+
+    study = folder / "paper.db"
+    explore_config(replace(paper_experiment_config("x-intersection"), optimizer="bayes:filling=0"), study)
+    for by, gamma, eps in (("ego-trajectory", 2.0, 0.1), ("trajectory-distance", 0.5, 0.2), ("wttc", 1.0, 0.2)):
+        cc.analyze(study, by, gamma=gamma, eps=eps, min_samples=6)
+    write_paper_figures(study, "scenario-1", folder / "paper")
+    write_picture((folder / "paper" / "figure-5.png").read_bytes(), "paper-figure-5")
+
+
 def take_four(browser: Browser, study: Path, folder: Path) -> None:
     """Take the picture of four parameters."""
     report = cc.write_report(study, folder / "four.html")
@@ -201,7 +215,9 @@ def main() -> int:
         with driver.chromium.launch(executable_path=path, args=list(ARGUMENTS)) as browser:
             if wanted("compare"):
                 take_versions(browser, folder)
-            if options.only == ["compare"]:
+            if wanted("paper-figure-5"):
+                take_paper(folder)
+            if options.only and set(options.only) <= {"compare", "paper-figure-5"}:
                 return 0
             study = options.x or study_of_x(folder / "x.db")
             take_x(browser, study, folder, wanted)

@@ -8,5 +8,8 @@ from ._summary import MetricSummary as MetricSummary
 from ._summary import Summary as Summary
 from ._summary import summarize as summarize
 from .comparison._comparison_page import write_comparison as write_comparison
+from .figures._paper_figures import PAPER_SCENARIOS as PAPER_SCENARIOS
+from .figures._paper_figures import PaperScenario as PaperScenario
+from .figures._paper_figures import write_paper_figures as write_paper_figures
 from .live._watch import watch as watch
 from .replays._replay import replay as replay

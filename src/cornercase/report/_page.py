@@ -144,9 +144,10 @@ def write_report(
     # Written together, so that page and figures always match.
     with atomic_write_group():
         if folder is not False:
+            from cornercase.report.figures._all_figures import draw_all_figures
             from cornercase.report.figures._export import write_figures
 
-            write_figures(data, validation.check_path("figures", folder))
+            write_figures(draw_all_figures(data), validation.check_path("figures", folder))
         _write_page(path, render_report(data, recordings, roads))
     return path
 

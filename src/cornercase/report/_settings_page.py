@@ -97,7 +97,11 @@ def _render_page(study: StudyFile, aspects: Sequence[str], progress: bool) -> st
     maps: list[SettingsMap] = []
     with show_bars(progress), progress_step(len(analyses) * len(GAMMAS), "clustering", "kernels") as update:
         for k, analysis in enumerate(analyses):
-            maps.append(map_settings(study, analysis, observed, lambda done, k=k: update(k * len(GAMMAS) + done)))
+
+            def report_kernel(done: int, before: int = k * len(GAMMAS)) -> None:
+                update(before + done)
+
+            maps.append(map_settings(study, analysis, observed, report_kernel))
     rows = {row.id: row for row in study.finished_rows()}
     parameters = study.space.parameters
     contents = {
