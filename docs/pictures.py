@@ -1,4 +1,4 @@
-"""Pictures of the report for docs/report.md, docs/compare.md and the README.
+"""Pictures of the pages for docs/report.md, docs/compare.md, docs/guide/kinds.md and the README.
 
     python docs/pictures.py [--x STUDY.db] [--four STUDY.db] [--only TEXT]…
 
@@ -111,6 +111,33 @@ def take_x(browser: Browser, study: Path, folder: Path, wanted: Callable[[str], 
             take_element(page, "#replay", "report-replay")
 
 
+def take_settings(browser: Browser, study: Path, folder: Path) -> None:
+    """Take the picture of the page of the settings."""
+    from cornercase.report import write_settings_page
+
+    page_file = write_settings_page(study, folder / "settings.html", ["trajectory-distance"])
+    with opened(browser, page_file, viewport={"width": 1600, "height": 780}) as page:
+        page.select_option("#shown", label="Stability")
+        # Gamma 0.5, eps 0.2.
+        page.locator("#map tr:nth-child(9) td:nth-child(4)").click()
+        page.evaluate(SETTLED)
+        write_picture(page.screenshot(animations="disabled"), "settings")
+
+
+def take_paper(folder: Path) -> None:
+    """Take the picture of the paper's figure 5, as docs/report.md says."""
+    from cornercase.exploration._explore import explore_config
+    from cornercase.exploration._paper_examples import paper_experiment_config
+    from cornercase.report import write_paper_figures
+
+    study = folder / "paper.db"
+    explore_config(replace(paper_experiment_config("x-intersection"), optimizer="bayes:filling=0"), study)
+    for by, gamma, eps in (("ego-trajectory", 2.0, 0.1), ("trajectory-distance", 0.5, 0.2), ("wttc", 1.0, 0.2)):
+        cc.analyze(study, by, gamma=gamma, eps=eps, min_samples=6)
+    write_paper_figures(study, "scenario-1", folder / "paper")
+    write_picture((folder / "paper" / "figure-5.png").read_bytes(), "paper-figure-5")
+
+
 def take_four(browser: Browser, study: Path, folder: Path) -> None:
     """Take the picture of four parameters."""
     report = cc.write_report(study, folder / "four.html")
@@ -188,9 +215,14 @@ def main() -> int:
         with driver.chromium.launch(executable_path=path, args=list(ARGUMENTS)) as browser:
             if wanted("compare"):
                 take_versions(browser, folder)
-            if options.only == ["compare"]:
+            if wanted("paper-figure-5"):
+                take_paper(folder)
+            if options.only and set(options.only) <= {"compare", "paper-figure-5"}:
                 return 0
-            take_x(browser, options.x or study_of_x(folder / "x.db"), folder, wanted)
+            study = options.x or study_of_x(folder / "x.db")
+            take_x(browser, study, folder, wanted)
+            if wanted("settings"):
+                take_settings(browser, study, folder)
             if wanted("report-parallel"):
                 take_four(browser, options.four or study_of_four(folder / "four.db"), folder)
     return 0

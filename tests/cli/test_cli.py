@@ -4,6 +4,7 @@ import csv
 import json
 import os
 import re
+import shutil
 import signal
 import sys
 from pathlib import Path
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 
 from conftest import at_night, same_recording, scenario_file, teleport, time_trigger
+from cornercase.clustering import read_analysis
 from cornercase.recordings import read_recording
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import Builtin
@@ -199,6 +201,37 @@ def test_a_pipe_is_not_replaced_and_a_link_is_followed(tmp_path):
     assert cornercase("simulate", X, "-o", tmp_path / "link.csv").returncode == 0
     assert (tmp_path / "link.csv").is_symlink()
     assert (tmp_path / "real.csv").read_text().startswith("time")
+
+
+def test_the_page_of_settings_changes_no_clusters(demo, tmp_path):
+    study = shutil.copy(demo / "study.db", tmp_path / "study.db")
+    assert cornercase("analyze", study, "--by", "wttc", "--gamma", "2", "--eps", "0.3").returncode == 0
+    with StudyFile.open(study, readonly=True) as opened:
+        before, analyzed = read_analysis(opened, "wttc"), opened.analyzed_aspects()
+    assert "ego-speed" not in analyzed
+    page = tmp_path / "settings.html"
+    # What was not analyzed yet is analyzed first.
+    ended = cornercase("analyze", study, "--by", "wttc", "--by", "ego-speed", "--explore-settings", page)
+    assert ended.returncode == 0
+    assert str(page) in ended.stdout
+    with StudyFile.open(study, readonly=True) as opened:
+        after = read_analysis(opened, "wttc")
+        assert opened.analyzed_aspects() == sorted([*analyzed, "ego-speed"], key=opened.analyzed_aspects().index)
+    assert (
+        (after.clustering.gamma, after.clustering.eps) == (before.clustering.gamma, before.clustering.eps) == (2, 0.3)
+    )
+    text = page.read_text(encoding="utf-8")
+    assert "has used the outcome" in text
+    assert str(tmp_path) not in text
+    for given in (("--gamma", "1"), ("--keep-clusters",)):
+        ended = cornercase("analyze", study, *given, "--explore-settings", page)
+        assert (ended.returncode, ended.stderr.count("\n")) == (2, 1)
+        assert f"--explore-settings, {given[0]}: give one of them" in ended.stderr
+    ended = cornercase("analyze", study, "--by", "wttc", "--explore-settings", tmp_path / "settings.txt")
+    assert (ended.returncode, ended.stderr.count("\n")) == (2, 1)
+    assert "name a file that ends with .html" in ended.stderr
+    ended = cornercase("analyze", study, "--by", "wttc", "--explore-settings", study)
+    assert ended.returncode == 2
 
 
 def test_analyze_by_hand(demo):

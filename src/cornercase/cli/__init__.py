@@ -12,7 +12,7 @@ from cornercase._common.process.signals import install_signal_handlers
 
 # isort: off
 # Their order is that of the commands in the help.
-from cornercase.cli import explore, scenario, recordings, listing, study, report, demo, vary  # noqa: F401
+from cornercase.cli import explore, scenario, recordings, listing, study, report, demo, paper, vary  # noqa: F401
 from cornercase.cli import simulate, test, estimate, compare, verify, check_parts, warm_up  # noqa: F401
 
 # isort: on

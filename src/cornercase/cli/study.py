@@ -35,6 +35,14 @@ def analyze(
     keep_clusters: Annotated[
         bool, Option("--keep-clusters", help="Keep the existing clusters, and assign new scenarios to them.")
     ] = False,
+    explore_settings: Annotated[
+        Path | None,
+        Option(
+            "--explore-settings",
+            metavar="FILE.html",
+            help="Write a page that shows what gamma and eps do, to choose them by hand; existing clusters stay.",
+        ),
+    ] = None,
     workers: opt.LocalWorkers = 1,
     cluster: str | None = None,
     critical: opt.CriticalOverride = None,
@@ -50,11 +58,23 @@ def analyze(
     Example:
       cornercase analyze study.db --by ego-trajectory --by wttc
       cornercase analyze study.db --by interaction --window 1
+      cornercase analyze study.db --explore-settings settings.html
+      cornercase analyze study.db --by wttc --gamma 1 --eps 0.2 --min-samples 6
     """
     from cornercase import clustering
     from cornercase.evidence._bands import bands_of_study
     from cornercase.study._study_file import open_study
 
+    if explore_settings is not None:
+        given = {"--gamma": gamma != "auto", "--eps": eps != "auto", "--min-samples": min_samples != "auto"}
+        given |= {"--method": method is not None, "--window": window is not None, "--keep-clusters": keep_clusters}
+        for option, is_given in given.items():
+            if is_given:
+                raise InputError(f"--explore-settings, {option}: give one of them; the page shows many settings.")
+        _explore_settings(
+            study, explore_settings, by, workers=workers, cluster=cluster, critical=critical, memory=memory
+        )
+        return
     results = clustering.analyze(
         study,
         by,
@@ -87,6 +107,21 @@ def analyze(
     with open_study(study, readonly=True) as opened:
         for bands in bands_of_study(opened).values():
             out.print(bands.describe(), markup=False)
+
+
+def _explore_settings(study: Path, page: Path, by: list[str] | None, **options: Any) -> None:
+    """Write the page of the settings; aspects that the study was not analyzed by are analyzed first."""
+    from cornercase import clustering
+    from cornercase.report import write_settings_page
+    from cornercase.study._study_file import open_study
+
+    with open_study(study, readonly=True) as opened:
+        analyzed = opened.analyzed_aspects()
+    missing = [name for name in by if name not in analyzed] if by else None
+    if missing or not (by or analyzed):
+        clustering.analyze(study, missing, progress=True, **options)
+    written = write_settings_page(study, page, by or (), progress=True)
+    out.print(f"The page is {written.resolve()}")
 
 
 @app.command()

@@ -136,7 +136,7 @@ def find_bands(metric: Metric, scores: FloatArray) -> Bands | None:
     bounds = tuple(float(bound) for bound in np.asarray(metric.to_minimize(limits)))
     return Bands(
         metric.name, metric.unit, metric.lower_is_critical, bounds, labels.astype(np.int64), source,
-        _explained_variance(oriented, labels),
+        explained_variance(oriented, labels),
     )  # fmt: skip
 
 
@@ -161,7 +161,8 @@ def bands_of_study(study: StudyFile) -> dict[str, Bands]:
     return {name: bands for name, bands in candidates.items() if bands is not None}
 
 
-def _explained_variance(scores: FloatArray, labels: IntArray) -> float:
+def explained_variance(scores: FloatArray, labels: IntArray) -> float:
+    """Return the share of the variance of scores that groups explain; NaN if the scores do not vary."""
     is_finite = np.isfinite(scores)
     scores, labels = scores[is_finite], labels[is_finite]
     within = sum(float(((scores[labels == k] - scores[labels == k].mean()) ** 2).sum()) for k in np.unique(labels))

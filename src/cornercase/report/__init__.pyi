@@ -2,10 +2,14 @@ from ._estimates import AuditEstimates as AuditEstimates
 from ._estimates import CriticalEstimates as CriticalEstimates
 from ._estimates import CriticalSetEstimates as CriticalSetEstimates
 from ._page import write_report as write_report
+from ._settings_page import write_settings_page as write_settings_page
 from ._summary import FailureSummary as FailureSummary
 from ._summary import MetricSummary as MetricSummary
 from ._summary import Summary as Summary
 from ._summary import summarize as summarize
 from .comparison._comparison_page import write_comparison as write_comparison
+from .figures._paper_figures import PAPER_SCENARIOS as PAPER_SCENARIOS
+from .figures._paper_figures import PaperScenario as PaperScenario
+from .figures._paper_figures import write_paper_figures as write_paper_figures
 from .live._watch import watch as watch
 from .replays._replay import replay as replay

@@ -46,9 +46,9 @@ REPLAY_SCRIPTS: Final = tuple(f"replay/{name}.js" for name in _REPLAY_NAMES.spli
 
 _STYLES: Final = ("style.css", "replay.css")
 _SCRIPTS: Final = (
-    "store.js", "recordings.js", "knowledge.js", "live.js", "running.js", "notes.js", "actions.js", "colours.js",
-    "describe.js", "plot.js", "raster.js", "points.js", "legend.js", "ranges.js", "filters.js", "link.js", "theme.js",
-    "answers.js", "views.js", "views/space.js", "views/courses.js", "views/kernel.js", "views/histogram.js",
+    "store.js", "recordings.js", "knowledge.js", "live.js", "running.js", "notes.js", "clipboard.js", "actions.js",
+    "colours.js", "describe.js", "plot.js", "raster.js", "points.js", "legend.js", "ranges.js", "filters.js", "link.js",
+    "theme.js", "answers.js", "views.js", "views/space.js", "views/courses.js", "views/kernel.js", "views/histogram.js",
     "views/parallel.js", "views/front.js", "views/charts.js", "views/table.js", *REPLAY_SCRIPTS, "main.js",
 )  # fmt: skip
 _FILE_ENDINGS: Final = (".html", ".htm")
@@ -144,9 +144,10 @@ def write_report(
     # Written together, so that page and figures always match.
     with atomic_write_group():
         if folder is not False:
+            from cornercase.report.figures._all_figures import draw_all_figures
             from cornercase.report.figures._export import write_figures
 
-            write_figures(data, validation.check_path("figures", folder))
+            write_figures(draw_all_figures(data), validation.check_path("figures", folder))
         _write_page(path, render_report(data, recordings, roads))
     return path
 

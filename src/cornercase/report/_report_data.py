@@ -142,7 +142,7 @@ def read_report_data(
         },
         examples=_read_examples(study, summary.analyses),
         values=values,
-        influential_parameters=_order_by_influence(values, scores[metrics[0].name]),
+        influential_parameters=order_by_influence(values, scores[metrics[0].name]),
         is_critical=study.critical_mask(),
         coverage_curves={}
         if summary.reduced_set is None
@@ -179,7 +179,7 @@ def _read_examples(study: StudyFile, analyses: Mapping[str, Analysis]) -> dict[i
     }
 
 
-def _order_by_influence(values: FloatArray, scores: FloatArray) -> tuple[int, ...]:
+def order_by_influence(values: FloatArray, scores: FloatArray) -> tuple[int, ...]:
     """Return the order of parameters by influence on the score, the strongest first.
 
     Influence is the fraction of the score's variance that ten quantile bins of the parameter explain.

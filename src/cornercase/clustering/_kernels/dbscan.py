@@ -19,13 +19,22 @@ def dbscan_labels(points, eps, min_samples, labels):
     `points` have shape (n, k). Clusters are numbered in the order of their first dense points. A border point belongs
     to the first cluster that has a dense point in its neighbourhood.
     """
-    count = len(points)
+    count, dimensions = points.shape
     square = eps * eps
-    dense = np.empty(count, dtype=np.bool_)
+    columns = np.ascontiguousarray(points.T)
+    near, dense = np.empty((count, count), dtype=np.bool_), np.empty(count, dtype=np.bool_)
+    squares = np.empty(count)
     for i in range(count):
+        squares[:] = 0.0
+        for k in range(dimensions):
+            column, value = columns[k], columns[k, i]
+            for j in range(count):
+                difference = value - column[j]
+                squares[j] += difference * difference
         n_near = 0
         for j in range(count):
-            n_near += _squared_distance(points, i, j) <= square
+            near[i, j] = squares[j] <= square
+            n_near += near[i, j]
         dense[i] = n_near >= min_samples
     labels[:] = _NOISE
     waiting = np.empty(count, dtype=np.int64)
@@ -38,18 +47,9 @@ def dbscan_labels(points, eps, min_samples, labels):
             n_waiting -= 1
             i = waiting[n_waiting]
             for j in range(count):
-                if labels[j] == _NOISE and _squared_distance(points, i, j) <= square:
+                if near[i, j] and labels[j] == _NOISE:
                     labels[j] = number
                     if dense[j]:
                         waiting[n_waiting] = j
                         n_waiting += 1
         number += 1
-
-
-@kernel(error_model="numpy")
-def _squared_distance(points, i, j):
-    total = 0.0
-    for k in range(points.shape[1]):
-        difference = points[i, k] - points[j, k]
-        total += difference * difference
-    return total

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import warnings
+from collections.abc import Iterable
 from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -14,8 +15,7 @@ from matplotlib.text import Text
 
 from cornercase._common.io.files import atomic_write, portable_name
 from cornercase._common.text.sanitize import escape_control_characters, wrap_text
-from cornercase.report._report_data import ReportData
-from cornercase.report.figures._all_figures import draw_all_figures
+from cornercase.report.figures._all_figures import CaptionedFigure
 from cornercase.report.figures._style import matplotlib_defaults
 
 if TYPE_CHECKING:
@@ -32,12 +32,12 @@ _FORMATS: Final[dict[str, dict[str, Any]]] = {
 _CAPTIONS_FILE: Final = "captions.txt"
 
 
-def write_figures(data: ReportData, folder: Path) -> None:
-    """Write all figures of a study into `folder`, and a file ``captions.txt`` with their captions."""
+def write_figures(drawings: Iterable[CaptionedFigure], folder: Path) -> None:
+    """Write figures into `folder`, and a file ``captions.txt`` with their captions."""
     captions: list[str] = []
     taken: set[str] = set()
     with matplotlib_defaults():
-        for drawing in draw_all_figures(data):
+        for drawing in drawings:
             name = _make_unique_name(portable_name(drawing.name), taken)
             for ending, content in render_figure(drawing.figure).items():
                 with atomic_write(folder / f"{name}.{ending}") as temporary:

@@ -17,6 +17,7 @@ from cornercase.report.text._phrases import (
     describe_informativeness,
     format_assign_command,
     format_cluster_name,
+    format_explore_settings_command,
     format_scenario_ids,
 )
 
@@ -81,6 +82,10 @@ def _render_clustering(data: ReportData, analysis: Analysis) -> Iterator[str]:
             f" <code>{escape(format_assign_command(analysis))}</code>; without <code>--keep-clusters</code>"
             " all are clustered again.</p>"
         )
+    yield (
+        f"<p><code>{escape(format_explore_settings_command(analysis))}</code> shows what other settings of gamma and"
+        " eps would find.</p>"
+    )
     if clustering.n_clusters < 2:
         return
     if any(profile.name for profile in analysis.profiles):

@@ -107,6 +107,11 @@ def format_assign_command(analysis: Analysis) -> str:
     return f"cornercase analyze STUDY.db --by {analysis.by} --keep-clusters"
 
 
+def format_explore_settings_command(analysis: Analysis) -> str:
+    """Return the command that shows what settings of the clustering do."""
+    return f"cornercase analyze STUDY.db --by {analysis.by} --explore-settings settings.html"
+
+
 def format_criterion(criterion: Criterion, objective: str) -> str:
     """Return the condition for being critical as users type it: ``"wttc <= 1 s"``."""
     if condition := find_critical_if_condition([objective]):

@@ -53,10 +53,10 @@ class ActionBar {
       return button;
     };
     const exact = isLive() ? "" : ", rounded";
-    this.copyCommand = add("copy-command", "Copy command", () => this.copy(this.running.command(this.id), "The command"));
+    this.copyCommand = add("copy-command", "Copy command", () => copyText(this.running.command(this.id), "The command"));
     this.xosc = add("download-xosc", "Scenario (.xosc)", () => this.saveScenario());
     this.csv = add("download-csv", `Recording (CSV${exact})`, () => this.saveRecording());
-    const link = add("copy-link", "Copy link", () => this.copy(linkTo(this.id), "The link"));
+    const link = add("copy-link", "Copy link", () => copyText(linkTo(this.id), "The link"));
     // In a notebook the page has no address.
     link.hidden = location.protocol === "about:";
     this.save = add("save-page", "Save page with notes", () => this.savePage());
@@ -110,18 +110,6 @@ class ActionBar {
     if (text !== null) this.said.textContent = text;
   }
 
-  async copy(text, what) {
-    if (text === null) return "There is nothing to copy.";
-    try {
-      if (!navigator.clipboard) throw new DOMException("This browser gives the page no clipboard.");
-      await navigator.clipboard.writeText(text);
-    } catch (error) {
-      if (!(error instanceof DOMException)) throw error;
-      if (!copiedByHand(text)) return `${what} could not be copied: this browser does not let the page.`;
-    }
-    return `${what} is copied.`;
-  }
-
   saveScenario() {
     const name = this.running.told?.name ?? "scenario";
     if (isLive()) return saveServed(this.store, `scenarios/${this.id}.xosc`, `${name}-${padded(this.id)}.xosc`);
@@ -168,16 +156,6 @@ async function saveServed(store, path, name) {
 }
 
 // For browsers without clipboard access.
-function copiedByHand(text) {
-  const field = document.createElement("textarea");
-  field.value = text;
-  document.body.append(field);
-  field.select();
-  const done = document.execCommand("copy");
-  field.remove();
-  return done;
-}
-
 function showActions(section, store, recordings) {
   return new ActionBar(section, store, recordings);
 }

@@ -1,0 +1,190 @@
+"""What gamma and eps do: the clusters for a grid of settings, and how good they are."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from cornercase._common.typing import FloatArray, IntArray
+from cornercase.clustering._auto_settings import canonical_order
+from cornercase.clustering._clustering import NOISE_LABEL, Candidate
+from cornercase.clustering._density import cluster_by_density
+from cornercase.clustering._kernel_pca import KernelPca
+from cornercase.clustering._stability import StabilityScorer
+from cornercase.clustering._stored_analysis import Analysis, read_distances, read_landmark_distances
+from cornercase.evidence._bands import explained_variance
+from cornercase.study import StudyFile
+
+GAMMAS: Final = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
+EPS: Final = (0.01, 0.02, 0.03, 0.05, 0.07, 0.1, 0.15, 0.2, 0.3, 0.5, 0.7, 1.0)
+"""Round values, so that what is chosen can be typed; the paper's gamma of 100 is one of them."""
+N_COMPONENTS: Final = 3
+"""Dimensions of the kernel space, as in the paper, and as `analyze` takes them where all settings are given."""
+MAX_MAPPED: Final = 500
+"""Largest number of scenarios that the map is computed for; of more, a random sample."""
+_STABILITY, _AGREEMENT, _EXPLAINED = "stability", "agreement", "explained "
+
+
+@dataclass(frozen=True, eq=False)
+class SettingsMap:
+    """Clusters of n scenarios by one aspect, for g values of gamma, e values of eps and m of min_samples.
+
+    `rows`, shape (n,), are those of the analysis: all, or a random sample. `labels` has shape (m, g, e, n),
+    `embeddings` (g, n, 3). All scores have shape (m, g, e): `stability` (NaN for a single group), `agreement` with the
+    outcome (adjusted mutual information; NaN if all end in the same way), and `explained`, by metric the share of the
+    variance of its scores (NaN if they do not vary).
+    """
+
+    rows: IntArray
+    gammas: tuple[float, ...]
+    eps: tuple[float, ...]
+    min_samples: tuple[int, ...]
+    labels: IntArray
+    embeddings: FloatArray
+    n_clusters: IntArray
+    noise: FloatArray
+    stability: FloatArray
+    agreement: FloatArray
+    explained: Mapping[str, FloatArray]
+
+
+@dataclass(frozen=True, eq=False)
+class Observed:
+    """What happened in scenarios, shape (n,) each: `outcome` as a number, `outcome_names`, and `scores` by metric."""
+
+    ids: IntArray
+    outcome: IntArray
+    outcome_names: tuple[str, ...]
+    scores: Mapping[str, FloatArray]
+
+    @classmethod
+    def from_study(cls, study: StudyFile) -> Observed:
+        """Read what happened in the scenarios that ran."""
+        other = study.meta.others.index(study.primary_other())
+        texts = {scenario: digest.outcomes[other].text for scenario, digest in study.iter_digests()}
+        names = sorted(set(texts.values()))
+        outcome = np.array([names.index(text) for text in texts.values()], dtype=np.int64)
+        scores = {name: study.scores(name) for name in study.meta.metrics}
+        return cls(np.array(list(texts), dtype=np.int64), outcome, tuple(names), scores)
+
+    def select(self, ids: IntArray) -> Observed:
+        """Return what happened in some of the scenarios."""
+        row_of = {scenario: row for row, scenario in enumerate(self.ids.tolist())}
+        rows = np.array([row_of[scenario] for scenario in ids.tolist()], dtype=np.int64)
+        scores = {name: values[rows] for name, values in self.scores.items()}
+        return Observed(ids, self.outcome[rows], self.outcome_names, scores)
+
+
+def usual_min_samples(n_scenarios: int) -> tuple[int, ...]:
+    """Return the values of min_samples to show: 3, the automatic one, and twice as many."""
+    usual = max(3, math.ceil(math.log(max(n_scenarios, 2))))
+    return tuple(sorted({3, usual, 2 * usual}))
+
+
+def map_settings(
+    study: StudyFile, analysis: Analysis, observed: Observed, on_gamma: Callable[[int], None] | None = None
+) -> SettingsMap:
+    """Cluster the scenarios of an analysis with every setting of a grid, by its stored distances.
+
+    The clusters are those that `analyze` finds with the same settings; of a sample, those are approximate, and a
+    neighbourhood needs fewer scenarios to be dense, in proportion. `on_gamma` gets the number of kernels done.
+    """
+    distances, rows = _sampled_distances(study, analysis)
+    order = canonical_order(distances)
+    scaled = distances[np.ix_(order, order)] / (analysis.clustering.scale or 1.0)
+    # Landmarks are clustered by themselves, so none is left out then.
+    has_landmarks = analysis.embedding_error is not None
+    share = 1.0 if has_landmarks else len(rows) / len(analysis.ids)
+    neighbours = usual_min_samples(len(rows) if has_landmarks else len(analysis.ids))
+    cells = _Cells(scaled, observed.select(analysis.ids[rows[order]]), share)
+    labels = np.empty((len(neighbours), len(GAMMAS), len(EPS), len(rows)), dtype=np.int64)
+    scores: dict[str, FloatArray] = {name: np.full(labels.shape[:3], math.nan) for name in cells.score_names}
+    embeddings = np.empty((len(GAMMAS), len(rows), N_COMPONENTS))
+    with threadpool_limits(limits=1):
+        for g, gamma in enumerate(GAMMAS):
+            embedding = KernelPca(gamma, N_COMPONENTS).fit(scaled).embedding
+            embeddings[g, order] = embedding
+            for m, count in enumerate(neighbours):
+                for e, eps in enumerate(EPS):
+                    cell_labels = cells.cluster(embedding, eps, count)
+                    labels[m, g, e, order] = cell_labels
+                    for name, value in cells.score(cell_labels, gamma, eps, count).items():
+                        scores[name][m, g, e] = value
+            if on_gamma:
+                on_gamma(g + 1)
+    return SettingsMap(
+        rows=rows,
+        gammas=GAMMAS,
+        eps=EPS,
+        min_samples=neighbours,
+        labels=labels,
+        embeddings=embeddings,
+        n_clusters=labels.max(axis=-1, initial=NOISE_LABEL) + 1,
+        noise=(labels == NOISE_LABEL).mean(axis=-1),
+        stability=scores.pop(_STABILITY),
+        agreement=scores.pop(_AGREEMENT),
+        explained={name.removeprefix(_EXPLAINED): values for name, values in scores.items()},
+    )
+
+
+def _sampled_distances(study: StudyFile, analysis: Analysis) -> tuple[FloatArray, IntArray]:
+    """Return the distances between at most `MAX_MAPPED` scenarios of an analysis, and their rows in it."""
+    if analysis.embedding_error is not None:
+        return read_landmark_distances(study, analysis.by), np.asarray(analysis.clustering.landmarks)
+    rows = np.arange(len(analysis.ids))
+    if len(rows) > MAX_MAPPED:
+        rows = np.sort(np.random.default_rng(0).choice(rows, MAX_MAPPED, replace=False))
+    return np.asarray(read_distances(study, analysis.by)[np.ix_(rows, rows)]), rows
+
+
+class _Cells:
+    """The cells of the map: the clusters for single settings, and their scores by name."""
+
+    def __init__(self, scaled: FloatArray, observed: Observed, share: float) -> None:
+        self._observed, self._share = observed, share
+        self._stability = StabilityScorer(scaled, np.arange(len(scaled)), method="dbscan", max_part_size=len(scaled))
+        self._scored: dict[bytes, dict[str, float]] = {}
+
+    @property
+    def score_names(self) -> list[str]:
+        """Names of the scores."""
+        return [_STABILITY, _AGREEMENT, *(_EXPLAINED + name for name in self._observed.scores)]
+
+    def cluster(self, embedding: FloatArray, eps: float, min_samples: int) -> IntArray:
+        """Cluster with one setting."""
+        return cluster_by_density(embedding, eps, self._sampled_min_samples(min_samples), "dbscan")
+
+    def score(self, labels: IntArray, gamma: float, eps: float, min_samples: int) -> dict[str, float]:
+        """Return the scores of the clusters of one setting."""
+        # Many settings find the same clusters.
+        key = labels.tobytes()
+        if key not in self._scored:
+            self._scored[key] = self._compare_with_observed(labels)
+        # A single group is found again by construction.
+        if labels.min() == labels.max():
+            return self._scored[key]
+        candidate = Candidate(
+            gamma, eps, int(labels.max()) + 1, float(np.mean(labels == NOISE_LABEL)), math.nan, math.nan, math.nan,
+            -math.inf, N_COMPONENTS, self._sampled_min_samples(min_samples),
+        )  # fmt: skip
+        return {_STABILITY: self._stability.mean_rand_index(candidate, labels), **self._scored[key]}
+
+    def _compare_with_observed(self, labels: IntArray) -> dict[str, float]:
+        from sklearn.metrics import adjusted_mutual_info_score
+
+        outcome = self._observed.outcome
+        same_end = len(outcome) == 0 or outcome.min() == outcome.max()
+        agreement = math.nan if same_end else float(adjusted_mutual_info_score(outcome, labels))
+        explained = {
+            _EXPLAINED + name: explained_variance(scores, labels) for name, scores in self._observed.scores.items()
+        }
+        return {_AGREEMENT: agreement, **explained}
+
+    def _sampled_min_samples(self, min_samples: int) -> int:
+        """In a sample, fewer scenarios make a neighbourhood dense."""
+        return max(min(3, min_samples), round(min_samples * self._share))
