@@ -318,6 +318,19 @@ def test_who_reacts_to_the_ego_keeps_the_storyboard_where_scenario_runner_does_s
     assert read_xml(found.path).find(".//FollowTrajectoryAction") is None
 
 
+def test_in_a_run_the_origin_of_an_actor_is_put_where_the_middle_of_the_box_begins(write, tmp_path):
+    """ScenarioRunner takes a position for that of the actor's origin, which CARLA has in the middle of a vehicle."""
+    path, expected = write(), simulate(write())
+    for is_run, ahead in ((True, 1.4), (False, 0.0)):
+        target = tmp_path / f"{is_run}.xosc"
+        run = ConversionOptions(is_run=is_run)
+        write_openscenario_1_0(ScenarioFile.read(path), {}, target, ego="Ego", options=run)
+        places = read_xml(target).findall("Storyboard/Init//TeleportAction/Position/WorldPosition")
+        x, y, heading = (np.array([float(place.get(name, "0")) for place in places]) for name in ("x", "y", "h"))
+        np.testing.assert_allclose(x - ahead * np.cos(heading), expected.x[:, 0], atol=1e-5)
+        np.testing.assert_allclose(y - ahead * np.sin(heading), expected.y[:, 0], atol=1e-5)
+
+
 def test_who_no_longer_reacts_is_named(write, tmp_path):
     near = by_entity(NEAR.format("cartesianDistance", "false"))
     found = convert(write(action=OFFSET, condition=near, drivers=DRIVEN), tmp_path / "one.xosc", ego="Ego")

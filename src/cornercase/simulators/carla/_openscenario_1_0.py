@@ -275,7 +275,9 @@ def _make_tree_1_0(
     end = options.duration
     if recording is not None:
         by_storyboard = set(recording.names) - set(actor_plan.sampled)
-        set_initial_state(root, recording, by_storyboard, initial_heights(recording, road, scenario))
+        heights = initial_heights(recording, road, scenario)
+        # ScenarioRunner puts the origin of an actor, which is in its middle, where the file has the reference point.
+        set_initial_state(root, recording, by_storyboard, heights, by_centers=options.is_run)
         centers = dict(zip(recording.names, map(float, recording.center_x), strict=True))
         last_time = float(recording.time[-1])
         # If nothing ends the scenario, the caller ends it.
