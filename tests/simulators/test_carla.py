@@ -743,6 +743,40 @@ def test_without_a_behaviour_the_storyboard_sets_the_speed(driver):
 def test_an_agent_of_ones_own_gets_the_route_and_its_sensors_and_is_closed(driver, sensors, tmp_path, monkeypatch):
     (tmp_path / "my_own_agent.py").write_text(
         "from srunner.autoagents import interface\n"
+def test_where_carlas_planner_knows_no_road_the_lane_is_followed(driver, monkeypatch):
+    """It leaves out a road that neither comes from nor leads to another one, such as a motorway."""
+
+    def fail(*_):
+        raise TypeError("'NoneType' object is not subscriptable")
+
+    monkeypatch.setattr(Router, "trace_route", fail)
+    plan = driver(Vehicle(), {"behavior": "normal", "route": ROUTE})._agent.plan
+    x = [point.transform.location.x for point, _ in plan]
+    assert x[:2] == pytest.approx([-60.0, -58.0], abs=0.1)
+    assert min(abs(one + 20.0) for one in x) < 1.1
+    assert x[-1] > 20.0
+
+
+def test_the_route_of_an_own_agent_is_then_the_lane_too(driver, monkeypatch):
+    loaded = sys.modules["srunner.tools.route_manipulation"]
+
+    def fail(waypoints_trajectory):
+        raise TypeError("'NoneType' object is not subscriptable")
+
+    def to_gps(route, lat_ref, lon_ref):
+        return [(lat_ref, lon_ref)] * len(route)
+
+    monkeypatch.setitem(driver.run_step.__globals__, "interpolate_trajectory", fail)
+    monkeypatch.setattr(loaded, "location_route_to_gps", to_gps, raising=False)
+    monkeypatch.setattr(loaded, "_get_latlon_ref", lambda world: (49.0, 8.0), raising=False)
+    points = [carla.Location(x, 1.75, 0.0) for x in (-60.0, -40.0, -20.0)]
+    gps, world = driver.run_step.__globals__["_interpolate_trajectory"](points)
+    assert gps[0] == (49.0, 8.0)
+    x = [transform.location.x for transform, _ in world]
+    assert len(gps) == len(x)
+    assert (x[0], x[-1]) == (pytest.approx(-60.0, abs=0.1), pytest.approx(-20.0, abs=1.1))
+
+
         "class MyOwnAgent:\n"
         "    def __init__(self, config): self.said, self.sensor_interface = [config], interface\n"
         "    def set_global_plan(self, gps, world): self.said.append((gps, world))\n"
