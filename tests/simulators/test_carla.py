@@ -197,6 +197,18 @@ def test_one_of_carlas_maps_is_loaded_by_its_name_and_a_road_file_by_its_text(sc
             simulator.close()
 
 
+def test_values_at_fault_cost_their_scenario_only(tmp_path):
+    """A number that is none is no reason to end a search, unless the file has it."""
+    simulator = Carla(scenario_runner=str(RUNNER), python=sys.executable, undriven=True)
+    with pytest.raises(SimulationError, match="'nonsense', which is not a number"):
+        ran(simulator, [ConcreteScenario(T, {"c_start_time": "nonsense"})])
+    path = tmp_path / "t.xosc"
+    path.write_text(T.read_text().replace("<Storyboard>", "<Storyboard><Unknown/>"))
+    shutil.copy(ROAD, tmp_path)
+    with pytest.raises(InputError):
+        ran(simulator, [ConcreteScenario(path, {"c_start_time": 2.0})])
+
+
 @STUB_ONLY
 @pytest.mark.parametrize(
     ("wrong", "runner", "words"),

@@ -35,6 +35,7 @@ from cornercase.simulators.carla._openscenario_1_0 import (
     make_concrete_tree,
     write_openscenario_1_0,
 )
+from cornercase.simulators.carla._run_file import write_run_file
 from cornercase.simulators.carla._overridden_parameters import describe_overridden_parameters
 from cornercase.simulators.carla._runner_environment import RunnerEnvironment
 from cornercase.simulators.carla._scenario_runner import RunLimits, run_scenario_runner
@@ -341,7 +342,7 @@ class Carla(Simulator):
         self, folder: Path, scenario: ScenarioFile, concrete: ConcreteScenario, agents: DrivingAgents
     ) -> Recording:
         file, drivers = folder / "cornercase.xosc", folder / "drivers"
-        notes = write_openscenario_1_0(
+        notes = write_run_file(
             scenario, concrete.values, file, ego=self._ego,
             options=ConversionOptions(
                 agents, self._time_step, self._duration, open_loop=self._open_loop, road_file=_ROAD_FILE,

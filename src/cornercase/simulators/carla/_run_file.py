@@ -1,0 +1,39 @@
+"""Write the file of a run, and tell whether the file of the scenario or its values are at fault if that fails."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from cornercase._common.errors import InputError, SimulationError
+from cornercase.scenario import Value
+from cornercase.scenario._file import ScenarioFile
+from cornercase.simulators.carla._openscenario_1_0 import ConversionOptions, write_openscenario_1_0
+
+
+def write_run_file(
+    scenario: ScenarioFile, values: Mapping[str, Value], target: Path, *, ego: str, options: ConversionOptions
+) -> tuple[str, ...]:
+    """Write a concrete scenario for ScenarioRunner as `write_openscenario_1_0` does; return its notes.
+
+    Raises `SimulationError` if the scenario can be written with its own values, so that only these ones are at fault.
+    """
+    try:
+        return write_openscenario_1_0(scenario, values, target, ego=ego, options=options)
+    except InputError as error:
+        if values and _can_be_written(scenario, ego, options):
+            raise SimulationError(str(error).removesuffix(".")) from error
+        raise
+
+
+def _can_be_written(scenario: ScenarioFile, ego: str, options: ConversionOptions) -> bool:
+    with TemporaryDirectory() as folder:
+        # In a run the caller makes them.
+        for needed in (Path(options.road_file).parent, Path(options.controllers)):
+            (Path(folder) / needed).mkdir(parents=True, exist_ok=True)
+        try:
+            write_openscenario_1_0(scenario, {}, Path(folder) / "scenario.xosc", ego=ego, options=options)
+        except InputError:
+            return False
+    return True
