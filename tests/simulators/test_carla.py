@@ -743,18 +743,6 @@ def test_the_driver_follows_its_route_beyond_its_end_and_brakes_then(driver):
     assert made._reached_goal
 
 
-def test_without_a_behaviour_the_storyboard_sets_the_speed(driver):
-    vehicle = Vehicle()
-    made = driver(vehicle, {"route": ROUTE})
-    made.run_step()
-    assert vehicle.did == ["storyboard"]
-    assert len(made._local_planner.plan) > 2
-    assert driver(Vehicle())._local_planner.plan is None
-
-
-def test_an_agent_of_ones_own_gets_the_route_and_its_sensors_and_is_closed(driver, sensors, tmp_path, monkeypatch):
-    (tmp_path / "my_own_agent.py").write_text(
-        "from srunner.autoagents import interface\n"
 def test_where_carlas_planner_knows_no_road_the_lane_is_followed(driver, monkeypatch):
     """It leaves out a road that neither comes from nor leads to another one, such as a motorway."""
 
@@ -789,6 +777,18 @@ def test_the_route_of_an_own_agent_is_then_the_lane_too(driver, monkeypatch):
     assert (x[0], x[-1]) == (pytest.approx(-60.0, abs=0.1), pytest.approx(-20.0, abs=1.1))
 
 
+def test_without_a_behaviour_the_storyboard_sets_the_speed(driver):
+    vehicle = Vehicle()
+    made = driver(vehicle, {"route": ROUTE})
+    made.run_step()
+    assert vehicle.did == ["storyboard"]
+    assert len(made._local_planner.plan) > 2
+    assert driver(Vehicle())._local_planner.plan is None
+
+
+def test_an_agent_of_ones_own_gets_the_route_and_its_sensors_and_is_closed(driver, sensors, tmp_path, monkeypatch):
+    (tmp_path / "my_own_agent.py").write_text(
+        "from srunner.autoagents import interface\n"
         "class MyOwnAgent:\n"
         "    def __init__(self, config): self.said, self.sensor_interface = [config], interface\n"
         "    def set_global_plan(self, gps, world): self.said.append((gps, world))\n"

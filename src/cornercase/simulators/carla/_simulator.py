@@ -33,10 +33,9 @@ from cornercase.simulators.carla._openscenario_1_0 import (
     ConversionOptions,
     carla_map_name,
     make_concrete_tree,
-    write_openscenario_1_0,
 )
-from cornercase.simulators.carla._run_file import write_run_file
 from cornercase.simulators.carla._overridden_parameters import describe_overridden_parameters
+from cornercase.simulators.carla._run_file import write_run_file
 from cornercase.simulators.carla._runner_environment import RunnerEnvironment
 from cornercase.simulators.carla._scenario_runner import RunLimits, run_scenario_runner
 from cornercase.simulators.carla._server import CarlaServer
@@ -54,6 +53,8 @@ _REPLACEMENT_BY_STATUS: Final = {
     HandlingStatus.APPROXIMATE: "; an entity that reacts to an agent does that, any other one moves along a trajectory",
     HandlingStatus.SAMPLED: "; the entity moves along a trajectory of the builtin simulator",
 }
+# An agent of the kind that `agent` names, for checks.
+EXAMPLE_AGENT_FILE: Final = Path(__file__).with_name("cornercase_example_agent.py")
 # Categories for which ScenarioRunner would choose any vehicle.
 _UNSUPPORTED_CATEGORIES: Final = ("semitrailer", "trailer", "train", "tram")
 # The server is considered lost after this many times `patience` without a frame.
@@ -242,6 +243,22 @@ class Carla(Simulator):
                 "collisions go on or end the run", "not deterministic", "needs a running CARLA",
             ),
         )  # fmt: skip
+
+    def component_versions(self) -> Mapping[str, str]:
+        """Return the versions of client and ScenarioRunner, and what is used of the installation."""
+        environment = self._environment
+        return {
+            "CARLA's client": find_client_version(environment),
+            "ScenarioRunner": environment.version,
+            "ScenarioRunner's Python": environment.python,
+            "CARLA_ROOT": environment.carla_root,
+        }
+
+    @classmethod
+    def own_agents(cls) -> Mapping[str, Mapping[str, object]]:
+        """Return CARLA's behaviour agents, and an agent for ScenarioRunner as users write them."""
+        behaviors = {f"CARLA's behaviour agent '{name}'": {"drivers": {"Ego": name}} for name in BEHAVIORS}
+        return {**behaviors, "an AutonomousAgent in a file": {"agent": str(EXAMPLE_AGENT_FILE)}}
 
     def run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Recording | SimulationError]:
         """Run scenarios.
