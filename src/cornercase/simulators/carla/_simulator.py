@@ -365,6 +365,7 @@ class Carla(Simulator):
                 agents, self._time_step, self._duration, open_loop=self._open_loop, road_file=_ROAD_FILE,
                 controllers=drivers.name, is_run=True,
             ),
+            version=self._environment.version,
         )  # fmt: skip
         drivers.mkdir(exist_ok=True)
         server, road = self._server, scenario.road_path_for(concrete.values)
