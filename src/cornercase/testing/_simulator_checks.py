@@ -211,8 +211,8 @@ def _agrees_with_function(
     simulator: Any, _: Sequence[Cases], name: str, on_run: Callable[[SmallRun], None] | None = None
 ) -> None:
     declared = SIMULATORS.get_class(simulator)
-    if "drivers" not in declared_options(declared):
-        raise NotTriedError("It takes no functions of cornercase, as something else says who drives.")
+    if not declared.runs_storyboard or "drivers" not in declared_options(declared):
+        raise NotTriedError("It takes no driving functions of cornercase.")
     with TemporaryDirectory() as folder:
         concrete = write_small_scenarios(Path(folder), name)[name]
         run = run_small_scenario(simulator, name, concrete, agent=_OWN_FUNCTION, drivers={"Ego": CarFollowing()})
