@@ -197,6 +197,31 @@ def test_one_of_carlas_maps_is_loaded_by_its_name_and_a_road_file_by_its_text(sc
             simulator.close()
 
 
+def test_the_check_of_a_file_names_parameters_that_an_agent_overrides(tmp_path):
+    x = EXAMPLES / "x_intersection" / "x_intersection.xosc"
+    driven = cornercase("check", x, "--simulator", "carla", "--sut", "Ego=cautious")
+    assert driven.returncode == 0
+    said = "carla: the parameter ego_speed sets only the first speed of Ego, as an agent drives from then on"
+    assert said in driven.stdout.splitlines()
+    assert "carla: without effect: <ObjectController>" in driven.stdout
+    obeying = cornercase("check", x, "--simulator", "carla", "--sut", "Ego=cc-human")
+    assert obeying.returncode == 0
+    assert "ego_speed sets" not in obeying.stdout
+    # Nothing is said twice, and nothing without the simulator.
+    assert "sumo: " not in cornercase("check", x, "--simulator", "sumo").stdout
+    assert "carla" not in cornercase("check", x).stdout
+
+
+def test_the_check_of_a_file_says_that_carla_refuses_it():
+    braking = EXAMPLES / "r157" / "deceleration.xosc"
+    refused = cornercase("check", braking, "--simulator", "carla")
+    assert refused.returncode == 1
+    assert f"carla cannot run it: {braking}: 'Ego' has the driver 'cc-human'" in refused.stdout
+    misspelled = cornercase("check", braking, "--simulator", "carla:nope=3")
+    assert misspelled.returncode == 2
+    assert "has no option 'nope'" in misspelled.stderr
+
+
 def test_values_at_fault_cost_their_scenario_only(tmp_path):
     """A number that is none is no reason to end a search, unless the file has it."""
     simulator = Carla(scenario_runner=str(RUNNER), python=sys.executable, undriven=True)

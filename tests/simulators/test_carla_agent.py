@@ -189,7 +189,8 @@ def test_a_curve_is_followed_without_a_steering_angle(world, tmp_path):
     checked = ScalarFunction(Aeb(time_to_brake=0.0))
     assert np.ptp(expected.heading[0]) > 1.0
     with AgentServer(checked, concrete, "Ego", STEP, tmp_path) as server:
-        world.append(Vehicle("Ego", (4.4, 1.8, 0.1), *center_of(expected, 0), expected.heading[0, 0]))
+        x, y = center_of(expected, 0)
+        world.append(Vehicle("Ego", (4.4, 1.8, 0.1), x, y, expected.heading[0, 0]))
         agent = make_agent(server.config_file)
         gaps = []
         for instant in range(round(11.0 / STEP)):

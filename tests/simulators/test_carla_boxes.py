@@ -12,6 +12,7 @@ import subprocess
 import sys
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -110,7 +111,8 @@ class Sent:
 
 
 def recorded(answer) -> Recording:
-    with EntityTracker(Sent(answer), ["Ego"], "Ego", STEP) as tracker:  # type: ignore[arg-type] - all that it asks for
+    sent: Any = Sent(answer)
+    with EntityTracker(sent, ["Ego"], "Ego", STEP) as tracker:
         tracker.first_frame = 1
         tracker.update()
         return tracker.make_recording(Path("run"), 1.0, until_collision=False)

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from lxml import etree
@@ -158,14 +158,15 @@ def run_with_agent(
     return run(problem=problem, own=own, motion=motion)
 
 
-def _run_twice(simulator: str | Simulator, concrete: ConcreteScenario, options: Mapping[str, object]) -> _Runs:
+def _run_twice(simulator: str | Simulator, concrete: ConcreteScenario, options: Mapping[str, Any]) -> _Runs:
     outcomes, seconds = list[Recording | SimulationError](), list[float]()
     begin = time.perf_counter()
     for outcome in Cases((concrete, concrete), "Ego").iter_outcomes(simulator, **options):
         outcomes.append(outcome)
         seconds.append(time.perf_counter() - begin)
         begin = time.perf_counter()
-    return _Runs(*outcomes, *seconds)
+    (own, again), (first, second) = outcomes, seconds
+    return _Runs(own, again, first, second)
 
 
 def _describe_missing(names: set[str], own: Recording) -> str:
