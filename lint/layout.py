@@ -45,6 +45,7 @@ PUBLIC_MODULES = (
     "drivers/process/cornercase_client.py",
     "simulators/carla/cornercase_agent.py",
     "simulators/carla/cornercase_driver.py",
+    "simulators/carla/cornercase_example_agent.py",
     "simulators/carla/cornercase_launcher.py",
     "simulators/carla/cornercase_recorder.py",
     "simulators/carla/cornercase_trajectory.py",

@@ -1,10 +1,20 @@
-"""Moves entities as a converted file says, without a behaviour tree: along its trajectories, or straight on."""
+"""Moves entities as a converted file says, without a behaviour tree: along its trajectories, or straight on.
 
+Agents drive as they do in ScenarioRunner: one in a file decides in each tick; CARLA's own are replaced by some that
+stop before what stands ahead, or not.
+"""
+
+import importlib
 import itertools
 import json
 import math
+import os
+import sys
 
 import carla
+
+# m/s, and whether it brakes.
+BEHAVIORS = {"cautious": (8.0, True), "normal": (10.0, True), "aggressive": (14.0, False)}
 
 
 def only(element, path):
@@ -33,7 +43,8 @@ class Track:
     def reference(self, time):
         """x, y and heading of the reference point."""
         if not self.legs:
-            heading, along = self.start.get("h", 0.0), self.speed * time
+            # The file has where the middle begins.
+            heading, along = self.start.get("h", 0.0), self.speed * time - self.center
             return self.start["x"] + along * math.cos(heading), self.start["y"] + along * math.sin(heading), heading
         for (begin, *one), (end, *other) in itertools.pairwise(self.legs):
             if time <= end:
@@ -59,17 +70,56 @@ class Track:
         return x, y, heading, speed
 
 
+class Behavior:
+    """Replaces a behaviour agent of CARLA on a straight lane."""
+
+    def __init__(self, name):
+        self.target, self.brakes = BEHAVIORS[name]
+
+    def decide(self, world, actor, time):
+        place, speed = actor.get_transform().location, actor.get_velocity().length()
+        others = [one for one in world.get_actors().filter("vehicle.*") if one.id != actor.id]
+        gaps = [one.get_transform().location.x - place.x for one in others if abs(one.get_location().y - place.y) < 2.0]
+        near = any(0.0 < gap < 8.0 + speed**2 / 8.0 for gap in gaps)
+        if self.brakes and near:
+            return carla.VehicleControl(brake=1.0)
+        return carla.VehicleControl(throttle=max(0.0, min(1.0, 0.3 * (self.target - speed))))
+
+
+class FileAgent:
+    """An agent in a file, with a speedometer and an IMU."""
+
+    def __init__(self, file, config):
+        sys.path.insert(0, os.path.dirname(file))
+        module = importlib.import_module(os.path.splitext(os.path.basename(file))[0])
+        self.agent = getattr(module, module.__name__.title().replace("_", ""))(config)
+
+    def decide(self, world, actor, time):
+        data = {"SPEED": (0, {"speed": actor.get_velocity().length()}), "IMU": (0, [0.0] * 7)}
+        return self.agent.run_step(data, time)
+
+
+def agent_of(root, name):
+    """What drives an entity, if an agent does."""
+    private = root.find(f"Storyboard/Init/Actions/Private[@entityRef='{name}']")
+    given = {one.get("name"): one.get("value") for one in private.iter("Property")}
+    if given.get("agent"):
+        return FileAgent(given["agent"], given.get("agent_config", ""))
+    return Behavior(given["behavior"]) if given.get("behavior") else None
+
+
 def spawn_players(world, root, step, fault):
-    """Let all entities exist where they begin, with a fault; return them with their tracks."""
+    """Let all entities exist where they begin, with a fault; return them with their tracks, or with their agents."""
     players = []
     for holder in root.iterfind("Entities/ScenarioObject"):
         walks = holder.find("Pedestrian") is not None
         blueprint = world.get_blueprint_library().find("walker.pedestrian.0001" if walks else "vehicle.tesla.model3")
         blueprint.set_attribute("role_name", holder.get("name"))
         track = Track(root, holder.get("name"), fault)
+        agent = agent_of(root, holder.get("name"))
         x, y, heading, _ = track.pose(0.0)
         place = carla.Transform(carla.Location(x, -y, 0.3), carla.Rotation(yaw=-math.degrees(heading)))
-        players.append((world.spawn_actor(blueprint, place), track))
+        players.append((world.spawn_actor(blueprint, place), track, agent))
     _move(players, 0.0, step)
     world.tick()
     return players
@@ -84,13 +134,34 @@ def play(world, root, step, fault, players):
         if fault == "stale":
             late = min(k, last - 2)
         _move(players, late * step * (1.02 if fault == "drift" else 1.0), step)
+        _decide(world, players, k * step, step, fault)
         world.tick()
-    for actor, _ in players:
+    for actor, *_ in players:
         actor.destroy()
 
 
+def _decide(world, players, time, step, fault):
+    """Let agents decide, with a fault."""
+    for actor, track, agent in players:
+        if agent is None:
+            continue
+        if time == step:
+            actor.set_target_velocity(carla.Vector3D(track.speed, 0.0, 0.0))
+        control = agent.decide(world, actor, time)
+        if fault == "agent-ignored":
+            actor.set_target_velocity(carla.Vector3D(track.speed, 0.0, 0.0))
+        elif fault == "agent-reverses":
+            actor.set_target_velocity(carla.Vector3D(-track.speed, 0.0, 0.0))
+        elif fault == "agent-strays":
+            actor.set_target_velocity(carla.Vector3D(track.speed, 1.0, 0.0))
+        elif control.throttle or control.brake:
+            actor.apply_control(control)
+
+
 def _move(players, time, step):
-    for actor, track in players:
+    for actor, track, agent in players:
+        if agent is not None:
+            continue
         x, y, heading, speed = track.pose(time)
         # The server moves it by its velocity before the frame is sent.
         x, y = x - speed * step * math.cos(heading), y - speed * step * math.sin(heading)

@@ -104,10 +104,11 @@ def test_motion_is_in_the_axes_of_the_scenario_and_collisions_go_on(scenario):
     assert 5.8 <= found.time[-1] <= 6.2
     np.testing.assert_allclose(np.diff(found.time), 0.05, atol=1e-12)
     # From the begin of the storyboard on, without the frames in which vehicles fall on their wheels.
-    assert np.abs(found.x[0] - (-80 + 10 * found.time)).max() < NEAR
+    # A recording of CARLA has the middle of each entity, which the scenario has 1.4 m ahead of the rear axle.
+    assert np.abs(found.x[0] - (-78.6 + 10 * found.time)).max() < NEAR
     assert np.abs(found.y[0] + 1.75).max() < NEAR
     assert np.abs(found.speed[0] - 10).max() < NEAR
-    assert np.abs(found.x[1] + 40).max() < NEAR
+    assert np.abs(found.x[1] + 38.6).max() < NEAR
     # To the left of an entity that drives east, as in the scenario and unlike in CARLA.
     assert found.y[2][-1] - found.y[2][0] == pytest.approx(1.5 * found.time[-1], abs=NEAR)
     assert found.heading[2][-1] == pytest.approx(np.pi / 2, abs=0.05)
@@ -163,7 +164,7 @@ def test_one_server_runs_many_and_is_left_as_it_was(scenario):
     with Served(ROAD) as server:
         simulator = Carla(**options(server))
         found = ran(simulator, [ConcreteScenario(scenario, {"gap": gap, "end": 1.0}) for gap in (20.0, 30.0)])
-        assert [round(one.x[1][-1]) for one in found] == [-60, -50]
+        assert [round(one.x[1][-1]) for one in found] == [-59, -49]
         world = carla.Client(server.host, server.port).get_world()
         assert not world.get_settings().synchronous_mode
         assert not world.get_settings().no_rendering_mode
@@ -195,6 +196,43 @@ def test_one_of_carlas_maps_is_loaded_by_its_name_and_a_road_file_by_its_text(sc
                 assert carla.Client(server.host, server.port).get_world().get_map().name.endswith(name)
         finally:
             simulator.close()
+
+
+def test_the_check_of_a_file_names_parameters_that_an_agent_overrides(tmp_path):
+    x = EXAMPLES / "x_intersection" / "x_intersection.xosc"
+    driven = cornercase("check", x, "--simulator", "carla", "--sut", "Ego=cautious")
+    assert driven.returncode == 0
+    said = "carla: the parameter ego_speed sets only the first speed of Ego, as an agent drives from then on"
+    assert said in driven.stdout.splitlines()
+    assert "carla: without effect: <ObjectController>" in driven.stdout
+    obeying = cornercase("check", x, "--simulator", "carla", "--sut", "Ego=cc-human")
+    assert obeying.returncode == 0
+    assert "ego_speed sets" not in obeying.stdout
+    # Nothing is said twice, and nothing without the simulator.
+    assert "sumo: " not in cornercase("check", x, "--simulator", "sumo").stdout
+    assert "carla" not in cornercase("check", x).stdout
+
+
+def test_the_check_of_a_file_says_that_carla_refuses_it():
+    braking = EXAMPLES / "r157" / "deceleration.xosc"
+    refused = cornercase("check", braking, "--simulator", "carla")
+    assert refused.returncode == 1
+    assert f"carla cannot run it: {braking}: 'Ego' has the driver 'cc-human'" in refused.stdout
+    misspelled = cornercase("check", braking, "--simulator", "carla:nope=3")
+    assert misspelled.returncode == 2
+    assert "has no option 'nope'" in misspelled.stderr
+
+
+def test_values_at_fault_cost_their_scenario_only(tmp_path):
+    """A number that is none is no reason to end a search, unless the file has it."""
+    simulator = Carla(scenario_runner=str(RUNNER), python=sys.executable, undriven=True)
+    with pytest.raises(SimulationError, match="'nonsense', which is not a number"):
+        ran(simulator, [ConcreteScenario(T, {"c_start_time": "nonsense"})])
+    path = tmp_path / "t.xosc"
+    path.write_text(T.read_text().replace("<Storyboard>", "<Storyboard><Unknown/>"))
+    shutil.copy(ROAD, tmp_path)
+    with pytest.raises(InputError):
+        ran(simulator, [ConcreteScenario(path, {"c_start_time": 2.0})])
 
 
 @STUB_ONLY
@@ -382,7 +420,7 @@ def test_an_ego_of_another_program_is_waited_for_and_left_alone(scenario):
                     (found,) = ran(simulator, [ConcreteScenario(scenario, {"end": 2.0})])
                     assert found.names == ("Ego", "C", "Walker")
                     assert found.time[-1] == pytest.approx(2.0, abs=0.1)
-                    assert found.x[0][0] == pytest.approx(-80.0, abs=3.0)
+                    assert found.x[0][0] == pytest.approx(-78.6, abs=3.0)
                     assert 5.0 < found.x[0][-1] - found.x[0][0] < 12.0
                 assert stack.poll() is None
             finally:
@@ -737,6 +775,40 @@ def test_the_driver_follows_its_route_beyond_its_end_and_brakes_then(driver):
         made.run_step()
     assert vehicle.did == [("speed", 8.0), "control", "control", "brake", "brake"]
     assert made._reached_goal
+
+
+def test_where_carlas_planner_knows_no_road_the_lane_is_followed(driver, monkeypatch):
+    """It leaves out a road that neither comes from nor leads to another one, such as a motorway."""
+
+    def fail(*_):
+        raise TypeError("'NoneType' object is not subscriptable")
+
+    monkeypatch.setattr(Router, "trace_route", fail)
+    plan = driver(Vehicle(), {"behavior": "normal", "route": ROUTE})._agent.plan
+    x = [point.transform.location.x for point, _ in plan]
+    assert x[:2] == pytest.approx([-60.0, -58.0], abs=0.1)
+    assert min(abs(one + 20.0) for one in x) < 1.1
+    assert x[-1] > 20.0
+
+
+def test_the_route_of_an_own_agent_is_then_the_lane_too(driver, monkeypatch):
+    loaded = sys.modules["srunner.tools.route_manipulation"]
+
+    def fail(waypoints_trajectory):
+        raise TypeError("'NoneType' object is not subscriptable")
+
+    def to_gps(route, lat_ref, lon_ref):
+        return [(lat_ref, lon_ref)] * len(route)
+
+    monkeypatch.setitem(driver.run_step.__globals__, "interpolate_trajectory", fail)
+    monkeypatch.setattr(loaded, "location_route_to_gps", to_gps, raising=False)
+    monkeypatch.setattr(loaded, "_get_latlon_ref", lambda world: (49.0, 8.0), raising=False)
+    points = [carla.Location(x, 1.75, 0.0) for x in (-60.0, -40.0, -20.0)]
+    gps, world = driver.run_step.__globals__["_interpolate_trajectory"](points)
+    assert gps[0] == (49.0, 8.0)
+    x = [transform.location.x for transform, _ in world]
+    assert len(gps) == len(x)
+    assert (x[0], x[-1]) == (pytest.approx(-60.0, abs=0.1), pytest.approx(-20.0, abs=1.1))
 
 
 def test_without_a_behaviour_the_storyboard_sets_the_speed(driver):

@@ -102,18 +102,24 @@ def reference_poses(concrete, driver, duration):
     return recording
 
 
+def center_of(recording, k):
+    """Where the middle of an entity is at first, at which the file that is run has the origin of its actor."""
+    heading, ahead = recording.heading[k, 0], recording.center_x[k]
+    return recording.x[k, 0] + ahead * np.cos(heading), recording.y[k, 0] + ahead * np.sin(heading)
+
+
 def drive(world, driver, folder, duration=5.0):
     """Drive the ego on the stand-in, while all others move as in the builtin simulator; return centres of the ego."""
     checked = ScalarFunction(driver)
     concrete = ConcreteScenario(X, {})
     expected = reference_poses(concrete, driver if isinstance(driver, Aeb) else "normal", duration)
     with AgentServer(checked, concrete, "Ego", STEP, folder) as server:
-        # ScenarioRunner puts the origin of an actor where the scenario has the rear axle.
         boxes = np.stack((expected.length, expected.width, expected.center_x), axis=1).tolist()
         # As on CARLA, whose origins are near the centres of boxes.
         boxes[0][2] = 0.1
         for k, name in enumerate(expected.names):
-            world.append(Vehicle(name, boxes[k], expected.x[k, 0], expected.y[k, 0], expected.heading[k, 0]))
+            x, y = center_of(expected, k) if k == 0 else (expected.x[k, 0], expected.y[k, 0])
+            world.append(Vehicle(name, boxes[k], x, y, expected.heading[k, 0]))
         agent = make_agent(server.config_file)
         centers = []
         try:
@@ -183,7 +189,8 @@ def test_a_curve_is_followed_without_a_steering_angle(world, tmp_path):
     checked = ScalarFunction(Aeb(time_to_brake=0.0))
     assert np.ptp(expected.heading[0]) > 1.0
     with AgentServer(checked, concrete, "Ego", STEP, tmp_path) as server:
-        world.append(Vehicle("Ego", (4.4, 1.8, 0.1), expected.x[0, 0], expected.y[0, 0], expected.heading[0, 0]))
+        x, y = center_of(expected, 0)
+        world.append(Vehicle("Ego", (4.4, 1.8, 0.1), x, y, expected.heading[0, 0]))
         agent = make_agent(server.config_file)
         gaps = []
         for instant in range(round(11.0 / STEP)):

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import ast
 import importlib.util
 import json
+import os
 import re
 import sys
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
@@ -20,7 +23,9 @@ from cornercase.scenario._xml import read_xml
 from cornercase.simulators import Carla, convert, simulate
 from cornercase.simulators.carla._dialect import TRAJECTORY_FILE, DrivingAgents
 from cornercase.simulators.carla._openscenario_1_0 import ConversionOptions, write_openscenario_1_0
-from cornercase.simulators.carla._support_table import HandlingStatus, find_row, load_support_table
+from cornercase.simulators.carla._run_file import write_run_file
+from cornercase.simulators.carla._runner_environment import RunnerEnvironment
+from cornercase.simulators.carla._support_table import VERSIONS, HandlingStatus, find_row, load_support_table
 from helpers.xml_schemas import Schema
 
 pytest.importorskip("qc_openscenario", reason="the schema comes with the extra 'validate'")
@@ -52,6 +57,82 @@ def test_the_table_says_why():
     rows = [row for of in load_support_table().values() for row in of]
     assert len(rows) > 200
     assert [row for row in rows if not row.note and row.status is not HandlingStatus.EXECUTED] == []
+
+
+FOLDER = os.environ.get("CORNERCASE_SCENARIO_RUNNER", "")
+SOURCES = (
+    "srunner/tools/openscenario_parser.py",
+    "srunner/scenarioconfigs/openscenario_configuration.py",
+    "srunner/scenarios/open_scenario.py",
+)
+# What the source names, but only to stop at it or without looking at it.
+STOPS_AT = {
+    "RoutePosition": VERSIONS, "UserDefinedValueCondition": VERSIONS, "VisibilityAction": VERSIONS,
+    "AssignRouteAction": VERSIONS, "AcquirePositionAction": VERSIONS, "FollowTrajectoryAction": ("0.9.13",),
+    "TrafficSignalControllerCondition": ("0.9.13",),
+}  # fmt: skip
+
+
+def names_in(source):
+    """Names of elements and attributes that a source asks for."""
+    names = set()
+    for node in ast.walk(ast.parse(source)):
+        parts = []
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute):
+            parts = node.args if node.func.attr in ("find", "findall", "iterfind", "iter", "get") else []
+        elif isinstance(node, ast.Compare):
+            parts = [node.left, *node.comparators]
+        elif isinstance(node, ast.Subscript):
+            parts = [node.slice]
+        texts = (one.value for part in parts for one in ast.walk(part) if isinstance(one, ast.Constant))
+        names |= {name for text in texts if isinstance(text, str) for name in re.split(r"[./]+", text)}
+    return names
+
+
+@pytest.mark.skipif(not FOLDER, reason="CORNERCASE_SCENARIO_RUNNER is not set")
+def test_the_columns_of_versions_are_what_the_sources_say():
+    version = RunnerEnvironment.find(FOLDER, "", "").version
+    assert version in VERSIONS
+    names = set().union(*(names_in((Path(FOLDER) / source).read_text()) for source in SOURCES))
+    rows = [row for of in load_support_table().values() for row in of if not row.attribute]
+    wrong = []
+    for row in rows:
+        name = row.element.rpartition("/")[2]
+        stops = version in STOPS_AT.get(name, ())
+        if name != "OpenSCENARIO" and (version in row.versions) != (name in names and not stops):
+            wrong.append(row.element)
+    assert wrong == []
+
+
+def test_what_a_version_lacks_is_named_before_the_run(write, tmp_path, monkeypatch):
+    path = write()
+    late = find_row(("SpeedAction",))
+    assert late is not None
+    newer = replace(late, versions=("0.9.15", "0.9.16"))
+    monkeypatch.setitem(load_support_table(), ("SpeedAction", ""), (newer,))
+    scenario, run = ScenarioFile.read(path), ConversionOptions(is_run=True)
+    for version in ("0.9.15", ""):
+        write_run_file(scenario, {}, tmp_path / "one.xosc", ego="Ego", options=run, version=version)
+    needs = r"ScenarioRunner 0\.9\.13 has no <SpeedAction>; use 0\.9\.15 or 0\.9\.16\."
+    with pytest.raises(InputError, match=needs):
+        write_run_file(scenario, {}, tmp_path / "one.xosc", ego="Ego", options=run, version="0.9.13")
+
+
+def test_a_converted_file_says_which_version_it_needs(write, tmp_path):
+    needs = "ScenarioRunner 0.9.13 has no <FollowTrajectoryAction>; use 0.9.15 or 0.9.16."
+    assert needs in convert(write(action=OFFSET), tmp_path / "one.xosc", ego="Ego").notes
+    assert needs not in convert(write(), tmp_path / "two.xosc", ego="Ego").notes
+    # In a run, the controller has the trajectory.
+    scenario, run = ScenarioFile.read(write(action=OFFSET)), ConversionOptions(is_run=True)
+    write_run_file(scenario, {}, tmp_path / "three.xosc", ego="Ego", options=run, version="0.9.13")
+
+
+@pytest.mark.parametrize(
+    ("number", "written"), [("1e1", "10"), ("8E-1", "0.8"), ("+7", "7"), (".5", "0.5"), ("8.", "8.")]
+)
+def test_numbers_are_written_as_every_version_reads_them(write, tmp_path, number, written):
+    found = convert(write(action=speed(target=number)), tmp_path / "one.xosc", ego="Ego")
+    assert written in [one.get("value") for one in read_xml(found.path).iter("AbsoluteTargetSpeed")]
 
 
 def car(name):
@@ -316,6 +397,19 @@ def test_who_reacts_to_the_ego_keeps_the_storyboard_where_scenario_runner_does_s
     assert any(note.startswith("Other: dynamicsShape 'linear'") for note in found.notes)
     assert read_xml(found.path).find(".//RelativeDistanceCondition") is not None
     assert read_xml(found.path).find(".//FollowTrajectoryAction") is None
+
+
+def test_in_a_run_the_origin_of_an_actor_is_put_where_the_middle_of_the_box_begins(write, tmp_path):
+    """ScenarioRunner takes a position for that of the actor's origin, which CARLA has in the middle of a vehicle."""
+    path, expected = write(), simulate(write())
+    for is_run, ahead in ((True, 1.4), (False, 0.0)):
+        target = tmp_path / f"{is_run}.xosc"
+        run = ConversionOptions(is_run=is_run)
+        write_openscenario_1_0(ScenarioFile.read(path), {}, target, ego="Ego", options=run)
+        places = read_xml(target).findall("Storyboard/Init//TeleportAction/Position/WorldPosition")
+        x, y, heading = (np.array([float(place.get(name, "0")) for place in places]) for name in ("x", "y", "h"))
+        np.testing.assert_allclose(x - ahead * np.cos(heading), expected.x[:, 0], atol=1e-5)
+        np.testing.assert_allclose(y - ahead * np.sin(heading), expected.y[:, 0], atol=1e-5)
 
 
 def test_who_no_longer_reacts_is_named(write, tmp_path):

@@ -13,8 +13,9 @@ import pytest
 
 from conftest import at_night
 from cornercase.simulators import Carla, CarMaker
-from cornercase.testing._deviations import run_small_scenario
-from cornercase.testing._small_scenarios import SMALL_SCENARIOS, write_small_scenarios
+from cornercase.testing._deviations import run_small_scenario, run_with_agent
+from cornercase.testing._example_function import CarFollowing
+from cornercase.testing._small_scenarios import AGENT_DURATIONS, SMALL_SCENARIOS, write_small_scenarios
 from helpers.carla_or_stand_in import REAL, Served, free_port
 from helpers.carmaker_port import SmallTestRuns, small_port
 from helpers.command_line import cornercase
@@ -23,11 +24,12 @@ NEEDS_CARLA = pytest.mark.skipif(
     find_spec("carla") is None or bool(REAL), reason="it takes the client of the extra 'carla', and a stand-in"
 )
 HELPERS = Path(__file__).parents[1] / "helpers"
+OWN = "a function of one's own"
 
 
 @pytest.fixture(scope="module")
 def small(tmp_path_factory):
-    return write_small_scenarios(tmp_path_factory.mktemp("small"))
+    return write_small_scenarios(tmp_path_factory.mktemp("small"), *SMALL_SCENARIOS, *AGENT_DURATIONS)
 
 
 @pytest.fixture
@@ -85,6 +87,12 @@ def test_the_command_checks_carmaker_and_lets_it_crash(project, tmp_path):
         found = json.loads(archive.read("proof.json"))
     assert [one["problem"] for one in found["scenarios"]] == [""] * 12
     assert [one["spread"] for one in found["scenarios"]] == [0.0] * 12
+    (crash,) = found["crashes"]
+    assert (crash["is_server"], crash["n_lost"], crash["spread"]) == (True, 0, 0.0)
+    assert str(program) in crash["killed"]
+    # What drives the ego is said by the TestRun.
+    untried = [one["name"] for one in found["checks"] if one["not_tried"]]
+    assert untried == [f"agrees with the builtin simulator, driven by {OWN}: {name}" for name in AGENT_DURATIONS]
     assert (project / "started.txt").read_text().split().count("started") > 12
 
 
@@ -133,3 +141,77 @@ CARLA_FAULTS = {
 def test_each_fault_of_carla_is_named(small, fault, monkeypatch):
     name, words, wrong = CARLA_FAULTS[fault]
     assert f"it looks as if {words}" in problem_of_carla(small, name, monkeypatch, fault, *wrong)
+
+
+AGENTS = dict(Carla.own_agents())
+FILE = "an AutonomousAgent in a file"
+BEHAVIORS = ("aggressive", "cautious", "normal")
+
+
+def run_of_agent(small, name, agent, monkeypatch, fault="", *wrong):
+    """A small scenario on what stands in for CARLA, in which an agent drives the ego, or a function of one's own."""
+    monkeypatch.setenv("FAKE_RUNNER", f"plays {fault}".strip())
+    with Served(small[name].path.parent / "motorway.xodr", *wrong) as server:
+        simulator = Carla(
+            hosts=server.host, port=server.port, scenario_runner=str(RUNNER), python=sys.executable, patience=5.0
+        )
+        if agent == OWN:
+            return run_small_scenario(simulator, name, small[name], agent=agent, drivers={"Ego": CarFollowing()})
+        return run_with_agent(simulator, name, small[name], agent, AGENTS[agent])
+
+
+def test_agents_of_carla_are_those_that_users_can_name():
+    assert [*AGENTS] == [*(f"CARLA's behaviour agent '{name}'" for name in BEHAVIORS), FILE]
+    assert Path(str(AGENTS[FILE]["agent"])).is_file()
+
+
+@NEEDS_CARLA
+@pytest.mark.parametrize("name", at_night(AGENT_DURATIONS, {"a free lane"}))
+@pytest.mark.parametrize("agent", at_night([*AGENTS, OWN], {*AGENTS} - {FILE}))
+def test_carla_is_driven_by_each_of_its_agents(small, name, agent, monkeypatch):
+    run = run_of_agent(small, name, agent, monkeypatch)
+    assert run.problem == ""
+    assert run.motion is not None
+    if name == "a standing van":
+        # The agent in a file looks at nothing, and the aggressive one that stands in for CARLA's does not brake.
+        assert (run.motion.collision is not None) == (agent == FILE or "aggressive" in agent)
+
+
+AGENT_FAULTS = {
+    "ignored, a function": ("a standing van", OWN, "agent-ignored", "Ego ignores changes of its speed", ()),
+    "ignored": ("a standing van", FILE, "agent-ignored", "as if nobody drove it", ()),
+    "reverses": ("a free lane", FILE, "agent-reverses", "goes back by", ()),
+    "strays": ("a free lane", FILE, "agent-strays", "beside the middle of its lane", ()),
+    "no collisions": ("a standing van", FILE, "", "inside the van without a collision", ("no-collisions",)),
+}
+
+
+@NEEDS_CARLA
+@pytest.mark.parametrize("fault", at_night(AGENT_FAULTS, {*AGENT_FAULTS} - {"ignored"}))
+def test_each_fault_of_an_agent_on_carla_is_named(small, fault, monkeypatch):
+    name, agent, kind, words, wrong = AGENT_FAULTS[fault]
+    assert words in run_of_agent(small, name, agent, monkeypatch, kind, *wrong).problem
+
+
+@NEEDS_CARLA
+@pytest.mark.slow
+def test_the_command_checks_carla_with_all_agents_and_lets_its_server_crash(small, tmp_path, monkeypatch):
+    monkeypatch.setenv("FAKE_RUNNER", "plays")
+    monkeypatch.setenv("SCENARIO_RUNNER_ROOT", str(RUNNER))
+    monkeypatch.setenv("CORNERCASE_CARLA_PYTHON", sys.executable)
+    road = small["constant speed"].path.parent / "motorway.xodr"
+    start = f"{sys.executable} {HELPERS / 'carla_protocol_server.py'} {{port}} {road} stay"
+    proof = tmp_path / "proof.zip"
+    done = cornercase("check-simulator", f"carla:port={free_port()},patience=5,start={start}", "-o", proof)
+    assert done.returncode == 0, done.stdout + done.stderr
+    with zipfile.ZipFile(proof) as archive:
+        found = json.loads(archive.read("proof.json"))
+    assert [check["name"] for check in found["checks"] if check["problem"] or check["not_tried"]] == []
+    assert found["versions"]["CARLA's client"] == found["version"] != ""
+    seen = {(one["agent"], one["name"]) for one in found["scenarios"] if one["agent"]}
+    assert seen == {(agent, name) for agent in (*AGENTS, OWN) for name in AGENT_DURATIONS}
+    (crash,) = found["crashes"]
+    assert crash["is_server"]
+    assert "carla_protocol_server.py" in crash["killed"]
+    assert crash["n_lost"] == 0
+    assert crash["spread"] < 0.5

@@ -68,8 +68,9 @@ def check_simulator(
 ) -> None:
     """Check that a simulator repeats itself as it declares, keeps to units and axes, and agrees with the builtin one.
 
-    Twelve small scenarios are compared: braking, a lane change, a crossing walker, collisions and others. If it runs in
-    a process of its own, it is killed on purpose.
+    Twelve small scenarios are compared: braking, a lane change, a crossing walker, collisions and others. In two more,
+    a driving function and each agent of the simulator's own drive. If it runs in a process of its own, it is killed on
+    purpose.
     The exit code is 1 if something does not hold.
 
     \b
@@ -79,6 +80,7 @@ def check_simulator(
     """
     from cornercase.simulators import SIMULATORS
     from cornercase.testing import simulator_checks
+    from cornercase.testing._crash import CrashRun
     from cornercase.testing._deviations import SmallRun
     from cornercase.testing._proof_file import write_proof
 
@@ -88,11 +90,11 @@ def check_simulator(
         raise InputError(problem)
     if output is not None and output.is_dir():
         raise InputError(f"--output {output}: is a folder; give a file, such as {output / 'proof.zip'}.")
-    runs = list[SmallRun]()
-    checks = simulator_checks(simulator, _read_cases(scenario, space, ego), runs.append)
+    runs, crashes = list[SmallRun](), list[CrashRun]()
+    checks = simulator_checks(simulator, _read_cases(scenario, space, ego), runs.append, crashes.append)
     results = _run("simulator", simulator, checks, as_json)
     if output is not None:
-        write_proof(output, simulator, results, runs)
+        write_proof(output, simulator, results, runs, crashes)
         if not as_json:
             out.print(f"wrote {output}")
     _exit_if_broken(results)

@@ -31,13 +31,19 @@ def check(
             help="Treat every violation of the standard as an error, even if its meaning is clear; name the rule.",
         ),
     ] = False,
+    simulator: Annotated[
+        str | None,
+        Option("--simulator", metavar="NAME", help="Also say what this simulator does otherwise, or refuses."),
+    ] = None,
+    ego: Annotated[str, Option("--ego", metavar="NAME", help="Entity under test, for --simulator.")] = "Ego",
     maps: opt.Maps = None,
 ) -> None:
     """Check scenario files: what they contain, what has no effect here, and whether they are valid and can run.
 
     Violations of the standard that can be understood in only one way are accepted, and listed as "adapted". The exit
     code is 1 if a file is not valid or cannot run, or with --strict if something was adapted. With --sut, it also says
-    what drives, and which of its options can be searched.
+    what drives, and which of its options can be searched. With --simulator, it names parameters that an agent
+    overrides, and parts of the scenario that this simulator ignores or replaces.
 
     \b
     Example:
@@ -45,12 +51,17 @@ def check(
           --space examples/x_intersection/x_intersection.space.xosc
       cornercase check examples/x_intersection/x_intersection.xosc \\
           --sut Ego=normal:horizon=4
+      cornercase check examples/x_intersection/x_intersection.xosc \\
+          --simulator carla --sut Ego=cautious
       cornercase check reduced/*.xosc --strict
     """
     from cornercase import simulators
 
     if space is not None and len(scenarios) > 1:
         raise InputError("--space: belongs to one scenario; check one scenario at a time.")
+    if simulator is not None:
+        # A misspelled option is no matter of a scenario.
+        simulators.SIMULATORS.create(simulator)
     n_bad = 0
     for scenario in scenarios:
         if len(scenarios) > 1:
@@ -64,7 +75,8 @@ def check(
             n_bad += 1
             continue
         _print_check(report, drivers or {})
-        n_bad += not report.is_valid
+        is_refused = simulator is not None and not _print_effects(report, simulator, drivers, ego)
+        n_bad += is_refused or not report.is_valid
     if len(scenarios) > 1:
         strictly = ", break no rule" if strict else ""
         out.print(f"{len(scenarios) - n_bad} of {len(scenarios)} are valid{strictly} and can be run")
@@ -107,6 +119,22 @@ def _print_check(report: Any, drivers: Mapping[str, str]) -> None:
             out.print(f"varied: {_format_parameter(parameter)}{'' if is_declared else ' (of a driver, not checked)'}")
         out.print(f"concrete scenarios: {'infinitely many' if report.space.size is None else report.space.size}")
     out.print("can be run" if not report.run_errors else "cannot be run")
+
+
+def _print_effects(report: Any, simulator: str, drivers: Mapping[str, str] | None, ego: str) -> bool:
+    """Print what a simulator does otherwise; return whether it takes the scenario."""
+    from cornercase.simulators._effects import describe_effects
+
+    name = simulator.partition(":")[0]
+    try:
+        sentences = describe_effects(simulator, report.path, drivers=drivers, ego=ego)
+    except InputError as error:
+        out.print(shorten(use_option_names(f"{name} cannot run it: {error}").replace("\n", "\\n"), MAX_LINE_LENGTH))
+        return False
+    printed = {notice.sentence for notice in report.notices}
+    for sentence in (sentence for sentence in sentences if sentence not in printed):
+        out.print(shorten(use_option_names(f"{name}: {sentence}"), MAX_LINE_LENGTH))
+    return True
 
 
 def _format_parameter(parameter: Any) -> str:

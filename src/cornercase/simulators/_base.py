@@ -196,6 +196,28 @@ class Simulator(Configurable, ABC):
         """
         return Availability()
 
+    def component_versions(self) -> Mapping[str, str]:
+        """Return versions of the programs that this simulator uses, for those who look for the cause of a problem.
+
+        Returns
+        -------
+        mapping of str to str
+            By the name of the program; empty if it is unknown. None by default, as `availability` tells one version.
+        """
+        return {}
+
+    @classmethod
+    def own_agents(cls) -> Mapping[str, Mapping[str, object]]:
+        """Return agents of the simulator's own that can drive the entity ``Ego``, for checks.
+
+        Returns
+        -------
+        mapping of str to mapping
+            The options with which each agent drives, by its name: ``{"SUMO's model normal": {"drivers": {"Ego":
+            "normal"}}}``. Empty by default.
+        """
+        return {}
+
     def notify(self, sentences: Iterable[str]) -> None:
         """Pass sentences about the present runs to the user; repeated sentences are passed once.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +22,9 @@ from cornercase.testing._small_scenarios import write_small_scenarios
 
 N_CASES: Final = 4
 """Number of concrete scenarios of each logical scenario."""
+
+N_UNDRIVEN_CASES: Final = 2
+"""The same for simulators that need long for each."""
 
 
 @dataclass(frozen=True)
@@ -183,18 +187,39 @@ def storyless_cases(folder: Path) -> list[Cases]:
     return [Cases((concrete,), "Ego") for concrete in write_small_scenarios(folder, *names).values()]
 
 
+def undriven_cases(folder: Path) -> list[Cases]:
+    """Return two scenarios each of the default ones, in which the storyboard alone moves all; written to a folder.
+
+    For simulators that need long for each, and whose drivers differ from run to run.
+    """
+    x_intersection = examples_folder() / "x_intersection" / "x_intersection.xosc"
+    deceleration = examples_folder() / "r157" / "deceleration.xosc"
+    crossing = LogicalScenario.read(
+        _write_without(x_intersection, folder, "ObjectController"), x_intersection.with_suffix(".space.xosc")
+    )
+    braking = LogicalScenario.read(
+        _write_without(deceleration, folder, "ObjectController"), ranges=["gap=20:60", "deceleration=2:6"]
+    )
+    return [Cases.from_logical(logical, "Ego", N_UNDRIVEN_CASES) for logical in (crossing, braking)]
+
+
 def unlimited_cases(folder: Path) -> Cases:
     """Return scenarios in which a car cuts in, and vehicles do whatever they are told; written to a folder."""
-    original = examples_folder() / "r157" / "cut_in.xosc"
+    return _read(_write_without(examples_folder() / "r157" / "cut_in.xosc", folder, "Performance"), ["gap=10:40"])
+
+
+def _write_without(original: Path, folder: Path, tag: str) -> Path:
+    """Write a scenario without the elements of a name, and its road, to a folder; return its path."""
     tree = etree.parse(original)
-    for element in [*tree.iter("Performance")]:
+    for element in [*tree.iter(tag)]:
         parent = element.getparent()
         if parent is not None:
             parent.remove(element)
     copied = folder / original.name
     copied.write_bytes(etree.tostring(tree))
-    (folder / "motorway.xodr").write_bytes((original.parent / "motorway.xodr").read_bytes())
-    return _read(copied, ["gap=10:40"])
+    for road in tree.iterfind("RoadNetwork/LogicFile"):
+        shutil.copyfile(original.parent / road.get("filepath", ""), folder / road.get("filepath", ""))
+    return copied
 
 
 def _ignore_notice(sentence: str) -> None:

@@ -6,6 +6,8 @@ import math
 import threading
 import time
 from contextlib import suppress
+from dataclasses import dataclass
+from typing import Final
 
 import psutil
 
@@ -13,21 +15,54 @@ from cornercase._common.configurable import declared_options
 from cornercase._common.errors import SimulationError
 from cornercase._common.platform import kill_process_tree
 from cornercase.recordings import Recording
+from cornercase.recordings._compare import max_position_difference
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import SIMULATORS
 from cornercase.simulators._create import create_simulator
 from cornercase.simulators._results import Outcome, run_scenarios
 from cornercase.testing._contract_check import NotTriedError
 
-# s that scenarios should run, so that there is time for a crash, and how many there are at most.
-_RUN_TIME, _MAX_SCENARIOS = 2.0, 200
+# s that scenarios should run, so that there is time for a crash, and how many there are at least and at most.
+_RUN_TIME, _MIN_SCENARIOS, _MAX_SCENARIOS = 2.0, 3, 200
+# The crash is in the middle of the second scenario.
+_CRASH_AFTER: Final = 1.5
+# s for a process to be gone.
+_DEATH_TIMEOUT: Final = 5.0
 
 
-def crash_during_runs(simulator: str, concrete: ConcreteScenario, ego: str) -> tuple[Recording, list[Outcome]]:
-    """Run a scenario, then again while the simulator is killed; return the first and the later outcomes.
+@dataclass(frozen=True)
+class CrashRun:
+    """What came of scenarios while the simulator was killed."""
+
+    killed: str  # the command of what was killed
+    is_server: bool  # whether that was a server, and not the worker process that runs scenarios
+    n_before: int  # scenarios that had ended before
+    seconds: tuple[float, ...]  # of each scenario
+    first: Recording  # of the scenario before the crash
+    outcomes: tuple[Outcome, ...]  # of the same scenario again and again
+
+    @property
+    def n_lost(self) -> int:
+        """Number of scenarios that failed."""
+        return sum(isinstance(outcome, SimulationError) for outcome in self.outcomes)
+
+    @property
+    def spread(self) -> float | None:
+        """Largest distance in m from the recording before the crash; None if that cannot be told."""
+        largest = 0.0
+        for outcome in self.outcomes:
+            distance = None if isinstance(outcome, SimulationError) else max_position_difference(self.first, outcome)
+            if distance is None:
+                return None
+            largest = max(largest, distance)
+        return largest
+
+
+def crash_during_runs(simulator: str, concrete: ConcreteScenario, ego: str) -> CrashRun:
+    """Run a scenario, then again and again while the simulator is killed once.
 
     If the simulator is a server that its worker process has started, the server is killed, else the worker process.
-    Raises `NotTriedError` if the server was started by somebody else.
+    Raises `NotTriedError` if the server was started by somebody else, or all scenarios ended before the crash.
     """
     if "start" in declared_options(SIMULATORS.get_class(simulator)) and "start=" not in simulator:
         raise NotTriedError("cornercase has not started its server; let it do so by the option start.")
@@ -40,24 +75,48 @@ def crash_during_runs(simulator: str, concrete: ConcreteScenario, ego: str) -> t
         begin = time.perf_counter()
         list(run_scenarios(started, [concrete]))
         seconds = time.perf_counter() - begin
-        count = min(max(2, math.ceil(_RUN_TIME / max(seconds, 1e-3))), _MAX_SCENARIOS)
-        victim = _find_server(own, others)
-        killer = threading.Timer(0.5 * seconds * min(count, 3), _kill, [victim])
+        count = min(max(_MIN_SCENARIOS, math.ceil(_RUN_TIME / max(seconds, 1e-3))), _MAX_SCENARIOS)
+        victim, is_server = _find_server(own, others)
+        command = " ".join(victim.cmdline())
+        outcomes, durations, n_before = list[Outcome](), list[float](), list[int]()
+
+        def kill() -> None:
+            n_before.append(len(outcomes))
+            kill_process_tree(victim.pid)
+
+        killer = threading.Timer(_CRASH_AFTER * seconds, kill)
         killer.start()
         try:
-            outcomes = list(run_scenarios(started, [concrete] * count))
+            begin = time.perf_counter()
+            for outcome in run_scenarios(started, [concrete] * count):
+                outcomes.append(outcome)
+                durations.append(time.perf_counter() - begin)
+                begin = time.perf_counter()
         finally:
             killer.cancel()
             killer.join()
-    return first, outcomes
+        if not n_before or n_before[0] == count:
+            raise NotTriedError("All scenarios had ended before it could be killed; the next time it may be.")
+        assert _is_gone(victim), "It goes on running after it was killed."
+    return CrashRun(command, is_server, n_before[0], tuple(durations), first, tuple(outcomes))
 
 
-def _find_server(own: psutil.Process, others: set[int]) -> psutil.Process:
-    """Return the oldest process that a worker process of this one has started, else the worker process."""
+def _is_gone(process: psutil.Process) -> bool:
+    """Return whether a process has ended, also if its parent has not asked for its exit code."""
+    with suppress(psutil.Error):
+        try:
+            process.wait(_DEATH_TIMEOUT)
+        except psutil.TimeoutExpired:
+            return process.status() == psutil.STATUS_ZOMBIE
+    return True
+
+
+def _find_server(own: psutil.Process, others: set[int]) -> tuple[psutil.Process, bool]:
+    """Return the oldest process that a worker process of this one has started, else the worker process, and which."""
     workers = [process for process in own.children() if process.pid not in others and _is_worker(process)]
     assert workers, "It runs in no process of its own."
     servers = [child for worker in workers for child in worker.children()]
-    return min(servers or workers, key=lambda process: process.create_time())
+    return min(servers or workers, key=lambda process: process.create_time()), bool(servers)
 
 
 def _is_worker(process: psutil.Process) -> bool:
@@ -65,7 +124,3 @@ def _is_worker(process: psutil.Process) -> bool:
     with suppress(psutil.Error):
         return any("spawn_main" in word for word in process.cmdline())
     return False
-
-
-def _kill(process: psutil.Process) -> None:
-    kill_process_tree(process.pid)

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from lxml import etree
@@ -16,12 +16,15 @@ from lxml import etree
 from cornercase._common.errors import SimulationError
 from cornercase._common.geometry.boxes import wrap_angle
 from cornercase._common.typing import FloatArray
+from cornercase.drivers._resolve import DriverLike
 from cornercase.recordings import Recording
 from cornercase.recordings._compare import max_position_difference
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import SIMULATORS, Builtin, Simulator
+from cornercase.testing._agent_runs import AgentMotion, describe_agent_problems, measure_agent_motion
 from cornercase.testing._cases import Cases
 from cornercase.testing._corrections import box_centers, iter_corrections
+from cornercase.testing._small_scenarios import AGENT_DURATIONS
 
 TOLERANCES: Final = {
     "position": 0.5,
@@ -36,7 +39,7 @@ TOLERANCES: Final = {
 
 # s by which the same instant may differ.
 _SAME_TIME: Final = 1e-6
-_UNITS: Final = {
+UNITS: Final = {
     "position": "m",
     "heading": "rad",
     "speed": "m/s",
@@ -45,6 +48,7 @@ _UNITS: Final = {
     "box": "m",
     "end": "s",
 }
+"""Units of deviations."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +72,7 @@ class Deviations:
     def problem(self) -> str:
         """What is beyond its tolerance, as a sentence; empty if nothing is."""
         beyond = [
-            f"{name} by {'any' if value == np.inf else f'{value:.3g}'} {_UNITS[name]} (at most {TOLERANCES[name]:g})"
+            f"{name} by {'any' if value == np.inf else f'{value:.3g}'} {UNITS[name]} (at most {TOLERANCES[name]:g})"
             for name, value in asdict(self).items()
             if not value <= TOLERANCES[name]
         ]
@@ -80,41 +84,100 @@ class SmallRun:
     """Two runs of a small scenario in a simulator, beside one in the builtin simulator."""
 
     name: str
-    problem: str  # why they do not agree, as a sentence; empty if they do
+    problem: str  # why they do not agree, or what cannot be, as a sentence; empty if all is well
     deviations: Deviations | None  # None if there is no recording that can be compared
     seconds: float  # of the first run, with the start of the simulator
     seconds_again: float  # of the second one
     spread: float | None  # m between positions in both runs; None if that cannot be told
     own: Recording | None
-    expected: Recording
+    expected: Recording | None  # None if an agent of the simulator drives, which the builtin one does not have
+    agent: str = ""  # who drives the ego; empty for the storyboard
+    motion: AgentMotion | None = None  # of the ego that an agent drives
 
 
-def run_small_scenario(simulator: str | Simulator, name: str, concrete: ConcreteScenario) -> SmallRun:
-    """Run a small scenario twice in a simulator and once in the builtin one."""
-    outcomes, seconds = list[Recording | SimulationError](), list[float]()
-    begin = time.perf_counter()
-    for outcome in Cases((concrete, concrete), "Ego").iter_outcomes(simulator):
-        outcomes.append(outcome)
-        seconds.append(time.perf_counter() - begin)
-        begin = time.perf_counter()
-    own, again = outcomes
+class _Runs(NamedTuple):
+    """Two runs of the same scenario in a simulator, and their seconds."""
+
+    own: Recording | SimulationError
+    again: Recording | SimulationError
+    seconds: float
+    seconds_again: float
+
+    @property
+    def spread(self) -> float | None:
+        """Largest distance in m between positions; None if that cannot be told."""
+        if isinstance(self.own, SimulationError) or isinstance(self.again, SimulationError):
+            return None
+        return max_position_difference(self.own, self.again)
+
+
+def run_small_scenario(
+    simulator: str | Simulator,
+    name: str,
+    concrete: ConcreteScenario,
+    *,
+    agent: str = "",
+    drivers: Mapping[str, DriverLike] | None = None,
+) -> SmallRun:
+    """Run a small scenario twice in a simulator and once in the builtin one, with the same drivers in both."""
+    runs = _run_twice(simulator, concrete, {} if drivers is None else {"drivers": drivers})
+    own = runs.own
     has_own_boxes = SIMULATORS.get_class(simulator).has_own_boxes
-    expected = _run_builtin(concrete, own if has_own_boxes and isinstance(own, Recording) else None)
-    run = partial(SmallRun, name, seconds=seconds[0], seconds_again=seconds[1], expected=expected)
+    expected = _run_builtin(concrete, own if has_own_boxes and isinstance(own, Recording) else None, drivers)
+    run = partial(
+        SmallRun, name, seconds=runs.seconds, seconds_again=runs.seconds_again, spread=runs.spread, expected=expected,
+        agent=agent,
+    )  # fmt: skip
     if isinstance(own, SimulationError):
-        return run(f"It failed: {own}.", None, spread=None, own=None)
-    spread = None if isinstance(again, SimulationError) else max_position_difference(own, again)
-    missing = sorted({*expected.names} ^ {*own.names})
-    if missing:
-        return run(f"It has other entities: {', '.join(missing)}.", None, spread=spread, own=own)
+        return run(f"It failed: {own}.", None, own=None)
+    if missing := _describe_missing({*expected.names}, own):
+        return run(missing, None, own=own)
     deviations = measure_deviations(own, expected)
     problem = deviations.problem
     if problem and (cause := diagnose(own, expected)):
         problem = f"{problem.removesuffix('.')}; it looks as if {cause}."
-    return run(problem, deviations, spread=spread, own=own)
+    return run(problem, deviations, own=own, motion=measure_agent_motion(own) if drivers else None)
 
 
-def _run_builtin(concrete: ConcreteScenario, boxes: Recording | None) -> Recording:
+def run_with_agent(
+    simulator: str | Simulator, name: str, concrete: ConcreteScenario, agent: str, options: Mapping[str, object]
+) -> SmallRun:
+    """Run a small scenario twice with an agent of the simulator's own, whose decisions nobody knows."""
+    runs = _run_twice(simulator, concrete, options)
+    own = runs.own
+    run = partial(
+        SmallRun, name, deviations=None, seconds=runs.seconds, seconds_again=runs.seconds_again, spread=runs.spread,
+        expected=None, agent=agent,
+    )  # fmt: skip
+    if isinstance(own, SimulationError):
+        return run(problem=f"It failed: {own}.", own=None)
+    if missing := _describe_missing({*concrete.load_file().entities}, own):
+        return run(problem=missing, own=own)
+    motion = measure_agent_motion(own)
+    problem = describe_agent_problems(motion, float(own.time[-1]), AGENT_DURATIONS[name])
+    return run(problem=problem, own=own, motion=motion)
+
+
+def _run_twice(simulator: str | Simulator, concrete: ConcreteScenario, options: Mapping[str, Any]) -> _Runs:
+    outcomes, seconds = list[Recording | SimulationError](), list[float]()
+    begin = time.perf_counter()
+    for outcome in Cases((concrete, concrete), "Ego").iter_outcomes(simulator, **options):
+        outcomes.append(outcome)
+        seconds.append(time.perf_counter() - begin)
+        begin = time.perf_counter()
+    (own, again), (first, second) = outcomes, seconds
+    return _Runs(own, again, first, second)
+
+
+def _describe_missing(names: set[str], own: Recording) -> str:
+    """Return which entities are in one of the recordings only, as a sentence; empty if there are none."""
+    different = sorted(names ^ {*own.names})
+    return f"It has other entities: {', '.join(different)}." if different else ""
+
+
+def _run_builtin(
+    concrete: ConcreteScenario, boxes: Recording | None, drivers: Mapping[str, DriverLike] | None
+) -> Recording:
     """Run a scenario in the builtin simulator, with the boxes of a recording if there is one."""
     with TemporaryDirectory() as name:
         if boxes is not None:
@@ -131,7 +194,7 @@ def _run_builtin(concrete: ConcreteScenario, boxes: Recording | None) -> Recordi
             path = Path(name) / concrete.path.name
             path.write_bytes(etree.tostring(root))
             concrete = ConcreteScenario(path, {})
-        (expected,) = Builtin().run([concrete])
+        (expected,) = Builtin(drivers=drivers).run([concrete])
     assert isinstance(expected, Recording), expected
     return expected
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -12,16 +12,18 @@ from typing import Any, Final
 
 import numpy as np
 
+from cornercase._common.configurable import declared_options
 from cornercase._common.errors import SimulationError
 from cornercase._common.geometry.boxes import wrap_angle
 from cornercase.recordings import Recording
 from cornercase.recordings._compare import are_bitwise_equal, max_position_difference
 from cornercase.simulators import SIMULATORS, Simulator
-from cornercase.testing._cases import Cases, default_cases, storyless_cases
+from cornercase.testing._cases import Cases, default_cases, storyless_cases, undriven_cases
 from cornercase.testing._contract_check import ContractCheck, NotTriedError
-from cornercase.testing._crash import crash_during_runs
-from cornercase.testing._deviations import SmallRun, run_small_scenario
-from cornercase.testing._small_scenarios import SMALL_SCENARIOS, write_small_scenarios
+from cornercase.testing._crash import CrashRun, crash_during_runs
+from cornercase.testing._deviations import SmallRun, run_small_scenario, run_with_agent
+from cornercase.testing._example_function import CarFollowing
+from cornercase.testing._small_scenarios import AGENT_DURATIONS, SMALL_SCENARIOS, write_small_scenarios
 
 # m between positions and displacements, and from the builtin engine.
 _TOLERANCE: Final = 0.5
@@ -31,6 +33,7 @@ _MOVING: Final = 2.0
 _MAX_SLIP: Final = 0.35
 _AVAILABLE: Final = "can run on this machine"
 _RUNS: Final = "gives one recording per scenario"
+_OWN_FUNCTION: Final = "a function of one's own"
 # Folders of scenarios that checks will run.
 _FOLDERS: Final = list[TemporaryDirectory[str]]()
 # What a check needs; all others need recordings.
@@ -41,6 +44,7 @@ def simulator_checks(
     simulator: str | Simulator,
     cases: Sequence[Cases] | None = None,
     on_run: Callable[[SmallRun], None] | None = None,
+    on_crash: Callable[[CrashRun], None] | None = None,
 ) -> list[ContractCheck]:
     """Return the checks of a simulator.
 
@@ -51,7 +55,9 @@ def simulator_checks(
     cases : sequence of Cases, optional
         Scenarios to run; by default some that come with cornercase.
     on_run : callable, optional
-        Called with each run of a small scenario that is compared with the builtin simulator.
+        Called with each run of a small scenario.
+    on_crash : callable, optional
+        Called with what came of the crash on purpose.
 
     Returns
     -------
@@ -71,10 +77,19 @@ def simulator_checks(
     if declared.batched:
         checks["gives the same alone and among other scenarios"] = _is_independent
     if not declared.in_process:
-        checks["goes on after a crash on purpose"] = _survives_crash
+        checks["goes on after a crash on purpose"] = partial(_survives_crash, on_crash=on_crash)
     # Without drivers, as each simulator has its own.
     for name in SMALL_SCENARIOS:
         checks[f"agrees with the builtin simulator: {name}"] = partial(_agrees, name=name, on_run=on_run)
+    for name in AGENT_DURATIONS:
+        checks[f"agrees with the builtin simulator, driven by {_OWN_FUNCTION}: {name}"] = partial(
+            _agrees_with_function, name=name, on_run=on_run
+        )
+    for agent, options in declared.own_agents().items():
+        for name in AGENT_DURATIONS:
+            checks[f"is driven by {agent}: {name}"] = partial(
+                _is_driven, name=name, agent=agent, options=options, on_run=on_run
+            )
     return [
         ContractCheck(name, partial(function, simulator, given), _NEEDS.get(name, _RUNS))
         for name, function in checks.items()
@@ -82,12 +97,13 @@ def simulator_checks(
 
 
 def _default_cases(declared: type[Simulator]) -> list[Cases]:
-    if declared.runs_storyboard:
+    if declared.runs_storyboard and declared.deterministic:
         return default_cases()
     folder = TemporaryDirectory()
     # Removed when the process ends, at the latest.
     _FOLDERS.append(folder)
-    return storyless_cases(Path(folder.name))
+    write = undriven_cases if declared.runs_storyboard else storyless_cases
+    return write(Path(folder.name))
 
 
 def _is_available(simulator: Any, _: Sequence[Cases]) -> None:
@@ -148,9 +164,7 @@ def _check_units(recording: Recording) -> None:
 def _agrees(simulator: Any, _: Sequence[Cases], name: str, on_run: Callable[[SmallRun], None] | None = None) -> None:
     with TemporaryDirectory() as folder:
         run = run_small_scenario(simulator, name, write_small_scenarios(Path(folder), name)[name])
-    if on_run is not None:
-        on_run(run)
-    assert not run.problem, run.problem
+    _report(run, on_run)
 
 
 def _survives(simulator: Any, all_cases: Sequence[Cases]) -> None:
@@ -179,13 +193,47 @@ def _is_independent(simulator: Any, all_cases: Sequence[Cases]) -> None:
         assert are_bitwise_equal(together[0], alone[0]), "Alone, a scenario differs from the one in a batch."
 
 
-def _survives_crash(simulator: Any, all_cases: Sequence[Cases]) -> None:
+def _survives_crash(
+    simulator: Any, all_cases: Sequence[Cases], on_crash: Callable[[CrashRun], None] | None = None
+) -> None:
     if not isinstance(simulator, str):
         raise NotTriedError("An object runs in this process; give its name.")
-    concrete = all_cases[0].concretes[0]
-    before, after = crash_during_runs(simulator, concrete, all_cases[0].entity)
-    for recording in after:
+    run = crash_during_runs(simulator, all_cases[0].concretes[0], all_cases[0].entity)
+    if on_crash is not None:
+        on_crash(run)
+    for recording in run.outcomes:
         assert isinstance(recording, Recording), f"After a crash, a scenario failed: {recording}."
-        distance = max_position_difference(before, recording)
-        assert distance is not None, "After a crash, a recording has other entities or instants."
-        assert distance < _TOLERANCE, f"After a crash, an entity is {distance:.2f} m elsewhere."
+    assert run.spread is not None, "After a crash, a recording has other entities or instants."
+    assert run.spread < _TOLERANCE, f"After a crash, an entity is {run.spread:.2f} m elsewhere."
+
+
+def _agrees_with_function(
+    simulator: Any, _: Sequence[Cases], name: str, on_run: Callable[[SmallRun], None] | None = None
+) -> None:
+    declared = SIMULATORS.get_class(simulator)
+    if not declared.runs_storyboard or "drivers" not in declared_options(declared):
+        raise NotTriedError("It takes no driving functions of cornercase.")
+    with TemporaryDirectory() as folder:
+        concrete = write_small_scenarios(Path(folder), name)[name]
+        run = run_small_scenario(simulator, name, concrete, agent=_OWN_FUNCTION, drivers={"Ego": CarFollowing()})
+    _report(run, on_run)
+
+
+def _is_driven(
+    simulator: Any,
+    _: Sequence[Cases],
+    name: str,
+    agent: str,
+    options: Mapping[str, object],
+    on_run: Callable[[SmallRun], None] | None = None,
+) -> None:
+    with TemporaryDirectory() as folder:
+        concrete = write_small_scenarios(Path(folder), name)[name]
+        run = run_with_agent(simulator, name, concrete, agent, options)
+    _report(run, on_run)
+
+
+def _report(run: SmallRun, on_run: Callable[[SmallRun], None] | None) -> None:
+    if on_run is not None:
+        on_run(run)
+    assert not run.problem, run.problem

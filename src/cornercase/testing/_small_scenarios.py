@@ -1,4 +1,4 @@
-"""Twelve small scenarios; each shows one thing that a simulator has to get right."""
+"""Small scenarios: twelve that each show one thing that a simulator has to get right, and two for agents."""
 
 from __future__ import annotations
 
@@ -13,8 +13,11 @@ from cornercase.scenario import ConcreteScenario
 
 _MOTORWAY: Final = "r157/motorway.xodr"
 _CROSSING: Final = "x_intersection/x_intersection.xodr"
-# Middle of lane -2 of the motorway, along which the ego drives.
-_Y: Final = -5.25
+LANE_Y: Final = -5.25
+"""y in m of the middle of lane -2 of the motorway, along which the ego drives."""
+
+AGENT_SPEED: Final = 5.0
+"""First speed in m/s of an ego that an agent drives; any agent goes on faster where the lane is free."""
 
 
 class SmallScenario(NamedTuple):
@@ -32,10 +35,10 @@ class SmallScenario(NamedTuple):
 
 
 def write_small_scenarios(folder: Path, *names: str) -> dict[str, ConcreteScenario]:
-    """Write scenarios, by default all, and their roads to a folder; return them by name."""
+    """Write scenarios, by default the twelve, and their roads to a folder; return them by name."""
     concretes = dict[str, ConcreteScenario]()
-    for number, scenario in enumerate(_SMALL_SCENARIOS, 1):
-        if names and scenario.name not in names:
+    for number, scenario in enumerate((*_SMALL_SCENARIOS, *_AGENT_SCENARIOS), 1):
+        if scenario.name not in (names or SMALL_SCENARIOS):
             continue
         road = examples_folder() / scenario.road
         if not (folder / road.name).exists():
@@ -127,6 +130,11 @@ def _trajectory(vertices: Sequence[tuple[float, float, float, float]], *, has_ti
 </FollowTrajectoryAction></RoutingAction>"""
 
 
+def _route(x: float, y: float) -> str:
+    return f"""<RoutingAction><AcquirePositionAction><Position>{_world(x, y)}</Position></AcquirePositionAction>
+</RoutingAction>"""
+
+
 def _synchronize(master: str, own: tuple[float, float], target: tuple[float, float]) -> str:
     return f"""<SynchronizeAction masterEntityRef="{master}">
 <TargetPositionMaster>{_world(*target)}</TargetPositionMaster><TargetPosition>{_world(*own)}</TargetPosition>
@@ -156,12 +164,12 @@ value="{distance}" freespace="false" rule="lessThan"/></EntityCondition>
 
 
 _SMALL_SCENARIOS: Final = (
-    SmallScenario("constant speed", _MOTORWAY, {"Ego": "car"}, {"Ego": [_teleport(100, _Y), _speed(20)]}, [], 6.0),
+    SmallScenario("constant speed", _MOTORWAY, {"Ego": "car"}, {"Ego": [_teleport(100, LANE_Y), _speed(20)]}, [], 6.0),
     SmallScenario(
         "braking to a stop",
         _MOTORWAY,
         {"Ego": "car"},
-        {"Ego": [_teleport(100, _Y), _speed(20)]},
+        {"Ego": [_teleport(100, LANE_Y), _speed(20)]},
         [_event("Ego", _speed(0, "linear", 4.0), _at_time(1.0))],
         7.0,
     ),
@@ -169,7 +177,7 @@ _SMALL_SCENARIOS: Final = (
         "smooth change of speed",
         _MOTORWAY,
         {"Ego": "car"},
-        {"Ego": [_teleport(100, _Y), _speed(10)]},
+        {"Ego": [_teleport(100, LANE_Y), _speed(10)]},
         [_event("Ego", _speed(25, "sinusoidal", 5.0), _at_time(0.5))],
         7.0,
     ),
@@ -177,7 +185,7 @@ _SMALL_SCENARIOS: Final = (
         "lane change",
         _MOTORWAY,
         {"Ego": "car"},
-        {"Ego": [_teleport(100, _Y), _speed(20)]},
+        {"Ego": [_teleport(100, LANE_Y), _speed(20)]},
         [_event("Ego", _lane_change(-1, 4.0), _at_time(1.0))],
         7.0,
     ),
@@ -185,7 +193,7 @@ _SMALL_SCENARIOS: Final = (
         "two that pass each other",
         _MOTORWAY,
         {"Ego": "car", "T00": "van"},
-        {"Ego": [_teleport(100, _Y), _speed(25)], "T00": [_teleport(140, -1.75), _speed(15)]},
+        {"Ego": [_teleport(100, LANE_Y), _speed(25)], "T00": [_teleport(140, -1.75), _speed(15)]},
         [],
         8.0,
     ),
@@ -193,7 +201,7 @@ _SMALL_SCENARIOS: Final = (
         "a leader that brakes when the ego is near",
         _MOTORWAY,
         {"Ego": "car", "T00": "van"},
-        {"Ego": [_teleport(100, _Y), _speed(20)], "T00": [_teleport(200, _Y), _speed(10)]},
+        {"Ego": [_teleport(100, LANE_Y), _speed(20)], "T00": [_teleport(200, LANE_Y), _speed(10)]},
         [
             _event("T00", _speed(5, "linear", 2.0), _near("Ego", "T00", 60.0)),
             _event("Ego", _speed(5, "linear", 3.0), _near("Ego", "T00", 50.0)),
@@ -218,12 +226,15 @@ _SMALL_SCENARIOS: Final = (
         "a trajectory at the entity's own speed",
         _MOTORWAY,
         {"Ego": "car"},
-        {"Ego": [_teleport(100, _Y), _speed(15)]},
+        {"Ego": [_teleport(100, LANE_Y), _speed(15)]},
         [
             _event(
                 "Ego",
                 # It begins where the ego is then, since a jump may come a time step earlier or later.
-                _trajectory([(0, 108.25, _Y, 0), (0, 150, _Y, 0), (0, 200, _Y + 4.0, 0.08)], has_times=False),
+                _trajectory(
+                    [(0, 108.25, LANE_Y, 0), (0, 150, LANE_Y, 0), (0, 200, LANE_Y + 4.0, 0.08)],
+                    has_times=False,
+                ),
                 _at_time(0.5),
             )
         ],
@@ -233,7 +244,7 @@ _SMALL_SCENARIOS: Final = (
         "a standing van is hit from behind",
         _MOTORWAY,
         {"Ego": "car", "T00": "van"},
-        {"Ego": [_teleport(100, _Y), _speed(15)], "T00": [_teleport(150, _Y), _speed(0)]},
+        {"Ego": [_teleport(100, LANE_Y), _speed(15)], "T00": [_teleport(150, LANE_Y), _speed(0)]},
         [],
         5.0,
     ),
@@ -241,11 +252,11 @@ _SMALL_SCENARIOS: Final = (
         "a walker is hit from the side",
         _MOTORWAY,
         {"Ego": "car", "T00": "walker"},
-        {"Ego": [_teleport(100, _Y), _speed(10)], "T00": [_teleport(130, _Y - 4.0, 1.5708)]},
+        {"Ego": [_teleport(100, LANE_Y), _speed(10)], "T00": [_teleport(130, LANE_Y - 4.0, 1.5708)]},
         [
             _event(
                 "T00",
-                _trajectory([(0, 130, _Y - 4.0, 1.5708), (4, 130, _Y + 4.0, 1.5708)]),
+                _trajectory([(0, 130, LANE_Y - 4.0, 1.5708), (4, 130, LANE_Y + 4.0, 1.5708)]),
                 _at_time(0.5),
             )
         ],
@@ -255,7 +266,7 @@ _SMALL_SCENARIOS: Final = (
         "a stop 0.4 m behind a van",
         _MOTORWAY,
         {"Ego": "car", "T00": "van"},
-        {"Ego": [_teleport(100, _Y), _speed(10)], "T00": [_teleport(130.4, _Y), _speed(0)]},
+        {"Ego": [_teleport(100, LANE_Y), _speed(10)], "T00": [_teleport(130.4, LANE_Y), _speed(0)]},
         # It goes about 5 m, and 20 m while it brakes; its front is 3.65 m ahead of its rear axle, the van's rear 1.1 m
         # behind its own.
         [_event("Ego", _speed(0, "linear", 4.0), _at_time(0.5))],
@@ -273,3 +284,28 @@ _SMALL_SCENARIOS: Final = (
 
 SMALL_SCENARIOS: Final = tuple(scenario.name for scenario in _SMALL_SCENARIOS)
 """Names of the scenarios, in order."""
+
+_AGENT_SCENARIOS: Final[tuple[SmallScenario, ...]] = (
+    SmallScenario(
+        "a free lane",
+        _MOTORWAY,
+        {"Ego": "car"},
+        {"Ego": [_teleport(100, LANE_Y), _speed(AGENT_SPEED), _route(400, LANE_Y)]},
+        [],
+        6.0,
+    ),
+    SmallScenario(
+        "a standing van",
+        _MOTORWAY,
+        {"Ego": "car", "T00": "van"},
+        {
+            "Ego": [_teleport(100, LANE_Y), _speed(AGENT_SPEED), _route(400, LANE_Y)],
+            "T00": [_teleport(150, LANE_Y), _speed(0)],
+        },
+        [],
+        12.0,
+    ),
+)
+
+AGENT_DURATIONS: Final = {scenario.name: scenario.duration for scenario in _AGENT_SCENARIOS}
+"""Names of the scenarios in which an agent drives the ego straight on along its route, and how long they take in s."""

@@ -57,7 +57,6 @@ class AgentServer:
         config = {
             "ego": ego,
             "names": [ego, *self._start.others],
-            "center_x": self._start.body.center_x,
             "port": self._listener.getsockname()[1],
             "token": self._token,
         }

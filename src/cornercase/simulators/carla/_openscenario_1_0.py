@@ -6,6 +6,7 @@ import io
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from decimal import Decimal
 from pathlib import Path
 from typing import Final
 
@@ -40,6 +41,7 @@ from cornercase.simulators.carla._storyboard_rewrite import (
     set_end_time,
     set_initial_state,
 )
+from cornercase.simulators.carla._support_table import describe_version_gap, find_version_gaps
 from cornercase.simulators.carla._trajectories import add_trajectories, make_trajectory, simulate_builtin
 
 _MINOR_REVISION: Final = 0
@@ -61,6 +63,7 @@ _PARAMETER_CHARACTERS: Final = str.maketrans("", "", "${}")
 _RULES_IN_1_0: Final = {"greaterOrEqual": "greaterThan", "lessOrEqual": "lessThan"}
 # Numbers and truth values of XML.
 _NUMBER_PATTERN: Final = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|-?INF|NaN|true|false", re.ASCII)
+_PLAIN_NUMBER_PATTERN: Final = re.compile(r"-?\d+(\.\d*)?", re.ASCII)
 _MAX_ENTITIES: Final = 500
 GROUND_NOTE: Final = "the world that CARLA makes of the road file has ground beside them up to"
 _AXES_NOTE: Final = (
@@ -182,6 +185,8 @@ def write_openscenario_1_0(
             file.set("filepath", town or road_file)
         except ValueError as error:
             raise InputError(f"{target}: its name has characters that XML cannot hold; choose another one.") from error
+    if not options.is_run:
+        notes += [f"{describe_version_gap(*gap)}." for gap in find_version_gaps(root).items()]
     violations = schema_errors(root)
     if violations is None:
         notes.append("It was not validated against the schema of 1.0; pip install 'cornercase[validate]'.")
@@ -275,7 +280,9 @@ def _make_tree_1_0(
     end = options.duration
     if recording is not None:
         by_storyboard = set(recording.names) - set(actor_plan.sampled)
-        set_initial_state(root, recording, by_storyboard, initial_heights(recording, road, scenario))
+        heights = initial_heights(recording, road, scenario)
+        # ScenarioRunner puts the origin of an actor, which is in its middle, where the file has the reference point.
+        set_initial_state(root, recording, by_storyboard, heights, by_centers=options.is_run)
         centers = dict(zip(recording.names, map(float, recording.center_x), strict=True))
         last_time = float(recording.time[-1])
         # If nothing ends the scenario, the caller ends it.
@@ -390,11 +397,18 @@ def _resolve_expressions(element: etree._Element, scope: Scope) -> None:
 
 
 def _trim_numbers(root: etree._Element) -> None:
-    """Remove spaces around numbers, which XML allows and ScenarioRunner does not."""
+    """Write numbers without spaces around them, plus signs and exponents, which ScenarioRunner does not read."""
     for element in root.iter("*"):
         for name, text in element.attrib.items():
             if name != "name" and not str(name).endswith("Ref") and _NUMBER_PATTERN.fullmatch(str(text).strip()):
-                element.set(name, str(text).strip())
+                number = str(text).strip()
+                # ScenarioRunner before 0.9.16 takes other numbers for names of parameters.
+                is_plain = (
+                    element.tag == "Property"
+                    or number[-1].isalpha()
+                    or _PLAIN_NUMBER_PATTERN.fullmatch(number) is not None
+                )
+                element.set(name, number if is_plain else f"{Decimal(number):f}")
 
 
 def _rewrite_entities(root: etree._Element, ego: str, actor_plan: ActorPlan, notes: list[str]) -> None:

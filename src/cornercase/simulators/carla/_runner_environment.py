@@ -11,12 +11,11 @@ from pathlib import Path
 from typing import Final, Self
 
 from cornercase._common.errors import InputError
+from cornercase.simulators.carla._support_table import VERSIONS
 
 RUNNER_VARIABLE: Final = "SCENARIO_RUNNER_ROOT"
 PYTHON_VARIABLE: Final = "CORNERCASE_CARLA_PYTHON"
 CARLA_ROOT_VARIABLE: Final = "CARLA_ROOT"
-# CARLA 0.9.14 came without a ScenarioRunner.
-VERSIONS: Final = ("0.9.13", "0.9.15", "0.9.16")
 _FRAME_RATE_PATTERN: Final = re.compile(r"""['"]--frameRate['"]""")
 # ScenarioRunner has no constant with its version.
 _CHANGELOG_FILE: Final = "Docs/CHANGELOG.md"

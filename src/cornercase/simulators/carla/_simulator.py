@@ -34,9 +34,9 @@ from cornercase.simulators.carla._openscenario_1_0 import (
     ConversionOptions,
     carla_map_name,
     make_concrete_tree,
-    write_openscenario_1_0,
 )
 from cornercase.simulators.carla._overridden_parameters import describe_overridden_parameters
+from cornercase.simulators.carla._run_file import write_run_file
 from cornercase.simulators.carla._runner_environment import RunnerEnvironment
 from cornercase.simulators.carla._runner_process import RunnerProcess
 from cornercase.simulators.carla._scenario_runner import RunLimits, run_scenario_runner
@@ -55,6 +55,8 @@ _REPLACEMENT_BY_STATUS: Final = {
     HandlingStatus.APPROXIMATE: "; an entity that reacts to an agent does that, any other one moves along a trajectory",
     HandlingStatus.SAMPLED: "; the entity moves along a trajectory of the builtin simulator",
 }
+# An agent of the kind that `agent` names, for checks.
+EXAMPLE_AGENT_FILE: Final = Path(__file__).with_name("cornercase_example_agent.py")
 # Categories for which ScenarioRunner would choose any vehicle.
 _UNSUPPORTED_CATEGORIES: Final = ("semitrailer", "trailer", "train", "tram")
 # The server is considered lost after this many times `patience` without a frame.
@@ -246,6 +248,22 @@ class Carla(Simulator):
             ),
         )  # fmt: skip
 
+    def component_versions(self) -> Mapping[str, str]:
+        """Return the versions of client and ScenarioRunner, and what is used of the installation."""
+        environment = self._environment
+        return {
+            "CARLA's client": find_client_version(environment),
+            "ScenarioRunner": environment.version,
+            "ScenarioRunner's Python": environment.python,
+            "CARLA_ROOT": environment.carla_root,
+        }
+
+    @classmethod
+    def own_agents(cls) -> Mapping[str, Mapping[str, object]]:
+        """Return CARLA's behaviour agents, and an agent for ScenarioRunner as users write them."""
+        behaviors = {f"CARLA's behaviour agent '{name}'": {"drivers": {"Ego": name}} for name in BEHAVIORS}
+        return {**behaviors, "an AutonomousAgent in a file": {"agent": str(EXAMPLE_AGENT_FILE)}}
+
     def run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Recording | SimulationError]:
         """Run scenarios.
 
@@ -347,12 +365,13 @@ class Carla(Simulator):
         self, folder: Path, scenario: ScenarioFile, concrete: ConcreteScenario, agents: DrivingAgents
     ) -> Recording:
         file, drivers = folder / "cornercase.xosc", folder / "drivers"
-        notes = write_openscenario_1_0(
+        notes = write_run_file(
             scenario, concrete.values, file, ego=self._ego,
             options=ConversionOptions(
                 agents, self._time_step, self._duration, open_loop=self._open_loop, road_file=_ROAD_FILE,
                 controllers=drivers.name, is_run=True,
             ),
+            version=self._environment.version,
         )  # fmt: skip
         drivers.mkdir(exist_ok=True)
         server, road = self._server, scenario.road_path_for(concrete.values)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Iterable
 from copy import deepcopy
 from typing import Final, Protocol
@@ -82,9 +83,17 @@ def remove_entities_from_storyboard(root: etree._Element, names: Collection[str]
 
 
 def set_initial_state(
-    root: etree._Element, recording: Recording, keep_routes_of: Iterable[str], heights: FloatArray
+    root: etree._Element,
+    recording: Recording,
+    keep_routes_of: Iterable[str],
+    heights: FloatArray,
+    *,
+    by_centers: bool = False,
 ) -> None:
-    """Set initial positions, speeds and heights in m; of other initial actions only some routes stay."""
+    """Set initial positions, speeds and heights in m; of other initial actions only some routes stay.
+
+    With `by_centers`, positions are those of the centres of boxes, where the actors of CARLA have their origins.
+    """
     actions = root.find("Storyboard/Init/Actions")
     assert actions is not None
     keeps_route, routes = set(keep_routes_of), {}
@@ -99,7 +108,9 @@ def set_initial_state(
         if name not in entities:
             # Trailers are left out.
             continue
-        position = make_world_position(recording.x[k, 0], recording.y[k, 0], recording.heading[k, 0])
+        heading, ahead = recording.heading[k, 0], float(recording.center_x[k]) if by_centers else 0.0
+        x, y = recording.x[k, 0] + ahead * math.cos(heading), recording.y[k, 0] + ahead * math.sin(heading)
+        position = make_world_position(x, y, heading)
         if heights[k]:
             position[0].set("z", format_number(heights[k]))
         private = E.Private(E.PrivateAction(E.TeleportAction(position)), entityRef=name)

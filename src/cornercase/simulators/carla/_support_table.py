@@ -1,4 +1,7 @@
-"""Support table: what ScenarioRunner 0.9.16 does with each element and attribute of OpenSCENARIO, from its source."""
+"""Support table: what ScenarioRunner does with each element and attribute of OpenSCENARIO, from its sources.
+
+Notes are about 0.9.16; the last columns say which version does anything with it.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +14,9 @@ from importlib import resources
 from typing import Final
 
 from lxml import etree
+
+VERSIONS: Final = ("0.9.13", "0.9.15", "0.9.16")
+"""Versions of ScenarioRunner; CARLA 0.9.14 came without one."""
 
 _TABLE_FILE: Final = "scenario_runner.csv"
 
@@ -38,7 +44,7 @@ class SupportRow:
     `element`: name of the element, with parents if they matter (``"CollisionCondition/ByType"``). `attribute`: name of
     the attribute; empty if the row is about the element. `values`: attribute values that the row is about; empty for
     all other values. `note`: reason or replacement. `matters`: whether leaving the content out can change positions,
-    speeds or verdicts.
+    speeds or verdicts. `versions`: those of ScenarioRunner that do something with it; others ignore it or stop at it.
     """
 
     element: str
@@ -47,6 +53,7 @@ class SupportRow:
     status: HandlingStatus
     note: str
     matters: bool = True
+    versions: tuple[str, ...] = VERSIONS
 
 
 @dataclass(frozen=True)
@@ -67,8 +74,9 @@ def load_support_table() -> dict[tuple[str, str], tuple[SupportRow, ...]]:
         values = tuple(line["values"].split("|")) if line["values"] else ()
         matters = (line["matters"] or "yes") == "yes"
         row = SupportRow(
-            line["element"], line["attribute"], values, HandlingStatus(line["status"]), line["note"], matters
-        )
+            line["element"], line["attribute"], values, HandlingStatus(line["status"]), line["note"], matters,
+            tuple(version for version in VERSIONS if line[version] == "yes"),
+        )  # fmt: skip
         rows_by_name.setdefault((row.element.rpartition("/")[2], row.attribute), []).append(row)
     return {key: tuple(sorted(rows, key=lambda row: -row.element.count("/"))) for key, rows in rows_by_name.items()}
 
@@ -101,6 +109,23 @@ def find_unsupported(element: etree._Element) -> Iterator[SupportFinding]:
             yield SupportFinding(f"{name} '{value}' of <{path[-1]}>", attribute_row, element)
     for child in element.iterchildren("*"):
         yield from find_unsupported(child)
+
+
+def find_version_gaps(element: etree._Element) -> dict[str, tuple[str, ...]]:
+    """Return the elements below an element that some versions of ScenarioRunner lack, with those that have them."""
+    gaps: dict[str, tuple[str, ...]] = {}
+    for child in element.iter("*"):
+        path = tuple(str(ancestor.tag) for ancestor in (*reversed(list(child.iterancestors())), child))
+        row = find_row(path)
+        if row is not None and 0 < len(row.versions) < len(VERSIONS):
+            gaps[f"<{child.tag}>"] = row.versions
+    return gaps
+
+
+def describe_version_gap(name: str, versions: tuple[str, ...]) -> str:
+    """Return a sentence without full stop: which versions lack an element, and which have it."""
+    lacking = " and ".join(version for version in VERSIONS if version not in versions)
+    return f"ScenarioRunner {lacking} has no {name}; use {' or '.join(versions)}"
 
 
 def _unknown_row(element: str, attribute: str) -> SupportRow:

@@ -26,7 +26,6 @@ class CornercaseAgent(AutonomousAgent):  # type: ignore[misc]
         self._ego: str = config["ego"]
         self._names: List[str] = config["names"]
         self._token: str = config["token"]
-        self._center_x: float = config["center_x"]
         self._is_placed = False
         self._actors: Dict[str, Any] = {}
         self._socket = socket.create_connection(("127.0.0.1", config["port"]))
@@ -61,10 +60,10 @@ class CornercaseAgent(AutonomousAgent):  # type: ignore[misc]
         self._socket.close()
 
     def _move_to_center(self, ego: Any) -> None:
-        """Move the ego so that the centre of its box is where the scenario has it; so far its origin is at the axle."""
+        """Move the ego so that the centre of its box is where the scenario has it; so far its origin is there."""
         self._is_placed = True
         transform = ego.get_transform()
-        transform.location += (self._center_x - ego.bounding_box.location.x) * transform.get_forward_vector()
+        transform.location -= ego.bounding_box.location.x * transform.get_forward_vector()
         ego.set_transform(transform)
 
     def _find_actors(self) -> None:

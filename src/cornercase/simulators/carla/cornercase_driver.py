@@ -168,10 +168,44 @@ class _UserAgent:
 
 def _interpolate_trajectory(points: List[Any]) -> Any:
     """Return a route of waypoints, as positions of GNSS and of the world."""
-    if "world" in inspect.signature(interpolate_trajectory).parameters:
-        # 0.9.13
-        return interpolate_trajectory(CarlaDataProvider.get_world(), points)
-    return interpolate_trajectory(points)
+    world = CarlaDataProvider.get_world()
+    try:
+        if "world" in inspect.signature(interpolate_trajectory).parameters:
+            # 0.9.13
+            return interpolate_trajectory(world, points)
+        return interpolate_trajectory(points)
+    except TypeError:
+        # As in `_trace_route`.
+        legs = [_follow_lane(start, target) for start, target in zip(points[:-1], points[1:])]  # noqa: B905, RUF007 - older Python
+        route = [(waypoint.transform, option) for leg in legs for waypoint, option in leg]
+        tools = importlib.import_module("srunner.tools.route_manipulation")
+        return tools.location_route_to_gps(route, *tools._get_latlon_ref(world)), route
+
+
+def _trace_route(planner: Any, start: Any, target: Any) -> List[Tuple[Any, Any]]:
+    """Return waypoints and road options between two positions.
+
+    CARLA's planner leaves out roads that neither come from nor lead to another one, and fails there.
+    """
+    try:
+        return list(planner.trace_route(start, target))
+    except TypeError:
+        return _follow_lane(start, target)
+
+
+def _follow_lane(start: Any, target: Any) -> List[Tuple[Any, Any]]:
+    """Return waypoints and road options along the lane, from a position to where another one is nearest."""
+    waypoint = CarlaDataProvider.get_map().get_waypoint(start)
+    plan = [(waypoint, RoadOption.LANEFOLLOW)]
+    while True:
+        following = waypoint.next(_WAYPOINT_STEP)
+        before, after = (
+            point.transform.location.distance(target) for point in (waypoint, (following or [waypoint])[0])
+        )
+        if after >= before:
+            return plan
+        waypoint = following[0]
+        plan.append((waypoint, RoadOption.LANEFOLLOW))
 
 
 def _plan_route(actor: Any, targets: List[Any]) -> List[Tuple[Any, Any]]:
@@ -183,7 +217,7 @@ def _plan_route(actor: Any, targets: List[Any]) -> List[Tuple[Any, Any]]:
     for target in targets:
         # A route may start at the actor's position.
         if target.distance(start) > _WAYPOINT_STEP:
-            plan.extend(planner.trace_route(start, target))
+            plan.extend(_trace_route(planner, start, target))
             start = target
     if plan:
         last = plan[-1][0]

@@ -110,6 +110,11 @@ class Sumo(Simulator):
         """List content that has no effect, as in the builtin simulator, which runs the storyboard."""
         return read_and_collect_notices(scenario, values)
 
+    @classmethod
+    def own_agents(cls) -> Mapping[str, Mapping[str, object]]:
+        """Return SUMO's car-following models."""
+        return {f"SUMO's model '{name}'": {"drivers": {"Ego": name}} for name in VEHICLE_TYPES}
+
     def run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Recording | SimulationError]:
         """Run scenarios; also raises `InputError` if SUMO is not installed."""
         _require_installed()
