@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import functools
 import shutil
 import subprocess
@@ -43,7 +44,9 @@ LOGGING = """
 def _library(source: str, *definitions: str) -> Path:
     if COMPILER is None:
         pytest.skip("there is no C compiler")
-    built = Path(tempfile.mkdtemp(prefix="cornercase-tests-fmu-")) / "built.so"
+    folder = Path(tempfile.mkdtemp(prefix="cornercase-tests-fmu-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    built = folder / "built.so"
     command = [COMPILER, "-O1", "-shared", "-fPIC", "-w", *definitions, f"-I{HEADERS}", str(SOURCES / source)]
     subprocess.run([*command, "-o", str(built), "-lm"], check=True)
     return built
