@@ -91,8 +91,9 @@ class EntityTracker:
 
     @property
     def has_collision(self) -> bool:
-        """Whether two entities have collided."""
-        return any({a, b} <= self._entity_ids for _, a, b in self._contacts)
+        """Whether two entities have collided, and the frame in which they did has come; it may come later."""
+        newest = max((frame.number for frame in self._frames), default=0) if self._contacts else 0
+        return any(number <= newest and {a, b} <= self._entity_ids for number, a, b in self._contacts)
 
     @property
     def n_frames(self) -> int:
