@@ -61,7 +61,7 @@ def project(tmp_path):
 @pytest.fixture
 def quick(monkeypatch):
     """Short time-outs, since the awaited event never comes."""
-    monkeypatch.setattr(TclTestRun, "__init__", partialmethod(TclTestRun.__init__, start_timeout=0.3))
+    monkeypatch.setattr(TclTestRun, "__init__", partialmethod(TclTestRun.__init__, start_timeout=0.6))
     monkeypatch.setattr("cornercase.simulators.carmaker._simulator.START_TIMEOUT", -59.5)
 
 
@@ -112,10 +112,10 @@ def test_three_speeds_give_three_recordings_however_the_waits_end(project, waits
 @pytest.mark.parametrize(
     ("behaviour", "words"),
     [
-        ({"course": None}, r"did not start the TestRun within 0\.3 s: it is idle"),
+        ({"course": None}, r"did not start the TestRun within 0\.6 s: it is idle"),
         (
             {"course": (-1, *[-5] * 10_000)},
-            r"did not start the TestRun within 0\.3 s: it is adapting its driver \(-5\)",
+            r"did not start the TestRun within 0\.6 s: it is adapting its driver \(-5\)",
         ),
         ({"course": (0, *[-8] * 10_000)}, "has paused the TestRun"),
         ({"course": [-8] * 10_000}, r"it is paused \(-8\)"),
@@ -147,7 +147,7 @@ def test_a_carmaker_that_does_not_stop_is_left(project, quick):
     port = Port(odd={"SimStatus": "O7\r\n\r\n"})
     found = run(project, port)
     assert isinstance(found, SimulatorError)
-    assert "is not idle but running (7), also 0.3 s after StopSim" in str(found)
+    assert "is not idle but running (7), also 0.6 s after StopSim" in str(found)
     assert not any(one.startswith(("LoadTestRun", "StartSim")) for one in port.asked)
     port.close()
 
