@@ -303,7 +303,8 @@ class Server:
 
     def _spawn(self, description, transform):
         self.next += 1
-        self.actors[self.next] = Actor(self.next, description, transform)
+        actor = self.actors[self.next] = Actor(self.next, description, transform)
+        actor.speed_limit = float(self.wrong.get("speed-limit", actor.speed_limit))
         if self.log is not None:
             self.log.added(self.actors[self.next])
         return self.actors[self.next]
@@ -421,6 +422,8 @@ class Actor:
         self.free = None
         # Degrees per second, and m/s to its right, for one step.
         self.turning, self.slip = 0.0, 0.0
+        # km/h, as in CARLA before a vehicle has passed a sign.
+        self.speed_limit = 30.0
 
     @property
     def role(self):
@@ -463,7 +466,7 @@ class Actor:
         pitch, yaw, roll = self.place[3:]
         told = struct.pack("<IB6f3f6f", self.number, 1, *self.place[:3], pitch, yaw, roll, *self.velocity, *[0.0] * 6)
         control = struct.pack("<3f3?i", *self.control[:3], False, False, False, 1)
-        told += control + struct.pack("<f", 50.0)
+        told += control + struct.pack("<f", self.speed_limit)
         return told + bytes(STATE_SIZE - len(told))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import time
 from collections import Counter
 from importlib.util import find_spec
 from pathlib import Path
@@ -76,6 +77,18 @@ def test_a_server_that_dies_as_soon_as_it_answers_costs_a_try_alone(scenario, tm
     simulator.close()
     assert (tmp_path / "died").exists()
     assert is_whole(found, 140.0)
+
+
+def test_a_server_that_dies_in_a_run_is_not_waited_for(scenario, monkeypatch):
+    monkeypatch.setenv("FAKE_RUNNER", "plays")
+    patience = 60.0
+    simulator = WorkerSimulator("carla", options(scenario, "die-at=20") | {"patience": patience}, retries=0)
+    begin = time.monotonic()
+    (found,) = simulator.run([ConcreteScenario(scenario, {"start": 140.0})])
+    seconds = time.monotonic() - begin
+    simulator.close()
+    assert str(found) == "while the scenario ran, CARLA ended with exit code 1; its last words: ready, tried once"
+    assert seconds < patience
 
 
 def test_a_scenario_runner_that_aborts_is_run_again(scenario, monkeypatch):

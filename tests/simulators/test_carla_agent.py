@@ -228,6 +228,21 @@ def test_a_driver_that_fails_ends_the_run_with_its_failure(world, tmp_path, driv
     assert words in str(server.failure)
 
 
+def test_values_with_which_no_driver_can_start_cost_their_scenario_only(tmp_path):
+    """A search goes on after a scenario that failed; a file that is at fault itself ends it."""
+
+    def start(path, values):
+        AgentServer(ScalarFunction(Aeb()), ConcreteScenario(path, values), "Ego", STEP, tmp_path)
+
+    with pytest.raises(SimulationError, match="the parameter ego_speed is 'nonsense', which is not a number"):
+        start(X, {"ego_speed": "nonsense"})
+    path = tmp_path / X.name
+    (tmp_path / X.with_suffix(".xodr").name).write_bytes(X.with_suffix(".xodr").read_bytes())
+    path.write_text(X.read_text().replace('name="ego_speed" parameterType="double" value="10"', 'name="other"'))
+    with pytest.raises(InputError):
+        start(path, {"p1_speed": 5.0})
+
+
 def test_only_the_agent_is_answered(world, tmp_path):
     checked = ScalarFunction(Aeb())
     with AgentServer(checked, ConcreteScenario(X, {}), "Ego", STEP, tmp_path) as server:

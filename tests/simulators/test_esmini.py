@@ -168,6 +168,9 @@ int SE_SetParameterString(const char *n, const char *v) { return -1; }
 int SE_SetParameterInt(const char *n, int v) { return -1; }
 int SE_SetParameterBool(const char *n, _Bool v) { return -1; }
 #endif
+#ifdef TAGGED
+const char *ESMINI_GIT_TAG = "v3.6.0", *ESMINI_GIT_REV = "v3.6.0-0-abcdef", *ESMINI_BUILD_VERSION = "N/A - client build";
+#endif
 """
 
 
@@ -199,6 +202,16 @@ def test_the_interface_against_a_stand_in(stub):
     np.testing.assert_allclose(fast.x[0], 50.0 + 8.0 * 0.05 * np.arange(11))
     np.testing.assert_allclose(usual.speed[0], 5.0)
     assert (fast.length[0], fast.width[0], fast.center_x[0]) == (5.0, 2.0, 1.4)
+
+
+def test_the_version_is_what_the_library_says_of_itself(stub):
+    found = Esmini(library=stub("TAGGED")).component_versions()
+    assert (found["esmini"], found["esmini's revision"], found["esmini's build"]) == ("v3.6.0", "v3.6.0-0-abcdef", "")
+    # One that says nothing, as those that users build themselves, can still be told apart.
+    silent = Esmini(library=stub("HEADING=0.1")).component_versions()
+    assert silent["esmini"] == ""
+    assert silent["esmini's library"].startswith("SHA-256 ")
+    assert silent["esmini's library"] != found["esmini's library"]
 
 
 class Slowing(cc.SystemUnderTest):

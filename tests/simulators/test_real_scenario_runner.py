@@ -24,6 +24,8 @@ from cornercase.simulators.carla._client_process import find_client_version
 from cornercase.simulators.carla._ground import road_text_for_carla
 from cornercase.simulators.carla._openscenario_1_0 import ConversionOptions, write_openscenario_1_0
 from cornercase.simulators.carla._runner_environment import RunnerEnvironment
+from cornercase.testing._agent_runs import measure_agent_motion
+from cornercase.testing._small_scenarios import LANE_Y, write_small_scenarios
 from helpers.carla_or_stand_in import Served
 from helpers.command_line import X
 from helpers.isolation import REFERENCE
@@ -226,6 +228,39 @@ def test_carlas_behaviour_agents_drive_the_ego_along_its_route(tmp_path, driver)
     assert found.speed[0][0] > 5.0
     network = RoadNetwork.read(T.with_suffix(".xodr"))
     assert np.abs(network.locate(*path).offset).max() < 1.0
+
+
+def drive_to_van(concrete, driver):
+    """How a behaviour agent drives to a standing van, on a road that CARLA's planner leaves out."""
+    with Served(T.with_suffix(".xodr"), f"version={client_version()}") as server:
+        simulator = Carla(
+            hosts=server.host, port=server.port, scenario_runner=FOLDER, ego="Ego", patience=20.0, any_version=True,
+            drivers={"Ego": driver},
+        )  # fmt: skip
+        (found,) = simulator.run([concrete])
+    assert not isinstance(found, Exception), found
+    return measure_agent_motion(found)
+
+
+@pytest.mark.parametrize("driver", ["cautious", "normal"])
+def test_carlas_behaviour_agents_stop_before_a_van(tmp_path, driver):
+    concrete = write_small_scenarios(tmp_path, "a standing van")["a standing van"]
+    motion = drive_to_van(concrete, driver)
+    assert motion.collision is None
+    assert motion.last_speed < 0.01
+    assert motion.gap is not None
+    assert 0.0 < motion.gap < 8.0
+
+
+def test_carlas_behaviour_agents_do_not_see_a_van_that_is_exactly_ahead(tmp_path):
+    """As docs/simulators/carla.md says of them, so that nobody looks for the cause here."""
+    concrete = write_small_scenarios(tmp_path, "a standing van")["a standing van"]
+    text = concrete.path.read_text()
+    assert text.count(f'y="{LANE_Y + 0.1}"') == 1
+    concrete.path.write_text(text.replace(f'y="{LANE_Y + 0.1}"', f'y="{LANE_Y}"'))
+    motion = drive_to_van(concrete, "cautious")
+    assert motion.collision is not None
+    assert motion.last_speed > 6.0
 
 
 def test_an_own_agent_has_imu_radar_and_speedometer(tmp_path):

@@ -112,6 +112,11 @@ class ServerProcess:
         printed = [line.strip() for line in lines if line.strip()]
         return f"; its last words: {printed[-1][:200]}" if printed else ""
 
+    def describe_end(self) -> str:
+        """Return how the server that was started has ended, as a clause; empty while it runs, and if none was."""
+        code = None if self._process is None else self._process.poll()
+        return "" if code is None else f"{describe_exit_code(code)}{self._last_line()}"
+
     def stop(self) -> None:
         """End the server with all processes that it has started; the next scenario starts it again."""
         if self._process is not None:

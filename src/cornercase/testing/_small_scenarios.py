@@ -20,6 +20,10 @@ AGENT_SPEED: Final = 5.0
 """First speed in m/s of an ego that an agent drives; any agent goes on faster where the lane is free."""
 
 
+# m; CARLA's behaviour agents do not see a vehicle that is straight ahead to the last digit.
+_VAN_OFFSET: Final = 0.1
+
+
 class SmallScenario(NamedTuple):
     """One of the scenarios: what it shows, its road, the kinds of its entities and what they do at first and later.
 
@@ -300,7 +304,7 @@ _AGENT_SCENARIOS: Final[tuple[SmallScenario, ...]] = (
         {"Ego": "car", "T00": "van"},
         {
             "Ego": [_teleport(100, LANE_Y), _speed(AGENT_SPEED), _route(400, LANE_Y)],
-            "T00": [_teleport(150, LANE_Y), _speed(0)],
+            "T00": [_teleport(150, LANE_Y + _VAN_OFFSET), _speed(0)],
         },
         [],
         12.0,

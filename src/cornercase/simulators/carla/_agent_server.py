@@ -209,7 +209,21 @@ class _Probe(DrivingFunction):
 
 
 def _probe(concrete: ConcreteScenario, ego: str, time_step: float) -> tuple[Start, Situation]:
-    """Return what the ego's driver is given at the start of a scenario; `InputError` if it could decide nothing."""
+    """Return what the ego's driver is given at the start of a scenario; `InputError` if it could decide nothing.
+
+    `SimulationError` if it could with the file's own values, so that only these ones are at fault.
+    """
+    try:
+        return _probe_once(concrete, ego, time_step)
+    except InputError as error:
+        with suppress(InputError):
+            if concrete.values:
+                _probe_once(replace(concrete, values={}), ego, time_step)
+                raise SimulationError(str(error).removesuffix(".")) from error
+        raise
+
+
+def _probe_once(concrete: ConcreteScenario, ego: str, time_step: float) -> tuple[Start, Situation]:
     probe = _Probe()
     simulator = Builtin(time_step=time_step, duration=2.0 * time_step, drivers={ego: probe})
     (result,) = simulator.run([concrete])

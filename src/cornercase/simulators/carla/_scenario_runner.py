@@ -26,11 +26,15 @@ _ERROR_PATTERN: Final = re.compile(r"^\w*(Error|Exception)\b")
 
 @dataclass(frozen=True)
 class RunLimits:
-    """When a run ends at the latest: after `duration` s, at a collision, or if no frame comes for `silence` s."""
+    """When a run ends at the latest: after `duration` s, at a collision, or if no frame comes for `silence` s.
+
+    `describe_server_end` tells how the server has ended, empty while it runs: nobody has to wait for that one.
+    """
 
     duration: float
     until_collision: bool
     silence: float
+    describe_server_end: Callable[[], str] = lambda: ""
 
 
 def run_scenario_runner(
@@ -85,6 +89,8 @@ def _wait_for_end(
     """Wait until the run or the parent process has ended or must end; True if ScenarioRunner must be stopped."""
     has_parent, frames, last_frame_time = make_parent_check(), 0, time.monotonic()
     while runner.poll() is None and has_parent():
+        if end := limits.describe_server_end():
+            raise SimulatorError(f"while the scenario ran, CARLA {end}")
         tracker.update()
         if tracker.first_frame is None and not tracker.missing and frame_file.exists():
             # The storyboard waits until all entities are recorded, so no collision is lost.

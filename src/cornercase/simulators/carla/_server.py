@@ -68,8 +68,9 @@ class CarlaServer:
         self._ask("remove_actors", keep)
 
     def leave_synchronous_mode(self) -> None:
-        """Leave synchronous mode, in which the server would wait for ticks that no client sends any more."""
-        self._ask("leave_synchronous_mode")
+        """Leave synchronous mode, in which the server would wait for ticks, unless the client was disconnected."""
+        if self._client is not None:
+            self._ask("leave_synchronous_mode")
 
     def start_recorder(self, path: Path) -> None:
         """Let the server write a recording."""

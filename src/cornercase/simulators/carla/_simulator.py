@@ -391,14 +391,25 @@ class Carla(Simulator):
             try:
                 run_scenario_runner(
                     self._runner, file, drivers, self._scenario_runner_options(), tracker,
-                    RunLimits(self._duration, self._stop_on_collision, _SILENCE_FACTOR * server.patience),
+                    RunLimits(
+                        self._duration, self._stop_on_collision, _SILENCE_FACTOR * server.patience,
+                        self._describe_server_end,
+                    ),
                     time_step=self._time_step,
                     before_start=(lambda: server.start_recorder(log)) if self._record == "recorder" else lambda: None,
                 )  # fmt: skip
+            except SimulatorError:
+                if self._describe_server_end():
+                    # Each further call would wait for its answer.
+                    server.disconnect()
+                raise
             finally:
                 server.leave_synchronous_mode()
             recording = tracker.make_recording(file, self._duration, self._stop_on_collision)
         return recording if self._record == "client" else self._read_recorder_file(log, recording)
+
+    def _describe_server_end(self) -> str:
+        return "" if self._process is None else self._process.describe_end()
 
     def _scenario_runner_options(self) -> list[object]:
         server = self._server

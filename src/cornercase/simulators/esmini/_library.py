@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import ctypes
+import hashlib
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -18,6 +19,13 @@ NOT_FOUND_MESSAGE: Final = (
     " libesminiLib.so, esminiLib.dll or libesminiLib.dylib."
 )
 _FILL_BYTE: Final = 0xAA
+# Variables of the library in which its build stores where its source comes from.
+_VERSION_VARIABLES: Final = {
+    "esmini": "ESMINI_GIT_TAG",
+    "esmini's revision": "ESMINI_GIT_REV",
+    "esmini's build": "ESMINI_BUILD_VERSION",
+}
+_UNKNOWN_VERSION: Final = "N/A"
 
 
 class ObjectState(ctypes.Structure):
@@ -125,6 +133,27 @@ def load_library(path: Path) -> ctypes.CDLL:
     lib.SE_SetOptionPersistent(b"disable_stdout")
     lib.SE_SetOptionPersistent(b"disable_log")
     return lib
+
+
+def read_versions(path: Path) -> Mapping[str, str]:
+    """Return version, revision and build of esmini's library, empty where it has none, and its checksum.
+
+    esmini's interface has no function for them. A library that was built outside of a Git repository has none, and on
+    Windows it does not export the variables.
+    """
+    versions = dict.fromkeys(_VERSION_VARIABLES, "")
+    try:
+        lib = ctypes.CDLL(str(path))
+    except OSError:
+        return versions
+    for name, variable in _VERSION_VARIABLES.items():
+        try:
+            text = ctypes.c_char_p.in_dll(lib, variable).value or b""
+        except ValueError:
+            continue
+        version = text.decode("utf-8", "replace")
+        versions[name] = "" if version.startswith(_UNKNOWN_VERSION) else version
+    return {**versions, "esmini's library": f"SHA-256 {hashlib.sha256(path.read_bytes()).hexdigest()[:16]}"}
 
 
 def read_state(lib: ctypes.CDLL, object_id: int) -> ObjectState:

@@ -34,6 +34,7 @@ from cornercase.simulators.esmini._library import (
     find_library_path,
     load_library,
     read_state,
+    read_versions,
     set_parameter,
 )
 
@@ -120,6 +121,10 @@ class Esmini(Simulator):
             "deterministic",
         )  # fmt: skip
         return Availability("", missing, abilities)
+
+    def component_versions(self) -> Mapping[str, str]:
+        """Return what esmini's library says of itself, and its checksum; empty where it says nothing."""
+        return read_versions(find_library_path(self._library_path))
 
     def run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Recording | SimulationError]:
         """Run scenarios; also raises `InputError` if the library has an unexpected memory layout."""
