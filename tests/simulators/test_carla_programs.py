@@ -12,7 +12,7 @@ import numpy as np
 import psutil
 import pytest
 
-from cornercase._common.errors import SimulationError, SimulatorError
+from cornercase._common.errors import InputError, SimulationError, SimulatorError
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import Carla
@@ -104,6 +104,12 @@ def test_after_a_failure_there_is_a_new_program(server, scenario, programs, monk
     assert len(programs()) == 5
 
 
+def test_a_folder_that_cannot_be_written_is_said(server, scenario, tmp_path):
+    (tmp_path / "taken").write_text("")
+    with pytest.raises(InputError, match=r"folder=.*taken: cannot be written \(File exists\); choose another folder"):
+        run(make_simulator(server, folder=str(tmp_path / "taken")), scenario, STARTS[:1])
+
+
 def test_the_port_of_another_scenario_runners_traffic_manager_is_left_alone(server, scenario):
     # That of the first worker of any other search, if nobody has it yet.
     with suppress(OSError), socket.create_server(("", 8000)):
@@ -115,6 +121,35 @@ def test_a_program_of_an_agent_does_not_get_what_is_for_the_next_scenario(server
     monkeypatch.setenv("FAKE_RUNNER", "agent starts a program")
     for found in run(make_simulator(server), scenario, STARTS[:2]):
         assert isinstance(found, Recording), found
+
+
+@FORKED_ONLY
+def test_programs_that_an_agent_has_left_end_with_its_scenario(server, scenario, programs, monkeypatch, tmp_path):
+    monkeypatch.setenv("FAKE_RUNNER", "agent leaves programs")
+    simulator = make_simulator(server, folder=str(tmp_path / "kept"))
+    found = run_one(simulator, scenario)
+    assert isinstance(found, Recording), found
+    (log,) = (tmp_path / "kept").glob("*/scenario_runner.log")
+    left = [int(line.split()[1]) for line in log.read_text().splitlines() if line.startswith("LEFT")]
+    assert len(left) == 2
+    # Also that with a session of its own, while the one that runs scenarios goes on.
+    assert not [number for number in left if lives(number)]
+    assert lives(programs()[0])
+    simulator.close()
+
+
+def test_things_and_friction_of_a_scenario_are_gone_in_the_next_one(server, scenario, monkeypatch):
+    monkeypatch.setenv("FAKE_RUNNER", "leaves things")
+    simulator = make_simulator(server)
+    assert isinstance(run_one(simulator, scenario), Recording)
+    monkeypatch.setenv("FAKE_RUNNER", "")
+    simulator.close()
+    simulator = make_simulator(server)
+    assert isinstance(run_one(simulator, scenario), Recording)
+    simulator.close()
+    carla = pytest.importorskip("carla")
+    actors = carla.Client(server.host, server.port).get_world().get_actors()
+    assert not [one.type_id for one in actors if one.type_id.startswith("static.")]
 
 
 @FORKED_ONLY

@@ -337,9 +337,7 @@ class Carla(Simulator):
     def _run_scenario(
         self, scenario: ScenarioFile, concrete: ConcreteScenario, behaviors: Mapping[str, str]
     ) -> Recording:
-        if self._folder:
-            Path(self._folder).mkdir(parents=True, exist_ok=True)
-        folder = Path(tempfile.mkdtemp(prefix="cornercase-", dir=self._folder or None))
+        folder = self._make_folder()
         try:
             if self._attached is None:
                 agents = DrivingAgents(behaviors, self._agent, self._agent_config, external=self._external_ego)
@@ -360,6 +358,18 @@ class Carla(Simulator):
         finally:
             if not self._folder:
                 shutil.rmtree(folder, ignore_errors=True)
+
+    def _make_folder(self) -> Path:
+        """Make a folder for the files of a run."""
+        if not self._folder:
+            return Path(tempfile.mkdtemp(prefix="cornercase-"))
+        try:
+            Path(self._folder).mkdir(parents=True, exist_ok=True)
+            return Path(tempfile.mkdtemp(prefix="cornercase-", dir=self._folder))
+        except OSError as error:
+            raise InputError(
+                f"folder={self._folder}: cannot be written ({error.strerror}); choose another folder."
+            ) from error
 
     def _run_in_folder(
         self, folder: Path, scenario: ScenarioFile, concrete: ConcreteScenario, agents: DrivingAgents
