@@ -130,6 +130,10 @@ class ScenarioRunner:
         manager.run_scenario()
         if self.wrong == "watchdog":
             raise RuntimeError("Timeout occurred during scenario execution")
+        if self.wrong == "late watchdog":
+            # As 0.9.15 and 0.9.16, which have no watchdog any more when they ask it.
+            print("Watchdog exception - Timeout of 6.0 seconds occured")
+            raise RuntimeError("\nAttributeError: 'NoneType' object has no attribute 'get_status'")
         if self.wrong == "fails at the end":
             raise RuntimeError("a storyboard that is none")
         if self.wrong == "does not end":

@@ -90,18 +90,19 @@ def test_a_program_with_threads_of_its_own_runs_one_scenario(server, scenario, p
 @FORKED_ONLY
 def test_after_a_failure_there_is_a_new_program(server, scenario, programs, monkeypatch, tmp_path):
     faults = tmp_path / "faults"
-    wrong = ["cannot load", "aborts", "fails at the end", "watchdog"]
+    wrong = ["cannot load", "aborts", "fails at the end", "watchdog", "late watchdog"]
     faults.write_text("".join(f"\n{fault}\n" for fault in wrong) + "\n")
     monkeypatch.setenv("FAKE_RUNNER", f"@{faults}")
-    outcomes = run(make_simulator(server), scenario, [140.0] * 9)
-    assert are_the_same(outcomes[::2], outcomes[:1] * 5)
+    outcomes = run(make_simulator(server), scenario, [140.0] * 11)
+    assert are_the_same(outcomes[::2], outcomes[:1] * 6)
     failures = outcomes[1::2]
     # Only what may not happen again is tried again.
     own, others = SimulationError, SimulatorError
-    assert [type(failure) for failure in failures] == [own, others, own, others]
+    assert [type(failure) for failure in failures] == [own, others, own, others, others]
     assert "KeyError: 'Ego'" in str(failures[0])
     assert "a storyboard that is none" in str(failures[2])
-    assert len(programs()) == 5
+    assert str(failures[4]).endswith("Watchdog exception - Timeout of 6.0 seconds occured")
+    assert len(programs()) == 6
 
 
 def test_a_folder_that_cannot_be_written_is_said(server, scenario, tmp_path):
