@@ -111,6 +111,22 @@ def test_a_folder_that_cannot_be_written_is_said(server, scenario, tmp_path):
         run(make_simulator(server, folder=str(tmp_path / "taken")), scenario, STARTS[:1])
 
 
+def test_a_server_serves_one_search_at_a_time(server, scenario, monkeypatch):
+    monkeypatch.setattr("cornercase.simulators.carla._server_lock._TIMEOUT", 0.0)
+    first, second = make_simulator(server), make_simulator(server)
+    assert isinstance(run_one(first, scenario), Recording)
+    with pytest.raises(InputError, match=f"Another cornercase runs scenarios on CARLA on localhost:{server.port}; "):
+        run_one(second, scenario)
+    first.close()
+    # Nobody closes it, as its worker may be killed.
+    assert isinstance(run_one(second, scenario), Recording)
+    second._runner.close()
+    del second
+    third = make_simulator(server)
+    assert isinstance(run_one(third, scenario), Recording)
+    third.close()
+
+
 def test_the_port_of_another_scenario_runners_traffic_manager_is_left_alone(server, scenario):
     # That of the first worker of any other search, if nobody has it yet.
     with suppress(OSError), socket.create_server(("", 8000)):
