@@ -83,6 +83,14 @@ class ScenarioRunner:
             os.abort()
         if self.wrong == "agent starts a program":
             subprocess.run([sys.executable, "-c", "import sys; sys.stdin.read()"], timeout=20.0, check=True)
+        if self.wrong == "agent leaves programs":
+            for own_session in (False, True):
+                command = [sys.executable, "-c", "import time; time.sleep(600)"]
+                print("LEFT", subprocess.Popen(command, start_new_session=own_session).pid, flush=True)
+        if self.wrong == "leaves things":
+            place = carla.Transform(carla.Location(500.0, 500.0, 0.0), carla.Rotation())
+            for kind in ("static.trigger.friction", "static.prop.streetbarrier"):
+                world.spawn_actor(world.get_blueprint_library().find(kind), place)
         # As the client does for its traffic manager, until the process ends.
         try:
             self.traffic_manager = socket.create_server(("", int(options.trafficManagerPort)))
@@ -122,6 +130,10 @@ class ScenarioRunner:
         manager.run_scenario()
         if self.wrong == "watchdog":
             raise RuntimeError("Timeout occurred during scenario execution")
+        if self.wrong == "late watchdog":
+            # As 0.9.15 and 0.9.16, which have no watchdog any more when they ask it.
+            print("Watchdog exception - Timeout of 6.0 seconds occured")
+            raise RuntimeError("\nAttributeError: 'NoneType' object has no attribute 'get_status'")
         if self.wrong == "fails at the end":
             raise RuntimeError("a storyboard that is none")
         if self.wrong == "does not end":

@@ -318,6 +318,28 @@ def test_a_python_without_carlas_client_is_said(tmp_path, monkeypatch):
     assert "is no Python that can be run" in json.loads(done.stdout)["carla"]["missing"]
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="a script stands in for a Python")
+@pytest.mark.parametrize(
+    ("script", "words"),
+    [
+        ("echo 'ImportError: libjpeg.so.8: cannot open shared object file' >&2; exit 1", "ended with exit code 1: Imp"),
+        ("exit 0", "(CARLA's client ended)"),
+        ("read line; echo hello", "(CARLA's client says 'hello')"),
+    ],
+)
+def test_a_client_that_does_not_run_is_said(tmp_path, monkeypatch, script, words):
+    monkeypatch.setenv("SCENARIO_RUNNER_ROOT", str(RUNNER))
+    python = tmp_path / "python"
+    python.write_text(f"#!/bin/sh\n{script}\n")
+    python.chmod(0o755)
+    monkeypatch.setenv("CORNERCASE_CARLA_PYTHON", str(python))
+    with pytest.raises(InputError) as caught:
+        _ = Carla().settings
+    for problem in (Carla.availability().problem, str(caught.value)):
+        assert problem.startswith(f"{python}: CARLA's client does not run there (")
+        assert words in problem
+
+
 @pytest.mark.slow
 @STUB_ONLY
 def test_a_client_that_aborts_costs_the_scenario_alone(scenario):

@@ -12,7 +12,7 @@ import numpy as np
 import psutil
 import pytest
 
-from cornercase._common.errors import SimulationError, SimulatorError
+from cornercase._common.errors import InputError, SimulationError, SimulatorError
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import Carla
@@ -90,18 +90,41 @@ def test_a_program_with_threads_of_its_own_runs_one_scenario(server, scenario, p
 @FORKED_ONLY
 def test_after_a_failure_there_is_a_new_program(server, scenario, programs, monkeypatch, tmp_path):
     faults = tmp_path / "faults"
-    wrong = ["cannot load", "aborts", "fails at the end", "watchdog"]
+    wrong = ["cannot load", "aborts", "fails at the end", "watchdog", "late watchdog"]
     faults.write_text("".join(f"\n{fault}\n" for fault in wrong) + "\n")
     monkeypatch.setenv("FAKE_RUNNER", f"@{faults}")
-    outcomes = run(make_simulator(server), scenario, [140.0] * 9)
-    assert are_the_same(outcomes[::2], outcomes[:1] * 5)
+    outcomes = run(make_simulator(server), scenario, [140.0] * 11)
+    assert are_the_same(outcomes[::2], outcomes[:1] * 6)
     failures = outcomes[1::2]
     # Only what may not happen again is tried again.
     own, others = SimulationError, SimulatorError
-    assert [type(failure) for failure in failures] == [own, others, own, others]
+    assert [type(failure) for failure in failures] == [own, others, own, others, others]
     assert "KeyError: 'Ego'" in str(failures[0])
     assert "a storyboard that is none" in str(failures[2])
-    assert len(programs()) == 5
+    assert str(failures[4]).endswith("Watchdog exception - Timeout of 6.0 seconds occured")
+    assert len(programs()) == 6
+
+
+def test_a_folder_that_cannot_be_written_is_said(server, scenario, tmp_path):
+    (tmp_path / "taken").write_text("")
+    with pytest.raises(InputError, match=r"folder=.*taken: cannot be written \(File exists\); choose another folder"):
+        run(make_simulator(server, folder=str(tmp_path / "taken")), scenario, STARTS[:1])
+
+
+def test_a_server_serves_one_search_at_a_time(server, scenario, monkeypatch):
+    monkeypatch.setattr("cornercase.simulators.carla._server_lock._TIMEOUT", 0.0)
+    first, second = make_simulator(server), make_simulator(server)
+    assert isinstance(run_one(first, scenario), Recording)
+    with pytest.raises(InputError, match=f"Another cornercase runs scenarios on CARLA on localhost:{server.port}; "):
+        run_one(second, scenario)
+    first.close()
+    # Nobody closes it, as its worker may be killed.
+    assert isinstance(run_one(second, scenario), Recording)
+    second._runner.close()
+    del second
+    third = make_simulator(server)
+    assert isinstance(run_one(third, scenario), Recording)
+    third.close()
 
 
 def test_the_port_of_another_scenario_runners_traffic_manager_is_left_alone(server, scenario):
@@ -115,6 +138,35 @@ def test_a_program_of_an_agent_does_not_get_what_is_for_the_next_scenario(server
     monkeypatch.setenv("FAKE_RUNNER", "agent starts a program")
     for found in run(make_simulator(server), scenario, STARTS[:2]):
         assert isinstance(found, Recording), found
+
+
+@FORKED_ONLY
+def test_programs_that_an_agent_has_left_end_with_its_scenario(server, scenario, programs, monkeypatch, tmp_path):
+    monkeypatch.setenv("FAKE_RUNNER", "agent leaves programs")
+    simulator = make_simulator(server, folder=str(tmp_path / "kept"))
+    found = run_one(simulator, scenario)
+    assert isinstance(found, Recording), found
+    (log,) = (tmp_path / "kept").glob("*/scenario_runner.log")
+    left = [int(line.split()[1]) for line in log.read_text().splitlines() if line.startswith("LEFT")]
+    assert len(left) == 2
+    # Also that with a session of its own, while the one that runs scenarios goes on.
+    assert not [number for number in left if lives(number)]
+    assert lives(programs()[0])
+    simulator.close()
+
+
+def test_things_and_friction_of_a_scenario_are_gone_in_the_next_one(server, scenario, monkeypatch):
+    monkeypatch.setenv("FAKE_RUNNER", "leaves things")
+    simulator = make_simulator(server)
+    assert isinstance(run_one(simulator, scenario), Recording)
+    monkeypatch.setenv("FAKE_RUNNER", "")
+    simulator.close()
+    simulator = make_simulator(server)
+    assert isinstance(run_one(simulator, scenario), Recording)
+    simulator.close()
+    carla = pytest.importorskip("carla")
+    actors = carla.Client(server.host, server.port).get_world().get_actors()
+    assert not [one.type_id for one in actors if one.type_id.startswith("static.")]
 
 
 @FORKED_ONLY

@@ -60,7 +60,10 @@ class ClientProcess:
             line = b""
         if not line:
             self._raise_ended()
-        answer = json.loads(line)
+        try:
+            answer = json.loads(line)
+        except ValueError as error:
+            raise SimulatorError(f"CARLA's client says '{line[:100].decode(errors='replace').strip()}'") from error
         if "error" in answer:
             raise ClientError(answer["error"])
         return answer["result"]
@@ -96,9 +99,15 @@ def _end_program(process: subprocess.Popen[bytes], errors: IO[bytes]) -> None:
 
 @cache
 def find_client_version(environment: RunnerEnvironment) -> str:
-    """Return the version of CARLA's client in ScenarioRunner's Python; `InputError` if it is not installed there."""
+    """Return the version of CARLA's client in ScenarioRunner's Python; `InputError` if it does not run there."""
     client = ClientProcess(environment)
     try:
         return str(client.ask("get_version"))
+    except SimulatorError as error:
+        # No server is asked, so it is the installation.
+        raise InputError(
+            f"{environment.python}: CARLA's client does not run there ({error}); install it anew, or set"
+            f" {PYTHON_VARIABLE} to the Python of ScenarioRunner's environment."
+        ) from error
     finally:
         client.close()

@@ -19,8 +19,12 @@ _LAST_FRAME_FILE: Final = "last_frame"
 _END_TIMEOUT, _POLL_INTERVAL = 2.0, 0.02
 # ScenarioRunner prints one of these when a scenario has ended; its exit code does not show it.
 _END_MESSAGES: Final = ("All scenario tests were passed", "Not all scenario tests were successful")
+# ScenarioRunner prints it before other errors, which 0.9.15 and 0.9.16 make themselves when it interrupts them.
+_WATCHDOG_WORDS: Final = "Watchdog exception"
 # Of errors that are not the scenario's: CARLA's client, ScenarioRunner's watchdog, the traffic manager's port.
-_WORDS_OF_SERVER: Final = ("time-out of", "Timeout occurred during scenario execution", "because of bind error")
+_WORDS_OF_SERVER: Final = (
+    "time-out of", _WATCHDOG_WORDS, "Timeout occurred during scenario execution", "because of bind error",
+)  # fmt: skip
 _ERROR_PATTERN: Final = re.compile(r"^\w*(Error|Exception)\b")
 
 
@@ -114,7 +118,8 @@ def _wait_for_end(
 
 
 def _last_error_line(output: str) -> str:
-    """Return the last line of ScenarioRunner's output with an error, else the last line."""
+    """Return the line of ScenarioRunner's output with its watchdog, else the last one with an error, else the last."""
     lines = [line.strip() for line in output.splitlines() if line.strip()]
     errors = [line for line in lines if _ERROR_PATTERN.match(line)]
-    return (errors or lines or ["it printed nothing"])[-1][:300]
+    watchdog = [line for line in lines if line.startswith(_WATCHDOG_WORDS)]
+    return (watchdog or errors or lines or ["it printed nothing"])[-1][:300]

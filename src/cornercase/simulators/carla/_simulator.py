@@ -41,6 +41,7 @@ from cornercase.simulators.carla._runner_environment import RunnerEnvironment
 from cornercase.simulators.carla._runner_process import RunnerProcess
 from cornercase.simulators.carla._scenario_runner import RunLimits, run_scenario_runner
 from cornercase.simulators.carla._server import CarlaServer
+from cornercase.simulators.carla._server_lock import ServerLock
 from cornercase.simulators.carla._started_server import make_carla_process
 from cornercase.simulators.carla._support_table import HandlingStatus, find_unsupported
 from cornercase.simulators.carla._tracker import EntityTracker
@@ -179,6 +180,7 @@ class Carla(Simulator):
             any_version=bool(any_version),
             renders=bool(agent or external_ego) if rendering is None else bool(rendering),
         )
+        self._lock = ServerLock(self._server.host, self._server.port)
         self._process = (
             make_carla_process(start, self._server.host, self._server.port, restart_after) if start else None
         )
@@ -267,11 +269,13 @@ class Carla(Simulator):
     def run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Recording | SimulationError]:
         """Run scenarios.
 
-        Also raises `InputError` if no server answers, or a server of another version than the client's.
+        Also raises `InputError` if no server answers, a server of another version than the client's, or one that
+        another worker uses.
         """
         for concrete in concretes:
             scenario = self._last_scenario = concrete.load_file(self._last_scenario)
             behaviors = self._behavior_agents(scenario)
+            self._lock.acquire()
             try:
                 if self._process is not None and self._process.prepare_scenario():
                     self._server.disconnect()
@@ -294,6 +298,7 @@ class Carla(Simulator):
         self._server.disconnect()
         if self._process is not None:
             self._process.stop()
+        self._lock.release()
 
     def check_supported(self, scenario: ScenarioFile) -> None:
         """Refuse a scenario with entities or drivers that CARLA does not have; name parameters without effect."""
@@ -337,9 +342,7 @@ class Carla(Simulator):
     def _run_scenario(
         self, scenario: ScenarioFile, concrete: ConcreteScenario, behaviors: Mapping[str, str]
     ) -> Recording:
-        if self._folder:
-            Path(self._folder).mkdir(parents=True, exist_ok=True)
-        folder = Path(tempfile.mkdtemp(prefix="cornercase-", dir=self._folder or None))
+        folder = self._make_folder()
         try:
             if self._attached is None:
                 agents = DrivingAgents(behaviors, self._agent, self._agent_config, external=self._external_ego)
@@ -360,6 +363,18 @@ class Carla(Simulator):
         finally:
             if not self._folder:
                 shutil.rmtree(folder, ignore_errors=True)
+
+    def _make_folder(self) -> Path:
+        """Make a folder for the files of a run."""
+        if not self._folder:
+            return Path(tempfile.mkdtemp(prefix="cornercase-"))
+        try:
+            Path(self._folder).mkdir(parents=True, exist_ok=True)
+            return Path(tempfile.mkdtemp(prefix="cornercase-", dir=self._folder))
+        except OSError as error:
+            raise InputError(
+                f"folder={self._folder}: cannot be written ({error.strerror}); choose another folder."
+            ) from error
 
     def _run_in_folder(
         self, folder: Path, scenario: ScenarioFile, concrete: ConcreteScenario, agents: DrivingAgents

@@ -14,9 +14,11 @@ are recorded. When the storyboard has ended, it writes the number of the last fr
 
 from __future__ import annotations
 
+import ctypes
 import importlib
 import json
 import os
+import signal
 import sys
 import threading
 from contextlib import suppress
@@ -25,6 +27,8 @@ from typing import Any
 
 FIRST_FRAME_FILE, LAST_FRAME_FILE = "first_frame", "last_frame"
 _THREADS_FOLDER = "/proc/self/task"
+# Of Linux' `prctl`: this process becomes the parent of descendants whose own parents have ended.
+_SET_CHILD_SUBREAPER = 36
 
 
 def main() -> int:
@@ -37,6 +41,7 @@ def main() -> int:
     can_fork = _can_fork(n_threads)
     if can_fork:
         _read_schema()
+        _adopt_descendants()
     # Programs that an agent starts have nothing to read, else they would take the requests of later scenarios.
     requests = os.dup(0)
     nothing = os.open(os.devnull, os.O_RDONLY)
@@ -63,6 +68,7 @@ def main() -> int:
         _answer(answers, "started", child)
         state = os.waitid(os.P_PID, child, os.WEXITED | os.WNOWAIT)
         assert state is not None
+        _kill_children_but(child)
         _answer(answers, "ended", state.si_status if state.si_code == os.CLD_EXITED else -state.si_status)
 
 
@@ -104,6 +110,30 @@ def _read_schema() -> None:
 
     changed: dict[str, Any] = {**vars(library), "XMLSchema": find_or_read}
     user.xmlschema = SimpleNamespace(**changed)  # type: ignore[attr-defined]
+
+
+def _adopt_descendants() -> None:
+    """Have what a scenario's process has started become a child of this process when the scenario's process ends."""
+    with suppress(OSError, AttributeError):
+        ctypes.CDLL(None).prctl(_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
+
+
+def _kill_children_but(ended: int) -> None:
+    """Kill what a scenario's process, which has ended, has started; it might go on to act on the server."""
+    while True:
+        try:
+            with open(f"{_THREADS_FOLDER}/{os.getpid()}/children", encoding="ascii") as file:
+                children = [int(number) for number in file.read().split() if int(number) != ended]
+        except OSError:
+            # Not each Linux tells its children.
+            return
+        if not children:
+            return
+        for child in children:
+            with suppress(OSError):
+                os.kill(child, signal.SIGKILL)
+                # Its own children become those of this process.
+                os.waitpid(child, 0)
 
 
 def _seed_again() -> None:

@@ -17,7 +17,10 @@ from typing import Any
 import carla
 
 _COLLISION_SENSOR = "sensor.other.collision"
-_OWN_ACTORS = ("vehicle.", "walker.", "sensor.", "controller.")
+# ScenarioRunner leaves the road's friction behind, and all of these if it is killed.
+_OWN_ACTORS = ("vehicle.", "walker.", "sensor.", "controller.", "static.")
+# Movable things of CARLA's own maps.
+_MAP_ACTORS = "static.prop.mesh"
 
 
 class Client:
@@ -56,7 +59,7 @@ class Client:
         external = [actor.id for actor in actors if keep and actor.attributes.get("role_name", "") == keep]
         for actor in actors:
             is_external = actor.id in external or (actor.parent is not None and actor.parent.id in external)
-            if actor.type_id.startswith(_OWN_ACTORS) and not is_external:
+            if actor.type_id.startswith(_OWN_ACTORS) and actor.type_id != _MAP_ACTORS and not is_external:
                 actor.destroy()
 
     def leave_synchronous_mode(self, renders: bool | None = None) -> None:
