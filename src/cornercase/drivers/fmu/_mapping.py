@@ -297,9 +297,10 @@ def _convert(values: FloatArray, layout: TableLayout) -> npt.NDArray[Any]:
     dtype = np.dtype(layout.dtype)
     if dtype.kind == "f":
         return values.astype(dtype)
-    rounded = np.rint(values)
+    rounded: FloatArray = np.rint(values)
     if layout.kind == "Boolean":
-        return (rounded != 0.0).astype(dtype)
+        is_true: npt.NDArray[np.bool_] = rounded != 0.0
+        return is_true.astype(dtype)
     limits = np.iinfo(dtype)
     # The largest number of 64 bits is no float.
     highest = float(limits.max) if dtype.itemsize < 8 else np.nextafter(float(limits.max), 0.0)
