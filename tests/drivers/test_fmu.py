@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +13,12 @@ import pytest
 
 import cornercase as cc
 from conftest import EXAMPLES
-from cornercase.drivers import DRIVERS, FmuDriver
+from cornercase.drivers import DRIVERS, Body, DrivenPath, FmuDriver, Situation
 from cornercase.drivers._description import driver_command_option, format_driver, serialize_driver
 from cornercase.drivers._resolve import create_driver_named_in_file, may_be_named_in_file
-from cornercase.drivers.fmu._input_quantities import QUANTITIES, recognize_input, recognize_output
+from cornercase.drivers.fmu._input_quantities import QUANTITIES, Traffic, recognize_input, recognize_output
 from cornercase.drivers.fmu._instance import Fmu, FmuError
+from cornercase.drivers.fmu._mapping import VariableMap
 from cornercase.drivers.fmu._model import read_fmu
 from cornercase.study import StudyFile
 from helpers.command_line import cornercase
@@ -396,6 +398,49 @@ def test_an_object_and_a_name_are_the_same_driver(folder):
     assert serialize_driver(named) == serialize_driver(made)
     assert str(made.with_options(reaction=0.4)) == f"fmu:{path}:reaction=0.4"
     assert made.parameters == {"reaction": "0.1", "threshold": "2", "fault_time": "1", "fault": "0"}
+
+
+@pytest.mark.parametrize(
+    ("version", "name", "kind", "given"),
+    [
+        (3, "leader.gap", "Int8", [127, 7]),
+        (3, "object[1].x", "UInt8", [255, 10]),
+        (3, "leader.gap", "UInt16", [1000, 7]),
+        (3, "ego.x", "UInt32", [0, 0]),
+        (3, "leader.type", "Boolean", [False, True]),
+        (2, "leader.gap", "Integer", [1000, 7]),
+        (2, "leader.type", "Boolean", [0, 1]),
+        (2, "ego.speed", "Boolean", [1, 1]),
+    ],
+)
+def test_an_integer_stays_in_its_range_and_a_boolean_is_0_or_1(tmp_path, version, name, kind, given):
+    start = f'start="{"false" if kind == "Boolean" else 0}"'
+    text = (
+        f'<ScalarVariable name="{name}" valueReference="0" causality="input"><{kind} {start}/></ScalarVariable>'
+        '<ScalarVariable name="a" valueReference="1" causality="output"><Real/></ScalarVariable>'
+        if version == 2
+        else f'<{kind} name="{name}" valueReference="0" causality="input" {start}/>'
+        '<Float64 name="a" valueReference="1" causality="output"/>'
+    )
+    head = 'fmiVersion="2.0" guid="x"' if version == 2 else 'fmiVersion="3.0" instantiationToken="x"'
+    with zipfile.ZipFile(tmp_path / "numbers.fmu", "w") as archive:
+        archive.writestr(
+            "modelDescription.xml",
+            f'<fmiModelDescription {head} modelName="x"><CoSimulation modelIdentifier="x"/>'
+            f"<ModelVariables>{text}</ModelVariables><ModelStructure/></fmiModelDescription>",
+        )
+    # A misc object of 4 m stands ahead in the second scenario, nothing in the first.
+    ahead, still = np.array([[np.nan], [10.0]]), np.array([[np.nan], [0.0]])
+    own = [np.full(2, value) for value in (10.0, -10.0, 0.0, 0.0, 3.4, 0.0, 10.0)]
+    along = np.array([0.0, 200.0])
+    path = DrivenPath(along, along - 20.0, 0.0 * along, 0.0 * along, 0.0 * along)
+    situation = Situation(
+        0.0, 0.05, path, own[0], own[1], own[2], own[3], own[4], own[5], 2.0, 1.8, 0.0, own[6], ahead - 10.0, still,
+        still, still, np.array([4.0]), np.array([1.8]), np.array([0.0]), ("misc",), np.ones(2, dtype=bool), ("Object",),
+    )  # fmt: skip
+    mapped = VariableMap(read_fmu(tmp_path / "numbers.fmu"), None)
+    (table,) = mapped.fill_inputs(Traffic(situation, Body("Ego", "car", 2.0, 1.8, 0.0, 1.2, 0.6)))
+    assert table[:, 0].tolist() == given
 
 
 @pytest.mark.parametrize("version", [2, 3])

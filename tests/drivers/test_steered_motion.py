@@ -253,6 +253,31 @@ def test_a_change_to_a_lane_that_is_not_there_is_ignored_with_one_notice():
     assert recording.y[recording.entity_index("Ego")] == pytest.approx(LANE)
 
 
+# Where the scenario puts the ego at 3 s, in the middle of its change to the left.
+ELSEWHERE = """
+<ManeuverGroup name="elsewhere" maximumExecutionCount="1">
+<Actors selectTriggeringEntities="false"><EntityRef entityRef="Ego"/></Actors>
+<Maneuver name="elsewhere"><Event name="elsewhere" priority="parallel" maximumExecutionCount="1"><Action name="elsewhere">
+<PrivateAction><TeleportAction><Position><WorldPosition x="{x}" y="{y}" h="0"/></Position></TeleportAction></PrivateAction>
+</Action><StartTrigger><ConditionGroup><Condition name="later" delay="0" conditionEdge="none"><ByValueCondition>
+<SimulationTimeCondition value="3" rule="greaterOrEqual"/></ByValueCondition></Condition></ConditionGroup></StartTrigger>
+</Event></Maneuver></ManeuverGroup>"""
+
+
+@pytest.mark.parametrize("vehicle", ["", "actuators", "kinematic"])
+@pytest.mark.parametrize("y", [LANE, LEFT_LANE])
+def test_a_lane_change_ends_where_the_scenario_puts_the_ego_elsewhere(tmp_path, y, vehicle):
+    file = EXAMPLES / "r157" / "cut_out.xosc"
+    text = file.read_text(encoding="utf-8").replace("motorway.xodr", (file.parent / "motorway.xodr").as_posix())
+    path, group = tmp_path / "elsewhere.xosc", "</ManeuverGroup>"
+    before, after = text.rsplit(group, 1)
+    path.write_text(before + group + ELSEWHERE.format(x=300.0, y=y) + after, encoding="utf-8")
+    _, ego = drive(equipped(LaneChanger(), vehicle) if vehicle else LaneChanger(), path, duration=6.0)
+    later = ego["time"] > 3.01
+    assert ego["x"][later][0] == pytest.approx(300.0 + 1.25, abs=1.3)
+    assert ego["y"][later] == pytest.approx(y, abs=1e-6)
+
+
 class Reporting(Steering):
     """Notes where it is relative to its path."""
 

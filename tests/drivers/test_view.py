@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import cornercase as cc
-from conftest import car, private, scenario_file, speed_action, teleport, trajectory
+from conftest import car, place, private, scenario_file, speed_action, teleport, trajectory
 from cornercase.drivers import Body, DrivenPath, Situation
 from cornercase.drivers._lanes import driven_path
 from cornercase.drivers._view import SharedView, View
@@ -310,3 +310,27 @@ def test_times_are_multiples_of_the_time_step_without_rounding_errors(tmp_path):
     Timing.times.clear()
     cc.simulate(scenario, drivers={"Ego": Timing()}, duration=0.4)
     assert Timing.times == [0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35]
+
+
+class Ahead(cc.SystemUnderTest):
+    """Notes how its path bends, and where it is far ahead."""
+
+    seen: ClassVar[list[tuple[float, float]]] = []
+
+    def step(self, view, dt):
+        self.seen.append((view.path(120.0).curvature, view.path(600.0).x))
+        return 0.0
+
+
+@pytest.mark.filterwarnings("ignore::cornercase.NoticeWarning")
+def test_a_trajectory_is_the_same_ahead_however_short_the_run_is(tmp_path):
+    shape = f'<Clothoid curvature="0" curvaturePrime="0.0001" length="500">{place(0, 100)}</Clothoid>'
+    init = private("Ego", teleport("50"), speed_action("10"), trajectory(shape))
+    scenario = scenario_file(tmp_path, init=init, entities=car("Ego"))
+    seen = []
+    for duration in (0.2, 20.0):
+        Ahead.seen.clear()
+        cc.simulate(scenario, drivers={"Ego": Ahead()}, duration=duration)
+        seen.append(Ahead.seen[:4])
+    assert seen[0] == seen[1]
+    assert [bend for bend, _ in seen[0]] == pytest.approx([0.0001 * (120.0 + 0.5 * k) for k in range(4)], rel=1e-3)

@@ -96,8 +96,9 @@ class Control:
         goes straight to its first point. After its last it keeps its heading, and brakes with 3 m/s² to a stop.
     lane_change : {"left", "right"}, optional
         Change to the neighbouring lane. Only the step in which a request begins counts: the change goes on by itself,
-        and requests during a change are ignored. It takes 4 s, and longer below 5 m/s. A request for a lane that is not
-        there, or not for the ego's direction, is ignored with a notice.
+        and requests during a change are ignored. It takes 4 s, and longer below 5 m/s; it ends if the scenario moves
+        the ego to another place. A request for a lane that is not there, or not for the ego's direction, is ignored
+        with a notice.
 
     Raises
     ------

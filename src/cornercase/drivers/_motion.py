@@ -21,6 +21,8 @@ from cornercase.drivers._trajectory_following import FollowedTrajectory
 from cornercase.drivers.vehicles._vehicle_model import VEHICLES, PlanarMotion, VehicleModel
 
 _DEFAULT_VEHICLE: Final = "kinematic"
+# m; a vehicle that is farther from where its last step has left it was moved by something else.
+_MOVED: Final = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,10 +40,16 @@ class DrivenMotion:
 
 @dataclass(eq=False)
 class _Memory:
-    """What is going on in each scenario. `is_free` (N,): whether it was ever steered, so a tracker has to steer."""
+    """What is going on in each scenario.
+
+    `is_free` (N,): whether it was ever steered, so a tracker has to steer. `left_x`, `left_y` (N,): where the last step
+    has left it.
+    """
 
     is_free: BoolArray
     last_request: FloatArray
+    left_x: FloatArray
+    left_y: FloatArray
     followed: dict[int, FollowedTrajectory] = field(default_factory=dict)
     changes: dict[int, LaneChange] = field(default_factory=dict)
 
@@ -61,7 +69,8 @@ class Mover:
         """Reset all state for a batch."""
         self._start = start
         self._steered = self._vehicle if self._vehicle is not None and self._vehicle.steers else None
-        self._memory = _Memory(np.full(start.scenarios, self._steered is not None), np.zeros(start.scenarios))
+        n = start.scenarios
+        self._memory = _Memory(np.full(n, self._steered is not None), np.zeros(n), np.zeros(n), np.zeros(n))
         if self._vehicle is not None:
             self._vehicle.start(start)
         late = 0.0 if self._vehicle is None else self._vehicle.steering_response
@@ -121,6 +130,7 @@ class Mover:
             after = self._drive(self._steered, begin, acceleration, steering.clip(-limit, limit), dt, is_driven)
             for values, driven in ((x, after.x), (y, after.y), (heading, after.heading), (speed, after.speed)):
                 values[is_driven] = driven[is_driven]
+        memory.left_x[active], memory.left_y[active] = x[active], y[active]
         return DrivenMotion(PlanarMotion(x, y, heading, speed, (speed - begin.speed) / dt), is_steered, is_tracked)
 
     def follows_trajectory(self, controls: Controls) -> BoolArray:
@@ -144,6 +154,10 @@ class Mover:
         requests = np.where(active, controls.lane_change, 0)
         is_new = active & (requests != 0) & (requests != memory.last_request)
         memory.last_request[active] = requests[active]
+        moved = np.hypot(begin.x - memory.left_x, begin.y - memory.left_y)
+        for n in [*memory.changes]:
+            if active[n] and moved[n] > _MOVED:
+                del memory.changes[n]
         decides = np.isfinite(controls.acceleration) | np.isfinite(controls.throttle) | np.isfinite(controls.brake)
         for n in [*memory.followed]:
             if active[n] and decides[n] and n not in controls.trajectories:

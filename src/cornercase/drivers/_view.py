@@ -6,17 +6,20 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
 from cornercase._common.geometry.boxes import wrap_angle
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
-from cornercase.drivers._base import Situation
+from cornercase.drivers._base import DrivenPath, Situation
 
 if TYPE_CHECKING:
     from cornercase.drivers._surroundings import LaneView, Surroundings
     from cornercase.roads._network import RoadNetwork
+
+FARTHEST_ON_TRAJECTORY: Final = 400.0
+"""Distance in m ahead up to which the samples of a trajectory do not depend on the other scenarios and the duration."""
 
 
 class EgoState(NamedTuple):
@@ -192,7 +195,7 @@ class SharedView:
     def path_points(self, ahead: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Points of the path at K distances ahead, as seen from the ego: x, y, heading, curvature, (N, K) each."""
         s = self.situation
-        at = self.own_pose_on_path[0][:, None] + ahead
+        at = self.own_pose_on_path[0][:, None] + _limit_ahead(s.path, ahead)
         columns = (s.path.x, s.path.y, s.path.heading, s.path.curvature)
         if s.path.distance.ndim == 1:
             x, y, direction, curvature = (np.interp(at, s.path.distance, values) for values in columns)
@@ -371,14 +374,15 @@ class View:
         Parameters
         ----------
         ahead : float
-            Distance along the path in m; beyond an end of the path, it is the end.
+            Distance along the path in m; beyond an end of the path, it is the end. On a trajectory of the scenario it
+            is at most 400 m.
 
         Returns
         -------
         PathPoint
         """
         s, n = self._shared.situation, self._n
-        at = self._shared.own_poses[n][0] + ahead
+        at = self._shared.own_poses[n][0] + float(_limit_ahead(s.path, ahead))
         columns = (s.path.distance, s.path.x, s.path.y, s.path.heading, s.path.curvature)
         stations, *samples = columns if s.path.distance.ndim == 1 else [column[n] for column in columns]
         px, py, direction, curvature = (float(np.interp(at, stations, values)) for values in samples)
@@ -386,6 +390,11 @@ class View:
         cos, sin = math.cos(heading), math.sin(heading)
         turn = (direction - heading + math.pi) % (2.0 * math.pi) - math.pi
         return PathPoint(dx * cos + dy * sin, dy * cos - dx * sin, turn, curvature)
+
+
+def _limit_ahead(path: DrivenPath, ahead: FloatArray | float) -> FloatArray | float:
+    """Return distances ahead on a path: on a trajectory, only those up to which it is sampled in any batch."""
+    return ahead if path.distance.ndim == 1 else np.minimum(ahead, FARTHEST_ON_TRAJECTORY)
 
 
 def _order_of_signal(signal: SignalView) -> tuple[bool, bool, float]:

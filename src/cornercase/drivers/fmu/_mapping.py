@@ -129,8 +129,7 @@ class VariableMap:
             columns = [column for k in members for column in self.inputs[k].columns]
             for k, column in enumerate(columns):
                 values[:, k] = column.compute(traffic)
-            dtype = np.dtype(layout.dtype)
-            tables.append((values if dtype.kind == "f" else np.rint(values)).astype(dtype))
+            tables.append(_convert(values, layout))
         return tables
 
     def read_outputs(self, tables: Sequence[npt.NDArray[Any]]) -> dict[str, FloatArray]:
@@ -291,6 +290,22 @@ class VariableMap:
         if not fits(unit, symbol):
             raise InputError(f"{where}: '{variable.name}' has the unit '{name}', which does not fit {symbol}.")
         return unit, ""
+
+
+def _convert(values: FloatArray, layout: TableLayout) -> npt.NDArray[Any]:
+    """Return values in the type of a table: rounded, at most the largest number of the type; booleans are 0 and 1."""
+    dtype = np.dtype(layout.dtype)
+    if dtype.kind == "f":
+        return values.astype(dtype)
+    rounded: FloatArray = np.rint(values)
+    if layout.kind == "Boolean":
+        is_true: npt.NDArray[np.bool_] = rounded != 0.0
+        return is_true.astype(dtype)
+    limits = np.iinfo(dtype)
+    # The largest number of 64 bits is no float.
+    highest = float(limits.max) if dtype.itemsize < 8 else np.nextafter(float(limits.max), 0.0)
+    clipped: FloatArray = np.clip(rounded, float(limits.min), highest)
+    return clipped.astype(dtype)
 
 
 def _group(variables: Sequence[FmuVariable]) -> list[list[int]]:

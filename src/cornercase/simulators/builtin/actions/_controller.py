@@ -17,6 +17,7 @@ from cornercase.drivers._attachment import Attachment, Decision, DriverError
 from cornercase.drivers._function import Start
 from cornercase.drivers._lanes import driven_path
 from cornercase.drivers._resolve import create_driver_named_in_file
+from cornercase.drivers._view import FARTHEST_ON_TRAJECTORY
 from cornercase.scenario._file import DRIVER_PROPERTY
 from cornercase.scenario._scope import Scope
 from cornercase.simulators.builtin.actions._action import Action
@@ -28,7 +29,7 @@ from cornercase.simulators.builtin.world._track_motion import move_to_pose, shif
 from cornercase.simulators.builtin.world._world import World
 
 # Trajectories for drivers, in m: sample spacing, and straight extension beyond the end, farther than anybody looks.
-_SAMPLE_SPACING, _EXTENSION_LENGTH = 0.5, 400.0
+_SAMPLE_SPACING, _EXTENSION_LENGTH = 0.5, FARTHEST_ON_TRAJECTORY
 # m/s, of an entity without a limit.
 _MAX_SPEED = 100.0
 # Number of points of trajectories that are computed at once.
@@ -217,7 +218,7 @@ def sample_trajectory(track: Trajectory, reach: float) -> DrivenPath:
         at = np.tile(distances[columns], len(ends))
         rows = np.repeat(np.arange(len(ends)), len(distances[columns]))
         pose = track.pose_at(at, np.zeros(len(at)), rows)
-        bend = np.where(at <= ends[rows], track.curvature_at(at, rows), 0.0)
+        bend = np.where(at <= track.lengths[rows], track.curvature_at(at, rows), 0.0)
         for samples, values in zip((x, y, heading, curvature), (*pose, bend), strict=True):
             samples[:, columns] = values.reshape(len(ends), -1)
     return DrivenPath(np.tile(distances, (len(ends), 1)), x, y, np.unwrap(heading, axis=1), curvature)
