@@ -94,6 +94,8 @@ def longitudinal_grip(vehicles, n, grip, lateral, time_step):
     steps = int(vehicles.parameters[n, DELAY] / time_step + _ROUNDING)
     request = requests[0, _find_request(vehicles.state[n], requests.shape[1], steps)]
     request, lateral = min(abs(request), grip), min(abs(lateral), grip)
+    if request + lateral <= grip:
+        return grip
     wanted = math.hypot(request, lateral)
     return grip if wanted <= grip else grip * request / wanted
 

@@ -98,12 +98,12 @@ def _slide(vehicles, n, motion, grip, begin, duration, time_step):
     axles = _axles(parameters, grip, gain / duration)
     # Velocity at the start, and the sums over the stages of the changes of heading, slip and yaw rate.
     x, y, turn, d_slip, d_yaw = speed * math.cos(course), speed * math.sin(course), 0.0, 0.0, 0.0
-    stage_turn, stage_slip, stage_yaw = 0.0, slip, yaw_rate
+    stage_turn, stage_slip, stage_yaw, per_speed = 0.0, slip, yaw_rate, 0.0
     for stage in range(4):
         stage_speed = speed + (0.0, 0.5, 0.5, 1.0)[stage] * (end - speed)
-        slip_rate, yaw_acceleration = _turning(
-            axles, parameters, steering, max(stage_speed, 0.5 * _ROLLING_SPEED), stage_slip, stage_yaw
-        )
+        if stage != 2:
+            per_speed = 1.0 / max(stage_speed, 0.5 * _ROLLING_SPEED)
+        slip_rate, yaw_acceleration = _turning(axles, parameters, steering, per_speed, stage_slip, stage_yaw)
         if stage >= 2:
             # The position is the integral by Simpson's rule.
             course = motion[HEADING] + stage_turn + stage_slip
@@ -125,7 +125,10 @@ def _slide(vehicles, n, motion, grip, begin, duration, time_step):
 
 @plain_kernel
 def _axles(parameters, grip, acceleration):
-    """Return the forces of front and rear axle per slip angle and mass, in m/s² per rad, and the highest, in m/s²."""
+    """Return forces of front and rear axle per slip angle and mass, the highest ones, and the mass per inertia.
+
+    In m/s² per rad, m/s² and 1/m².
+    """
     front, rear = parameters[FRONT_AXLE], parameters[REAR_AXLE]
     # Loads of the axles as shares of the weight; an axle that lifts off has no force.
     transfer = acceleration * parameters[HEIGHT] / GRAVITY
@@ -138,18 +141,18 @@ def _axles(parameters, grip, acceleration):
         rear_grip * parameters[REAR_STIFFNESS],
         front_grip * left,
         rear_grip * left,
+        parameters[MASS] / parameters[INERTIA],
     )
 
 
 @plain_kernel
-def _turning(axles, parameters, steering, speed, slip, yaw_rate):
-    """Return the rate of the slip angle and the yaw acceleration, from the lateral forces of both axles."""
-    front_stiffness, rear_stiffness, front_limit, rear_limit = axles
+def _turning(axles, parameters, steering, per_speed, slip, yaw_rate):
+    """Return the rate of the slip angle and the yaw acceleration, from the lateral forces; `per_speed` is in s/m."""
+    front_stiffness, rear_stiffness, front_limit, rear_limit, per_inertia = axles
     front, rear = parameters[FRONT_AXLE], parameters[REAR_AXLE]
-    per_speed = 1.0 / speed
     front_slip, rear_slip = steering - slip - front * yaw_rate * per_speed, rear * yaw_rate * per_speed - slip
     # Forces per mass.
     front_force = min(max(front_stiffness * front_slip, -front_limit), front_limit)
     rear_force = min(max(rear_stiffness * rear_slip, -rear_limit), rear_limit)
     slip_rate = (front_force + rear_force) * per_speed - yaw_rate
-    return slip_rate, (front * front_force - rear * rear_force) * (parameters[MASS] / parameters[INERTIA])
+    return slip_rate, (front * front_force - rear * rear_force) * per_inertia
