@@ -175,7 +175,10 @@ def _texts(node: ast.AST) -> Iterator[str]:
 
 
 def platform_calls() -> Iterator[str]:
-    names = re.compile(r"\bfcntl\b|\bmsvcrt\b|os\.(setsid|killpg|fork|getuid)\b|SIGKILL|SIGHUP")
+    names = re.compile(
+        r"\b(fcntl|msvcrt|setsid|killpg|umask|sched_getaffinity|getppid|SIGKILL|SIGHUP)\b"
+        r"|\bos\.(fork|getuid|name)\b|\bsys\.platform\b"
+    )
     for path, module in modules().items():
         # Programs in another Python cannot import it.
         if path not in (PLATFORM, *PUBLIC_MODULES) and names.search(ast.unparse(module)):

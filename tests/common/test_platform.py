@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -218,14 +217,3 @@ print("still here", os.getsid(0) == os.getpid() if hasattr(os, "setsid") else Tr
 """
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert done.stdout.strip() == "still here True", done.stderr
-
-
-def test_no_other_module_knows_what_only_some_platforms_have():
-    known = ("fcntl", "setsid", "killpg", "SIGKILL", "umask", "sched_getaffinity", "getppid", "sys.platform", "os.name")
-    source = Path(platform.__file__).parents[1]
-    for path in source.rglob("*.py"):
-        if path == Path(platform.__file__):
-            continue
-        text = path.read_text(encoding="utf-8")
-        assert not [word for word in known if word in text], path
-    assert signal.SIGINT
