@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
+from string import ascii_lowercase
 from types import MappingProxyType
 from typing import Any, Final
 
@@ -188,7 +189,7 @@ def _draw_figure_6(data: _PaperData, layout: PaperScenario) -> Figure:
         analysis = data.analyses[name]
         axis = figure.add_subplot(grid[0, k], **_projection(data, 3))
         _draw_clusters(axis, data, analysis, data.influential[:3])
-        axis.set_title(_title(k, f"kernel space, by {name}"))
+        axis.set_title(_title(k, f"by {name}"))
         axis = figure.add_subplot(grid[1, k], projection="3d")
         _draw_kernel_space(axis, analysis, _title(k + 3, f"kernel space, by {name}"))
         _add_legend(axis)
@@ -217,7 +218,7 @@ def _projection(data: _PaperData, dimensions: int) -> dict[str, Any]:
 
 
 def _title(panel: int, text: str) -> str:
-    return f"({'abcdefghijklmnopqrstuvwxyz'[panel % 26]}) {text}"
+    return f"({ascii_lowercase[panel % 26]}) {text}"
 
 
 def _draw_kernel_space(axis: Any, analysis: Analysis, title: str) -> None:
@@ -332,29 +333,31 @@ def _describe_clusters(analysis: Analysis) -> str:
     )
 
 
-def _caption_figure_5(data: _PaperData, layout: PaperScenario) -> str:
+def _describe_comparison(data: _PaperData, layout: PaperScenario) -> str:
     described = "; ".join(_describe_clusters(data.analyses[name]) for name in layout.aspects)
+    return f"Compared by {described}. {_COLOURS_TEXT}"
+
+
+def _caption_figure_5(data: _PaperData, layout: PaperScenario) -> str:
     return (
         f"{_count_text(data)} of scenario 1, as in figure 5 of Schütt, Otten and Sax (2023). (a)-(c) The scenarios in"
         " the first three components of each kernel space. (d) The clusters by"
         f" {layout.hulls} in the parameter space, each with the hull of at most {_HULL_CORNERS} archetypes and its"
         " prototype (star). (e)-(g) The clusters of (a)-(c) over the two parameters with most influence."
-        f" (h) The {layout.score} score over the same parameters. Compared by {described}."
-        f" {_COLOURS_TEXT}"
+        f" (h) The {layout.score} score over the same parameters. {_describe_comparison(data, layout)}"
     )
 
 
 def _caption_figure_6(data: _PaperData, layout: PaperScenario) -> str:
-    described = "; ".join(_describe_clusters(data.analyses[name]) for name in layout.aspects)
     return (
         f"{_count_text(data)} of scenario 2, as in figure 6 of Schütt, Otten and Sax (2023). (a)-(c) The clusters in"
         " the parameter space. (d)-(f) The same clusters in the first three components of the kernel space of each way"
-        f" to compare. Compared by {described}. {_COLOURS_TEXT}"
+        f" to compare. {_describe_comparison(data, layout)}"
     )
 
 
 def _caption_criticality(data: _PaperData) -> str:
-    names = ", ".join(f"({'abcdefghij'[k % 10]}) {metric.name}" for k, metric in enumerate(data.metrics))
+    names = ", ".join(_title(k, metric.name) for k, metric in enumerate(data.metrics))
     return (
         f"{_count_text(data)}, coloured by score: {names}. Dark is critical; critical ones are drawn last, on top of"
         " the others."
