@@ -18,7 +18,7 @@ from markupsafe import Markup
 from cornercase._common import validation
 from cornercase._common.errors import InputError
 from cornercase._common.io.atomic import atomic_write_group
-from cornercase._common.io.files import atomic_write, check_output_differs_from_source
+from cornercase._common.io.files import check_output_differs_from_source
 from cornercase._common.io.support_table import issue_notice_warning
 from cornercase._common.memory import DEFAULT_MEMORY, MemoryLimit
 from cornercase._common.progress import progress_step, show_bars
@@ -34,7 +34,7 @@ from cornercase.report.html._estimate_sections import render_estimates
 from cornercase.report.html._overview_sections import render_failures, render_provenance, render_scores
 from cornercase.report.html._reduced_set_sections import render_reduced_set
 from cornercase.report.html._tables import Section
-from cornercase.report.html._templates import render_template
+from cornercase.report.html._templates import render_template, write_page
 from cornercase.report.html._verdict_section import render_verdicts
 from cornercase.scenario._file import ScenarioFile
 from cornercase.study import StudyFile
@@ -126,7 +126,7 @@ def write_report(
         if not opened.finished_rows():
             if not opened.failed_rows():
                 raise InputError(f"{opened.path}: no scenario was run yet, so there is nothing to report.")
-            _write_page(path, render_failure_page(opened))
+            write_page(path, render_failure_page(opened))
             return path
         start = time.monotonic()
         with show_bars(progress), progress_step(len(opened.finished_rows()), "reading", "recordings") as tell:
@@ -148,7 +148,7 @@ def write_report(
             from cornercase.report.figures._export import write_figures
 
             write_figures(draw_all_figures(data), validation.check_path("figures", folder))
-        _write_page(path, render_report(data, recordings, roads))
+        write_page(path, render_report(data, recordings, roads))
     return path
 
 
@@ -207,8 +207,3 @@ def _render(**parts: Any) -> str:
 def _compressed_plotly() -> str:
     code = importlib.resources.files("plotly.package_data").joinpath("plotly.min.js").read_bytes()
     return base64.b64encode(zlib.compress(code, 9)).decode()
-
-
-def _write_page(path: Path, page: str) -> None:
-    with atomic_write(path) as temporary:
-        temporary.write_text(page, encoding="utf-8", errors="backslashreplace", newline="\n")

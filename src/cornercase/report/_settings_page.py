@@ -13,14 +13,14 @@ import numpy as np
 
 from cornercase._common import validation
 from cornercase._common.errors import InputError
-from cornercase._common.io.files import atomic_write, check_output_differs_from_source
+from cornercase._common.io.files import check_output_differs_from_source
 from cornercase._common.progress import progress_step, show_bars
 from cornercase._common.text.sanitize import escape_control_characters
 from cornercase._common.typing import FloatArray, IntArray
 from cornercase.clustering import Analysis, read_analysis
 from cornercase.clustering._settings_map import GAMMAS, Observed, SettingsMap, map_settings
 from cornercase.report._payload import parameter_columns, round_score
-from cornercase.report.html._templates import render_template
+from cornercase.report.html._templates import render_template, write_page
 from cornercase.report.text._phrases import describe_aspect, describe_clustering_method, describe_roles
 from cornercase.study import StudyFile
 from cornercase.study._study_file import open_study
@@ -86,8 +86,7 @@ def write_settings_page(
         if not aspects:
             raise InputError(f"{opened.path}: was not analyzed yet; 'cornercase analyze' does it.")
         page = _render_page(opened, aspects, progress)
-    with atomic_write(path) as temporary:
-        temporary.write_text(page, encoding="utf-8", errors="backslashreplace", newline="\n")
+    write_page(path, page)
     return path
 
 

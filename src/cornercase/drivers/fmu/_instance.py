@@ -134,18 +134,20 @@ class Fmu:
 
     def function(self, name: str, *arguments: Any, returns: Any = c_int) -> Any:
         """Return a C function by its name without the prefix."""
-        try:
-            function = getattr(self._dll, f"{self._prefix}{name}")
-        except AttributeError:
-            raise FmuError(f"its library has no function {self._prefix}{name}") from None
+        function = self._find(name)
         function.argtypes, function.restype = arguments, returns
         return function
 
     def bind(self, name: str, *arguments: Any) -> Callable[[], int]:
         """Return a C function with its arguments, which are values of ctypes: a call need not convert them."""
-        if not hasattr(self._dll, f"{self._prefix}{name}"):
-            raise FmuError(f"its library has no function {self._prefix}{name}")
-        return partial(self._dll[f"{self._prefix}{name}"], *arguments)
+        return partial(self._find(name), *arguments)
+
+    def _find(self, name: str) -> Any:
+        try:
+            # Another object in each call, so its types of arguments are those of this use alone.
+            return self._dll[f"{self._prefix}{name}"]
+        except AttributeError:
+            raise FmuError(f"its library has no function {self._prefix}{name}") from None
 
     def check(self, name: str, status: int) -> None:
         """Raise `FmuError` for a status that is neither OK nor a warning."""

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from cornercase._common import validation
-from cornercase._common.io.files import atomic_write, check_output_differs_from_source
+from cornercase._common.io.files import check_output_differs_from_source
 from cornercase._common.typing import FloatArray
 from cornercase.recordings import Recording
 from cornercase.recordings._rounded import encode_rounded
@@ -17,7 +17,7 @@ from cornercase.report._page import REPLAY_SCRIPTS
 from cornercase.report._payload import parameter_columns, round_score, score_source_column, study_info_payload
 from cornercase.report._road_drawing import encode_road_outline, find_road_outline, recorded_bounds
 from cornercase.report.comparison._charts import draw_charts
-from cornercase.report.html._templates import render_template
+from cornercase.report.html._templates import render_template, write_page
 from cornercase.scenario._file import ScenarioFile
 from cornercase.study import StudyFile
 from cornercase.study._study_file import open_study
@@ -77,8 +77,7 @@ def write_comparison(
         check_output_differs_from_source(path, before.path)
         check_output_differs_from_source(path, after.path)
         page = _render_page(comparison, before, after, scenario)
-    with atomic_write(path) as temporary:
-        temporary.write_text(page, encoding="utf-8", errors="backslashreplace", newline="\n")
+    write_page(path, page)
     return path
 
 

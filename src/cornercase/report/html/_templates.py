@@ -1,13 +1,16 @@
-"""Render page templates with their styles and scripts inlined."""
+"""Render page templates with their styles and scripts inlined, and write the pages."""
 
 from __future__ import annotations
 
 import importlib.resources
 import json
 from collections.abc import Iterable
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from markupsafe import Markup
+
+from cornercase._common.io.files import atomic_write
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -28,6 +31,12 @@ def render_template(name: str, styles: Iterable[str], scripts: Iterable[str], **
         )
     )
     return page
+
+
+def write_page(path: Path, page: str) -> None:
+    """Write a rendered page; what UTF-8 does not have is escaped."""
+    with atomic_write(path) as temporary:
+        temporary.write_text(page, encoding="utf-8", errors="backslashreplace", newline="\n")
 
 
 def _read_web_file(name: str) -> str:
