@@ -33,12 +33,13 @@ from cornercase.simulators.carla import _dialect as dialect
 from cornercase.simulators.carla._openscenario_1_0 import ConversionOptions, write_openscenario_1_0
 from cornercase.simulators.pool._simulator import WorkerSimulator
 from cornercase.study import StudyFile
-from helpers.carla_or_stand_in import REAL, Served, free_port
+from helpers.carla_or_stand_in import AGAIN_IF_THE_CLIENT_CRASHES, REAL, Served, free_port
 from helpers.command_line import cornercase
 from helpers.waiting import until
 
 carla = pytest.importorskip("carla", reason="the extra 'carla' is not installed")
 
+pytestmark = AGAIN_IF_THE_CLIENT_CRASHES
 HERE = Path(__file__).parents[1]
 EXAMPLES = HERE.parent / "examples"
 T = EXAMPLES / "t_intersection" / "t_intersection.xosc"

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import functools
-import os
 import socket
 import sys
 from contextlib import suppress
@@ -18,35 +16,19 @@ from cornercase._common.errors import InputError, SimulationError, SimulatorErro
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import Carla
-from helpers.carla_or_stand_in import REAL, Served
+from helpers.carla_or_stand_in import AGAIN_IF_THE_CLIENT_CRASHES, REAL, Served
 from helpers.passing_cars import write_passing_cars
 from helpers.waiting import lives, until
 
-pytestmark = pytest.mark.skipif(
-    find_spec("carla") is None or bool(REAL), reason="it takes the client of the extra 'carla', and a stand-in"
-)
+pytestmark = [
+    pytest.mark.skipif(
+        find_spec("carla") is None or bool(REAL), reason="it takes the client of the extra 'carla', and a stand-in"
+    ),
+    AGAIN_IF_THE_CLIENT_CRASHES,
+]
 FORKED_ONLY = pytest.mark.skipif(sys.platform != "linux", reason="elsewhere each scenario has a program of its own")
 RUNNER = Path(__file__).parents[1] / "fake_scenario_runner"
 STARTS = (140.0, 150.0, 160.0)
-
-
-def again_if_the_client_aborts(test):
-    """Repeat a test in which CARLA's client aborts as it closes a connection; a search would try that scenario again."""
-
-    @functools.wraps(test)
-    def run_test(**fixtures):
-        for _ in range(2):
-            try:
-                return test(**fixtures)
-            except AssertionError as error:
-                if "Bad file descriptor" not in str(error):
-                    raise
-            if "FAKE_RUNNER_STARTS" in os.environ:
-                Path(os.environ["FAKE_RUNNER_STARTS"]).unlink(missing_ok=True)
-            os.environ.pop("FAKE_RUNNER", None)
-        return test(**fixtures)
-
-    return run_test
 
 
 @pytest.fixture
@@ -90,7 +72,6 @@ def are_the_same(some, others):
 
 
 @FORKED_ONLY
-@again_if_the_client_aborts
 def test_scenarios_of_one_program_are_as_in_a_program_each(server, scenario, programs):
     alone = [run(make_simulator(server), scenario, [start])[0] for start in STARTS]
     assert len(programs()) == len(STARTS)
@@ -101,7 +82,6 @@ def test_scenarios_of_one_program_are_as_in_a_program_each(server, scenario, pro
     assert not lives(programs()[-1])
 
 
-@again_if_the_client_aborts
 def test_a_program_with_threads_of_its_own_runs_one_scenario(server, scenario, programs, monkeypatch):
     together = run(make_simulator(server), scenario, STARTS)
     n_programs = len(programs())
@@ -111,7 +91,6 @@ def test_a_program_with_threads_of_its_own_runs_one_scenario(server, scenario, p
 
 
 @FORKED_ONLY
-@again_if_the_client_aborts
 def test_after_a_failure_there_is_a_new_program(server, scenario, programs, monkeypatch, tmp_path):
     faults = tmp_path / "faults"
     wrong = ["cannot load", "aborts", "fails at the end", "watchdog", "late watchdog"]
@@ -129,14 +108,12 @@ def test_after_a_failure_there_is_a_new_program(server, scenario, programs, monk
     assert len(programs()) == 6
 
 
-@again_if_the_client_aborts
 def test_a_folder_that_cannot_be_written_is_said(server, scenario, tmp_path):
     (tmp_path / "taken").write_text("")
     with pytest.raises(InputError, match=r"folder=.*taken: cannot be written \(File exists\); choose another folder"):
         run(make_simulator(server, folder=str(tmp_path / "taken")), scenario, STARTS[:1])
 
 
-@again_if_the_client_aborts
 def test_a_server_serves_one_search_at_a_time(server, scenario, monkeypatch):
     monkeypatch.setattr("cornercase.simulators.carla._server_lock._TIMEOUT", 0.0)
     first, second = make_simulator(server), make_simulator(server)
@@ -153,7 +130,6 @@ def test_a_server_serves_one_search_at_a_time(server, scenario, monkeypatch):
     third.close()
 
 
-@again_if_the_client_aborts
 def test_the_port_of_another_scenario_runners_traffic_manager_is_left_alone(server, scenario):
     # That of the first worker of any other search, if nobody has it yet.
     with suppress(OSError), socket.create_server(("", 8000)):
@@ -161,7 +137,6 @@ def test_the_port_of_another_scenario_runners_traffic_manager_is_left_alone(serv
         assert isinstance(found, Recording), found
 
 
-@again_if_the_client_aborts
 def test_a_program_of_an_agent_does_not_get_what_is_for_the_next_scenario(server, scenario, monkeypatch):
     monkeypatch.setenv("FAKE_RUNNER", "agent starts a program")
     for found in run(make_simulator(server), scenario, STARTS[:2]):
@@ -169,7 +144,6 @@ def test_a_program_of_an_agent_does_not_get_what_is_for_the_next_scenario(server
 
 
 @FORKED_ONLY
-@again_if_the_client_aborts
 def test_programs_that_an_agent_has_left_end_with_its_scenario(server, scenario, programs, monkeypatch, tmp_path):
     monkeypatch.setenv("FAKE_RUNNER", "agent leaves programs")
     simulator = make_simulator(server, folder=str(tmp_path / "kept"))
@@ -184,7 +158,6 @@ def test_programs_that_an_agent_has_left_end_with_its_scenario(server, scenario,
     simulator.close()
 
 
-@again_if_the_client_aborts
 def test_things_and_friction_of_a_scenario_are_gone_in_the_next_one(server, scenario, monkeypatch):
     monkeypatch.setenv("FAKE_RUNNER", "leaves things")
     simulator = make_simulator(server)
@@ -200,7 +173,6 @@ def test_things_and_friction_of_a_scenario_are_gone_in_the_next_one(server, scen
 
 
 @FORKED_ONLY
-@again_if_the_client_aborts
 def test_a_scenario_that_does_not_end_is_killed_alone(server, scenario, programs, monkeypatch, tmp_path):
     faults = tmp_path / "faults"
     faults.write_text("\n".join(["does not end", "", ""]))
@@ -211,7 +183,6 @@ def test_a_scenario_that_does_not_end_is_killed_alone(server, scenario, programs
 
 
 @FORKED_ONLY
-@again_if_the_client_aborts
 def test_a_program_that_was_killed_between_two_scenarios_is_started_again(server, scenario, programs):
     simulator = make_simulator(server)
     first = run_one(simulator, scenario)

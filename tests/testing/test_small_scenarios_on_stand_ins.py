@@ -16,10 +16,11 @@ from cornercase.simulators import Carla, CarMaker
 from cornercase.testing._deviations import run_small_scenario, run_with_agent
 from cornercase.testing._example_function import CarFollowing
 from cornercase.testing._small_scenarios import AGENT_DURATIONS, SMALL_SCENARIOS, write_small_scenarios
-from helpers.carla_or_stand_in import REAL, Served, free_port
+from helpers.carla_or_stand_in import AGAIN_IF_THE_CLIENT_CRASHES, REAL, Served, free_port
 from helpers.carmaker_port import SmallTestRuns, small_port
 from helpers.command_line import cornercase
 
+pytestmark = AGAIN_IF_THE_CLIENT_CRASHES
 NEEDS_CARLA = pytest.mark.skipif(
     find_spec("carla") is None or bool(REAL), reason="it takes the client of the extra 'carla', and a stand-in"
 )
