@@ -52,10 +52,11 @@ def acceleration(manoeuvre: str) -> Callable[[float], float]:
     return lambda t: MANOEUVRES[manoeuvre][1] if t >= 1.0 - 1e-9 else 0.0
 
 
-@pytest.mark.parametrize("manoeuvre", MANOEUVRES)
+# At lower speeds slip decays faster than a time step lasts.
+@pytest.mark.parametrize(("manoeuvre", "speed"), [*((one, 15.0) for one in MANOEUVRES), ("lane change", 5.0)])
 @pytest.mark.parametrize("model", ["kinematic", "single-track"])
-def test_trajectories_agree_within_one_percent(model: str, manoeuvre: str) -> None:
-    vehicle, speed = parameters.parameters_vehicle2(), 15.0
+def test_trajectories_agree_within_a_thousandth(model: str, manoeuvre: str, speed: float) -> None:
+    vehicle = parameters.parameters_vehicle2()
     is_kinematic = model == "kinematic"
     spec = f"kinematic:wheelbase={vehicle.a + vehicle.b},max_steering_rate={RATE}" if is_kinematic else model
     driven = drive(spec, speed, 3.0, acceleration(manoeuvre), steering(manoeuvre))
@@ -66,6 +67,6 @@ def test_trajectories_agree_within_one_percent(model: str, manoeuvre: str) -> No
         # Theirs is the centre of gravity, ours the rear axle.
         x, y = x - vehicle.b * np.cos(heading) + vehicle.b, y - vehicle.b * np.sin(heading)
     deviation = np.hypot(driven["x"] - x, driven["y"] - y)
-    assert np.abs(y).max() > 1.0
-    assert deviation.max() < 0.01 * np.abs(y).max()
-    assert np.abs(driven["heading"] - heading).max() < 0.01 * np.abs(heading).max()
+    assert np.abs(y).max() > 0.4
+    assert deviation.max() < 1e-3 * np.abs(y).max()
+    assert np.abs(driven["heading"] - heading).max() < 1e-3 * np.abs(heading).max()
