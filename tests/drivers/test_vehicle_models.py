@@ -11,7 +11,7 @@ import pytest
 
 from cornercase._common.errors import InputError
 from cornercase._common.typing import FloatArray
-from cornercase.drivers import VEHICLES, Body, PlanarMotion
+from cornercase.drivers import VEHICLES, Body, PlanarMotion, VehicleModel
 from cornercase.drivers.vehicles._pedals import pedals_to_acceleration
 from helpers.vehicle_drives import DT, WHEELBASE, drive, start
 
@@ -169,6 +169,23 @@ def test_text_of_a_vehicle_makes_it_again(spec: str) -> None:
 def test_wrong_options_are_refused(spec: str, message: str) -> None:
     with pytest.raises(InputError, match=message):
         VEHICLES.create(spec)
+
+
+@pytest.mark.parametrize("spec", ["kinematic:steering_lag=0.3", "single-track"])
+def test_a_vehicle_that_was_put_elsewhere_begins_anew(spec: str) -> None:
+    def step(model: VehicleModel, begin: list[float], steering: float) -> list[float]:
+        motion = PlanarMotion(*np.array(begin)[:, None])
+        moved = model.step(motion, np.zeros(1), np.array([steering]), np.ones(1), DT, np.ones(1, dtype=bool))
+        return [float(values[0]) for values in (moved.x, moved.y, moved.heading, moved.speed, moved.acceleration)]
+
+    model, state = start(spec), [0.0, 0.0, 0.0, 15.0, 0.0]
+    for _ in range(20):
+        state = step(model, state, 0.05)
+    # With the speed that it has, which alone would tell nothing.
+    elsewhere = [200.0, 0.0, 0.0, state[3], 0.0]
+    begun = step(start(spec), elsewhere, 0.0)
+    assert step(model, elsewhere, 0.0) == begun
+    assert begun[1:3] == [0.0, 0.0]
 
 
 def test_pedals_are_linear_up_to_the_limits_of_the_vehicle() -> None:

@@ -18,11 +18,10 @@ from cornercase.drivers._lane_change import LaneChange
 from cornercase.drivers._lanes import find_neighbouring_path
 from cornercase.drivers._path_tracking import locate_on_path, steer_along_path
 from cornercase.drivers._trajectory_following import FollowedTrajectory
+from cornercase.drivers.vehicles._kernels.steered import MOVED
 from cornercase.drivers.vehicles._vehicle_model import VEHICLES, PlanarMotion, VehicleModel
 
 _DEFAULT_VEHICLE: Final = "kinematic"
-# m; a vehicle that is farther from where its last step has left it was moved by something else.
-_MOVED: Final = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,7 +155,7 @@ class Mover:
         memory.last_request[active] = requests[active]
         moved = np.hypot(begin.x - memory.left_x, begin.y - memory.left_y)
         for n in [*memory.changes]:
-            if active[n] and moved[n] > _MOVED:
+            if active[n] and moved[n] > MOVED:
                 del memory.changes[n]
         decides = np.isfinite(controls.acceleration) | np.isfinite(controls.throttle) | np.isfinite(controls.brake)
         for n in [*memory.followed]:

@@ -36,11 +36,11 @@ ACTUATORS, KINEMATIC, SINGLE_TRACK = range(3)
 ) = range(10)
 """Columns of `Vehicles.parameters`; those of a model's own follow."""
 
-ACCELERATION, STEERING, SPEED, NEWEST, YAW_RATE, SLIP, VELOCITY = range(7)
+ACCELERATION, STEERING, SPEED, NEWEST, YAW_RATE, SLIP, VELOCITY, LEFT_X, LEFT_Y = range(9)
 """Columns of `Vehicles.state`. The speed is the last one that the model returned; NaN before. `NEWEST` is the index of
 the newest request. Yaw rate, slip angle and velocity are those of the centre of gravity, of a model in which tyres
-slip."""
-N_STATE: Final = 7
+slip. `LEFT_X`, `LEFT_Y` are where the last step left a vehicle that steers."""
+N_STATE: Final = 9
 
 # rad; the change of the angle of the wheels for which the time is counted that it takes.
 _USUAL_STEERING: Final = 0.1
@@ -54,7 +54,7 @@ class Vehicles(NamedTuple):
     """Parameters and state of a vehicle in N scenarios, or of several one after another, for kernels."""
 
     parameters: FloatArray  # (N, P): columns as above, in m, s and rad
-    state: FloatArray  # (N, 7): columns as above
+    state: FloatArray  # (N, 9): columns as above
     requests: FloatArray  # (N, 2, R): the last requests of acceleration and steering, as rings
 
 
@@ -72,7 +72,7 @@ def steering_response(parameters):
 
 @plain_kernel
 def begin_step(vehicles, n, speed, acceleration, request, steering):
-    """Store the requests of the coming step, with new actuators if something else has changed the speed."""
+    """Store the requests of the coming step, with new actuators if something else has changed speed or place."""
     state, requests = vehicles.state[n], vehicles.requests[n]
     if not abs(speed - state[SPEED]) <= _TOLERANCE:
         state[ACCELERATION] = acceleration if math.isfinite(acceleration) and speed > 0.0 else 0.0

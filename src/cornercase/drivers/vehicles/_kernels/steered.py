@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
 from numba import types
@@ -13,14 +14,16 @@ from cornercase._common.numba.kernel import kernel
 from cornercase._common.numba.late import LateKernels
 from cornercase._common.numba.pointers import call_for_float
 from cornercase._common.numba.references import reference_to
-from cornercase.drivers.vehicles._kernels.actuators import KINEMATIC, SINGLE_TRACK
-from cornercase.drivers.vehicles._kernels.rolling import roll_vehicle
+from cornercase.drivers.vehicles._kernels.actuators import KINEMATIC, LEFT_X, LEFT_Y, SINGLE_TRACK, SPEED
+from cornercase.drivers.vehicles._kernels.rolling import X, Y, roll_vehicle
 from cornercase.drivers.vehicles._kernels.sliding import slide_vehicle
 
 VEHICLE_KERNELS: Final = LateKernels({KINEMATIC: roll_vehicle, SINGLE_TRACK: slide_vehicle}, types.float64)
 """Kernels that move a vehicle, by kind."""
 MOTION_INPUTS: Final = (types.int64, types.float64[::1], *4 * [types.float64])
 """Types of the arguments of these kernels after the vehicles."""
+MOVED: Final = 0.1
+"""In m; a vehicle that is farther from where its last step has left it was moved by something else."""
 
 
 @kernel(error_model="numpy", _nrt=False, forceinline=True)
@@ -29,10 +32,17 @@ def move_steered_vehicle(kind, kernels, vehicles, row, motion, request, steering
 
     `kernels` are the addresses of `VEHICLE_KERNELS`. `request` is an acceleration in m/s², `steering` an angle in rad.
     """
+    state = vehicles.state[row]
+    if abs(motion[X] - state[LEFT_X]) + abs(motion[Y] - state[LEFT_Y]) > MOVED:
+        # As before its first step.
+        state[SPEED] = math.nan
     arguments = (vehicles, row, motion, request, steering, friction, time_step)
     if kind == KINEMATIC:
-        return call_for_float(roll_vehicle, kernels[KINEMATIC], arguments)
-    return call_for_float(slide_vehicle, kernels[SINGLE_TRACK], arguments)
+        speed = call_for_float(roll_vehicle, kernels[KINEMATIC], arguments)
+    else:
+        speed = call_for_float(slide_vehicle, kernels[SINGLE_TRACK], arguments)
+    state[LEFT_X], state[LEFT_Y] = motion[X], motion[Y]
+    return speed
 
 
 @kernel(
