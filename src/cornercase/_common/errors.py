@@ -106,9 +106,9 @@ def skip_if_not_enough_data() -> Iterator[None]:
         pass
 
 
-def suggest_name(unknown: str, known: Iterable[str]) -> str:
+def suggest_name(unknown: str, valid_names: Iterable[str]) -> str:
     """Return a hint for an unknown name: ``"did you mean 'wttc'?"``, or ``"known are: …"`` if no name is similar."""
-    names = sorted(known)
+    names = sorted(valid_names)
     # Names are case-sensitive; a different case is probably the same name.
     by_casefold = {name.casefold(): name for name in reversed(names)}
     close = difflib.get_close_matches(unknown, names, n=1) or [

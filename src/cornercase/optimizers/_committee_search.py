@@ -115,11 +115,11 @@ class Committee(WarmStartOptimizer):
         x = encode_points(self._space, candidates)
         probabilities = self._committee.predict(augment_points(self._source_model, x))
         gain = committee_acquisition(*probabilities) * (1.0 - self._failure_probability(x))
-        known = np.concatenate([self._points, filling])
+        sampled = np.concatenate([self._points, filling])
         # The prediction of another study is not a coordinate of the space.
         length_scales = self._committee.process.kernel.length_scales[: x.shape[1]]
         sides = np.maximum(length_scales.min() / length_scales, _MIN_SIDE)
-        return candidates[_choose_spread_out(x * sides, gain, encode_points(self._space, known) * sides, sides, n)]
+        return candidates[_choose_spread_out(x * sides, gain, encode_points(self._space, sampled) * sides, sides, n)]
 
     def _features_of_finished(self, count: int) -> FloatArray | None:
         return None if self._observed_features is None else self._observed_features[self._is_finished][:count]
@@ -161,16 +161,18 @@ def _criterion_between_scores(scores: FloatArray, criterion: Criterion) -> Crite
     return Criterion(float(min(max(criterion.oriented, lowest), below_highest)))
 
 
-def _choose_spread_out(points: FloatArray, gain: FloatArray, known: FloatArray, sides: FloatArray, n: int) -> IntArray:
+def _choose_spread_out(
+    points: FloatArray, gain: FloatArray, sampled: FloatArray, sides: FloatArray, n: int
+) -> IntArray:
     """Choose `n` of the points (m, e), one after the other: the largest gain (m,) times distance from all others.
 
-    The others are the `known` points (k, e) and the points chosen before. Distances are limited to the spacing of
+    The others are the `sampled` points (k, e) and the points chosen before. Distances are limited to the spacing of
     points that are spread evenly in a box with these `sides` (e,).
     """
     # Points this far apart do not differ along short sides: use the longest sides, as many as maximize the spacing.
     longest = np.sort(sides)[::-1]
-    spacing = ((np.cumprod(longest) / len(known)) ** (1.0 / np.arange(1, len(sides) + 1))).max()
-    distance = np.minimum(cKDTree(known).query(points)[0], spacing)
+    spacing = ((np.cumprod(longest) / len(sampled)) ** (1.0 / np.arange(1, len(sides) + 1))).max()
+    distance = np.minimum(cKDTree(sampled).query(points)[0], spacing)
     selected: list[int] = []
     for _ in range(n):
         value = gain * distance

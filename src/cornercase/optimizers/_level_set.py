@@ -134,8 +134,10 @@ class LevelSet(WarmStartOptimizer):
 
         How many there are depends only on the number of proposals.
         """
-        asked = self._n_proposed
-        count = min(math.floor(_LOCAL_MINIMA_FRACTION * (asked + n)) - math.floor(_LOCAL_MINIMA_FRACTION * asked), n)
+        n_proposed = self._n_proposed
+        count = min(
+            math.floor(_LOCAL_MINIMA_FRACTION * (n_proposed + n)) - math.floor(_LOCAL_MINIMA_FRACTION * n_proposed), n
+        )
         if count == 0:
             return filling[:0]
         suggestions = suggest_below_local_minima(
@@ -172,12 +174,12 @@ def _uncertain_fraction(probabilities: FloatArray) -> float:
     return float(np.minimum(near, 1.0 - near).sum() / near.sum()) if len(near) else 0.0
 
 
-def _choose_by_straddle(process: GaussianProcess, candidates: FloatArray, known: FloatArray, n: int) -> IntArray:
+def _choose_by_straddle(process: GaussianProcess, candidates: FloatArray, sampled: FloatArray, n: int) -> IntArray:
     """Choose `n` candidates by the straddle heuristic, one after the other.
 
-    The variance is conditioned on the `known` points and on the points chosen before.
+    The variance is conditioned on the `sampled` points and on the points chosen before.
     """
-    mean, deviation, rows = process.predict_with_projections(np.concatenate([candidates, known]))
+    mean, deviation, rows = process.predict_with_projections(np.concatenate([candidates, sampled]))
     variance, others = deviation**2, np.arange(len(candidates), len(mean))
     gain = straddle_gains(mean, np.sqrt(variance))[: len(candidates)]
     order, count = np.argsort(-gain, kind="stable"), max(_N_FIRST_TRIED, n)
@@ -185,7 +187,7 @@ def _choose_by_straddle(process: GaussianProcess, candidates: FloatArray, known:
         best = np.sort(order[:count])
         index = np.concatenate([best, others])
         selection = StraddleSelection(
-            process, np.concatenate([candidates[best], known]), mean[index], variance[index], rows[index]
+            process, np.concatenate([candidates[best], sampled]), mean[index], variance[index], rows[index]
         )
         for i in range(len(best), len(index)):
             selection.condition_on_point(i)

@@ -33,7 +33,7 @@ class StraddleSelection:
     def __init__(
         self, process: GaussianProcess, points: FloatArray, mean: FloatArray, variance: FloatArray, projections: Floats
     ) -> None:
-        self._process, self._places, self._rows = process, points, projections
+        self._process, self._points, self._rows = process, points, projections
         self._mean, self._variance = mean, variance
         # The process is computed in single precision, where a lower variance is indistinguishable from 0.
         self._lowest, self._noise = 1e-5 * process.kernel.signal**2, process.kernel.noise**2
@@ -41,7 +41,7 @@ class StraddleSelection:
 
     def condition_on_point(self, index: int) -> None:
         """Update the variances as if the score at point `index` were known."""
-        shared = self._process.covariance_with_point(self._places, self._rows, index)
+        shared = self._process.covariance_with_point(self._points, self._rows, index)
         for earlier in self._learned_steps:
             shared = shared - earlier * earlier[index]
         step = shared / math.sqrt(max(self._variance[index], self._lowest) + self._noise)

@@ -43,23 +43,25 @@ class WarmStartOptimizer(CandidateOptimizer):
         self._source_model = SourceStudyModel(encode_points(self._space, points), scores, self._criterion)
 
     def _propose(self, n: int, pending: FloatArray) -> FloatArray:
-        asked = len(self._points) + len(pending)
+        n_proposed = len(self._points) + len(pending)
         if (
             self._source_model is None
-            or (count := _count_chosen_by_source(asked + n) - _count_chosen_by_source(asked)) == 0
+            or (count := _count_chosen_by_source(n_proposed + n) - _count_chosen_by_source(n_proposed)) == 0
         ):
             return super()._propose(n, pending)
         filling = self._sequence.ask(n - count, exclude=pending)
-        known = np.concatenate([self._points, pending, filling])
-        return np.concatenate([self._points_on_source_boundary(self._source_model, known, count, asked), filling])
+        sampled = np.concatenate([self._points, pending, filling])
+        return np.concatenate(
+            [self._points_on_source_boundary(self._source_model, sampled, count, n_proposed), filling]
+        )
 
     def _points_on_source_boundary(
-        self, source_model: SourceStudyModel, known: FloatArray, n: int, asked: int
+        self, source_model: SourceStudyModel, sampled: FloatArray, n: int, n_proposed: int
     ) -> FloatArray:
-        """Points (k, d) on the boundary that another study predicts, away from the `known` points (m, d)."""
-        candidates = self._draw_candidates(self._seed_of(asked), _N_CANDIDATES, known)
+        """Points (k, d) on the boundary that another study predicts, away from the `sampled` points (m, d)."""
+        candidates = self._draw_candidates(self._seed_of(n_proposed), _N_CANDIDATES, sampled)
         count, process = len(candidates), source_model.process
-        points = encode_points(self._space, np.concatenate([candidates, known]))
+        points = encode_points(self._space, np.concatenate([candidates, sampled]))
         variance = np.full(len(points), process.kernel.signal**2)
         selection = StraddleSelection(process, points, process.predict(points)[0], variance, np.empty((len(points), 0)))
         for i in range(count, len(points)):

@@ -26,7 +26,7 @@ _KERNEL_GAMMA: Final = 4.0
 _MAX_IN_KERNEL: Final = 2000
 # The same for studies with landmarks, where more would take minutes.
 _MAX_EVENLY_SPACED: Final = 400
-_KEPT_VARIANCE: Final = 0.99
+_EXPLAINED_VARIANCE: Final = 0.99
 _ITERATIONS: Final = 300
 # The fit ends earlier if an iteration lowers the residual by less.
 _RESIDUAL_TOLERANCE: Final = 1e-4
@@ -99,7 +99,7 @@ def find_kernel_archetypes(cluster_distances: FloatArray, k: int) -> Archetypes:
     with single_threaded_blas():
         values, vectors = eigh(centred)
     values, vectors = np.maximum(values[::-1], 0.0), vectors[:, ::-1]
-    n_axes = int(np.searchsorted(np.cumsum(values) / values.sum(), _KEPT_VARIANCE)) + 1
+    n_axes = int(np.searchsorted(np.cumsum(values) / values.sum(), _EXPLAINED_VARIANCE)) + 1
     return find_archetypes(vectors[:, :n_axes] * np.sqrt(values[:n_axes]), k)
 
 

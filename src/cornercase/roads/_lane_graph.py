@@ -176,13 +176,13 @@ class LaneGraph:
             numbers = linked or (lane.lane,)
             onward = [DirectedLane(lane.road, following, number, lane.forward) for number in numbers if number in lanes]
             s = road.sections[max(lane.section, following)][0]
-            beside = [
+            neighbours = [
                 option
                 for at, name, contact in self.road_graph.connecting_roads_along.get((road.road_id, lane.forward), ())
                 if at == s
                 for option in self._connecting_lanes(name, contact, lane.lane)
             ]
-            return [*onward, *beside]
+            return [*onward, *neighbours]
         link = road.successor if lane.forward else road.predecessor
         if link is None:
             return []

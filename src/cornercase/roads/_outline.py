@@ -95,16 +95,16 @@ def _true_runs(mask: BoolArray) -> Iterator[tuple[int, int]]:
 
 
 def _sample_by_curvature(road: Road, start: float, end: float) -> FloatArray:
-    seams = [one.s for one in road.geometries] + [one[0] for one in road.lane_offsets]
+    seams = [geometry.s for geometry in road.geometries] + [offset[0] for offset in road.lane_offsets]
     breaks = sorted({start, end, *(s for s in seams if start < s < end)})
     samples = []
-    for one, end_ in pairwise(breaks):
-        coarse = np.linspace(one, end_, 2 + int((end_ - one) / _COARSE_STEP))
+    for begin, end_ in pairwise(breaks):
+        coarse = np.linspace(begin, end_, 2 + int((end_ - begin) / _COARSE_STEP))
         bend = float(np.abs(road.reference_curvature(coarse)).max())
         reach = float(np.abs(np.concatenate(road.road_edge_offsets(coarse))).max())
         # The sagitta of the outer edge is an eighth of its radius times the squared angle.
         step = np.sqrt(8.0 * _MAX_DEVIATION / (bend * (1.0 + reach * bend))) if bend > 0.0 else _STEP_LIMITS[1]
-        samples.append(np.linspace(one, end_, 1 + int(np.ceil((end_ - one) / np.clip(step, *_STEP_LIMITS)))))
+        samples.append(np.linspace(begin, end_, 1 + int(np.ceil((end_ - begin) / np.clip(step, *_STEP_LIMITS)))))
     return np.asarray(np.unique(np.concatenate(samples)))
 
 
@@ -121,8 +121,8 @@ def _add_section_outline(outline: RoadOutline, road: Road, section: int, s: Floa
         return _simplify_line(np.stack(road.pose_at(s, t)[:2], axis=-1))
 
     classes = {number: _area_kind(lanes[number].lane_type, lanes[number].is_drivable) for number in order}
-    for kind, beside in groupby(order, key=lambda number: classes[number]):
-        numbers = [number for number in beside if number != 0]
+    for kind, group in groupby(order, key=lambda number: classes[number]):
+        numbers = [number for number in group if number != 0]
         if kind and numbers:
             left, right = sides[numbers[0]][0], sides[numbers[-1]][1]
             if (np.abs(left - right) > _MIN_LANE_WIDTH).any():

@@ -122,9 +122,9 @@ class ReferenceGeometry:
         value = np.interp(goal, length, grid)
         for _ in range(3):
             k = np.clip(np.searchsorted(grid, value, "right") - 1, 0, len(grid) - 2)
-            gone = length[k] + arc_length(grid[k], value)
+            covered = length[k] + arc_length(grid[k], value)
             value = np.clip(
-                value + (goal - gone) / np.maximum(derivative_norm(value), _MIN_DERIVATIVE), grid[k], grid[k + 1]
+                value + (goal - covered) / np.maximum(derivative_norm(value), _MIN_DERIVATIVE), grid[k], grid[k + 1]
             )
         value[[0, -1]] = 0.0, top
         rise = np.diff(value) * steps / self.length

@@ -273,7 +273,7 @@ def _read_geometries(road: etree._Element, location: str) -> tuple[ReferenceGeom
         following = elements[k + 1].attrib.get("s") if k + 1 < len(elements) else road.attrib.get("length")
         geometries.append(read_geometry(element, location, start, following))
     record_wrong_order(elements, [geometry.s for geometry in geometries])
-    return tuple(sorted(geometries, key=lambda one: one.s))
+    return tuple(sorted(geometries, key=lambda geometry: geometry.s))
 
 
 def find_permanent_lanes(road: etree._Element, location: str) -> etree._Element | None:

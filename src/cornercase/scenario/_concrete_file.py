@@ -83,9 +83,9 @@ def build_concrete_file(
         _remove_initial_controllers(root, name)
     buffer = io.BytesIO()
     profiles = ((file, file.name, "Profiles") for file in scenario.profiles_files)
-    beside = (*_relocate_road_file(scenario, root), *_relocate_catalogs(scenario, root), *profiles)
+    companions = (*_relocate_road_file(scenario, root), *_relocate_catalogs(scenario, root), *profiles)
     tree.write(buffer, encoding="utf-8", xml_declaration=True, pretty_print=True)
-    return ConcreteFile(buffer.getvalue(), beside)
+    return ConcreteFile(buffer.getvalue(), companions)
 
 
 def _relocate_road_file(scenario: ScenarioFile, root: etree._Element) -> Iterator[tuple[Path, str, str]]:

@@ -116,11 +116,11 @@ def require_no_writer(path: Path, connection: sqlite3.Connection) -> None:
     for row in connection.execute("SELECT token, host, machine, pid, began, beat FROM lease").fetchall():
         if _is_holder_alive(row):
             is_local = row[2] == _machine_id()
-            place_text = "" if is_local else f" on {str(row[1])[:80]}"
+            host_text = "" if is_local else f" on {str(row[1])[:80]}"
             # From another machine it is unknown whether the process was killed.
             advice = "it has ended" if is_local else "it has ended, or two minutes if it was killed"
             raise InputError(
-                f"{path}: another cornercase is writing to it (process {row[3]}{place_text}); wait until {advice}."
+                f"{path}: another cornercase is writing to it (process {row[3]}{host_text}); wait until {advice}."
             )
 
 

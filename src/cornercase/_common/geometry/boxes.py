@@ -216,9 +216,9 @@ def _overlap_intervals_quadratic(
     start, end = _overlap_interval_linear(low, high, speed)
     acceleration = np.where(straight, 1.0, acceleration)
     enter, leave, below = _quadratic_roots(acceleration, speed, -high)
-    dip_from, dip_to, dips = _quadratic_roots(acceleration, speed, -low)
-    firsts = [np.where(below, enter, np.inf), np.where(below & dips, dip_to, np.inf)]
-    lasts = [np.where(below, np.where(dips, dip_from, leave), -np.inf), np.where(below, leave, -np.inf)]
+    below_from, below_to, goes_below = _quadratic_roots(acceleration, speed, -low)
+    firsts = [np.where(below, enter, np.inf), np.where(below & goes_below, below_to, np.inf)]
+    lasts = [np.where(below, np.where(goes_below, below_from, leave), -np.inf), np.where(below, leave, -np.inf)]
     return (
         np.stack([np.where(straight, start, firsts[0]), np.where(straight, np.inf, firsts[1])], -1),
         np.stack([np.where(straight, end, lasts[0]), np.where(straight, -np.inf, lasts[1])], -1),

@@ -144,14 +144,14 @@ def _start_local_cluster(workers: int) -> Client:
 
     # A worker that is being restarted when this time is over would be given up for good.
     dask.config.set({"distributed.deploy.lost-worker-timeout": "1 day"})
-    guardian = Reaper()
+    reaper = Reaper()
     with ExitStack() as stack:
-        stack.push(lambda kind, *_: _close_reaper(guardian, kind))
+        stack.push(lambda kind, *_: _close_reaper(reaper, kind))
         # Simulators may have child processes, which daemons cannot have; a worker may be restarted, so it is no daemon.
-        settings = {"distributed.worker.daemon": False, "temporary-directory": str(guardian.make_temporary_folder())}
+        settings = {"distributed.worker.daemon": False, "temporary-directory": str(reaper.make_temporary_folder())}
         stack.enter_context(dask.config.set(settings))
         with block_interrupts():
-            cluster = _start_cluster_with_retries(workers, guardian)
+            cluster = _start_cluster_with_retries(workers, reaper)
             connection = stack.enter_context(ExitStack())
             connection.callback(cluster.close)
             client = Client(cluster)

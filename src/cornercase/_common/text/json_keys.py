@@ -21,17 +21,17 @@ def key_to_identifier(key: str) -> str:
     return _LEADING_NUMBER.sub(r"\2_\1", joined)
 
 
-def keys_to_identifiers(plain: Any, kept_levels: Mapping[str, int]) -> Any:
+def keys_to_identifiers(plain: Any, name_levels: Mapping[str, int]) -> Any:
     """Replace the keys of nested dictionaries by identifiers, except names of things such as metrics.
 
-    `kept_levels` maps a key to the number of levels below it whose keys are such names.
+    `name_levels` maps a key to the number of levels below it whose keys are such names.
     """
     if isinstance(plain, Mapping):
         return {
-            key_to_identifier(key): _convert_below_names(value, kept_levels.get(key, 0), kept_levels)
+            key_to_identifier(key): _convert_below_names(value, name_levels.get(key, 0), name_levels)
             for key, value in plain.items()
         }
-    return [keys_to_identifiers(item, kept_levels) for item in plain] if isinstance(plain, list) else plain
+    return [keys_to_identifiers(item, name_levels) for item in plain] if isinstance(plain, list) else plain
 
 
 def _convert_below_names(plain: Any, levels: int, names: Mapping[str, int]) -> Any:

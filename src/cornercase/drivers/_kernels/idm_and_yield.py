@@ -116,8 +116,8 @@ def plan_acceleration(behaviour, routes, route, scene, buffers):
 def _free_acceleration(behaviour, routes, route, scene, speed, target_speed):
     """Return the acceleration towards the wanted speed, limited by the curves ahead."""
     samples, points, time_step = routes.samples[route], routes.points, scene.time_step
-    next_place = scene.driven.distance + (speed + behaviour.acceleration * time_step) * time_step
-    at = min(max(next_place / routes.measures[route, 0], 0.0), samples - 1.0)
+    next_distance = scene.driven.distance + (speed + behaviour.acceleration * time_step) * time_step
+    at = min(max(next_distance / routes.measures[route, 0], 0.0), samples - 1.0)
     segment = min(int(at), samples - 2)
     k = routes.begin[route] + segment
     squared = points[k, 4] + (at - segment) * (points[k + 1, 4] - points[k, 4])
@@ -180,8 +180,8 @@ def _yield_acceleration(behaviour, time_step, lookahead, margin, other, is_in_co
     """Return the acceleration that yields to a crossing entity (inf if not needed), and whether the driver yields."""
     samples, ego, v = lookahead.samples, lookahead.ego, lookahead.speed
     enters, _, leg = contact_interval(samples, 0, ego, margin, other, behaviour.horizon)
-    in_its_way = enters < math.inf
-    inside = in_its_way and _direction_cosine(samples, 0, other, leg) > -ALIGNED_COSINE
+    is_on_path = enters < math.inf
+    inside = is_on_path and _direction_cosine(samples, 0, other, leg) > -ALIGNED_COSINE
     gap = behaviour.safety_time * (RELEASE_FACTOR if is_yielding else 1.0)
     start, conflict = _find_conflict(behaviour, lookahead, margin, other, gap, gap, inside)
     if conflict < 0:
@@ -200,7 +200,7 @@ def _yield_acceleration(behaviour, time_step, lookahead, margin, other, is_in_co
 
     if inside:
         stop_distance = 0.0
-    elif in_its_way and start == 1:
+    elif is_on_path and start == 1:
         stop_distance = samples[conflict, 0]
     else:
         stop_distance = _refine_contact_distance(lookahead, start, margin, other, behaviour.horizon)

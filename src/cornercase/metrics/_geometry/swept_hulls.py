@@ -41,9 +41,9 @@ def _write_separating_axes(corners, out):
         out[2 * box, 0], out[2 * box, 1] = x, y
         out[2 * box + 1, 0], out[2 * box + 1, 1] = -y, x
     for corner in range(4):
-        way_x = corners[corner + 4, 0] - corners[corner, 0]
-        way_y = corners[corner + 4, 1] - corners[corner, 1]
-        out[4 + corner, 0], out[4 + corner, 1] = _unit_vector(-way_y, way_x)
+        shift_x = corners[corner + 4, 0] - corners[corner, 0]
+        shift_y = corners[corner + 4, 1] - corners[corner, 1]
+        out[4 + corner, 0], out[4 + corner, 1] = _unit_vector(-shift_y, shift_x)
 
 
 @kernel(error_model="numpy")

@@ -59,7 +59,7 @@ WorkerMessage = Outcome | InputError | NoticeMessage | None
 class WorkerProcess:
     """A process with a simulator; it is started when it is needed, and again after it has ended.
 
-    `timeout` is in s per scenario. `guardian` ends the process if this process dies, and owns its temporary folder.
+    `timeout` is in s per scenario. `reaper` ends the process if this process dies, and owns its temporary folder.
 
     Attributes: `task` is the last task, and `remaining` its scenarios without a result (empty if the process is idle).
     `connection` leads to the process. `deadline` is the time limit, as a `time.monotonic` time.
@@ -69,9 +69,9 @@ class WorkerProcess:
     task: WorkerTask
 
     def __init__(
-        self, name: str | type[Simulator], options: dict[str, Any], timeout: float | None, guardian: Reaper
+        self, name: str | type[Simulator], options: dict[str, Any], timeout: float | None, reaper: Reaper
     ) -> None:
-        self._timeout, self._guardian = timeout, guardian
+        self._timeout, self._reaper = timeout, reaper
         # As bytes, so that the process imports the user's classes from where this one did.
         self._simulator = pickle_simulator(name, options)
         self._process: Any = None
@@ -88,7 +88,7 @@ class WorkerProcess:
             # Spawned, not forked: threads of numerical libraries do not survive a fork, and Windows has none.
             context = get_context("spawn")
             # Removed after the process, however it ends.
-            self._folder = self._guardian.make_temporary_folder()
+            self._folder = self._reaper.make_temporary_folder()
             self.connection, child_connection = context.Pipe()
             arguments = child_connection, self._simulator, self._folder
             process = context.Process(target=_worker_main, args=arguments, daemon=True)
@@ -96,7 +96,7 @@ class WorkerProcess:
             with defer_interrupts(), block_interrupts(*termination_signals()), isolate_children():
                 process.start()
                 self._process = process
-            self._guardian.watch_process(self._process.pid)
+            self._reaper.watch_process(self._process.pid)
             child_connection.close()
         self.task, self.remaining = task, list(task.indices)
         self._set_deadline()
@@ -171,9 +171,9 @@ class WorkerProcess:
 
     def _release_process(self) -> None:
         self.connection.close()
-        self._guardian.release_process(self._process.pid)
+        self._reaper.release_process(self._process.pid)
         if self._folder is not None:
-            self._guardian.remove_folder(self._folder)
+            self._reaper.remove_folder(self._folder)
         self._process = self._folder = None
 
 

@@ -54,9 +54,9 @@ class WorkerSimulator(RemoteSimulator):
         self._max_failures, self._process_description = max_failures, _describe_process(options)
         self._batched, self._retries = self.simulator_class.batched, retries
         numbered = "worker" in self.simulator_class.requires
-        self._guardian = Reaper()
+        self._reaper = Reaper()
         self._workers = [
-            WorkerProcess(name, options | ({"worker": k} if numbered else {}), timeout, self._guardian)
+            WorkerProcess(name, options | ({"worker": k} if numbered else {}), timeout, self._reaper)
             for k in range(workers)
         ]
         self._consecutive_failures = _FailureCount()
@@ -104,7 +104,7 @@ class WorkerSimulator(RemoteSimulator):
             worker.close_connection()
         for worker in self._workers:
             worker.wait_until_ended()
-        self._guardian.close()
+        self._reaper.close()
         super().close()
 
     def _wait_for_workers(self) -> list[WorkerProcess]:

@@ -69,10 +69,10 @@ def is_laterally_safe(
     path) and `closing_speed` are in m/s. `total_length` is the length of both boxes in m. UN Regulation No. 157, 01
     series of amendments, Annex 3, Appendix 3: performance model 2.
     """
-    is_beside = lateral_gap > 0.0
+    is_next_to = lateral_gap > 0.0
     with np.errstate(divide="ignore", invalid="ignore"):
         late = lateral_gap / approach_speed > (gap + total_length) / closing_speed + _LATERAL_RESERVE
-    return np.asarray(is_beside & (late | (approach_speed <= 0.0)))
+    return np.asarray(is_next_to & (late | (approach_speed <= 0.0)))
 
 
 def _linear_membership(value: FloatArray, safe: FloatArray, unsafe: FloatArray) -> FloatArray:

@@ -170,10 +170,10 @@ def min_cut_in_time(closing_speed: float) -> float:
 
 
 def _assess_cc_human(motion: RelativeMotion) -> SafetyAssessment:
-    in_the_way = (motion.lateral_gap < 0.0) & (motion.gap > 0.0)
+    is_on_path = (motion.lateral_gap < 0.0) & (motion.gap > 0.0)
     urgent = time_to_collision(motion) <= URGENT_TIME_TO_COLLISION
     return _make_assessment(
-        in_the_way & (urgent | (motion.was_ahead & (motion.speed > motion.other_speed))), FULL_BRAKING
+        is_on_path & (urgent | (motion.was_ahead & (motion.speed > motion.other_speed))), FULL_BRAKING
     )
 
 

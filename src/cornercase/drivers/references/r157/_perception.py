@@ -26,7 +26,7 @@ class ReferencePerception:
     def __init__(self, scenarios: int, others: int) -> None:
         self._time = np.full(scenarios, np.nan)
         self._x, self._y = np.full((2, scenarios, others), np.nan)
-        self._was_seen, self._was_beside, self._was_ahead = np.zeros((3, scenarios, others), dtype=np.bool_)
+        self._was_seen, self._was_next_to, self._was_ahead = np.zeros((3, scenarios, others), dtype=np.bool_)
 
     def relative_motion(self, situation: Situation, acceleration: FloatArray) -> RelativeMotion:
         """Return the relative motion in this time step, shape (N, A), and remember it in active scenarios.
@@ -85,13 +85,13 @@ class ReferencePerception:
     def _update_history(self, situation: Situation, x: FloatArray, y: FloatArray, motion: RelativeMotion) -> None:
         visible = np.isfinite(motion.gap)
         in_corridor = motion.lateral_gap < 0.0
-        cuts_in = in_corridor & self._was_seen & self._was_beside
+        cuts_in = in_corridor & self._was_seen & self._was_next_to
         in_good_time = cuts_in & (time_to_collision(motion) > URGENT_TIME_TO_COLLISION)
         is_ahead = in_corridor & (in_good_time | ~self._was_seen | (self._was_ahead & ~cuts_in))
         active = situation.active
         self._was_ahead[active] = is_ahead[active]
         self._was_seen[active] = visible[active]
-        self._was_beside[active] = (visible & ~in_corridor)[active]
+        self._was_next_to[active] = (visible & ~in_corridor)[active]
         self._x[active], self._y[active], self._time[active] = x[active], y[active], situation.time
 
 

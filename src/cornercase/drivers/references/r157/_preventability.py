@@ -129,8 +129,8 @@ def _is_cut_in_over_before(run: Recording, ego: str, hit_collision: Collision) -
     situation = _situations_over_time(run, i, other_rows, valid)
     view = ReferencePerception(int(valid.sum()), len(other_rows)).relative_motion(situation, run.acceleration[i, valid])
     k = other_rows.index(run.entity_index(_collision_partner(hit_collision, ego)))
-    in_corridor, is_beside = view.lateral_gap[:, k] < 0.0, view.lateral_gap[:, k] >= 0.0
-    cuts_in = np.flatnonzero(in_corridor[1:] & is_beside[:-1]) + 1
+    in_corridor, is_next_to = view.lateral_gap[:, k] < 0.0, view.lateral_gap[:, k] >= 0.0
+    cuts_in = np.flatnonzero(in_corridor[1:] & is_next_to[:-1]) + 1
     if not len(cuts_in) or cuts_in[-1] == len(in_corridor) - 1:
         return False
     return bool(time_to_collision(view)[cuts_in[-1], k] > URGENT_TIME_TO_COLLISION)

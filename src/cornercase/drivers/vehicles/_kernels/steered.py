@@ -1,7 +1,7 @@
 """Compiled vehicles that steer, by kind."""
 
 # Compiled functions have no static types.
-# mypy: disable-error-code="no-untyped-def, no-untyped-call, untyped-decorator, call-arg"
+# mypy: disable-error-code="no-untyped-def, no-untyped-call, untyped-decorator, call-arg, var-annotated"
 
 from __future__ import annotations
 

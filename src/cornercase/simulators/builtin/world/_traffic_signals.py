@@ -59,9 +59,9 @@ class SignalController:
         """Set the signals in scenarios of a mask in which a new phase has begun."""
         phases = np.where(where, self.phase_at(time), self._phase)
         for k in np.unique(phases[phases != self._phase]):
-            has_begun = (phases == k) & (phases != self._phase)
+            has_started = (phases == k) & (phases != self._phase)
             for signal, state in self._states[k].items():
-                signals[signal] = np.where(has_begun, state, signals.get(signal, np.full(len(phases), "")))
+                signals[signal] = np.where(has_started, state, signals.get(signal, np.full(len(phases), "")))
         self._phase = phases
 
 
