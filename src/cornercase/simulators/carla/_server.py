@@ -61,6 +61,11 @@ class CarlaServer:
             self._client.close()
         self._client = None
 
+    @property
+    def is_connected(self) -> bool:
+        """Whether the client runs."""
+        return self._client is not None
+
     def prepare(self, town: str, road: str, *, keep: str = "") -> None:
         """Load a map of CARLA, or the text of a road file, and remove actors of earlier runs but for `keep`."""
         self._ask("load_map", town, road, _MESH, _LOAD_TIMEOUT, self.patience)
