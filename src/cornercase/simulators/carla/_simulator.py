@@ -60,6 +60,7 @@ _REPLACEMENT_BY_STATUS: Final = {
 EXAMPLE_AGENT_FILE: Final = Path(__file__).with_name("cornercase_example_agent.py")
 # Categories for which ScenarioRunner would choose any vehicle.
 _UNSUPPORTED_CATEGORIES: Final = ("semitrailer", "trailer", "train", "tram")
+_RIGHT_HAND_VERSIONS: Final = ("0.9.13", "0.9.15")
 # The server is considered lost after this many times `patience` without a frame.
 _SILENCE_FACTOR: Final = 3
 
@@ -385,6 +386,7 @@ class Carla(Simulator):
             options=ConversionOptions(
                 agents, self._time_step, self._duration, open_loop=self._open_loop, road_file=_ROAD_FILE,
                 controllers=drivers.name, is_run=True,
+                knows_left_hand_traffic=self._environment.version not in _RIGHT_HAND_VERSIONS,
             ),
             version=self._environment.version,
         )  # fmt: skip
