@@ -212,6 +212,10 @@ def main():
     if wrong == "cannot load":
         print("The scenario cannot be loaded\nTraceback (most recent call last):\n  File 'x'\nKeyError: 'Ego'\nExiting")
         return 1
+    if wrong == "cannot plan":
+        frames = "Traceback (most recent call last):\n  File 'x', line 3, in f\n    f()\n"
+        print(f"The scenario cannot be loaded\n{frames}networkx.exception.NetworkXNoPath: 0 from 2\n0 from 2\nExiting")
+        return 1
     runner = ScenarioRunner(options, wrong)
     try:
         runner.run()

@@ -66,6 +66,7 @@ def run(scenario, monkeypatch):
         ("agent writes files", "cannot be read (Is a directory); an agent must not change that folder"),
         ("agent ends the process", "to the end: it ended with exit code 3; its last words: no such weights"),
         ("agent raises", "to the end: ValueError: lost TimeoutError: time-out of 5000ms"),
+        ("cannot plan", "to the end: networkx.exception.NetworkXNoPath: 0 from 2"),
         ("agent raises and the client aborts", "to the end: ValueError: lost"),
     ],
 )

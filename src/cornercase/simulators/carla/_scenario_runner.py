@@ -176,6 +176,17 @@ def _lost_file_error(file: Path, error: Exception) -> SimulationError:
     )
 
 
+def _find_errors(output: str) -> list[str]:
+    """Return lines that look like errors, and the last one of each traceback."""
+    errors, is_in_traceback = [], False
+    for line in output.splitlines():
+        is_last = is_in_traceback and bool(line.strip()) and not line[0].isspace()
+        if is_last or _ERROR_PATTERN.match(line.strip()):
+            errors.append(line.strip()[:_MAX_LINE])
+        is_in_traceback = not is_last and (is_in_traceback or line.startswith("Traceback (most recent call last)"))
+    return errors
+
+
 def _read_failure(file: Path) -> str:
     """Return the error with which the storyboard has failed, in one line; empty if it has not."""
     try:
@@ -194,7 +205,7 @@ def _explain_failure(failure: str, output: str, exit_code: int | None, tracker: 
     """Return why ScenarioRunner did not run a scenario to the end; a `SimulatorError` if a retry may help."""
     lines = [line.strip()[:_MAX_LINE] for line in output.splitlines() if line.strip() and _TICK_WORDS not in line]
     watchdog = [line for line in lines if line.startswith(_WATCHDOG_WORDS)]
-    errors = [failure] if failure else [line for line in lines if _ERROR_PATTERN.match(line)]
+    errors = [failure] if failure else _find_errors(output)
     reason = (watchdog or errors or [""])[-1]
     # CARLA's client aborts if an answer or a snapshot of the server is cut, but also while a process ends that has
     # failed for another reason. An error that was printed before need not be the reason, since an agent prints, too.
