@@ -119,6 +119,9 @@ class ScenarioRunner:
                 ego.set_transform(carla.Transform(place, turn))
             else:
                 actors.append((world.spawn_actor(blueprint, carla.Transform(place, turn)), turn, speed, walks))
+                if self.wrong == "agent makes namesakes":
+                    for k in range(5):
+                        world.spawn_actor(blueprint, carla.Transform(carla.Location(0.0, 500.0 + 9.0 * k, 1.0), turn))
             world.tick()
         # Vehicles fall on their wheels.
         for _ in range(5):

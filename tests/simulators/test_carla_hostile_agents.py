@@ -123,3 +123,10 @@ def test_a_scenario_may_remove_its_ego(run, scenario):
     found = run("agent removes the ego")
     assert isinstance(found, Recording), found
     assert found.time[-1] == pytest.approx(0.25)
+
+
+def test_an_actor_that_an_agent_names_like_an_entity_is_not_taken_for_it(run):
+    found = run("agent makes namesakes")
+    assert isinstance(found, Recording), found
+    # As far as CARLA's boxes reach ahead of where the scenario has the entity.
+    assert found.x[:, 0] == pytest.approx([100.0, 140.0], abs=4.0)

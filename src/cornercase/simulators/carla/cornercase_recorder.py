@@ -152,7 +152,9 @@ class Tracker:
         world = self._client.get_world()
         for actor in world.get_actors():
             name = actor.attributes.get("role_name", "")
-            if name in self._names and actor.id not in self._earlier_ids:
+            is_new = name in self._names and actor.id not in self._earlier_ids
+            # An agent may make another one of that name.
+            if is_new and (name not in actors or actor.id < actors[name].id):
                 actors[name] = actor
         missing = [name for name in self._names if name not in actors]
         if missing:
