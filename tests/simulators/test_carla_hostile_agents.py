@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -39,7 +40,12 @@ def run(scenario, monkeypatch):
         faults = scenario.with_name("faults")
         faults.write_text(f"{wrong}\n\n")
         monkeypatch.setenv("FAKE_RUNNER", f"@{faults}")
-        options = {"patience": 5.0, "scenario_runner": str(RUNNER), "python": sys.executable, "ego": "Ego"} | more
+        options: dict[str, Any] = {
+            "patience": 5.0,
+            "scenario_runner": str(RUNNER),
+            "python": sys.executable,
+            "ego": "Ego",
+        } | more
         with Served(scenario.parent / "motorway.xodr") as server:
             simulator = Carla(hosts=server.host, port=server.port, **options)
             simulator.on_notice = notices.append

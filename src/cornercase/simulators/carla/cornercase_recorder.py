@@ -148,7 +148,7 @@ class Tracker:
             pass
 
     def _find_entities(self) -> tuple[list[str], dict[str, Any]]:
-        actors = {}
+        actors: dict[str, Any] = {}
         world = self._client.get_world()
         for actor in world.get_actors():
             name = actor.attributes.get("role_name", "")
