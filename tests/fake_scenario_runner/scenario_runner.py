@@ -8,6 +8,7 @@ before 0.9.16, there is no option --frameRate. Like the original's, its classes 
 import argparse
 import math
 import os
+import shutil
 import signal
 import socket
 import subprocess
@@ -61,6 +62,7 @@ class ScenarioRunner:
     frame_rate = 20.0
     # Those of the present scenario, and of earlier ones, which nobody removes.
     ego_vehicles: ClassVar[list[str]] = []
+    aborts_at_end = False
 
     def __init__(self, options, wrong):
         self.options, self.wrong = options, wrong
@@ -117,6 +119,9 @@ class ScenarioRunner:
                 ego.set_transform(carla.Transform(place, turn))
             else:
                 actors.append((world.spawn_actor(blueprint, carla.Transform(place, turn)), turn, speed, walks))
+                if self.wrong == "agent makes namesakes":
+                    for k in range(5):
+                        world.spawn_actor(blueprint, carla.Transform(carla.Location(0.0, 500.0 + 9.0 * k, 1.0), turn))
             world.tick()
         # Vehicles fall on their wheels.
         for _ in range(5):
@@ -160,10 +165,41 @@ class ScenarioRunner:
             else:
                 actor.set_target_velocity(ahead * speed)
         end = float(only(self.root, "Storyboard/StopTrigger//SimulationTimeCondition")["value"])
-        for _ in range(round(end * self.frame_rate)):
+        for k in range(round(end * self.frame_rate)):
+            if k == 5:
+                self.spoil(world, actors)
             world.tick()
             if self.wrong == "slow":
                 time.sleep(0.05)
+
+    def spoil(self, world, actors):
+        """Do what an agent should not."""
+        if self.wrong == "agent removes the ego":
+            actors[0][0].destroy()
+        if self.wrong == "agent removes another":
+            actors[1][0].destroy()
+        if self.wrong == "agent removes the folder":
+            shutil.rmtree(os.getcwd())
+        if self.wrong == "agent writes files":
+            for name in ("last_frame", "failure"):
+                os.mkdir(name)
+        if self.wrong == "agent changes the time step":
+            settings = world.get_settings()
+            settings.fixed_delta_seconds = 0.1
+            world.apply_settings(settings)
+        if self.wrong == "agent ends the process":
+            print("no such weights\n======[Agent] Wallclock_time = 1", flush=True)
+            os._exit(3)
+        if self.wrong == "agent raises":
+            raise ValueError("lost\nTimeoutError: time-out of 5000ms")
+        if self.wrong == "agent raises and the client aborts":
+            self.aborts_at_end = True
+            raise ValueError("lost")
+        if self.wrong == "agent hangs":
+            time.sleep(600)
+        if self.wrong == "agent prints much":
+            print("words\n" * 300_000, flush=True)
+            print("more words\n" * 300_000, flush=True)
 
 
 def main():
@@ -179,9 +215,16 @@ def main():
     if wrong == "cannot load":
         print("The scenario cannot be loaded\nTraceback (most recent call last):\n  File 'x'\nKeyError: 'Ego'\nExiting")
         return 1
+    if wrong == "cannot plan":
+        frames = "Traceback (most recent call last):\n  File 'x', line 3, in f\n    f()\n"
+        print(f"The scenario cannot be loaded\n{frames}networkx.exception.NetworkXNoPath: 0 from 2\n0 from 2\nExiting")
+        return 1
+    runner = ScenarioRunner(options, wrong)
     try:
-        ScenarioRunner(options, wrong).run()
-    except RuntimeError as error:
-        print(f"RuntimeError: {error}")
+        runner.run()
+    except (RuntimeError, ValueError) as error:
+        print(f"{type(error).__name__}: {error}", flush=True)
+        if runner.aborts_at_end:
+            os.abort()
         return 1
     return 0

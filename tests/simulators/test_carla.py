@@ -198,6 +198,17 @@ def test_one_of_carlas_maps_is_loaded_by_its_name_and_a_road_file_by_its_text(sc
             simulator.close()
 
 
+@STUB_ONLY
+def test_a_map_that_the_server_does_not_have_is_said(scenario):
+    town = scenario.with_name("town.xosc")
+    town.write_text(scenario.read_text().replace("road.xodr", "Town99"))
+    with (
+        Served(ROAD) as server,
+        pytest.raises(InputError, match=r"on localhost:\d+ has no map 'Town99', only Town01, Town02; install it there"),
+    ):
+        run(server, town)
+
+
 def test_the_check_of_a_file_names_parameters_that_an_agent_overrides(tmp_path):
     x = EXAMPLES / "x_intersection" / "x_intersection.xosc"
     driven = cornercase("check", x, "--simulator", "carla", "--sut", "Ego=cautious")

@@ -10,6 +10,7 @@ from typing import Final
 from lxml import etree
 
 from cornercase._common.errors import InputError
+from cornercase.simulators.carla._agent_server import AGENT_FILE
 from cornercase.simulators.carla._storyboard_rewrite import E
 
 DRIVER_FILE: Final = Path(__file__).with_name("cornercase_driver.py")
@@ -39,6 +40,10 @@ class DrivingAgents:
     def driven_entities(self, ego: str) -> set[str]:
         """Return the entities that an agent drives."""
         return set(self.behaviors) | ({ego} if self.agent is not None or self.external else set())
+
+    def driven_by_route(self, ego: str) -> set[str]:
+        """Return the entities whose agents get a route along CARLA's lanes."""
+        return set(self.behaviors) | ({ego} if self.agent not in (None, AGENT_FILE) else set())
 
 
 def assign_controllers(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from decimal import Decimal
 from pathlib import Path
@@ -65,6 +65,8 @@ _RULES_IN_1_0: Final = {"greaterOrEqual": "greaterThan", "lessOrEqual": "lessTha
 _NUMBER_PATTERN: Final = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|-?INF|NaN|true|false", re.ASCII)
 _PLAIN_NUMBER_PATTERN: Final = re.compile(r"-?\d+(\.\d*)?", re.ASCII)
 _MAX_ENTITIES: Final = 500
+# How names of CARLA's things begin, and what ScenarioRunner 0.9.16 takes for all others.
+_THING_PREFIX, _DEFAULT_THING = "static.", "static.prop.streetbarrier"
 GROUND_NOTE: Final = "the world that CARLA makes of the road file has ground beside them up to"
 _AXES_NOTE: Final = (
     "Positions were converted from CARLA's left-handed axes (the description begins with 'CARLA:') to those of the road"
@@ -149,6 +151,7 @@ class ConversionOptions:
     copied road file, relative to the new file (default: next to it). `controllers`: folder of cornercase's controllers,
     likewise. `with_criteria`: whether ScenarioRunner judges the run by the criteria of the scenario. `is_run`: whether
     only cornercase uses the file, so that it may lack the trajectories that controllers know.
+    `knows_left_hand_traffic`: whether CARLA's client reads it from a road file, as since 0.9.16.
     """
 
     agents: DrivingAgents = field(default_factory=DrivingAgents)
@@ -159,6 +162,7 @@ class ConversionOptions:
     controllers: str = ""
     with_criteria: bool = False
     is_run: bool = False
+    knows_left_hand_traffic: bool = False
 
 
 def write_openscenario_1_0(
@@ -251,7 +255,11 @@ def _make_tree_1_0(
         driven.add(ego)
     recording = None if map_name else simulate_builtin(scenario, values, options.time_step, options.duration)
     road = scenario.road_path_for(values)
-    astray = {} if recording is None else find_deviating_entities(recording, road, scenario)
+    astray = (
+        {}
+        if recording is None
+        else find_deviating_entities(recording, road, scenario, knows_left_hand_traffic=options.knows_left_hand_traffic)
+    )
     slowest = (
         {} if recording is None else dict(zip(recording.names, np.fmin.reduce(recording.speed, axis=1), strict=True))
     )
@@ -268,6 +276,9 @@ def _make_tree_1_0(
                 f" move it like that ({actor_plan.sampled[name][0]}); with `simulator` carla:open_loop=true it moves as"
                 " in the builtin simulator, without reacting."
             )
+    if options.is_run and not options.knows_left_hand_traffic and road is not None and not map_name:
+        by_lanes = [*options.agents.driven_by_route(ego), *(actor_plan.reacting - set(actor_plan.sampled))]
+        _refuse_left_hand_traffic(scenario, road, by_lanes)
     kept_groups = select_stop_conditions(root, actor_plan, driven or ({ego} if map_name else set()))
     remove_ineffective(root)
     remove_entities_from_storyboard(root, set(actor_plan.sampled) | actor_plan.dropped)
@@ -307,6 +318,15 @@ def _make_tree_1_0(
         },
     )  # fmt: skip
     return root, notes, controllers
+
+
+def _refuse_left_hand_traffic(scenario: ScenarioFile, road: Path, by_lanes: Sequence[str]) -> None:
+    """Raise `InputError` if roads have left-hand traffic and entities are moved along CARLA's lanes."""
+    if by_lanes and any(element.get("rule") == "LHT" for element in scenario.get_root(road).iterfind("{*}road")):
+        raise InputError(
+            f"{road}: has left-hand traffic, which CARLA before 0.9.16 takes for right-hand traffic, so"
+            f" {' and '.join(sorted(by_lanes))} would drive against it; use 0.9.16."
+        )
 
 
 def _describe_missing_ground(
@@ -440,6 +460,10 @@ def _rewrite_entities(root: etree._Element, ego: str, actor_plan: ActorPlan, not
         if walker is not None:
             # In 1.0 a pedestrian has a model, which ScenarioRunner uses as the name of a CARLA blueprint.
             walker.set("model", walker.get("model", "walker.pedestrian.0001"))
+        thing = holder.find("MiscObject")
+        if thing is not None and not thing.get("name", "").startswith(_THING_PREFIX):
+            # ScenarioRunner before 0.9.16 fails at a name that is none of CARLA's; later ones take this.
+            thing.set("name", _DEFAULT_THING)
         for body in holder.iterfind("*"):
             if body.tag in ("Pedestrian", "MiscObject"):
                 # 1.0 requires a mass, which has no effect.

@@ -21,7 +21,9 @@ _MAX_OFFSET, _MAX_ANGLE = 0.3, 0.2
 _STRIDE: Final = 4
 
 
-def find_deviating_entities(recording: Recording, road: Path | None, scenario: ScenarioFile) -> dict[str, str]:
+def find_deviating_entities(
+    recording: Recording, road: Path | None, scenario: ScenarioFile, *, knows_left_hand_traffic: bool = False
+) -> dict[str, str]:
     """Return why ScenarioRunner's own controls would move entities elsewhere, by entity.
 
     The controls move a vehicle along the middle of the nearest lane in its direction, and choose an arbitrary branch at
@@ -42,7 +44,7 @@ def find_deviating_entities(recording: Recording, road: Path | None, scenario: S
         elif network is None:
             reason = "ScenarioRunner follows lanes, and there are none"
         else:
-            reason = _describe_lane_deviation(network, x, y, heading)
+            reason = _describe_lane_deviation(network, x, y, heading, knows_left_hand_traffic=knows_left_hand_traffic)
         if reason:
             reasons[name] = reason
     return reasons
@@ -58,8 +60,13 @@ def _is_not_straight(x: FloatArray, y: FloatArray, heading: FloatArray) -> bool:
     )
 
 
-def _describe_lane_deviation(network: RoadNetwork, x: FloatArray, y: FloatArray, heading: FloatArray) -> str:
+def _describe_lane_deviation(
+    network: RoadNetwork, x: FloatArray, y: FloatArray, heading: FloatArray, *, knows_left_hand_traffic: bool
+) -> str:
     positions = network.locate(x, y)
+    roads = [network.roads[road] for road in np.unique(positions.road).tolist()]
+    if not knows_left_hand_traffic and not all(road.is_right_hand_traffic for road in roads):
+        return "CARLA before 0.9.16 takes left-hand traffic for right-hand traffic"
     if (np.abs(positions.offset) > _MAX_OFFSET).any():
         return "ScenarioRunner keeps to the middle of the lane"
     for road, lane in {(int(road), int(lane)) for road, lane in zip(positions.road, positions.lane, strict=True)}:

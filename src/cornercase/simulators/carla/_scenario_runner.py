@@ -10,34 +10,49 @@ from pathlib import Path
 from typing import Final
 
 from cornercase._common.errors import SimulationError, SimulatorError
-from cornercase._common.platform import make_parent_check
+from cornercase._common.platform import describe_exit_code, make_parent_check
 from cornercase.simulators.carla._runner_process import RunnerProcess
 from cornercase.simulators.carla._tracker import EntityTracker
 
 _FIRST_FRAME_FILE: Final = "first_frame"
 _LAST_FRAME_FILE: Final = "last_frame"
+_FAILURE_FILE: Final = "failure"
 _END_TIMEOUT, _POLL_INTERVAL = 2.0, 0.02
 # ScenarioRunner prints one of these when a scenario has ended; its exit code does not show it.
 _END_MESSAGES: Final = ("All scenario tests were passed", "Not all scenario tests were successful")
+# It prints this before the error, if the tree or an agent cannot be made.
+_LOAD_MESSAGE: Final = "The scenario cannot be loaded"
 # ScenarioRunner prints it before other errors, which 0.9.15 and 0.9.16 make themselves when it interrupts them.
 _WATCHDOG_WORDS: Final = "Watchdog exception"
 # Of errors that are not the scenario's: CARLA's client, ScenarioRunner's watchdog, the traffic manager's port.
 _WORDS_OF_SERVER: Final = (
     "time-out of", _WATCHDOG_WORDS, "Timeout occurred during scenario execution", "because of bind error",
 )  # fmt: skip
+# Its agents print this in each tick.
+_TICK_WORDS: Final = "======[Agent] Wallclock_time"
+_ERRORS_OF_SERVER: Final = ("RuntimeError", _WATCHDOG_WORDS)
 _ERROR_PATTERN: Final = re.compile(r"^\w*(Error|Exception)\b")
+# Bytes: an agent may print without end. What tells how the run has ended is in the last ones.
+_MAX_OUTPUT, _LAST_OUTPUT = 1 << 30, 1 << 20
+_MAX_LINE: Final = 300
+
+
+class SilenceError(SimulatorError):
+    """No frame has come for too long, and it is not known whether the server or ScenarioRunner is to blame."""
 
 
 @dataclass(frozen=True)
 class RunLimits:
     """When a run ends at the latest: after `duration` s, at a collision, or if no frame comes for `silence` s.
 
-    `describe_server_end` tells how the server has ended, empty while it runs: nobody has to wait for that one.
+    `ego_may_vanish` is whether the scenario removes the ego, which ends it, too. `describe_server_end` tells how the
+    server has ended, empty while it runs: nobody has to wait for that one.
     """
 
     duration: float
     until_collision: bool
     silence: float
+    ego_may_vanish: bool = False
     describe_server_end: Callable[[], str] = lambda: ""
 
 
@@ -59,25 +74,31 @@ def run_scenario_runner(
     arguments = ["--sync", "--openscenario", file.resolve(), *options]
     if runner.environment.has_frame_rate:
         arguments += ["--frameRate", repr(1.0 / time_step)]
-    log = file.with_name("scenario_runner.log")
+    log, failure = file.with_name("scenario_runner.log"), file.with_name(_FAILURE_FILE)
     runner.start(file.parent, log, drivers, 1.0 / time_step, arguments)
     try:
         try:
-            stopped = _wait_for_end(runner, tracker, file.with_name(_FIRST_FRAME_FILE), limits, before_start)
+            stopped = _wait_for_end(runner, tracker, log, limits, before_start)
+        except SimulatorError:
+            # CARLA's client may abort when the process ends that has failed.
+            if limits.describe_server_end() or not _is_of_scenario(_read_failure(failure)):
+                raise
+            stopped = False
         finally:
-            # A client aborts if an answer or a snapshot of the server is cut.
-            is_aborted = (runner.poll() or 0) < 0
+            # None if it has to be ended.
+            exit_code = runner.poll()
             runner.end_scenario()
-        last_frame = file.with_name(_LAST_FRAME_FILE)
-        if last_frame.exists():
-            tracker.last_frame = int(last_frame.read_text(encoding="utf-8"))
-        output = log.read_text(encoding="utf-8", errors="replace")
-        if tracker.first_frame is None or not (stopped or any(message in output for message in _END_MESSAGES)):
-            last_line = _last_error_line(output)
-            # It may not happen again when the scenario is retried.
-            is_of_server = is_aborted or any(words in last_line for words in _WORDS_OF_SERVER)
-            error_class = SimulatorError if is_of_server else SimulationError
-            raise error_class(f"ScenarioRunner did not run it to the end: {last_line}")
+        _check_size(log)
+        last_frame_file = file.with_name(_LAST_FRAME_FILE)
+        if last_frame_file.exists():
+            tracker.last_frame = _read_frame(last_frame_file)
+        output = _read_output(log)
+        has_ended = tracker.first_frame is not None and (stopped or any(message in output for message in _END_MESSAGES))
+        if not has_ended:
+            raise _explain_failure(_read_failure(failure), output, exit_code, tracker)
+        may_end_early = stopped or limits.ego_may_vanish
+        if not may_end_early and (reason := tracker.describe_early_end()):
+            raise SimulationError(f"the recording is of no use: {reason}")
     except BaseException:
         runner.close()
         raise
@@ -86,30 +107,33 @@ def run_scenario_runner(
 def _wait_for_end(
     runner: RunnerProcess,
     tracker: EntityTracker,
-    frame_file: Path,
+    log: Path,
     limits: RunLimits,
     before_start: Callable[[], None],
 ) -> bool:
     """Wait until the run or the parent process has ended or must end; True if ScenarioRunner must be stopped."""
     has_parent, frames, last_frame_time = make_parent_check(), 0, time.monotonic()
+    frame_file = log.with_name(_FIRST_FRAME_FILE)
     while runner.poll() is None and has_parent():
         if end := limits.describe_server_end():
             raise SimulatorError(f"while the scenario ran, CARLA {end}")
         tracker.update()
         if tracker.first_frame is None and not tracker.missing and frame_file.exists():
             # The storyboard waits until all entities are recorded, so no collision is lost.
-            tracker.first_frame = int(frame_file.read_text(encoding="utf-8"))
+            tracker.first_frame = _read_frame(frame_file)
             before_start()
             runner.begin_storyboard()
         elapsed, ended = tracker.progress()
         if ended:
-            runner.wait(_END_TIMEOUT)
-            return False
+            has_to_be_stopped = not runner.wait(_END_TIMEOUT) and limits.ego_may_vanish
+            tracker.update()
+            return has_to_be_stopped
         if tracker.n_frames > frames:
             frames, last_frame_time = tracker.n_frames, time.monotonic()
         elif time.monotonic() - last_frame_time > limits.silence:
             # Without a server, ScenarioRunner may wait forever.
-            raise SimulatorError(f"CARLA sent no frame for {limits.silence:g} s")
+            raise SilenceError(f"CARLA sent no frame for {limits.silence:g} s")
+        _check_size(log)
         if (limits.until_collision and tracker.has_collision) or elapsed > limits.duration:
             return True
         time.sleep(_POLL_INTERVAL)
@@ -117,9 +141,80 @@ def _wait_for_end(
     return False
 
 
-def _last_error_line(output: str) -> str:
-    """Return the line of ScenarioRunner's output with its watchdog, else the last one with an error, else the last."""
-    lines = [line.strip() for line in output.splitlines() if line.strip()]
-    errors = [line for line in lines if _ERROR_PATTERN.match(line)]
+def _check_size(log: Path) -> None:
+    try:
+        size = log.stat().st_size
+    except OSError:
+        # It is said when the run has ended.
+        return
+    if size > _MAX_OUTPUT:
+        raise SimulationError(f"ScenarioRunner and the agent in it printed more than {_MAX_OUTPUT / 2**30:.2g} GiB")
+
+
+def _read_output(log: Path) -> str:
+    """Return the last part of what ScenarioRunner has printed."""
+    try:
+        with log.open("rb") as file:
+            file.seek(max(log.stat().st_size - _LAST_OUTPUT, 0))
+            return file.read().decode("utf-8", errors="replace")
+    except OSError as error:
+        raise _lost_file_error(log, error) from error
+
+
+def _read_frame(file: Path) -> int:
+    try:
+        return int(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise _lost_file_error(file, error) from error
+
+
+def _lost_file_error(file: Path, error: Exception) -> SimulationError:
+    reason = error.strerror if isinstance(error, OSError) else error
+    return SimulationError(
+        f"{file.name}, which ScenarioRunner wrote into the folder of the run, cannot be read ({reason}); an agent must"
+        " not change that folder"
+    )
+
+
+def _find_errors(output: str) -> list[str]:
+    """Return lines that look like errors, and the last one of each traceback."""
+    errors, is_in_traceback = [], False
+    for line in output.splitlines():
+        is_last = is_in_traceback and bool(line.strip()) and not line[0].isspace()
+        if is_last or _ERROR_PATTERN.match(line.strip()):
+            errors.append(line.strip()[:_MAX_LINE])
+        is_in_traceback = not is_last and (is_in_traceback or line.startswith("Traceback (most recent call last)"))
+    return errors
+
+
+def _read_failure(file: Path) -> str:
+    """Return the error with which the storyboard has failed, in one line; empty if it has not."""
+    try:
+        return " ".join(file.read_text(encoding="utf-8", errors="replace").split())[:_MAX_LINE]
+    except OSError:
+        return ""
+
+
+def _is_of_scenario(error: str) -> bool:
+    """Whether there is an error, and it will come again when the scenario is retried."""
+    is_of_server = error.startswith(_ERRORS_OF_SERVER) and any(words in error for words in _WORDS_OF_SERVER)
+    return bool(error) and not is_of_server
+
+
+def _explain_failure(failure: str, output: str, exit_code: int | None, tracker: EntityTracker) -> SimulationError:
+    """Return why ScenarioRunner did not run a scenario to the end; a `SimulatorError` if a retry may help."""
+    lines = [line.strip()[:_MAX_LINE] for line in output.splitlines() if line.strip() and _TICK_WORDS not in line]
     watchdog = [line for line in lines if line.startswith(_WATCHDOG_WORDS)]
-    return (watchdog or errors or lines or ["it printed nothing"])[-1][:300]
+    errors = [failure] if failure else _find_errors(output)
+    reason = (watchdog or errors or [""])[-1]
+    # CARLA's client aborts if an answer or a snapshot of the server is cut, but also while a process ends that has
+    # failed for another reason. An error that was printed before need not be the reason, since an agent prints, too.
+    is_aborted = exit_code is not None and exit_code < 0 and not failure and _LOAD_MESSAGE not in lines
+    is_of_scenario = _is_of_scenario(reason)
+    if not reason or (is_of_scenario and is_aborted):
+        ended = "it had to be ended" if exit_code is None else f"it {describe_exit_code(exit_code)}"
+        reason, is_of_scenario = f"{ended}; its last words: {(lines or ['none'])[-1]}", not is_aborted
+        if early_end := tracker.describe_early_end():
+            reason, is_of_scenario = early_end, True
+    error_class = SimulationError if is_of_scenario else SimulatorError
+    return error_class(f"ScenarioRunner did not run it to the end: {reason}")

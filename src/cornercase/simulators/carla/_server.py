@@ -61,9 +61,21 @@ class CarlaServer:
             self._client.close()
         self._client = None
 
+    @property
+    def is_connected(self) -> bool:
+        """Whether the client runs."""
+        return self._client is not None
+
     def prepare(self, town: str, road: str, *, keep: str = "") -> None:
-        """Load a map of CARLA, or the text of a road file, and remove actors of earlier runs but for `keep`."""
-        self._ask("load_map", town, road, _MESH, _LOAD_TIMEOUT, self.patience)
+        """Load a map of CARLA, or the text of a road file, and remove actors of earlier runs but for `keep`.
+
+        Raises `InputError` if the server has no map of that name.
+        """
+        if available := self._ask("load_map", town, road, _MESH, _LOAD_TIMEOUT, self.patience):
+            raise InputError(
+                f"CARLA on {self._address} has no map '{town}', only {', '.join(available)}; install it there, or name"
+                " a road file."
+            )
         self._ask("leave_synchronous_mode", self._renders)
         self._ask("remove_actors", keep)
 

@@ -39,7 +39,7 @@ from cornercase.simulators.carla._overridden_parameters import describe_overridd
 from cornercase.simulators.carla._run_file import write_run_file
 from cornercase.simulators.carla._runner_environment import RunnerEnvironment
 from cornercase.simulators.carla._runner_process import RunnerProcess
-from cornercase.simulators.carla._scenario_runner import RunLimits, run_scenario_runner
+from cornercase.simulators.carla._scenario_runner import RunLimits, SilenceError, run_scenario_runner
 from cornercase.simulators.carla._server import CarlaServer
 from cornercase.simulators.carla._server_lock import ServerLock
 from cornercase.simulators.carla._started_server import make_carla_process
@@ -60,6 +60,7 @@ _REPLACEMENT_BY_STATUS: Final = {
 EXAMPLE_AGENT_FILE: Final = Path(__file__).with_name("cornercase_example_agent.py")
 # Categories for which ScenarioRunner would choose any vehicle.
 _UNSUPPORTED_CATEGORIES: Final = ("semitrailer", "trailer", "train", "tram")
+_RIGHT_HAND_VERSIONS: Final = ("0.9.13", "0.9.15")
 # The server is considered lost after this many times `patience` without a frame.
 _SILENCE_FACTOR: Final = 3
 
@@ -385,6 +386,7 @@ class Carla(Simulator):
             options=ConversionOptions(
                 agents, self._time_step, self._duration, open_loop=self._open_loop, road_file=_ROAD_FILE,
                 controllers=drivers.name, is_run=True,
+                knows_left_hand_traffic=self._environment.version not in _RIGHT_HAND_VERSIONS,
             ),
             version=self._environment.version,
         )  # fmt: skip
@@ -408,20 +410,47 @@ class Carla(Simulator):
                     self._runner, file, drivers, self._scenario_runner_options(), tracker,
                     RunLimits(
                         self._duration, self._stop_on_collision, _SILENCE_FACTOR * server.patience,
-                        self._describe_server_end,
+                        _removes_entity(scenario, self._ego), self._describe_server_end,
                     ),
                     time_step=self._time_step,
                     before_start=(lambda: server.start_recorder(log)) if self._record == "recorder" else lambda: None,
                 )  # fmt: skip
-            except SimulatorError:
-                if self._describe_server_end():
-                    # Each further call would wait for its answer.
-                    server.disconnect()
+            except BaseException as error:
+                self._release_server()
+                if isinstance(error, SilenceError) and server.is_connected:
+                    raise self._explain_silence(error, tracker) from error
                 raise
-            finally:
-                server.leave_synchronous_mode()
+            server.leave_synchronous_mode()
             recording = tracker.make_recording(file, self._duration, self._stop_on_collision)
+        self.notify(
+            f"{name} vanished from CARLA in a run, which no action of the scenario says"
+            for k, name in enumerate(recording.names)
+            if not np.isfinite(recording.x[k, -1]) and not _removes_entity(scenario, name)
+        )
         return recording if self._record == "client" else self._read_recorder_file(log, recording)
+
+    def _release_server(self) -> None:
+        """Leave synchronous mode after a failure, which is said instead of those of this call."""
+        try:
+            if self._describe_server_end():
+                # Each further call would wait for its answer.
+                self._server.disconnect()
+            self._server.leave_synchronous_mode()
+        except SimulatorError:
+            self._server.disconnect()
+
+    def _explain_silence(self, error: SilenceError, tracker: EntityTracker) -> SimulationError:
+        """Return what it means that no frame has come although the server answers."""
+        if self._external_ego and self._ego in tracker.missing:
+            return SimulationError(
+                f"external_ego: no program has made a vehicle with the role name '{self._ego}', for which"
+                " ScenarioRunner waits; start that program before"
+            )
+        reason = f"{error}, though it answers, since ScenarioRunner asked for none"
+        if self._agent is None:
+            return SimulatorError(reason)
+        name = self._agent.name
+        return SimulationError(f"{reason}: the agent {name} hangs, or needs more time by `simulator` carla:patience=")
 
     def _describe_server_end(self) -> str:
         return "" if self._process is None else self._process.describe_end()
@@ -472,6 +501,15 @@ def _read_drivers(drivers: Mapping[str, DriverLike] | None, ego: str) -> tuple[d
         else:
             attached = driver_by_name(driver) if isinstance(driver, str) else driver
     return behaviors, attached
+
+
+def _removes_entity(scenario: ScenarioFile, name: str) -> bool:
+    """Whether a scenario has an action that removes an entity, or one that a parameter names."""
+    return any(
+        action.get("entityRef") == name or action.get("entityRef", "").startswith("$")
+        for action in scenario.root.iter("EntityAction")
+        if action.find("DeleteEntityAction") is not None
+    )
 
 
 def _find_free_port() -> int:

@@ -107,6 +107,18 @@ class EntityTracker:
             return 0.0, False
         return (len(run) - 1) * self._time_step, self._ids[self._ego] not in self._frames[-1].poses
 
+    def describe_early_end(self) -> str:
+        """Return why the recording ends before the storyboard, as a clause; empty if it does not."""
+        run = self._run_frames()
+        later = [] if not run else [frame for frame in self._frames if run[-1].number < frame.number <= self.last_frame]
+        # ScenarioRunner may remove entities at the end of the last frame.
+        if len({frame.number for frame in later}) < 2:
+            return ""
+        following, instant = min(later, key=lambda frame: frame.number), len(run) * self._time_step
+        if self._ids[self._ego] not in following.poses:
+            return f"{self._ego} was removed from CARLA at t = {instant:g} s, while the storyboard went on"
+        return f"the time step of CARLA became {following.time_step:g} s at t = {instant:g} s"
+
     def make_recording(self, source: Path, duration: float, until_collision: bool) -> Recording:
         """Create the recording, up to `duration` s or the first collision; `source` names the run in messages."""
         frames = self._run_frames()
@@ -137,7 +149,8 @@ class EntityTracker:
             return []
         ego = self._ids[self._ego]
         run: list[_TrackedFrame] = []
-        for _, frame in sorted({frame.number: frame for frame in self._frames}.items()):
+        # The server may tell a frame again when its settings change, with the new ones or without entities.
+        for _, frame in sorted({frame.number: frame for frame in reversed(self._frames)}.items()):
             if not self.first_frame <= frame.number <= self.last_frame:
                 continue
             # When ScenarioRunner ends, it removes the entities and leaves synchronous mode.

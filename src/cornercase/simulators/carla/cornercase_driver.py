@@ -191,6 +191,11 @@ def _trace_route(planner: Any, start: Any, target: Any) -> List[Tuple[Any, Any]]
         return list(planner.trace_route(start, target))
     except TypeError:
         return _follow_lane(start, target)
+    except Exception as error:
+        if type(error).__name__ != "NetworkXNoPath":
+            raise
+        ends = " to ".join(f"({end.x:.1f}, {-end.y:.1f})" for end in (start, target))
+        raise RuntimeError(f"CARLA's route planner finds no way from {ends}; correct the route") from error
 
 
 def _follow_lane(start: Any, target: Any) -> List[Tuple[Any, Any]]:

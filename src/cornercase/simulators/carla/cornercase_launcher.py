@@ -9,7 +9,8 @@ Requests come as lines of JSON on standard input, with the keys ``folder``, ``lo
 and ``arguments`` of ScenarioRunner. For each, ``started PID`` goes out on standard output; and if that is a fork,
 ``ended STATUS``, negative for a signal. When all entities are there, and before the storyboard begins, the scenario's
 process writes the number of the present frame into a file, and waits for a line on standard input: by then all entities
-are recorded. When the storyboard has ended, it writes the number of the last frame.
+are recorded. When the storyboard has ended, it writes the number of the last frame, or the error with which it has
+failed.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from contextlib import suppress
 from types import SimpleNamespace
 from typing import Any
 
-FIRST_FRAME_FILE, LAST_FRAME_FILE = "first_frame", "last_frame"
+FIRST_FRAME_FILE, LAST_FRAME_FILE, FAILURE_FILE = "first_frame", "last_frame", "failure"
 _THREADS_FOLDER = "/proc/self/task"
 # Of Linux' `prctl`: this process becomes the parent of descendants whose own parents have ended.
 _SET_CHILD_SUBREAPER = 36
@@ -164,7 +165,13 @@ def _run_scenario(request: dict[str, Any], requests: int) -> int:
         _write_frame(world, FIRST_FRAME_FILE)
         if not _read_line(requests):
             raise RuntimeError("cornercase has ended the run")
-        result = run_scenario(manager)
+        try:
+            result = run_scenario(manager)
+        except BaseException as error:
+            # An agent may have changed the folder.
+            with suppress(OSError):
+                _write(FAILURE_FILE, f"{type(error).__name__}: {error}")
+            raise
         _write_frame(world, LAST_FRAME_FILE)
         return result
 
@@ -191,8 +198,12 @@ def _answer(answers: Any, word: str, number: int) -> None:
 
 
 def _write_frame(world: Any, name: str) -> None:
-    with open(name + ".part", "w", encoding="utf-8") as file:
-        file.write(str(world.get_snapshot().frame))
+    _write(name, str(world.get_snapshot().frame))
+
+
+def _write(name: str, text: str) -> None:
+    with open(name + ".part", "w", encoding="utf-8", errors="replace") as file:
+        file.write(text)
     os.rename(name + ".part", name)
 
 

@@ -42,16 +42,23 @@ class Client:
         self._client.set_timeout(timeout)
         return [self._client.get_client_version(), self._client.get_server_version()]
 
-    def load_map(self, name: str, road: str, mesh: dict[str, Any], timeout: float, usual_timeout: float) -> None:
-        """Load a map of CARLA by its name, or a world from the text of a road file, unless it is loaded."""
+    def load_map(self, name: str, road: str, mesh: dict[str, Any], timeout: float, usual_timeout: float) -> list[str]:
+        """Load a map of CARLA by its name, or a world from the text of a road file, unless it is loaded.
+
+        If the server has no map of that name, return the names of those that it has, else nothing.
+        """
         loaded = self._client.get_world().get_map()
         if road and _strip_before_root(loaded.to_opendrive()) != road:
             self._client.set_timeout(timeout)
             self._client.generate_opendrive_world(road, carla.OpendriveGenerationParameters(**mesh))
         elif name and loaded.name.rpartition("/")[2] != name:
+            available = sorted({path.rpartition("/")[2] for path in self._client.get_available_maps()})
+            if name not in available:
+                return available
             self._client.set_timeout(timeout)
             self._client.load_world(name)
         self._client.set_timeout(usual_timeout)
+        return []
 
     def remove_actors(self, keep: str) -> None:
         """Remove what earlier runs have left, but for the actor with the role name `keep`, and its sensors."""
@@ -141,11 +148,13 @@ class Tracker:
             pass
 
     def _find_entities(self) -> tuple[list[str], dict[str, Any]]:
-        actors = {}
+        actors: dict[str, Any] = {}
         world = self._client.get_world()
         for actor in world.get_actors():
             name = actor.attributes.get("role_name", "")
-            if name in self._names and actor.id not in self._earlier_ids:
+            is_new = name in self._names and actor.id not in self._earlier_ids
+            # An agent may make another one of that name.
+            if is_new and (name not in actors or actor.id < actors[name].id):
                 actors[name] = actor
         missing = [name for name in self._names if name not in actors]
         if missing:
