@@ -236,6 +236,18 @@ class LeftHanded(cc.simulators.Builtin):
             yield replace(recording, y=-recording.y)
 
 
+class Alone(cc.simulators.Simulator):
+    """Another simulator, one scenario at a time, whose `InputError` is about this scenario only."""
+
+    name = "alone"
+
+    def __init__(self):
+        self.inner, self.settings = cc.simulators.Builtin(), {}
+
+    def run(self, concretes):
+        yield from self.inner.run(concretes)
+
+
 class Shuffled(cc.simulators.Builtin):
     name = "shuffled"
 
@@ -315,6 +327,37 @@ class Forgets(cc.Optimizer):
 
     def tell(self, points, scores):
         pass
+
+
+def test_a_search_that_one_scenario_ends_is_found_with_a_way_out():
+    name = "runs on after a scenario that cannot be run"
+    (found,) = problems([check for check in simulator_checks(Alone()) if check.name == name]).values()
+    assert found.startswith("It raises InputError, which ends the whole search, for one scenario")
+    assert "yield a SimulationError for that one instead" in found
+
+
+def test_a_class_is_no_simulator_that_could_be_checked():
+    with pytest.raises(cc.InputError, match=r"Alone: is a class; give its name, or an object, as Alone\(\)"):
+        simulator_checks(Alone)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (("builtin:foo=1",), "The simulator 'builtin' has no option 'foo'"),
+        (("builtin:",), "ends in a colon"),
+        (
+            ("my_sims:Braking",),
+            "to use a class Braking of your own, name it in the entry points of an installed package",
+        ),
+        (("builtin", "-o", "here.txt/proof.zip"), "-o here.txt/proof.zip: cannot be written into here.txt"),
+    ],
+)
+def test_what_cannot_be_checked_is_refused_before_any_check(tmp_path, words, sentence):
+    (tmp_path / "here.txt").touch()
+    done = cornercase("check-simulator", *words, cwd=tmp_path)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert sentence in done.stderr
 
 
 def test_an_optimizer_that_cannot_be_resumed_is_found():

@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 
 from cornercase._common.configurable import declared_options
-from cornercase._common.errors import SimulationError
+from cornercase._common.errors import InputError, SimulationError
 from cornercase._common.geometry.boxes import wrap_angle
 from cornercase.recordings import Recording
 from cornercase.recordings._compare import are_bitwise_equal, max_position_difference
@@ -62,7 +62,15 @@ def simulator_checks(
     Returns
     -------
     list of ContractCheck
+
+    Raises
+    ------
+    InputError
+        Unknown name, or a class instead of an object.
     """
+    if isinstance(simulator, type):
+        name = simulator.__qualname__
+        raise InputError(f"`simulator` {name}: is a class; give its name, or an object, as {name}().")
     declared = SIMULATORS.get_class(simulator)
     given = cases if cases is not None else _default_cases(declared)
     checks = {
@@ -174,7 +182,13 @@ def _survives(simulator: Any, all_cases: Sequence[Cases]) -> None:
     if number is None:
         return
     broken = replace(concrete, values={**concrete.values, number.get("name", ""): "nonsense"})
-    first, second = Cases((broken, concrete), cases.entity).outcomes(simulator)
+    try:
+        first, second = Cases((broken, concrete), cases.entity).outcomes(simulator)
+    except InputError as error:
+        raise AssertionError(
+            "It raises InputError, which ends the whole search, for one scenario in which a number is 'nonsense';"
+            f" yield a SimulationError for that one instead ({str(error).removesuffix('.')})."
+        ) from error
     assert isinstance(first, SimulationError), "It runs a scenario in which a number is 'nonsense'."
     assert isinstance(second, Recording), f"The scenario after a failed one fails, too: {second}."
 
