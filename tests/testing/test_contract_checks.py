@@ -25,7 +25,7 @@ from cornercase.testing import (
     sut_checks,
 )
 from cornercase.testing._metric_checks import _default_recordings
-from helpers.command_line import cornercase
+from helpers.command_line import SPACE, X, cornercase
 
 UNITS = "decides what fits m/s² and rad (not seen: signs, units inside)"
 
@@ -339,6 +339,70 @@ def test_a_search_that_one_scenario_ends_is_found_with_a_way_out():
 def test_a_class_is_no_simulator_that_could_be_checked():
     with pytest.raises(cc.InputError, match=r"Alone: is a class; give its name, or an object, as Alone\(\)"):
         simulator_checks(Alone)  # type: ignore[arg-type]
+
+
+class Unset(Alone):
+    name = "unset"
+
+    def __init__(self):
+        pass
+
+
+class Handles(Alone):
+    name = "handles"
+
+    def __init__(self):
+        self.settings = {"file": object()}
+
+
+class Pairs(Alone):
+    name = "pairs"
+
+    def __init__(self):
+        self.settings = {"size": (1, 2)}
+
+
+class Lost(Alone):
+    name = "lost"
+
+    @classmethod
+    def availability(cls):
+        raise RuntimeError("no such key")
+
+
+@pytest.mark.parametrize(
+    ("simulator", "words"),
+    [
+        (Unset(), "The simulator 'unset' has the `settings` None; set a dict of plain JSON values in its constructor"),
+        (Handles(), "The simulator 'handles' has the `settings` {'file': <object"),
+        (Pairs(), "Its setting 'size' is (1, 2), and [1, 2] as it is stored"),
+        (Lost(), "The simulator 'lost' failed in availability: RuntimeError: no such key"),
+    ],
+)
+def test_what_keeps_a_simulator_from_running_is_a_sentence(simulator, words):
+    (found,) = problems(simulator_checks(simulator)[:1]).values()
+    assert found.startswith(words)
+
+
+@pytest.mark.parametrize("simulator", [Unset(), Handles()])
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_simulator_whose_settings_cannot_be_stored_runs_nothing(simulator, workers, tmp_path):
+    with pytest.raises(cc.InputError, match=f"The simulator '{simulator.name}' has the `settings`"):
+        cc.explore(
+            X, tmp_path / "s.db", space=SPACE, ego="Ego", other="Pedestrian", metrics=["wttc"], budget=1,
+            simulator=simulator, workers=workers,
+        )  # fmt: skip
+    assert not (tmp_path / "s.db").exists()
+
+
+def test_agents_that_cannot_be_listed_are_a_fault_of_the_simulator():
+    class Agents(Alone):
+        @classmethod
+        def own_agents(cls):
+            raise RuntimeError("nobody")
+
+    with pytest.raises(cc.InputError, match="The simulator 'alone' failed in own_agents: RuntimeError: nobody"):
+        simulator_checks(Agents())
 
 
 @pytest.mark.parametrize(

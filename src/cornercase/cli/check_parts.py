@@ -80,12 +80,13 @@ def check_simulator(
     """
     from cornercase._common.io.files import check_writable_file
     from cornercase.simulators import SIMULATORS
+    from cornercase.simulators._registry import simulator_availability
     from cornercase.testing import simulator_checks
     from cornercase.testing._crash import CrashRun
     from cornercase.testing._deviations import SmallRun
     from cornercase.testing._proof_file import write_proof
 
-    problem = SIMULATORS.get_class(simulator).availability().problem
+    problem = simulator_availability(simulator).problem
     # Options may name a server on another machine, or start one; what is missing then is said by the checks.
     if problem and ":" not in simulator:
         raise InputError(problem)
