@@ -563,6 +563,75 @@ def test_a_value_in_the_vehicle_data_set_or_in_a_box_is_used(project):
     port.close()
 
 
+_WALK = """<Storyboard><Init><Actions><Private entityRef="Ego"><PrivateAction><LongitudinalAction><SpeedAction>
+<SpeedActionTarget><AbsoluteTargetSpeed value="$gap_to_leader"/></SpeedActionTarget></SpeedAction></LongitudinalAction>
+</PrivateAction></Private></Actions></Init><StopTrigger/></Storyboard>"""
+
+
+def test_a_value_that_only_the_storyboard_uses_is_refused_as_carmaker_reads_no_storyboard(project):
+    ego = """<ScenarioObject name="Ego"><Vehicle name="e" vehicleCategory="car"><BoundingBox><Center x="1" y="0" z="1"/>
+<Dimensions length="5" width="2" height="1"/></BoundingBox><Performance maxSpeed="$top" maxAcceleration="9"
+maxDeceleration="9"/></Vehicle></ScenarioObject>"""
+    declare(project, "gap_to_leader", "top", entities=ego)
+    path = project.parent / "s.xosc"
+    path.write_text(re.sub("<Storyboard>.*</Storyboard>", _WALK, path.read_text()))
+    port = Port()
+    with pytest.raises(InputError, match="does not use the named value gap_to_leader, top of"):
+        run(project, port)
+    port.close()
+
+
+def test_what_a_description_mentions_is_not_used(project):
+    declare(project, "gpa")
+    path = project / "Data" / "TestRun" / "Crossing"
+    path.write_text(path.read_text().replace("without anything", "once with $gpa=3"))
+    port = Port()
+    with pytest.raises(InputError, match="does not use the named value gpa"):
+        run(project, port)
+    port.close()
+
+
+@pytest.mark.parametrize("encoding", ["latin-1", "utf-8", "utf-8-sig"])
+def test_files_with_umlauts_are_followed_in_each_encoding(project, encoding):
+    declare(project, "mass")
+    testrun, vehicle = project / "Data" / "TestRun" / "Crossing", project / "Data" / "Vehicle" / "Examples" / "MyCar"
+    testrun.write_text(testrun.read_text().replace("Examples/MyCar", "Prüfling 2/MyCar"), encoding)
+    (project / "Data" / "Vehicle" / "Prüfling 2").mkdir()
+    vehicle.rename(project / "Data" / "Vehicle" / "Prüfling 2" / "MyCar")
+    port = Port()
+    assert run(project, port).names == ("Ego", "T00")
+    port.close()
+
+
+@pytest.mark.parametrize("name", ["a[exit]", 'a"; exit; "', "$a", "a;b"])
+def test_the_name_of_a_scenario_file_is_no_tcl(project, name):
+    path = project.parent / f"{name}.xosc"
+    path.write_text(SCENARIO)
+    port = Port()
+    simulator = CarMaker(testrun="{scenario}", project=str(project), hosts="127.0.0.1", port=port.number)
+    with pytest.raises(InputError, match="contains a special character of Tcl"):
+        ran(simulator, [ConcreteScenario(path, {"ego_speed": 1.0})])
+    assert not port.asked
+    port.close()
+
+
+def test_a_trailer_is_said_not_to_be_in_the_recording(project):
+    write_testrun(project, "Trailer = Examples/Caravan")
+    port = Port()
+    with pytest.warns(NoticeWarning, match="Crossing: has the trailer Examples/Caravan, which is in no recording"):
+        assert run(project, port).names == ("Ego", "T00")
+    port.close()
+
+
+def test_licences_that_cannot_be_counted_are_one_sentence(project, monkeypatch):
+    (project.parent / "cache").touch()
+    monkeypatch.setattr("cornercase.simulators.carmaker._licences.user_cache_folder", lambda: project.parent / "cache")
+    port = Port()
+    with pytest.raises(InputError, match=r"licences=1: .*cache.* cannot be written"):
+        run(project, port, licences=1)
+    port.close()
+
+
 def test_a_testrun_elsewhere_is_not_checked_and_that_is_said(project):
     (project / "Data" / "TestRun" / "Crossing").unlink()
     port = Port()
