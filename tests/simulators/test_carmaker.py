@@ -67,7 +67,8 @@ def quick(monkeypatch):
 
 def run(project, port, values=None, **options):
     port.project = project
-    simulator = CarMaker(testrun="Crossing", project=str(project), hosts="127.0.0.1", port=port.number, **options)
+    options = {"hosts": "127.0.0.1", "port": port.number} | options
+    simulator = CarMaker(testrun="Crossing", project=str(project), **options)
     try:
         (found,) = simulator.run([ConcreteScenario(project.parent / "s.xosc", values or {"ego_speed": 42.5})])
     finally:
@@ -92,6 +93,35 @@ def test_a_run_from_end_to_end_however_the_answers_are_split(project, pieces):
         " Traffic.T00.rz Traffic.T00.LongVel Traffic.T00.v_0.x Traffic.T00.v_0.y}"
     )
     assert port.asked[3] == "NamedValue set ego_speed 42.5"
+    port.close()
+
+
+def test_results_of_workers_that_share_a_project_are_not_mixed_up(project):
+    """Both CarMakers name their results alike, as real ones do that begin in the same second."""
+    ports = [Port(pieces=1000), Port(pieces=1000)]
+    hosts = "+".join(f"127.0.0.1:{port.number}" for port in ports)
+    for worker, port in enumerate(ports):
+        assert run(project, port, worker=worker, hosts=hosts).names == ("Ego", "T00")
+        port.close()
+    assert {path.name for path in (project / "SimOutput" / "pc").glob("run1*.erg")} == {"run1.erg", "run1_worker1.erg"}
+    assert not any(command.startswith("SetResultFName") for command in ports[0].asked)
+    assert 'SetResultFName "%o/%r/%D/%f_%T_worker1%?_s"' in ports[1].asked
+
+
+def test_workers_that_cannot_name_their_results_need_a_project_each(project):
+    port = Port(odd={"SetResultFName": 'Einvalid command name "SetResultFName"\r\n\r\n'})
+    hosts = f"127.0.0.1:{port.number}+127.0.0.1:{port.number}"
+    with pytest.raises(InputError, match=r"several workers use this project, and .* give each its own as project=A"):
+        run(project, port, worker=1, hosts=hosts)
+    assert "StartSim" not in port.asked
+    port.project = project.parent / "other"
+    (port.project / "SimOutput" / "pc").mkdir(parents=True)
+    with (
+        closing(CarMaker(testrun="Crossing", project=f"{project}+{port.project}", worker=1, hosts=hosts)) as simulator,
+        pytest.warns(NoticeWarning),
+    ):
+        (found,) = ran(simulator, [ConcreteScenario(project.parent / "s.xosc", {"ego_speed": 3.0})])
+    assert found.names == ("Ego", "T00")
     port.close()
 
 

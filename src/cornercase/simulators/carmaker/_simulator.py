@@ -131,6 +131,8 @@ class CarMaker(Simulator):
         _check_testrun(testrun, projects)
         _check_interface(via, duration, speedup)
         self._testrun, self._project = testrun, Path(projects[worker % len(projects)])
+        # The first worker of a project leaves the names of results as they are.
+        self._suffix = f"_worker{worker}" if worker >= len(projects) else ""
         self._host, self._port = worker_address(hosts, port, worker)
         self._timeout = duration / speedup + START_TIMEOUT
         self._licence, self._stop_on_collision = Licence(licences), on_collision == "stop"
@@ -208,7 +210,8 @@ class CarMaker(Simulator):
         if self._tcl_client is None:
             self._tcl_client = TclClient(self._host, self._port)
         try:
-            return TclTestRun(self._tcl_client, self._project, self._timeout, quantities).run_testrun(testrun, values)
+            run = TclTestRun(self._tcl_client, self._project, self._timeout, quantities, suffix=self._suffix)
+            return run.run_testrun(testrun, values)
         except SimulationError:
             # After an error, the answer to an old command may still arrive on this connection.
             self._disconnect()
