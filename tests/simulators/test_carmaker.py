@@ -493,6 +493,15 @@ def test_what_goes_wrong_by_ipgs_module_is_one_sentence(cmapi, project, wrong, k
     control.close()
 
 
+def test_a_module_that_does_not_answer_is_said(cmapi, project, monkeypatch):
+    monkeypatch.setattr("cornercase.simulators.carmaker._cmapi_client._END_TIMEOUT", 0.3)
+    cmapi("deaf")
+    control = CmapiClient(project, "Crossing", 2.0)
+    with pytest.raises(SimulatorError, match=r"CarMaker, does not answer$"):
+        control.run_testrun("Crossing", {"ego_speed": 7.0})
+    control.close()
+
+
 def test_a_run_of_somebody_else_is_stopped_before_ours_is_configured(cmapi, project):
     cmapi("busy")
     control = CmapiClient(project, "Crossing", 60.0)
