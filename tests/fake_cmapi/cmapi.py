@@ -149,6 +149,8 @@ class SimControlInteractive:
     async def start_sim(self):
         if WRONG == "raise":
             raise RuntimeError("the application is gone")
+        if WRONG == "deaf":
+            await asyncio.sleep(60)
         crashed = Project.loaded.path / "crashed"
         if WRONG == "raise once" and not crashed.exists():
             crashed.touch()

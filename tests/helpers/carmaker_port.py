@@ -40,7 +40,7 @@ class Port:
         self._pieces, self._odd, self._waits, self._course = pieces, odd or {}, waits, course
         self._write = write or (lambda path, values: foreign.erg(path, speed=float(values["ego_speed"])))
         self._states, self._values, self._runs, self._begun = list(state), {}, 0, False
-        self._result, self.testrun = "", ""
+        self._result, self.testrun, self._suffix = "", "", ""
         threading.Thread(target=self._serve, daemon=True).start()
 
     def _serve(self):
@@ -89,6 +89,8 @@ class Port:
                     break
                 self._next()
             return b"Etimeout\r\n\r\n" if self._waits == "error" else b"O0\r\n\r\n"
+        if word == "SetResultFName":
+            self._suffix = rest[0].strip('"').removeprefix("%o/%r/%D/%f_%T").removesuffix("%?_s")
         if word == "LoadTestRun":
             self.testrun = rest[0].strip('"')
         if word == "NamedValue":
@@ -100,7 +102,7 @@ class Port:
             self._states, self._begun = [*self._course, -2], True
         if word == "StopSim":
             self._states, self._begun = [-3, -2], False
-        if word in ("LoadTestRun", "SaveMode", "StartSim", "StopSim", "OutQuantsAdd"):
+        if word in ("LoadTestRun", "SaveMode", "StartSim", "StopSim", "OutQuantsAdd", "SetResultFName"):
             return b"\r\n"
         return f'Einvalid command name "{word}"\r\n\r\n'.encode()
 
@@ -108,7 +110,7 @@ class Port:
         if self._states[0] == -2 and self._begun:
             self._begun = False
             self._runs += 1
-            self._result = f"SimOutput/pc/run{self._runs}.erg"
+            self._result = f"SimOutput/pc/run{self._runs}{self._suffix}.erg"
             if self._write_testrun is not None:
                 self._write_testrun(self.project / self._result, self.testrun)
             else:

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import site as python_site
+import sys
+
 import pytest
 
+import cornercase as cc
 from cornercase.clustering import read_analysis
 from cornercase.study import StudyFile
 from helpers.command_line import SPACE, X, process_of_all
@@ -137,3 +141,43 @@ def test_every_command_takes_the_parts_of_another_package(site, tmp_path):
         assert read_analysis(study, "pace").unit == "m/s^2"
     # What it does not know is refused in one sentence, with what it knows.
     assert (wrong.returncode, "did you mean 'speed-difference'" in wrong.stderr) == (2, True)
+
+
+def explore_short(folder):
+    """Explore with the other package's simulator in a worker process."""
+    return cc.explore(
+        X, folder / "study.db", space=SPACE, ego="Ego", other="Pedestrian", metrics=["wttc"], optimizer="sobol",
+        simulator="short", budget=1, timeout=100.0,
+    )  # fmt: skip
+
+
+@pytest.fixture
+def inside(site, monkeypatch):
+    """Work in the folder of the package, as its author does."""
+    monkeypatch.chdir(site)
+    monkeypatch.setattr(sys, "path", [*sys.path, str(site)])
+    yield site
+    sys.modules.pop("of_another", None)
+
+
+@pytest.mark.parametrize("written", [".", "{site}"])
+def test_a_package_on_pythonpath_is_found_by_workers_that_start_in_its_folder(inside, tmp_path, monkeypatch, written):
+    monkeypatch.setenv("PYTHONPATH", written.format(site=inside))
+    assert explore_short(tmp_path).n_finished == 1
+
+
+def test_an_editable_package_is_found_by_workers_that_start_in_its_folder(inside, tmp_path, monkeypatch):
+    packages = tmp_path / "site-packages"
+    packages.mkdir()
+    (packages / "of_another.pth").write_text(f"# a comment\nimport sys\n{inside}\n")
+    (packages / "broken.pth").write_bytes(b"\xff\xfe\x00")
+    monkeypatch.setattr(python_site, "getsitepackages", lambda: [str(packages), str(tmp_path / "none")])
+    assert explore_short(tmp_path).n_finished == 1
+
+
+def test_the_current_folder_is_not_searched_by_workers_for_being_on_the_path(inside, tmp_path, monkeypatch):
+    monkeypatch.setenv("PYTHONPATH", "")
+    with pytest.raises(
+        cc.InputError, match="Worker processes find no simulator 'short', as they do not search the current folder"
+    ):
+        explore_short(tmp_path)

@@ -67,7 +67,8 @@ def quick(monkeypatch):
 
 def run(project, port, values=None, **options):
     port.project = project
-    simulator = CarMaker(testrun="Crossing", project=str(project), hosts="127.0.0.1", port=port.number, **options)
+    options = {"hosts": "127.0.0.1", "port": port.number} | options
+    simulator = CarMaker(testrun="Crossing", project=str(project), **options)
     try:
         (found,) = simulator.run([ConcreteScenario(project.parent / "s.xosc", values or {"ego_speed": 42.5})])
     finally:
@@ -92,6 +93,35 @@ def test_a_run_from_end_to_end_however_the_answers_are_split(project, pieces):
         " Traffic.T00.rz Traffic.T00.LongVel Traffic.T00.v_0.x Traffic.T00.v_0.y}"
     )
     assert port.asked[3] == "NamedValue set ego_speed 42.5"
+    port.close()
+
+
+def test_results_of_workers_that_share_a_project_are_not_mixed_up(project):
+    """Both CarMakers name their results alike, as real ones do that begin in the same second."""
+    ports = [Port(pieces=1000), Port(pieces=1000)]
+    hosts = "+".join(f"127.0.0.1:{port.number}" for port in ports)
+    for worker, port in enumerate(ports):
+        assert run(project, port, worker=worker, hosts=hosts).names == ("Ego", "T00")
+        port.close()
+    assert {path.name for path in (project / "SimOutput" / "pc").glob("run1*.erg")} == {"run1.erg", "run1_worker1.erg"}
+    assert not any(command.startswith("SetResultFName") for command in ports[0].asked)
+    assert 'SetResultFName "%o/%r/%D/%f_%T_worker1%?_s"' in ports[1].asked
+
+
+def test_workers_that_cannot_name_their_results_need_a_project_each(project):
+    port = Port(odd={"SetResultFName": 'Einvalid command name "SetResultFName"\r\n\r\n'})
+    hosts = f"127.0.0.1:{port.number}+127.0.0.1:{port.number}"
+    with pytest.raises(InputError, match=r"several workers use this project, and .* give each its own as project=A"):
+        run(project, port, worker=1, hosts=hosts)
+    assert "StartSim" not in port.asked
+    port.project = project.parent / "other"
+    (port.project / "SimOutput" / "pc").mkdir(parents=True)
+    with (
+        closing(CarMaker(testrun="Crossing", project=f"{project}+{port.project}", worker=1, hosts=hosts)) as simulator,
+        pytest.warns(NoticeWarning),
+    ):
+        (found,) = ran(simulator, [ConcreteScenario(project.parent / "s.xosc", {"ego_speed": 3.0})])
+    assert found.names == ("Ego", "T00")
     port.close()
 
 
@@ -463,6 +493,15 @@ def test_what_goes_wrong_by_ipgs_module_is_one_sentence(cmapi, project, wrong, k
     control.close()
 
 
+def test_a_module_that_does_not_answer_is_said(cmapi, project, monkeypatch):
+    monkeypatch.setattr("cornercase.simulators.carmaker._cmapi_client._END_TIMEOUT", 0.3)
+    cmapi("deaf")
+    control = CmapiClient(project, "Crossing", 2.0)
+    with pytest.raises(SimulatorError, match=r"CarMaker, does not answer$"):
+        control.run_testrun("Crossing", {"ego_speed": 7.0})
+    control.close()
+
+
 def test_a_run_of_somebody_else_is_stopped_before_ours_is_configured(cmapi, project):
     cmapi("busy")
     control = CmapiClient(project, "Crossing", 60.0)
@@ -560,6 +599,75 @@ def test_a_value_in_the_vehicle_data_set_or_in_a_box_is_used(project):
     port = Port()
     assert run(project, port, {"ego_speed": 3.0, "mass": 1800.0, "long": 5.0}).length[0] == 5.0
     assert "NamedValue set mass 1800" in port.asked
+    port.close()
+
+
+_WALK = """<Storyboard><Init><Actions><Private entityRef="Ego"><PrivateAction><LongitudinalAction><SpeedAction>
+<SpeedActionTarget><AbsoluteTargetSpeed value="$gap_to_leader"/></SpeedActionTarget></SpeedAction></LongitudinalAction>
+</PrivateAction></Private></Actions></Init><StopTrigger/></Storyboard>"""
+
+
+def test_a_value_that_only_the_storyboard_uses_is_refused_as_carmaker_reads_no_storyboard(project):
+    ego = """<ScenarioObject name="Ego"><Vehicle name="e" vehicleCategory="car"><BoundingBox><Center x="1" y="0" z="1"/>
+<Dimensions length="5" width="2" height="1"/></BoundingBox><Performance maxSpeed="$top" maxAcceleration="9"
+maxDeceleration="9"/></Vehicle></ScenarioObject>"""
+    declare(project, "gap_to_leader", "top", entities=ego)
+    path = project.parent / "s.xosc"
+    path.write_text(re.sub("<Storyboard>.*</Storyboard>", _WALK, path.read_text()))
+    port = Port()
+    with pytest.raises(InputError, match="does not use the named value gap_to_leader, top of"):
+        run(project, port)
+    port.close()
+
+
+def test_what_a_description_mentions_is_not_used(project):
+    declare(project, "gpa")
+    path = project / "Data" / "TestRun" / "Crossing"
+    path.write_text(path.read_text().replace("without anything", "once with $gpa=3"))
+    port = Port()
+    with pytest.raises(InputError, match="does not use the named value gpa"):
+        run(project, port)
+    port.close()
+
+
+@pytest.mark.parametrize("encoding", ["latin-1", "utf-8", "utf-8-sig"])
+def test_files_with_umlauts_are_followed_in_each_encoding(project, encoding):
+    declare(project, "mass")
+    testrun, vehicle = project / "Data" / "TestRun" / "Crossing", project / "Data" / "Vehicle" / "Examples" / "MyCar"
+    testrun.write_text(testrun.read_text().replace("Examples/MyCar", "Prüfling 2/MyCar"), encoding)
+    (project / "Data" / "Vehicle" / "Prüfling 2").mkdir()
+    vehicle.rename(project / "Data" / "Vehicle" / "Prüfling 2" / "MyCar")
+    port = Port()
+    assert run(project, port).names == ("Ego", "T00")
+    port.close()
+
+
+@pytest.mark.parametrize("name", ["a[exit]", 'a"; exit; "', "$a", "a;b"])
+def test_the_name_of_a_scenario_file_is_no_tcl(project, name):
+    path = project.parent / f"{name}.xosc"
+    path.write_text(SCENARIO)
+    port = Port()
+    simulator = CarMaker(testrun="{scenario}", project=str(project), hosts="127.0.0.1", port=port.number)
+    with pytest.raises(InputError, match="contains a special character of Tcl"):
+        ran(simulator, [ConcreteScenario(path, {"ego_speed": 1.0})])
+    assert not port.asked
+    port.close()
+
+
+def test_a_trailer_is_said_not_to_be_in_the_recording(project):
+    write_testrun(project, "Trailer = Examples/Caravan")
+    port = Port()
+    with pytest.warns(NoticeWarning, match="Crossing: has the trailer Examples/Caravan, which is in no recording"):
+        assert run(project, port).names == ("Ego", "T00")
+    port.close()
+
+
+def test_licences_that_cannot_be_counted_are_one_sentence(project, monkeypatch):
+    (project.parent / "cache").touch()
+    monkeypatch.setattr("cornercase.simulators.carmaker._licences.user_cache_folder", lambda: project.parent / "cache")
+    port = Port()
+    with pytest.raises(InputError, match=r"licences=1: .*cache.* cannot be written"):
+        run(project, port, licences=1)
     port.close()
 
 

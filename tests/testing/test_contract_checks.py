@@ -25,7 +25,7 @@ from cornercase.testing import (
     sut_checks,
 )
 from cornercase.testing._metric_checks import _default_recordings
-from helpers.command_line import cornercase
+from helpers.command_line import SPACE, X, cornercase
 
 UNITS = "decides what fits m/s² and rad (not seen: signs, units inside)"
 
@@ -236,6 +236,18 @@ class LeftHanded(cc.simulators.Builtin):
             yield replace(recording, y=-recording.y)
 
 
+class Alone(cc.simulators.Simulator):
+    """Another simulator, one scenario at a time, whose `InputError` is about this scenario only."""
+
+    name = "alone"
+
+    def __init__(self):
+        self.inner, self.settings = cc.simulators.Builtin(), {}
+
+    def run(self, concretes):
+        yield from self.inner.run(concretes)
+
+
 class Shuffled(cc.simulators.Builtin):
     name = "shuffled"
 
@@ -315,6 +327,101 @@ class Forgets(cc.Optimizer):
 
     def tell(self, points, scores):
         pass
+
+
+def test_a_search_that_one_scenario_ends_is_found_with_a_way_out():
+    name = "runs on after a scenario that cannot be run"
+    (found,) = problems([check for check in simulator_checks(Alone()) if check.name == name]).values()
+    assert found.startswith("It raises InputError, which ends the whole search, for one scenario")
+    assert "yield a SimulationError for that one instead" in found
+
+
+def test_a_class_is_no_simulator_that_could_be_checked():
+    with pytest.raises(cc.InputError, match=r"Alone: is a class; give its name, or an object, as Alone\(\)"):
+        simulator_checks(Alone)  # type: ignore[arg-type]
+
+
+class Unset(Alone):
+    name = "unset"
+
+    def __init__(self):
+        pass
+
+
+class Handles(Alone):
+    name = "handles"
+
+    def __init__(self):
+        self.settings = {"file": object()}
+
+
+class Pairs(Alone):
+    name = "pairs"
+
+    def __init__(self):
+        self.settings = {"size": (1, 2)}
+
+
+class Lost(Alone):
+    name = "lost"
+
+    @classmethod
+    def availability(cls):
+        raise RuntimeError("no such key")
+
+
+@pytest.mark.parametrize(
+    ("simulator", "words"),
+    [
+        (Unset(), "The simulator 'unset' has the `settings` None; set a dict of plain JSON values in its constructor"),
+        (Handles(), "The simulator 'handles' has the `settings` {'file': <object"),
+        (Pairs(), "Its setting 'size' is (1, 2), and [1, 2] as it is stored"),
+        (Lost(), "The simulator 'lost' failed in availability: RuntimeError: no such key"),
+    ],
+)
+def test_what_keeps_a_simulator_from_running_is_a_sentence(simulator, words):
+    (found,) = problems(simulator_checks(simulator)[:1]).values()
+    assert found.startswith(words)
+
+
+@pytest.mark.parametrize("simulator", [Unset(), Handles()])
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_simulator_whose_settings_cannot_be_stored_runs_nothing(simulator, workers, tmp_path):
+    with pytest.raises(cc.InputError, match=f"The simulator '{simulator.name}' has the `settings`"):
+        cc.explore(
+            X, tmp_path / "s.db", space=SPACE, ego="Ego", other="Pedestrian", metrics=["wttc"], budget=1,
+            simulator=simulator, workers=workers,
+        )  # fmt: skip
+    assert not (tmp_path / "s.db").exists()
+
+
+def test_agents_that_cannot_be_listed_are_a_fault_of_the_simulator():
+    class Agents(Alone):
+        @classmethod
+        def own_agents(cls):
+            raise RuntimeError("nobody")
+
+    with pytest.raises(cc.InputError, match="The simulator 'alone' failed in own_agents: RuntimeError: nobody"):
+        simulator_checks(Agents())
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (("builtin:foo=1",), "The simulator 'builtin' has no option 'foo'"),
+        (("builtin:",), "ends in a colon"),
+        (
+            ("my_sims:Braking",),
+            "to use a class Braking of your own, name it in the entry points of an installed package",
+        ),
+        (("builtin", "-o", "here.txt/proof.zip"), "-o here.txt/proof.zip: cannot be written into here.txt"),
+    ],
+)
+def test_what_cannot_be_checked_is_refused_before_any_check(tmp_path, words, sentence):
+    (tmp_path / "here.txt").touch()
+    done = cornercase("check-simulator", *words, cwd=tmp_path)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert sentence in done.stderr
 
 
 def test_an_optimizer_that_cannot_be_resumed_is_found():

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import importlib
 import os
+import site
 import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from importlib.machinery import ModuleSpec, PathFinder
 from pathlib import Path
 from types import FrameType, ModuleType
@@ -195,7 +196,7 @@ def isolate_children() -> AbstractContextManager[None]:
     """Within the block, start `multiprocessing` children that neither run the main script nor search here for modules.
 
     So a script needs no ``if __name__ == "__main__"``; what it defines is sent by value. The current folder is not on
-    the `sys.path` of the children. Blocks may overlap.
+    the `sys.path` of the children, unless PYTHONPATH or an installed package names it. Blocks may overlap.
     """
     return _safe_child_start()
 
@@ -222,6 +223,25 @@ def _child_sys_path() -> list[str]:
         if _main_folder() == current
         else []
     )
-    entries = [entry for entry in sys.path if entry and os.path.realpath(entry) != current] + own_folder
+    if current in _named_folders():
+        entries = [entry for entry in sys.path if entry]
+    else:
+        entries = [entry for entry in sys.path if entry and os.path.realpath(entry) != current] + own_folder
     package = str(Path(__file__).parents[2])
     return entries if package in entries else [*entries, package]
+
+
+def _named_folders() -> set[str]:
+    """Return the folders that PYTHONPATH names, or an installed package, such as an editable one."""
+    names = [] if sys.flags.ignore_environment else os.environ.get("PYTHONPATH", "").split(os.pathsep)
+    for installed in (*site.getsitepackages(), *((site.getusersitepackages(),) if site.ENABLE_USER_SITE else ())):
+        for file in Path(installed).glob("*.pth"):
+            # Python skips what it cannot read, too.
+            with suppress(OSError, ValueError):
+                names += [
+                    os.path.join(installed, line)
+                    for line in file.read_text(encoding="utf-8").splitlines()
+                    if line.strip()
+                ]
+    # An empty name in PYTHONPATH is mostly a mistake; it would stand for the current folder.
+    return {os.path.realpath(name) for name in names if name}

@@ -197,6 +197,8 @@ class Registry(Generic[T]):
         's'
         """
         base, _, text = (name if isinstance(name, str) else name.__qualname__).partition(":")
+        if isinstance(name, str):
+            self._require_known(name)
         factory = self.get_factory(name if isinstance(name, type) else base)
         if not text:
             if isinstance(name, str) and name != base:
@@ -299,12 +301,22 @@ class Registry(Generic[T]):
         """
         if not isinstance(name, str):
             return name if isinstance(name, type) else type(name)
+        self._require_known(name)
         loaded, _ = self._load(name.partition(":")[0])
         if not isinstance(loaded, type):
             raise InputError(
                 f"The {self._kind} '{name}' is registered as a function that creates it; register the class itself."
             )
         return loaded
+
+    def _require_known(self, name: str) -> None:
+        """Say how a class of the user's own gets a name if ``"module:Class"`` stands where a name has to."""
+        base, _, text = name.partition(":")
+        if base not in self and text.isidentifier():
+            raise InputError(
+                f"There is no {self._kind} '{base}'; to use a class {text} of your own, name it in the entry points of"
+                f" an installed package, in the group {self._group}."
+            )
 
     def _load(self, name: str | type[T]) -> tuple[Callable[..., T], dict[str, Any]]:
         if isinstance(name, type):

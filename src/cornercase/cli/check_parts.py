@@ -78,18 +78,24 @@ def check_simulator(
       cornercase check-simulator builtin
       cornercase check-simulator esmini:seed=3 -o proof.zip
     """
+    from cornercase._common.io.files import check_writable_file
     from cornercase.simulators import SIMULATORS
+    from cornercase.simulators._registry import simulator_availability
     from cornercase.testing import simulator_checks
     from cornercase.testing._crash import CrashRun
     from cornercase.testing._deviations import SmallRun
     from cornercase.testing._proof_file import write_proof
 
-    problem = SIMULATORS.get_class(simulator).availability().problem
+    problem = simulator_availability(simulator).problem
     # Options may name a server on another machine, or start one; what is missing then is said by the checks.
     if problem and ":" not in simulator:
         raise InputError(problem)
-    if output is not None and output.is_dir():
-        raise InputError(f"--output {output}: is a folder; give a file, such as {output / 'proof.zip'}.")
+    # A wrong option is no fault of the simulator.
+    SIMULATORS.create(simulator)
+    if output is not None:
+        if output.is_dir():
+            raise InputError(f"--output {output}: is a folder; give a file, such as {output / 'proof.zip'}.")
+        check_writable_file("output", output)
     runs, crashes = list[SmallRun](), list[CrashRun]()
     checks = simulator_checks(simulator, _read_cases(scenario, space, ego), runs.append, crashes.append)
     results = _run("simulator", simulator, checks, as_json)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import ClassVar, Final, Literal, Self
 
@@ -11,7 +13,7 @@ from cornercase._common.configurable import Configurable
 from cornercase._common.errors import InputError, SimulationError
 from cornercase._common.io.support_table import Notice, issue_notice_warning
 from cornercase._common.plugin_errors import convert_plugin_errors
-from cornercase._common.validation import check_float, check_str
+from cornercase._common.validation import check_float, check_str, repr_short
 from cornercase.drivers._description import serialize_driver
 from cornercase.drivers._resolve import DriverLike, check_drivers
 from cornercase.recordings import Recording
@@ -266,6 +268,20 @@ def check_seed(seed: int, owner: str) -> int:
     if not (isinstance(seed, int) and 0 <= seed < 2**31):
         raise InputError(f"The seed of {owner} is {seed}; give a whole number from 0 to 2147483647.")
     return seed
+
+
+def require_settings(simulator: Simulator) -> None:
+    """Raise `InputError` if the settings of a simulator are missing, or cannot be stored with a study."""
+    settings: object = None
+    with suppress(AttributeError, TypeError, ValueError):
+        settings = simulator.settings
+        json.dumps(settings)
+        if isinstance(settings, dict):
+            return
+    raise InputError(
+        f"The simulator '{simulator.name}' has the `settings` {repr_short(settings)}; set a dict of plain JSON values"
+        " in its constructor, such as {'time_step': 0.05}."
+    )
 
 
 def check_settings(

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from cornercase._common.configurable import given_options
 from cornercase._common.validation import check_float, check_int, check_str
 from cornercase.drivers._description import user_driver_spec
-from cornercase.simulators._base import Simulator
+from cornercase.simulators._base import Simulator, require_settings
 from cornercase.simulators._common_options import select_declared_options
 from cornercase.simulators._registry import SIMULATORS
 from cornercase.simulators._run_options import DEFAULT_MAX_FAILURES, MAX_WORKERS
@@ -57,7 +57,9 @@ def create_simulator(
         and timeout is None
         and (current_process().daemon or not _has_user_driver(accepted))
     ):
-        return SIMULATORS.create(name, **accepted)
+        created = SIMULATORS.create(name, **accepted)
+        require_settings(created)
+        return created
     return WorkerSimulator(name, accepted, workers, timeout, retries, max_failures)
 
 

@@ -33,9 +33,15 @@ def list_simulators() -> dict[str, Availability]:
     result = {}
     for name in SIMULATORS.names():
         try:
-            simulator_class = SIMULATORS.get_class(name)
-            with convert_plugin_errors(f"The simulator '{name}'", simulator_class, "in availability"):
-                result[name] = simulator_class.availability()
+            result[name] = simulator_availability(name)
         except InputError as error:
             result[name] = Availability(problem=str(error))
     return result
+
+
+def simulator_availability(simulator: str | Simulator) -> Availability:
+    """Return whether a simulator, by its name or an object, can run on this machine."""
+    simulator_class = SIMULATORS.get_class(simulator)
+    name = simulator if isinstance(simulator, str) else simulator.name
+    with convert_plugin_errors(f"The simulator '{name}'", simulator_class, "in availability"):
+        return simulator_class.availability()

@@ -7,7 +7,7 @@ from typing import Any
 
 from cornercase.scenario import ConcreteScenario
 from cornercase.scenario._file import ScenarioFile
-from cornercase.simulators._base import Simulator
+from cornercase.simulators._base import Simulator, require_settings
 from cornercase.simulators._registry import SIMULATORS
 
 
@@ -19,6 +19,7 @@ class RemoteSimulator(Simulator):
         self.parameter_passing = self.simulator_class.parameter_passing
         # Runs nothing; checks options, and scenarios before they are run.
         self._local_instance = SIMULATORS.create(name, **options)
+        require_settings(self._local_instance)
         self.name = name if isinstance(name, str) else self._local_instance.name
         self.settings = self._local_instance.settings
         # Shared with `parallel_instances`.

@@ -20,6 +20,7 @@ from cornercase._common.errors import InputError
 from cornercase._common.io.files import atomic_write
 from cornercase.recordings import Recording
 from cornercase.simulators import SIMULATORS, Simulator
+from cornercase.simulators._registry import simulator_availability
 from cornercase.testing._agent_runs import AGENT_LIMITS
 from cornercase.testing._contract_check import CheckResult
 from cornercase.testing._crash import CrashRun
@@ -58,7 +59,7 @@ def _describe(
     runs: Sequence[SmallRun],
     crashes: Sequence[CrashRun],
 ) -> Mapping[str, Any]:
-    availability = SIMULATORS.get_class(simulator).availability()
+    availability = simulator_availability(simulator)
     settings, versions = _settings(simulator)
     return {
         "simulator": simulator if isinstance(simulator, str) else type(simulator).__qualname__,

@@ -13,11 +13,15 @@ from typing import Any, Final
 import numpy as np
 
 from cornercase._common.configurable import declared_options
-from cornercase._common.errors import SimulationError
+from cornercase._common.errors import InputError, SimulationError
 from cornercase._common.geometry.boxes import wrap_angle
+from cornercase._common.plugin_errors import convert_plugin_errors
+from cornercase._common.validation import repr_short
 from cornercase.recordings import Recording
 from cornercase.recordings._compare import are_bitwise_equal, max_position_difference
 from cornercase.simulators import SIMULATORS, Simulator
+from cornercase.simulators._base import require_settings
+from cornercase.simulators._registry import simulator_availability
 from cornercase.testing._cases import Cases, default_cases, storyless_cases, undriven_cases
 from cornercase.testing._contract_check import ContractCheck, NotTriedError
 from cornercase.testing._crash import CrashRun, crash_during_runs
@@ -62,7 +66,15 @@ def simulator_checks(
     Returns
     -------
     list of ContractCheck
+
+    Raises
+    ------
+    InputError
+        Unknown name, or a class instead of an object.
     """
+    if isinstance(simulator, type):
+        name = simulator.__qualname__
+        raise InputError(f"`simulator` {name}: is a class; give its name, or an object, as {name}().")
     declared = SIMULATORS.get_class(simulator)
     given = cases if cases is not None else _default_cases(declared)
     checks = {
@@ -85,7 +97,9 @@ def simulator_checks(
         checks[f"agrees with the builtin simulator, driven by {_OWN_FUNCTION}: {name}"] = partial(
             _agrees_with_function, name=name, on_run=on_run
         )
-    for agent, options in declared.own_agents().items():
+    with convert_plugin_errors(f"The simulator '{declared.name}'", declared, "in own_agents"):
+        agents = declared.own_agents()
+    for agent, options in agents.items():
         for name in AGENT_DURATIONS:
             checks[f"is driven by {agent}: {name}"] = partial(
                 _is_driven, name=name, agent=agent, options=options, on_run=on_run
@@ -109,10 +123,16 @@ def _default_cases(declared: type[Simulator]) -> list[Cases]:
 def _is_available(simulator: Any, _: Sequence[Cases]) -> None:
     # Options may name a server on another machine, or start one.
     if not (isinstance(simulator, str) and ":" in simulator):
-        problem = SIMULATORS.get_class(simulator).availability().problem
+        problem = simulator_availability(simulator).problem
         assert not problem, problem
     created = SIMULATORS.create(simulator) if isinstance(simulator, str) else simulator
-    json.dumps(dict(created.settings))
+    require_settings(created)
+    stored = json.loads(json.dumps(dict(created.settings)))
+    for name, value in created.settings.items():
+        assert stored.get(name) == value, (
+            f"Its setting '{name}' is {repr_short(value)}, and {repr_short(stored.get(name))} as it is stored, so that"
+            " a study could not be resumed; give plain JSON values."
+        )
 
 
 def _gives_recordings(simulator: Any, all_cases: Sequence[Cases]) -> None:
@@ -174,7 +194,13 @@ def _survives(simulator: Any, all_cases: Sequence[Cases]) -> None:
     if number is None:
         return
     broken = replace(concrete, values={**concrete.values, number.get("name", ""): "nonsense"})
-    first, second = Cases((broken, concrete), cases.entity).outcomes(simulator)
+    try:
+        first, second = Cases((broken, concrete), cases.entity).outcomes(simulator)
+    except InputError as error:
+        raise AssertionError(
+            "It raises InputError, which ends the whole search, for one scenario in which a number is 'nonsense';"
+            f" yield a SimulationError for that one instead ({str(error).removesuffix('.')})."
+        ) from error
     assert isinstance(first, SimulationError), "It runs a scenario in which a number is 'nonsense'."
     assert isinstance(second, Recording), f"The scenario after a failed one fails, too: {second}."
 

@@ -115,6 +115,9 @@ class CmapiClient:
             future.result(2 * self._timeout + _END_TIMEOUT)
         except SimulationError:
             raise
+        except TimeoutError as error:
+            future.cancel()
+            raise SimulatorError("cmapi, the Python package of CarMaker, does not answer") from error
         except Exception as error:
             raise SimulatorError(
                 f"cmapi, the Python package of CarMaker, failed with {type(error).__name__}: {error}"

@@ -7,6 +7,7 @@ import time
 from pathlib import Path
 from typing import Final
 
+from cornercase._common.errors import InputError
 from cornercase._common.platform import try_lock_file, user_cache_folder
 
 _POLL_INTERVAL: Final = 0.1
@@ -28,8 +29,14 @@ class Licence:
         """Wait until a licence is free, and take it; does nothing if there is one already."""
         if not self._count or self._handle is not None:
             return
-        self._folder.mkdir(parents=True, exist_ok=True)
-        self._handle = self._lock_any("licence", self._count)
+        try:
+            self._folder.mkdir(parents=True, exist_ok=True)
+            self._handle = self._lock_any("licence", self._count)
+        except OSError as error:
+            raise InputError(
+                f"licences={self._count}: {self._folder}, where they are counted, cannot be written"
+                f" ({error.strerror or error}); make it writable, or set XDG_CACHE_HOME to another folder."
+            ) from error
         if self._handle is not None:
             return
         waiting = self._lock_any("waiting", _MAX_WAITING)

@@ -34,6 +34,9 @@ _DEFAULT_PORT: Final = 16660
 _CONNECT_TIMEOUT: Final = 0.2
 # In the name of a TestRun, what stands for the name of the scenario file.
 _SCENARIO: Final = "{scenario}"
+_TCL_CHARACTERS: Final = '"$[]{}\\;\r\n'
+# Elements of a scenario file that CarMaker has no use for, so that a value there does nothing.
+_UNREAD_ELEMENTS: Final = ("Storyboard", "RoadNetwork", "Performance", "Axles", "Properties", "ObjectController")
 # A parameter in a value or expression of OpenSCENARIO.
 _REFERENCE: Final = re.compile(r"\$([A-Za-z_]\w*)")
 _MISSING_MESSAGE: Final = (
@@ -128,6 +131,8 @@ class CarMaker(Simulator):
         _check_testrun(testrun, projects)
         _check_interface(via, duration, speedup)
         self._testrun, self._project = testrun, Path(projects[worker % len(projects)])
+        # The first worker of a project leaves the names of results as they are.
+        self._suffix = f"_worker{worker}" if worker >= len(projects) else ""
         self._host, self._port = worker_address(hosts, port, worker)
         self._timeout = duration / speedup + START_TIMEOUT
         self._licence, self._stop_on_collision = Licence(licences), on_collision == "stop"
@@ -205,7 +210,8 @@ class CarMaker(Simulator):
         if self._tcl_client is None:
             self._tcl_client = TclClient(self._host, self._port)
         try:
-            return TclTestRun(self._tcl_client, self._project, self._timeout, quantities).run_testrun(testrun, values)
+            run = TclTestRun(self._tcl_client, self._project, self._timeout, quantities, suffix=self._suffix)
+            return run.run_testrun(testrun, values)
         except SimulationError:
             # After an error, the answer to an old command may still arrive on this connection.
             self._disconnect()
@@ -273,10 +279,20 @@ class CarMaker(Simulator):
         else:
             # What other parts of the scenario file use, such as boxes, need not be in the TestRun.
             _require_used(set(scenario.parameters) - _names_in_use(scenario), files, str(scenario.path))
+            if files.trailer:
+                self.notify(
+                    [
+                        f"{files.path}: has the trailer {files.trailer}, which is in no recording; a collision of it"
+                        " counts only if the ego's collision sensor sees it"
+                    ]
+                )
         self.notify(describe_box_problems(scenario, files))
 
     def _testrun_name(self, scenario: ScenarioFile) -> str:
-        return self._testrun.replace(_SCENARIO, scenario.path.stem)
+        name = self._testrun.replace(_SCENARIO, scenario.path.stem)
+        # Somebody else may have named the file.
+        _require_plain_name(name)
+        return name
 
     def _read_testrun(self, testrun: str) -> TestRunFiles | None:
         if testrun not in self._testrun_files:
@@ -299,7 +315,12 @@ def _check_testrun(testrun: str, projects: Sequence[str]) -> None:
     for folder in projects:
         if not Path(folder).is_dir():
             raise InputError(f"{folder}: there is no such folder; give that of the CarMaker project as project=DIR.")
-    if any(sign in testrun.replace(_SCENARIO, "") for sign in '"$[]{}\\;\r\n'):
+    _require_plain_name(testrun.replace(_SCENARIO, ""))
+
+
+def _require_plain_name(testrun: str) -> None:
+    """Refuse a name that CarMaker would take for a command."""
+    if any(sign in testrun for sign in _TCL_CHARACTERS):
         raise InputError(f"The name of the TestRun '{testrun}' contains a special character of Tcl.")
 
 
@@ -318,9 +339,13 @@ def _check_interface(via: str, duration: float, speedup: float) -> None:
 
 
 def _names_in_use(scenario: ScenarioFile) -> set[str]:
-    """Return the names of parameters that values in the scenario file refer to."""
-    values = (str(value) for element in scenario.root.iter(etree.Element) for value in element.attrib.values())
-    return {name for value in values if "$" in value for name in _REFERENCE.findall(value)}
+    """Return the names of parameters that what is read of the scenario file refers to."""
+    names, elements = set[str](), [scenario.root]
+    while elements:
+        element = elements.pop()
+        names.update(name for value in element.attrib.values() for name in _REFERENCE.findall(str(value)))
+        elements += [child for child in element.iterchildren(etree.Element) if child.tag not in _UNREAD_ELEMENTS]
+    return names
 
 
 def _require_used(names: AbstractSet[str], files: TestRunFiles, owner: str) -> None:

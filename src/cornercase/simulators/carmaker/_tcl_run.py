@@ -97,6 +97,7 @@ class TclClient:
 class TclTestRun:
     """Runs a TestRun, whose result file gets `quantities` besides those that CarMaker stores anyway.
 
+    The name of the result file gets `suffix` if there is one, so that it is unlike those of other CarMakers.
     `run_timeout` is the time limit of the run in s, `start_timeout` the limit for starting or stopping. CarMaker's
     command `WaitForStatus` makes polling rare. Its answer may be late or an error, so only `SimStatus` counts.
     """
@@ -108,9 +109,11 @@ class TclTestRun:
         run_timeout: float,
         quantities: Sequence[str] = (),
         start_timeout: float = START_TIMEOUT,
+        suffix: str = "",
     ) -> None:
         self._client, self._project, self._quantities = client, project, quantities
         self._run_timeout, self._start_timeout = run_timeout, start_timeout
+        self._suffix = suffix
 
     def run_testrun(self, testrun: str, values: Mapping[str, Value]) -> Path:
         """Run the TestRun with named values, and return the new result file."""
@@ -127,10 +130,24 @@ class TclTestRun:
         for name, value in values.items():
             self._send(f"NamedValue set {_format_tcl_word(name)} {_format_tcl_word(value)}")
         self._send("SaveMode save_all")
+        if self._suffix:
+            self._name_result_file()
         self._send("StartSim")
         self._wait_for_start(before)
         self._wait_for_end()
         return self._find_result_file(before)
+
+    def _name_result_file(self) -> None:
+        # Folder, user, date, TestRun and time, as CarMaker does; by the second, two CarMakers may get the same name.
+        try:
+            self._send(f'SetResultFName "%o/%r/%D/%f_%T{self._suffix}%?_s"')
+        except SimulationError as error:
+            if isinstance(error, SimulatorError):
+                raise
+            raise InputError(
+                f"{self._project}: several workers use this project, and CarMaker does not let them name their results"
+                f" ({error}); give each its own as project=A+B."
+            ) from error
 
     def _send(self, command: str) -> str:
         return self._client.send(command, self._start_timeout)

@@ -32,12 +32,14 @@ class TestRunFiles:
 
     `path` is the TestRun's, `named_values` are those that are used anywhere, `boxes` those of ``Ego`` and of traffic
     objects, as far as the files have them; `version` is that of CarMaker as it wrote the TestRun, or empty.
+    `trailer` is the data set of a trailer, or empty.
     """
 
     path: Path
     named_values: frozenset[str] = frozenset()
     boxes: dict[str, EntityBox] = field(default_factory=dict)
     version: str = ""
+    trailer: str = ""
 
 
 def read_testrun_files(project: Path, testrun: str) -> TestRunFiles | None:
@@ -64,13 +66,15 @@ def read_testrun_files(project: Path, testrun: str) -> TestRunFiles | None:
             if file == vehicle:
                 boxes |= _vehicle_box(others)
     version = _VERSION.search(entries.get("FileCreator", ""))
-    return TestRunFiles(path, frozenset(named), boxes, version[1] if version else "")
+    return TestRunFiles(
+        path, frozenset(named), boxes, version[1] if version else "", entries.get("Trailer", "").strip()
+    )
 
 
 def _read_entries(path: Path, max_size: int) -> dict[str, str]:
     """Return the values of a file by key; a value of several lines follows a key with a colon, indented."""
     entries, key = dict[str, str](), ""
-    for line in read_file(path, max_size).decode("utf-8", "replace").splitlines():
+    for line in _decode(read_file(path, max_size)).splitlines():
         if line.startswith("#") or not line.strip():
             continue
         if line[0].isspace():
@@ -87,8 +91,18 @@ def _read_entries(path: Path, max_size: int) -> dict[str, str]:
     return entries
 
 
+def _decode(content: bytes) -> str:
+    """Return a text, which may be in the encoding of a machine with Latin letters."""
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return content.decode("latin-1")
+
+
 def _named_values(entries: dict[str, str]) -> set[str]:
-    return {first or second for value in entries.values() for first, second in _NAMED_VALUE.findall(value)}
+    """Return the named values that any value uses; a description only mentions them."""
+    values = (value for key, value in entries.items() if key != "Description")
+    return {first or second for value in values for first, second in _NAMED_VALUE.findall(value)}
 
 
 def _named_files(data: Path, entries: dict[str, str]) -> list[Path]:

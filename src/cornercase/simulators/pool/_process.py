@@ -186,6 +186,7 @@ def _worker_main(connection: Connection, simulator_description: bytes, folder: P
     try:
         with convert_plugin_errors("A worker process", None, "as it began"):
             name, options = unpickle_simulator(simulator_description)
+            _require_known(name)
             simulator = SIMULATORS.create(name, **options)
     except InputError as error:
         _send_message(connection, error)
@@ -199,6 +200,15 @@ def _worker_main(connection: Connection, simulator_description: bytes, folder: P
             except (EOFError, OSError):
                 return
             _run_and_send(connection, simulator, concretes)
+
+
+def _require_known(name: str | type[Simulator]) -> None:
+    """Say why a simulator that the main process knows is unknown here."""
+    if isinstance(name, str) and (base := name.partition(":")[0]) not in SIMULATORS:
+        raise InputError(
+            f"Worker processes find no simulator '{base}', as they do not search the current folder for packages;"
+            " install the package of this simulator, or name its folder in PYTHONPATH."
+        )
 
 
 def _run_and_send(connection: Connection, simulator: Simulator, concretes: list[ConcreteScenario]) -> None:
