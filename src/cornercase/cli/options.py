@@ -227,8 +227,8 @@ def print_ending(result: ExplorationResult) -> None:
         failed = f", {result.failed} of which failed" if result.failed else ""
         out.print(f"{count} in {result.study}{failed}; ended because {result.reason}.")
         print_failure_reasons(result.failure_counts, "; 'show' prints all")
-    for sentence in notes:
-        out.print(sentence)
+    for sentence in (result.roles, *notes):
+        out.print(sentence, markup=False)
     if result.interrupted:
         raise typer.Exit(interrupt_exit_code())
     if result.failed and not result.done:

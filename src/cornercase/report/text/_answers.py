@@ -21,7 +21,6 @@ from cornercase.report.text._phrases import (
     describe_aspect,
     describe_front,
     describe_missing_sensitivity,
-    describe_roles,
     describe_selection_threshold,
     describe_threshold_override,
     describe_too_few_scores,
@@ -101,7 +100,7 @@ def describe_study(data: ReportData, *, include_counts: bool = True) -> str:
     Without `include_counts` the numbers are left out, because the page shows its own counts.
     """
     summary, meta = data.summary, data.summary.meta
-    sentences = [describe_roles(meta)]
+    sentences = [meta.roles_text]
     begin = f"{_scenarios_were(summary.n_run)} " if include_counts else "Scenarios "
     if meta.simulator == IMPORTED_SIMULATOR:
         sentences.append(f"{begin}imported, measured by {', '.join(meta.metrics)}.")

@@ -10,7 +10,6 @@ from typing import Final
 from cornercase._common.plugin_errors import group_failure_messages
 from cornercase._common.text.sanitize import docstring_summary
 from cornercase.clustering import ASPECTS, Analysis, Profile
-from cornercase.drivers._description import format_driver
 from cornercase.metrics import METRICS
 from cornercase.metrics._critical_if import find_critical_if_condition
 from cornercase.report._summary import Summary
@@ -36,15 +35,6 @@ def format_cluster_name(cluster: int) -> str:
 def format_cluster_title(profile: Profile) -> str:
     """Return number, name and collisions of a cluster: ``"cluster 0: Ego yields to Pedestrian; 3 of 120 collide"``."""
     return ": ".join(filter(None, (format_cluster_name(profile.cluster), profile.label)))
-
-
-def describe_roles(meta: StudyMeta) -> str:
-    """Describe which entity is the ego, who drives it, and which other entities it is measured against."""
-    others, driver = meta.others, meta.drivers.get(meta.ego)
-    tested = f"{meta.ego}, driven by {format_driver(driver)}" if driver else meta.ego
-    if len(others) == 1:
-        return f"Under test: {tested}, against {others[0]}."
-    return f"Under test: {tested}, against {', '.join(others[:-1])} and {others[-1]}; the most critical counts."
 
 
 def describe_warm_start(meta: StudyMeta) -> str:
