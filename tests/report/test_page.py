@@ -420,6 +420,11 @@ def test_a_reduced_study_tells_what_is_kept(tmp_path):
     assert all({*edge} <= ran for edges in contents["hulls"].values() for edge in edges)
     text = next(one["text"] for one in contents["answers"] if one["name"] == "kept")
     assert text.startswith(f"Keep {len(kept)} of the {reduced.n_run} scenarios")
+    n_critical, n_collide = (
+        sum(columns[key][columns["id"].index(one)] for one in kept) for key in ("critical", "collides")
+    )
+    assert f"{n_critical} of them are critical and in {n_collide} Ego collides." in text
+    assert contents["kinds"]["distance"]["names"]["0"].startswith("distance 0")
 
 
 def test_no_folder_of_the_machine_is_told(tmp_path):

@@ -10,6 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from cornercase._common.text.sanitize import escape_control_characters
+from cornercase.clustering._headline import find_headline_aspect, has_useful_clusters
 from cornercase.evidence import Estimate
 from cornercase.metrics._outcome import Manner
 from cornercase.reduction import ReducedSet
@@ -26,6 +27,7 @@ from cornercase.report.text._phrases import (
     describe_too_few_scores,
     describe_unmeasured_collisions,
     describe_warm_start,
+    format_cluster_title,
     format_criterion_with_signs,
     format_percent,
     group_failures_by_reason,
@@ -256,22 +258,9 @@ def _answer_missed(critical: CriticalEstimates) -> Answer:
     return Answer("missed", "What may be missed?", " ".join(sentences))
 
 
-def find_default_aspect(data: ReportData) -> str | None:
-    """Return the aspect whose clusters say most about how scenarios end; None without clusters."""
-    highest, aspect = -1.0, None
-    for by, analysis in data.summary.analyses.items():
-        # If tied, the later aspect wins: aspects are ordered by how much they say about what happens.
-        information = (
-            round(analysis.fact_agreement.get("outcome", 0.0), 3) if analysis.clustering.n_clusters > 1 else -1.0
-        )
-        if information >= highest:
-            highest, aspect = information, by
-    return aspect
-
-
 def _answer_clusters(data: ReportData) -> Answer:
     name, question, analyses = "kinds", "Which kinds are there?", data.summary.analyses
-    chosen = find_default_aspect(data)
+    chosen = find_headline_aspect(data.summary.analyses)
     if chosen is None:
         return Answer(name, question, "The study has not been analysed yet; cornercase analyze finds the kinds.")
     divided = [by for by, analysis in analyses.items() if analysis.clustering.n_clusters > 1 and by != chosen]
@@ -284,8 +273,10 @@ def _answer_clusters(data: ReportData) -> Answer:
     outside = f", and {noise} scenarios of noise" if noise else ""
     compared = f" ({description})" if (description := describe_aspect(chosen)) else ""
     sentences = [f"By {chosen}{compared} there are {analysis.clustering.n_clusters} kinds{outside}."]
+    if not has_useful_clusters(analysis):
+        sentences.insert(0, "No useful kinds: none tell apart how scenarios end; points show the outcome.")
     points = [
-        f"{profile.label or f'cluster {profile.cluster}'} ({profile.size} scenarios)."
+        f"{format_cluster_title(profile, chosen)} ({profile.size} scenarios)."
         for profile in analysis.profiles
         if profile.cluster >= 0
     ]
@@ -345,19 +336,29 @@ def _answer_reduced_set(data: ReportData) -> Answer:
     roles = Counter(str(scenario.role) for scenario in reduced.scenarios)
     counts = _join_with_and([f"{n} {forms[n != 1]}" for role, forms in _ROLE_NAMES.items() if (n := roles[role])])
     sentences = [f"Keep {len(reduced.scenarios)} of the {reduced.n_run} scenarios: {counts or 'none'}."]
+    sentences.append(_describe_selected_outcomes(data, reduced))
     if later := data.summary.n_run - reduced.n_run:
         sentences.append(f"{_scenarios_were(later)} run since.")
-    analyses, headline = data.summary.analyses, find_default_aspect(data)
-    if headline is not None and reduced.by in analyses:
-        n_kinds, n_headline_kinds = (analyses[by].clustering.n_clusters for by in (reduced.by, headline))
-        if n_kinds <= 1 < n_headline_kinds:
-            sentences.append(
-                f"They were chosen by {reduced.by}, which has no separate kinds; 'cornercase reduce --by {headline}'"
-                " chooses from each of the kinds above."
-            )
+    headline = find_headline_aspect(data.summary.analyses)
+    if headline is not None and reduced.by != headline and data.summary.analyses[headline].clustering.n_clusters > 1:
+        sentences.append(f"They were chosen by {reduced.by}; 'cornercase reduce' chooses from the kinds above.")
     if chosen := describe_selection_threshold(data.summary):
         sentences.append(chosen)
     return Answer(name, question, " ".join([*sentences, *_describe_coverage(data, reduced)]))
+
+
+def _describe_selected_outcomes(data: ReportData, reduced: ReducedSet) -> str:
+    """Say how many of the kept scenarios are critical, and in how many the ego collides."""
+    selected = set(reduced.ids)
+    parts = [f"in {len(selected & data.hardest_impacts.keys())} {data.summary.meta.ego} collides"]
+    if data.summary.estimates.critical is not None:
+        n_critical = sum(data.rows[k].id in selected for k in np.flatnonzero(data.is_critical))
+        parts.insert(0, f"{n_critical} of them {'is' if n_critical == 1 else 'are'} critical")
+    return f"{_capitalize(_join_with_and(parts))}."
+
+
+def _capitalize(text: str) -> str:
+    return text[:1].upper() + text[1:]
 
 
 def _describe_coverage(data: ReportData, reduced: ReducedSet) -> Iterator[str]:
