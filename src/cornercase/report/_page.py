@@ -181,7 +181,7 @@ def render_details(data: ReportData) -> Iterator[Section]:
     sections = (
         render_verdicts,
         render_scores,
-        render_estimates,
+        *((render_estimates,) if data.summary.represents_space else ()),
         render_clusterings,
         render_agreement,
         render_reduced_set,

@@ -110,7 +110,7 @@ def whole_study_payload(data: ReportData) -> dict[str, Any]:
             for scenario in selected
         },
         "search": search_chart(data),
-        "sensitivity": sensitivity_chart(data),
+        "sensitivity": sensitivity_chart(data) if data.summary.represents_space else None,
         "coverage": coverage_charts(data),
         "front": None if data.summary.estimates.pareto_front is None else list(data.summary.estimates.pareto_front),
         "hulls": hull_edges(data),

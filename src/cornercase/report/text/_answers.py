@@ -78,12 +78,21 @@ def page_answers(data: ReportData) -> Iterator[Answer]:
     `summary_to_dict` contains all numbers in them, too.
     """
     summary = data.summary
-    estimates = summary.estimates
     if data.verdicts:
         yield _answer_verdicts(data)
-    yield _answer_collisions(data)
     if summary.probability is not None:
         yield _answer_probability(summary.probability)
+    yield _answer_collisions(data)
+    if summary.represents_space:
+        yield from _answer_search(data)
+    elif summary.analyses:
+        yield _answer_clusters(data)
+    yield _answer_failures(data)
+
+
+def _answer_search(data: ReportData) -> Iterator[Answer]:
+    """Yield the answers on what a search, or imported recordings, say about the space."""
+    estimates = data.summary.estimates
     if estimates.pareto_front is not None:
         yield _answer_front(data)
     else:
@@ -93,7 +102,6 @@ def page_answers(data: ReportData) -> Iterator[Answer]:
     yield _answer_reduced_set(data)
     if estimates.pareto_front is None and estimates.critical is not None:
         yield _answer_missed(estimates.critical)
-    yield _answer_failures(data)
 
 
 def describe_study(data: ReportData, *, include_counts: bool = True) -> str:
@@ -424,27 +432,34 @@ def _answer_verdicts(data: ReportData) -> Answer:
     states = {scenario: worst_state(verdicts) for scenario, verdicts in data.verdicts.items()}
     counts = Counter("not run" if scenario in failed else state for scenario, state in states.items())
     parts = [f"{counts[state]} {state}" for state in ("passed", "failed", "inconclusive", "not run") if counts[state]]
+    files = data.summary.meta.files
     violations = [
-        f"Scenario {scenario}: {verdict.requirement}: {verdict.reason}."
+        f"{files[scenario - 1]} (scenario {scenario}): {verdict.reason}; required: {verdict.requirement}."
         for scenario, verdicts in data.verdicts.items()
         for verdict in verdicts
         if verdict.state == "failed"
     ]
     note = f" The first {_MAX_POINTS} requirements that failed:" if len(violations) > _MAX_POINTS else ""
     text = f"{', '.join(parts)} of {len(states)} scenarios.{note}"
+    if len(violations) == 1:
+        return Answer("verdicts", "Did it pass?", f"{text} {violations[0]}")
     return Answer("verdicts", "Did it pass?", text, tuple(violations[:_MAX_POINTS]))
 
 
 def _answer_probability(estimate: Any) -> Answer:
     criterion = use_math_signs(estimate["critical is"])
-    points = []
-    for event, description in (("critical", f"a critical scenario ({criterion})"), ("collision", "a collision")):
+    sentences = []
+    for event, description in (("critical", f"A scenario is critical ({criterion})"), ("collision", "It collides")):
         low, high = estimate[event]["95 % interval"]
-        points.append(
-            f"Of {description}: {estimate[event]['probability']:.3g} (95 % interval {low:.3g} to {high:.3g})."
+        if not estimate[event].get("met", 1):
+            sentences.append(f"{description} with a probability of at most {high:.3g} (95 %).")
+            continue
+        sentences.append(
+            f"{description} with a probability of {estimate[event]['probability']:.3g}"
+            f" (95 % interval {low:.3g} to {high:.3g})."
         )
-    text = f"Under the distributions of the space, from {estimate['scenarios']} scenarios:"
-    return Answer("probability", "How probable is it?", text, (*points, *estimate["warnings"]))
+    sentences.append(f"Estimated from {estimate['scenarios']} scenarios.")
+    return Answer("probability", "How probable is it?", " ".join([*sentences, *estimate["warnings"]]))
 
 
 def _join_with_and(words: list[str]) -> str:
