@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from html import unescape
 
 import pytest
+from typer.main import get_command
 
+from cornercase.cli import app
+from cornercase.cli.command_groups import COMMANDS_BY_PURPOSE
 from cornercase.metrics import METRICS
 from helpers.command_line import SPACE, X, cornercase
 
@@ -18,6 +22,17 @@ def explored(tmp_path_factory):
     study = tmp_path_factory.mktemp("explored") / "study.db"
     assert cornercase(*SEARCH, "--budget", "30", "-o", study).returncode == 0
     return study
+
+
+def test_the_help_lists_each_command_once_by_what_it_is_for():
+    lines = cornercase("--help").stdout.splitlines()
+    listed = [name for names in COMMANDS_BY_PURPOSE.values() for name in names]
+    assert sorted(listed) == sorted(get_command(app).commands)
+    assert [
+        line.split()[0] for line in lines[lines.index("Find critical scenarios:") :] if re.match("  \\w", line)
+    ] == listed
+    # In the words of the page.
+    assert "  report           Write the report: one page that holds everything." in lines
 
 
 def test_all_options_that_are_missing_are_named_at_once_with_the_entities():
