@@ -160,14 +160,15 @@ def _answer_collisions(data: ReportData) -> Answer:
     others = data.summary.meta.others
     counts = Counter(name for names in data.entities_hit.values() for name in names if name in others)
     hit = _join_with_and([f"{entity} in {count}" for entity, count in counts.most_common()])
-    sentences = [f"Yes: {ego} collides with {hit} of {scenarios}."]
+    worst, impact = hardest[0]
+    hard = f"hardest in scenario {worst}, at a relative speed of {impact.speed:.2g} m/s"
+    sentences = [f"Yes: {ego} collides with {hit} of {scenarios}, {hard}."]
     manners = Counter(impact.manner for _, impact in hardest)
     for manner, description in _MANNERS.items() if len(others) == 1 else ():
         if count := manners[manner]:
             sentences.append(f"{f'In {count}' if count < len(hardest) else 'Each time'} it {description}.")
     if faults := _describe_faults(data):
         sentences.append(faults)
-    sentences.append(f"The hardest is scenario {hardest[0][0]}, at a relative speed of {hardest[0][1].speed:.2g} m/s.")
     points = [
         f"Scenario {scenario}: {impact.speed:.2g} m/s, with {impact.entity} at {impact.time:.3g} s"
         + ("." if impact.fault is None else f"; {impact.fault.describe(ego, impact.entity)}.")
