@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import re
 from html import unescape
+from typing import cast
 
 import pytest
+from typer.core import TyperGroup
 from typer.main import get_command
 
 from cornercase.cli import app
@@ -27,7 +29,7 @@ def explored(tmp_path_factory):
 def test_the_help_lists_each_command_once_by_what_it_is_for():
     lines = cornercase("--help").stdout.splitlines()
     listed = [name for names in COMMANDS_BY_PURPOSE.values() for name in names]
-    assert sorted(listed) == sorted(get_command(app).commands)
+    assert sorted(listed) == sorted(cast(TyperGroup, get_command(app)).commands)
     assert [
         line.split()[0] for line in lines[lines.index("Find critical scenarios:") :] if re.match("  \\w", line)
     ] == listed

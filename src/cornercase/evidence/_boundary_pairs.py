@@ -24,12 +24,13 @@ def find_boundary_pairs(
     """
     scaled = points if weights is None else points * np.maximum(weights, _MIN_WEIGHT)
     labels = np.array(outcomes)
-    candidates = []
+    candidates: list[tuple[float, int, int]] = []
     for label in np.unique(labels):
         members, others = np.flatnonzero(labels == label), np.flatnonzero(labels != label)
         if len(others):
             distances, nearest = KDTree(scaled[others]).query(scaled[members])
-            candidates += zip(distances.tolist(), members.tolist(), others[nearest].tolist(), strict=True)
+            found = np.asarray(distances), members, others[nearest]
+            candidates += zip(*(column.tolist() for column in found), strict=True)
     pairs: list[tuple[int, int, float]] = []
     taken: set[int] = set()
     for distance, first, second in sorted((d, min(i, j), max(i, j)) for d, i, j in candidates):
