@@ -29,8 +29,8 @@ def find_boundary_pairs(
         members, others = np.flatnonzero(labels == label), np.flatnonzero(labels != label)
         if len(others):
             distances, nearest = KDTree(scaled[others]).query(scaled[members])
-            found = np.asarray(distances), members, others[nearest]
-            candidates += zip(*(column.tolist() for column in found), strict=True)
+            columns = np.asarray(distances), members, others[nearest]
+            candidates += zip(*(column.tolist() for column in columns), strict=True)
     pairs: list[tuple[int, int, float]] = []
     taken: set[int] = set()
     for distance, first, second in sorted((d, min(i, j), max(i, j)) for d, i, j in candidates):
