@@ -145,7 +145,7 @@ def test_a_study_is_read_without_its_metric(explored, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     explored.cluster(by=["speed-nearby"], eps=1.0, min_samples=2)
     assert "speed-nearby" not in METRICS
-    shown = cornercase("show", "study.db")
+    shown = cornercase("show", "study.db", "--all")
     assert (shown.returncode, shown.stderr) == (0, "")
     assert "speed-nearby\n    unit: m/s\n    critical is: high" in shown.stdout
     assert cornercase("report", "study.db", "-o", "report.html").returncode == 0

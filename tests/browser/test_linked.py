@@ -211,3 +211,18 @@ def test_an_answer_is_the_same_bytes_each_time(reports, studies, tmp_path):
 
     again = cc.write_report(studies("plain"), tmp_path / "again.html")
     assert again.read_bytes() == Path(reports("plain").removeprefix("file://")).read_bytes()
+
+
+def test_a_pair_at_the_boundary_is_played_side_by_side(tab, reports):
+    page = tab.open(reports("plain"))
+    page.locator("[data-part='boundary'] summary").click()
+    link = page.locator("[data-part='boundary'] a").first
+    first, second = map(int, link.inner_text().split(" beside "))
+    link.click()
+    page.wait_for_function(
+        "ids => cornercase.store.selected === ids[0] && cornercase.store.beside === ids[1]", arg=[first, second]
+    )
+    tab.settle()
+    outcome = "id => cornercase.store.contents.scenarios.outcome[cornercase.store.rows.get(id)]"
+    assert page.evaluate(outcome, first) != page.evaluate(outcome, second)
+    assert page.locator("#replay").bounding_box()["y"] < 900

@@ -347,4 +347,4 @@ def test_a_road_that_climbs_or_banks_is_noticed(tmp_path, profile, noticed):
 def test_check_says_who_drives():
     lines = cornercase("check", X).stdout.splitlines()
     assert "Ego: driven by normal" in lines
-    assert "Truck: moved by the storyboard, without a driver" in lines
+    assert "Truck, C, Pedestrian: follow the storyboard and do not react; --driver Truck=normal drives Truck" in lines

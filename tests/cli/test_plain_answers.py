@@ -2,8 +2,16 @@
 
 from __future__ import annotations
 
-import pytest
+import re
+from html import unescape
+from typing import cast
 
+import pytest
+from typer.core import TyperGroup
+from typer.main import get_command
+
+from cornercase.cli import app
+from cornercase.cli.command_groups import COMMANDS_BY_PURPOSE
 from cornercase.metrics import METRICS
 from helpers.command_line import SPACE, X, cornercase
 
@@ -18,8 +26,51 @@ def explored(tmp_path_factory):
     return study
 
 
+def test_the_help_lists_each_command_once_by_what_it_is_for():
+    lines = cornercase("--help").stdout.splitlines()
+    listed = [name for names in COMMANDS_BY_PURPOSE.values() for name in names]
+    assert sorted(listed) == sorted(cast(TyperGroup, get_command(app)).commands)
+    assert [
+        line.split()[0] for line in lines[lines.index("Find critical scenarios:") :] if re.match("  \\w", line)
+    ] == listed
+    # In the words of the page.
+    assert "  report           Write the report: one page that holds everything." in lines
+
+
+def test_all_options_that_are_missing_are_named_at_once_with_the_entities():
+    done = cornercase("explore", X, "--budget", "5")
+    assert done.returncode == 2
+    assert "All that are missing: --output, --ego, --other, --metric. " in done.stderr
+    assert "Entities of x_intersection.xosc: Ego, Truck, C, Pedestrian." in done.stderr
+    assert "All that are missing" not in cornercase("show").stderr
+
+
+@pytest.mark.parametrize(("value", "words"), [("many", "'many' is not a whole number."), ("0", "'0' is below 1.")])
+def test_a_value_that_cannot_be_read_is_quoted_without_words_of_a_library(value, words):
+    done = cornercase("explore", X, "--budget", value)
+    assert done.returncode == 2
+    assert "Input should be" not in done.stderr
+    # Versions of typer before 0.20 have words of their own, which quote the value too.
+    assert words in done.stderr or f"'{value}'" in done.stderr or "0 is not in the range" in done.stderr
+
+
+def test_show_says_the_sentences_of_the_page(explored, tmp_path):
+    shown = cornercase("show", explored)
+    assert shown.returncode == 0
+    lines = shown.stdout.splitlines()
+    assert lines[0].startswith(
+        "x_intersection. Under test: Ego, driven by normal, against Pedestrian. Simulator: builtin"
+    )
+    assert lines[1] == "Does it collide?"
+    assert cornercase("report", explored, "-o", tmp_path / "r.html").returncode == 0
+    page = unescape((tmp_path / "r.html").read_text(encoding="utf-8"))
+    assert all(line.removeprefix("  ").removeprefix("- ") in page for line in lines[1:])
+    assert len(cornercase("show", explored, "--all").stdout.splitlines()) > 2 * len(lines)
+    assert cornercase("show", explored, "--all", "--config").returncode == 2
+
+
 def test_show_has_no_heading_with_nothing_under_it(explored):
-    lines = cornercase("show", explored).stdout.splitlines()
+    lines = cornercase("show", explored, "--all").stdout.splitlines()
     assert "clusters: none yet; 'cornercase analyze' finds them" in lines
     headings = [k for k, line in enumerate(lines) if ":" not in line]
     assert headings

@@ -110,7 +110,7 @@ def test_42_5_options_reach_the_class_that_an_own_driver_derives_from(folder, mo
 def test_42_5_a_study_names_its_driver_so_that_the_command_can_be_typed_again(folder):
     assert explored(folder, DRIVER).returncode == 0
     words = "my_aeb:Aeb, eager=true, reaction=0.3, sha256 "
-    shown = cornercase("show", "s.db", cwd=folder).stdout
+    shown = cornercase("show", "s.db", "--all", cwd=folder).stdout
     assert f"  Ego: {words}" in shown
     plain = json.loads(cornercase("show", "s.db", "--json", cwd=folder).stdout)
     assert plain["drivers"]["Ego"].startswith(words)

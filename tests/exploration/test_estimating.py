@@ -80,6 +80,8 @@ def test_the_probability_is_the_true_one_and_failures_are_told(tmp_path):
     assert found.collision.met == 0
     assert any(warning.startswith("No collision occurred") for warning in found.warnings)
     assert found.criterion == "distance <= 0.05 m"
+    uniform = "All 2 parameters are uniform: probabilities are shares of the space, no frequency in traffic."
+    assert found.warnings[0] == uniform
 
 
 class Touching(Synthetic):

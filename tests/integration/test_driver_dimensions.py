@@ -193,7 +193,7 @@ def test_report_and_command_name_the_dimension(folder):
     assert ended.returncode == 0, ended.stderr
     page = (folder / "own.html").read_text()
     assert "--range Ego.reaction=0.1:1.5" in page
-    assert "Ego.reaction" in cornercase("show", "own.db", cwd=folder).stdout
+    assert "Ego.reaction" in cornercase("show", "own.db", "--all", cwd=folder).stdout
 
 
 def test_a_damaged_study_is_repaired_with_the_values(folder, tmp_path):
@@ -223,7 +223,7 @@ def test_parameters_in_a_table_and_on_the_command_line(folder, tmp_path):
     words = ("import", tmp_path / "runs", "--ego", "Ego", "--other", "Pedestrian", "--metric", "wttc")
     ended = cornercase(*words, "-o", "imported.db", cwd=tmp_path)
     assert ended.returncode == 0, ended.stderr
-    assert "Ego.reaction: 0.3 to 1.2" in cornercase("show", "imported.db", cwd=tmp_path).stdout
+    assert "Ego.reaction: 0.3 to 1.2" in cornercase("show", "imported.db", "--all", cwd=tmp_path).stdout
 
 
 def test_a_space_file_and_a_problem_name_them_too(tmp_path):

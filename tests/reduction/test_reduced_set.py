@@ -15,6 +15,7 @@ from scipy.spatial.distance import cdist
 from conftest import examples
 from cornercase._common.errors import InputError
 from cornercase.clustering import read_analyses, read_distances
+from cornercase.clustering._headline import find_headline_aspect
 from cornercase.evidence._bands import bands_by_scenario
 from cornercase.reduction import read_reduction, reduce
 from cornercase.reduction._coverage import measure_coverage
@@ -209,11 +210,16 @@ def test_python_gets_what_the_manifest_says_and_reads_it_back(explored, tmp_path
     path = shutil.copy(folder / "s.db", tmp_path / "s.db")
     reduced = reduce(path, tmp_path / "again")
     assert json.loads((tmp_path / "again" / "manifest.json").read_text()) == manifest
-    assert (len(reduced), reduced.n_run, reduced.by) == (12, 120, "wttc")
+    assert (len(reduced), reduced.n_run) == (12, 120)
+    # The kinds that the page headlines, though wttc was searched: it puts all scenarios in one cluster.
+    assert reduced.by == find_headline_aspect(summarize(path).analyses) != "wttc"
+    assert (
+        reduced.scenarios[0].why == f"the scenario most like all others of {reduced.by} {reduced.scenarios[0].cluster}"
+    )
     assert reduced.ids == [one["id"] for one in manifest["scenarios"]]
     assert [one.why for one in reduced.scenarios] == [one["why"] for one in manifest["scenarios"]]
     assert reduced.coverage["wttc"].medoids_mean == manifest["coverage"]["wttc"]["medoids_mean"]
-    assert "12 of 120 scenarios kept by wttc" in repr(reduced)
+    assert f"12 of 120 scenarios kept by {reduced.by}" in repr(reduced)
     table = reduced._repr_html_()
     assert table.count("<tr>") == 1 + len(reduced)
     assert reduced.table().index.tolist() == reduced.ids
@@ -285,7 +291,7 @@ def test_python_is_refused_in_one_sentence_before_anything_is_written(explored, 
 def test_the_manifest_tells_the_shape_of_each_cluster_and_what_is_unlike_all_kept(explored):
     folder, manifest = explored
     with StudyFile.open(folder / "s.db", readonly=True) as study:
-        labels = study.read_analysis("wttc", "labels")[0]["labels"]
+        labels = study.read_analysis(manifest["by"], "labels")[0]["labels"]
     assert [one["cluster"] for one in manifest["shapes"]] == list(range(labels.max() + 1))
     for one in manifest["shapes"]:
         assert 0.0 <= one["convexity"] <= 1.0

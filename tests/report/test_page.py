@@ -420,6 +420,11 @@ def test_a_reduced_study_tells_what_is_kept(tmp_path):
     assert all({*edge} <= ran for edges in contents["hulls"].values() for edge in edges)
     text = next(one["text"] for one in contents["answers"] if one["name"] == "kept")
     assert text.startswith(f"Keep {len(kept)} of the {reduced.n_run} scenarios")
+    n_critical, n_collide = (
+        sum(columns[key][columns["id"].index(one)] for one in kept) for key in ("critical", "collides")
+    )
+    assert f"{n_critical} of them are critical and in {n_collide} Ego collides." in text
+    assert contents["kinds"]["distance"]["names"]["0"].startswith("distance 0")
 
 
 def test_no_folder_of_the_machine_is_told(tmp_path):
@@ -465,8 +470,9 @@ def test_whether_it_collides_is_answered_with_the_hardest_first(x_intersection, 
         }
     answer = next(one for one in page_answers(data) if one.name == "collisions")
     assert 0 < len(speeds) == data.summary.n_collisions
-    assert answer.text.startswith(f"Yes: Ego collides with Pedestrian in {len(speeds)} of the 60 scenarios.")
+    assert answer.text.startswith(f"Yes: Ego collides with Pedestrian in {len(speeds)} of the 60 scenarios, hardest in")
     order = [int(re.findall(r"Scenario (\d+): ", point)[0]) for point in answer.points]
+    assert f"hardest in scenario {order[0]}, at a relative speed of {speeds[order[0]]:.2g} m/s." in answer.text
     assert order == sorted(speeds, key=lambda scenario: (-speeds[scenario], scenario))[:6]
 
 

@@ -19,6 +19,7 @@ from matplotlib.text import Text
 from conftest import at_night
 from cornercase._common.errors import InputError
 from cornercase.clustering import Profile, analyze
+from cornercase.clustering._headline import has_useful_clusters
 from cornercase.evidence import Estimate
 from cornercase.report import summarize, write_report
 from cornercase.report._estimates import CriticalEstimates, CriticalSetEstimates
@@ -226,7 +227,10 @@ def test_where_all_are_one_kind_the_page_says_so_and_draws_none(path, tmp_path):
 )
 def test_what_kinds_tell_is_said_in_a_sentence(summary, tells, words):
     kinds = summary.analyses["distance"]
-    assert describe_informativeness(replace(kinds, fact_agreement=tells)) == f"The kinds by distance {words}"
+    told = replace(kinds, fact_agreement=tells)
+    assert describe_informativeness(told) == f"The kinds by distance {words}"
+    ends_alike = len({outcome for profile in kinds.profiles for outcome in profile.outcomes}) < 2
+    assert has_useful_clusters(told) == (ends_alike or "something" in words)
     assert "All scenarios end in the same way" in describe_informativeness(replace(kinds, fact_agreement={}))
     # Of a study of an early version.
     assert describe_informativeness(replace(kinds, fact_agreement={}, profiles=())) == ""
@@ -246,7 +250,7 @@ def test_a_name_never_hides_collisions():
     outcomes = {"Pedestrian first": 117, "Ego and Pedestrian collide": 3}
     kind = Profile(0, 120, {}, outcomes, (), "Ego passes after Pedestrian", 0.975, 0.0, 1)
     assert kind.label == "Ego passes after Pedestrian; 3 of 120 collide"
-    assert format_cluster_title(kind) == f"cluster 0: {kind.label}"
+    assert format_cluster_title(kind, "bearing") == f"bearing 0: {kind.label}"
     crash = replace(kind, size=3, outcomes={"Ego and Pedestrian collide": 3}, name="Ego collides with Pedestrian")
     assert crash.label == crash.name
 

@@ -194,6 +194,11 @@ def test_43_5_a_study_in_which_nobody_drives_the_ego_says_so(tmp_path):
         "Nobody drives Ego: it follows the scenario and does not react; give it a driver with --driver Ego=normal.\n"
     )
     assert nobody in said(undriven)
+    with cc.study.StudyFile.open(tmp_path / "0.db", readonly=True) as study:
+        assert study.meta.roles_text == (
+            "Under test: Ego, which follows the storyboard and does not react (--driver Ego=normal drives it),"
+            f" against C. Simulator: builtin, cornercase {cc.__version__}."
+        )
     assert "Nobody drives" not in said(undriven, "--driver", "Ego=simple")
     assert nobody in said(undriven, "--driver", "C=simple", "--seed", 1)
     assert "Nobody drives" not in said(EXAMPLES / "t_intersection" / "t_intersection.xosc", "--seed", 2, "--seed", 3)

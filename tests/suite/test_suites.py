@@ -101,6 +101,13 @@ def test_its_report_tells_the_verdicts_of_each_scenario(explored, ran, tmp_path)
     page = cc.write_report(ran.study, tmp_path / "report.html").read_text(encoding="utf-8")
     failed = [one for one in ran.scenarios if one.state == "failed"]
     assert f"{6 - len(failed)} passed, {len(failed)} failed of 6 scenarios" in page
+    for one in failed:
+        assert f"{one.file} (scenario {one.id}): {one.reason}; required: no collision." in html.unescape(page)
+    questions = re.findall("<h3>(.*?)</h3>", page.partition('<section id="scenarios"')[0])
+    # Only if somebody analysed the run, as a test above does.
+    assert [one for one in questions if one != "Which kinds are there?"] == [
+        "Did it pass?", "Does it collide?", "What failed, and why?",
+    ]  # fmt: skip
     cells = [re.findall("<td class=text>(.*?)</td>", row) for row in re.findall("<tr>(.*?)</tr>", page)]
     for one in ran.scenarios:
         row = [str(one.id), one.file, one.kind, one.state, "no collision", one.reason]

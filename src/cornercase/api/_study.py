@@ -494,8 +494,8 @@ class Study(PathLike[str]):
         archetypes_by : {"auto", "hull", "pcha", "parts", "kernel"}, default "auto"
             Method that finds archetypes; see `cornercase.reduction.reduce`.
         by : str, optional
-            Aspect whose clusters are represented; by default the first metric. ``"bands:METRIC"`` represents bands of
-            criticality instead.
+            Aspect whose clusters are represented; by default that whose clusters say most about how scenarios end.
+            ``"bands:METRIC"`` represents bands of criticality instead.
         within : float, optional
             Distance up to which scenarios count as alike, as fraction of the median distance within clusters; 0.5 by
             default.

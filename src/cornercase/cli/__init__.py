@@ -9,13 +9,24 @@ from typing import Final
 
 from cornercase._common.platform import replace_unencodable_output
 from cornercase._common.process.signals import install_signal_handlers
-
-# isort: off
-# Their order is that of the commands in the help.
-from cornercase.cli import explore, scenario, recordings, listing, study, report, demo, paper, vary  # noqa: F401
-from cornercase.cli import simulate, test, estimate, compare, verify, check_parts, warm_up  # noqa: F401
-
-# isort: on
+from cornercase.cli import (  # noqa: F401
+    check_parts,
+    compare,
+    demo,
+    estimate,
+    explore,
+    listing,
+    paper,
+    recordings,
+    report,
+    scenario,
+    simulate,
+    study,
+    test,
+    vary,
+    verify,
+    warm_up,
+)
 from cornercase.cli.errors import run_command
 from cornercase.cli.option_names import print_notices
 from cornercase.cli.options import app, show_tracebacks

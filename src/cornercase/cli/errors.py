@@ -9,6 +9,7 @@ import signal
 import sys
 import traceback
 from collections.abc import Callable
+from contextlib import suppress
 from itertools import chain
 from pathlib import Path
 from types import FrameType
@@ -41,6 +42,7 @@ def run_command(command: Callable[[], Any]) -> int:
         if sys.stdout is not None:
             sys.stdout.flush()
     except _UsageError as error:
+        _say_plainly(error)
         # click prints several lines; err.print removes control characters from what they quote.
         message = io.StringIO()
         error.show(message)
@@ -68,6 +70,53 @@ def run_command(command: Callable[[], Any]) -> int:
         return 1 if isinstance(error, StudyLostError) else 2
     # Between commands, typer treats every interrupt as Ctrl-C.
     return interrupt_exit_code() if code == 128 + signal.SIGINT else code if isinstance(code, int) else 0
+
+
+def _say_plainly(error: Any) -> None:
+    """Reword an error about options: name all that are missing with the file's entities, and quote a bad value."""
+    if type(error).__name__ == "MissingParameter":
+        error.message = _list_missing(error.ctx)
+        return
+    cause = error.__cause__
+    if type(cause).__module__.startswith("pydantic") and (problems := cause.errors()):
+        problem = problems[0]
+        bounds = problem.get("ctx", {})
+        reasons = {
+            "int_parsing": "is not a whole number",
+            "int_from_float": "is not a whole number",
+            "float_parsing": "is not a number",
+            "greater_than_equal": f"is below {bounds.get('ge')}",
+            "less_than_equal": f"is above {bounds.get('le')}",
+        }
+        error.message = f"{problem['input']!r} {reasons.get(problem['type'], 'cannot be used here')}."
+
+
+def _list_missing(context: Any) -> str:
+    """Return the options that are missing besides the first, which click names, and the entities of the scenario."""
+    if context is None:
+        return ""
+    missing = [
+        parameter
+        for parameter in context.command.params
+        # Those on the command line are read first; a study file gives defaults.
+        if parameter.required and parameter.name not in context.params and not context.lookup_default(parameter.name)
+    ]
+    sentences = []
+    if len(missing) > 1:
+        names = [
+            max(parameter.opts, key=len)
+            if parameter.param_type_name == "option"
+            else parameter.metavar or parameter.name
+            for parameter in missing
+        ]
+        sentences.append(f"All that are missing: {', '.join(names)}.")
+    scenario = context.params.get("scenario")
+    if isinstance(scenario, Path) and {"ego", "other"} & {parameter.name for parameter in missing}:
+        with suppress(InputError):
+            from cornercase.scenario._file import ScenarioFile
+
+            sentences.append(f"Entities of {scenario.name}: {', '.join(ScenarioFile.read(scenario).entities)}.")
+    return " ".join(sentences)
 
 
 def _is_raised_by_typer(error: BaseException) -> bool:

@@ -19,14 +19,15 @@ from cornercase._common.errors import NoticeWarning
 from cornercase._common.progress import verbosity
 from cornercase._common.text.sanitize import escape_control_characters, format_json, shorten
 from cornercase._common.version import __version__
-from cornercase.cli.signals import InterruptibleGroup, interrupt_exit_code
+from cornercase.cli.command_groups import GroupedCommands
+from cornercase.cli.signals import interrupt_exit_code
 
 if TYPE_CHECKING:
     from cornercase.exploration import ExplorationResult
 
 app = typer.Typer(
     name="cornercase",
-    cls=InterruptibleGroup,
+    cls=GroupedCommands,
     help="Find, cluster and reduce the critical concrete scenarios of a logical scenario.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
@@ -227,8 +228,8 @@ def print_ending(result: ExplorationResult) -> None:
         failed = f", {result.failed} of which failed" if result.failed else ""
         out.print(f"{count} in {result.study}{failed}; ended because {result.reason}.")
         print_failure_reasons(result.failure_counts, "; 'show' prints all")
-    for sentence in notes:
-        out.print(sentence)
+    for sentence in (result.roles, *notes):
+        out.print(sentence, markup=False)
     if result.interrupted:
         raise typer.Exit(interrupt_exit_code())
     if result.failed and not result.done:

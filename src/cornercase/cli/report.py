@@ -136,26 +136,37 @@ def show(
     study: opt.StudyFile,
     *,
     critical: opt.CriticalOverride = None,
+    show_all: Annotated[bool, Option("--all", help="Print every number instead of the page's sentences.")] = False,
     as_json: opt.Json = False,
     config: Annotated[bool, Option("--config", help="Print a study file for cornercase explore --config.")] = False,
 ) -> None:
-    """Show what was run and what was found.
+    """Show what was run and what was found, in the sentences of the report.
 
     \b
     Example:
       cornercase show study.db
+      cornercase show study.db --all
       cornercase show study.db --critical 0.5
       cornercase show study.db --config > study.toml
     """
     from cornercase.report import summarize
     from cornercase.report._commands import format_study_file
+    from cornercase.report._sentences import iter_sentences
     from cornercase.report.text._show import replace_keys_by_words, summary_to_dict
+    from cornercase.study._study_file import open_study
 
     if config:
-        if as_json or critical is not None:
-            raise InputError("--config: prints how the study was made; leave --json and --critical out.")
+        if as_json or show_all or critical is not None:
+            raise InputError("--config: prints how the study was made; leave --json, --all and --critical out.")
         sys.stdout.write(format_study_file(study))
         return
+    if not as_json and not show_all:
+        with open_study(study, readonly=True, critical=critical) as opened, opened.snapshot():
+            sentences = list(iter_sentences(opened))
+        for sentence in sentences:
+            out.print(sentence)
+        if sentences:
+            return
     summary = summary_to_dict(summarize(study, critical=critical))
     if as_json:
         opt.print_json(summary)

@@ -10,6 +10,7 @@ import typer
 
 from cornercase._common.errors import InputError
 from cornercase._common.text.sanitize import shorten
+from cornercase._common.version import __version__
 from cornercase.cli import options as opt
 from cornercase.cli import parsing
 from cornercase.cli.command_options import with_options
@@ -96,8 +97,11 @@ def _print_check(report: Any, drivers: Mapping[str, str]) -> None:
         if name in drivers:
             for line in describe_driver(name, drivers[name]):
                 out.print(line)
-        else:
-            out.print(f"{name}: {f'driven by {driver}' if driver else 'moved by the storyboard, without a driver'}")
+        elif driver:
+            out.print(f"{name}: driven by {driver}")
+    if undriven := [name for name, driver in report.drivers.items() if not driver and name not in drivers]:
+        follow = "follows the storyboard and does" if len(undriven) == 1 else "follow the storyboard and do"
+        out.print(f"{', '.join(undriven)}: {follow} not react; --driver {undriven[0]}=normal drives {undriven[0]}")
     for notice in report.notices:
         # With --strict, adaptations are printed below with their rules.
         if not (report.standard_violations and notice.label == "adapted"):
@@ -118,7 +122,7 @@ def _print_check(report: Any, drivers: Mapping[str, str]) -> None:
             is_declared = set(parameter.assigned_names) <= {*report.parameters}
             out.print(f"varied: {_format_parameter(parameter)}{'' if is_declared else ' (of a driver, not checked)'}")
         out.print(f"concrete scenarios: {'infinitely many' if report.space.size is None else report.space.size}")
-    out.print("can be run" if not report.run_errors else "cannot be run")
+    out.print(f"{'can' if not report.run_errors else 'cannot'} be run, in builtin of cornercase {__version__}")
 
 
 def _print_effects(report: Any, simulator: str, drivers: Mapping[str, str] | None, ego: str) -> bool:

@@ -103,7 +103,7 @@ def analyze(
     for name, analysis in results.items():
         for member in analysis.profiles if len(analysis.sizes) > 1 else ():
             if member.name:
-                out.print(f"{name}, cluster {member.cluster}: {member.label} ({member.size} scenarios)", markup=False)
+                out.print(f"{name} {member.cluster}: {member.label} ({member.size} scenarios)", markup=False)
     with open_study(study, readonly=True) as opened:
         for bands in bands_of_study(opened).values():
             out.print(bands.describe(), markup=False)
@@ -135,8 +135,8 @@ def reduce(
         Option(
             "--by",
             metavar="ASPECT|METRIC|bands:METRIC",
-            help="Aspect whose clusters, or metric whose bands of criticality, are represented; default: the searched"
-            " metric.",
+            help="Aspect whose clusters, or metric whose bands of criticality, are represented; default: the aspect"
+            " whose clusters say most about how scenarios end.",
         ),
     ] = None,
     archetypes: Annotated[
@@ -205,6 +205,7 @@ def reduce(
     from cornercase import reduction
     from cornercase.clustering import read_analysis
     from cornercase.evidence._bands import BANDS_PREFIX
+    from cornercase.reduction._reduce import default_aspect
     from cornercase.study._study_file import open_study
     from cornercase.suite import analyze_mutants
 
@@ -222,7 +223,7 @@ def reduce(
                 raise InputError(f"--kill-mutants, {option}: give one of them.")
         # Check that the study was analyzed before the mutants run.
         with open_study(study, readonly=True, critical=critical) as opened:
-            read_analysis(opened, (by or opened.meta.metrics[0]).removeprefix(BANDS_PREFIX))
+            read_analysis(opened, (by or default_aspect(opened)).removeprefix(BANDS_PREFIX))
         exposure = analyze_mutants(
             study,
             kill_mutants,

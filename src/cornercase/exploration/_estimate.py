@@ -134,7 +134,7 @@ def estimate(
     with simulator_from_config(config) as running:
         meta = config.make_study_meta(objective, running.settings, study=output_file)
         name = f"importance-sampling:learn={learn},known={n_known}-{_hash_scores(points, scores)}"
-        meta = replace(meta, optimizer=name)
+        meta = replace(meta, optimizer=name, driver_in_file=source.meta.driver_in_file)
         require_same_settings(study_file, source.meta, running)
         assert objective.criterion is not None
         start_proposal = initial_proposal(config.logical.space, points, scores, objective.criterion, seed)

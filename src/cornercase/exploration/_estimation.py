@@ -171,7 +171,7 @@ def describe_doubts(event: str, estimate: Probability, direct_estimate: Probabil
         return []
     if not estimate.met:
         return [
-            f"No {event} occurred. The {direct_estimate.scenarios} scenarios that were drawn from"
+            f"No {event} occurred where it counts. The {direct_estimate.scenarios} scenarios that were drawn from"
             f" the distributions themselves"
             f" bound its probability by {direct_estimate.high:.3g} (95 %)."
         ]

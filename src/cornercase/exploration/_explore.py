@@ -32,7 +32,7 @@ from cornercase.simulators._create import create_simulator
 from cornercase.simulators._driver_parameters import bounds_of_parameters, check_driver_parameters
 from cornercase.simulators._random_sensors import find_random_sensors, warn_if_runs_are_random
 from cornercase.simulators._results import check_simulator_accepts, list_ignored_content
-from cornercase.simulators._run_notices import warn_if_ego_has_no_driver
+from cornercase.simulators._run_notices import driver_in_files, warn_if_ego_has_no_driver
 from cornercase.study import StudyFile
 from cornercase.study._objective import Objective
 from cornercase.study._remembered_paths import remember_scenario
@@ -194,6 +194,7 @@ def _run_exploration(
         meta = config.make_study_meta(
             objective, simulator.settings, None if warm_start is None else warm_start.study_info, study=study_path
         )
+        meta = replace(meta, driver_in_file=driver_in_files(simulator, [config.logical.scenario_file], config.ego))
         with open_or_create_study(study_path, meta) as study:
             if warm_start is None:
                 # A resumed study holds its warm-start data itself.

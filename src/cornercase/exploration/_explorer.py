@@ -54,6 +54,8 @@ class ExplorationResult:
         Whether the stored results led to the same proposals again; None if this was not checked.
     failure_counts : mapping of str to int
         Number of failed scenarios by reason, the most frequent first.
+    roles : str
+        The entity under test, its driver and the simulator, as sentences.
     """
 
     study: Path
@@ -65,6 +67,7 @@ class ExplorationResult:
     new_constant_metrics: tuple[str, ...] = ()
     reproducible: bool | None = None
     failure_counts: Mapping[str, int] = field(default_factory=dict)
+    roles: str = ""
 
     @classmethod
     def from_study(
@@ -105,6 +108,7 @@ class ExplorationResult:
             tuple(searched),
             notes,
             failure_counts=reasons,
+            roles=study.meta.roles_text,
         )
 
     @property

@@ -24,6 +24,7 @@ from cornercase.exploration._config import ExplorationConfig
 from cornercase.exploration._estimation import Estimation, EventOutcomes, describe_doubts, probability_from_direct_draws
 from cornercase.exploration._runner import ScenarioRunner, StageTimer
 from cornercase.metrics import METRICS
+from cornercase.scenario import ParameterSpace
 from cornercase.simulators import Simulator
 from cornercase.study import ScenarioRecord, StudyFile
 
@@ -239,6 +240,8 @@ class ProbabilityEstimator:
             *describe_doubts("critical scenario", critical, probability_from_direct_draws(law.is_critical)),
             *describe_doubts("collision", collision, probability_from_direct_draws(law.has_collision)),
         ]  # fmt: skip
+        if note := _describe_uniform(self._study.meta.space):
+            warnings.insert(0, note)
         if failed := int(all_outcomes.is_failed.sum()):
             warnings.append(f"{failed} scenarios failed and count as neither critical nor a collision.")
         return Estimation(
@@ -260,3 +263,12 @@ class ProbabilityEstimator:
             warnings=tuple(warnings),
             interrupted=interrupted,
         )
+
+
+def _describe_uniform(space: ParameterSpace) -> str:
+    """Say what probabilities mean if no parameter has a distribution; empty if one has."""
+    if any(parameter.distribution is not None for parameter in space.parameters):
+        return ""
+    count = len(space.parameters)
+    which = "The only parameter is" if count == 1 else f"All {count} parameters are"
+    return f"{which} uniform: probabilities are shares of the space, no frequency in traffic."

@@ -19,6 +19,7 @@ from cornercase._common.typing import FloatArray, IntArray
 from cornercase._common.validation import check_float, check_int, check_str
 from cornercase.clustering import Analysis, read_analyses, read_analysis
 from cornercase.clustering._embedding import Distances
+from cornercase.clustering._headline import find_headline_aspect
 from cornercase.drivers._parameters import spec_with_values
 from cornercase.drivers._resolve import create_driver_named_in_file, may_be_named_in_file
 from cornercase.evidence._bands import BANDS_PREFIX, bands_by_scenario
@@ -60,11 +61,11 @@ _BYTES_PER_SCENARIO: Final = 5_000
 _BYTES_OF_BLOCKS: Final = 600_000_000
 
 _REASONS: Final = {
-    "hull": "on the hull of cluster {cluster} in the parameter space",
-    "pcha": "at an extreme of cluster {cluster} in the parameter space, by archetypal analysis",
-    "parts": "on the hull of a near-convex part of cluster {cluster} in the parameter space",
-    "kernel": "at an extreme of cluster {cluster} in kernel space, by archetypal analysis",
-    "prototype": "the scenario most like all others of cluster {cluster}",
+    "hull": "on the hull of {by} {cluster} in the parameter space",
+    "pcha": "at an extreme of {by} {cluster} in the parameter space, by archetypal analysis",
+    "parts": "on the hull of a near-convex part of {by} {cluster} in the parameter space",
+    "kernel": "at an extreme of {by} {cluster} in kernel space, by archetypal analysis",
+    "prototype": "the scenario most like all others of {by} {cluster}",
     "gap": "for what is unlike all others that are kept",
     # Completed by `add_mutant_selection` once all are selected.
     "exposing": "exposes mutants of the driver",
@@ -102,8 +103,9 @@ def reduce(
         was selected. For a study of imported recordings only the manifest is written. An earlier set in the folder is
         replaced as a whole; other files are left alone.
     by : str, optional
-        Aspect whose clusters count; by default the metric that was searched. ``"bands:METRIC"`` represents each band of
-        high, medium and low criticality by a metric instead, by which the study was analysed.
+        Aspect whose clusters count; by default that whose clusters say most about how scenarios end, as the page shows
+        first; the metric that was searched if there are several clusters by none. ``"bands:METRIC"`` represents each
+        band of high, medium and low criticality by a metric instead, by which the study was analysed.
     size : int, optional
         Number of scenarios to select.
     share : float, optional
@@ -170,7 +172,7 @@ def reduce(
     folder = check_folder("folder", folder)
     limit = MemoryLimit.from_value(memory)
     with show_bars(progress), open_study(study, critical=critical) as opened:
-        analysis, band_names = _read_groups(opened, by or opened.meta.metrics[0])
+        analysis, band_names = _read_groups(opened, by or default_aspect(opened))
         start = time.monotonic()
         # Checked before anything is written or takes time.
         explored = find_explored_scenario(opened, scenario, search_stored_path=True)
@@ -207,6 +209,15 @@ def reduce(
     return reduced
 
 
+def default_aspect(study: StudyFile) -> str:
+    """Return the aspect by which scenarios are selected unless another one is given."""
+    analyses = read_analyses(study)
+    searched, headline = study.meta.metrics[0], find_headline_aspect(analyses)
+    if headline is None or (searched in analyses and analyses[headline].clustering.n_clusters <= 1):
+        return searched
+    return headline
+
+
 def _read_groups(study: StudyFile, by: str) -> tuple[Analysis, list[str]]:
     """Read the clusters by an aspect, and no names; or, for ``bands:METRIC``, bands in their place, and their names."""
     if not by.startswith(BANDS_PREFIX):
@@ -223,7 +234,7 @@ def _read_groups(study: StudyFile, by: str) -> tuple[Analysis, list[str]]:
 def _name_bands(reduced: ReducedSet, names: Sequence[str]) -> ReducedSet:
     """Name bands instead of clusters in the reasons why scenarios are selected."""
     scenarios = tuple(
-        replace(entry, why=entry.why.replace(f"cluster {entry.cluster}", f"the {names[entry.cluster]}"))
+        replace(entry, why=entry.why.replace(f"{reduced.by} {entry.cluster}", f"the {names[entry.cluster]}"))
         for entry in reduced.scenarios
     )
     return replace(reduced, by=f"{BANDS_PREFIX}{reduced.by}", scenarios=scenarios)
@@ -279,7 +290,11 @@ def _select_and_evaluate(
         n_run=len(data.rows),
         scenarios=tuple(
             _make_selected_scenario(
-                data, entry, ids[entry.index], methods[entry.cluster] if entry.role == "archetype" else entry.role
+                data,
+                analysis.by,
+                entry,
+                ids[entry.index],
+                methods[entry.cluster] if entry.role == "archetype" else entry.role,
             )
             for entry in selected
         ),
@@ -292,7 +307,9 @@ def _select_and_evaluate(
     return reduced, {name: CoverageCurves.from_nearest_distances(distances) for name, distances in gaps.items()}
 
 
-def _make_selected_scenario(data: StudyData, selected: Selected, scenario_id: int, reason: str) -> SelectedScenario:
+def _make_selected_scenario(
+    data: StudyData, by: str, selected: Selected, scenario_id: int, reason: str
+) -> SelectedScenario:
     meta = data.study.meta
     # An imported recording is run again by its own simulator; the manifest names it.
     imported = meta.simulator == IMPORTED_SIMULATOR
@@ -303,7 +320,7 @@ def _make_selected_scenario(data: StudyData, selected: Selected, scenario_id: in
         file=file,
         cluster=selected.cluster,
         role=selected.role,
-        why=_REASONS[reason].format(cluster=selected.cluster),
+        why=_REASONS[reason].format(by=by, cluster=selected.cluster),
         values=dict(data.rows[scenario_id].values),
         scores={name: scores[scenario_id] for name, scores in data.scores.items()},
     )

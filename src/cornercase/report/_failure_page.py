@@ -12,7 +12,7 @@ from cornercase.report._summary import Summary, summarize_with_collisions
 from cornercase.report.html._overview_sections import render_failure_reasons, render_provenance
 from cornercase.report.html._tables import render_table
 from cornercase.report.html._templates import render_template
-from cornercase.report.text._phrases import describe_roles, format_value
+from cornercase.report.text._phrases import format_value
 from cornercase.study import ScenarioRecord, StudyFile, StudyMeta
 
 # Rows that somebody may still read.
@@ -34,7 +34,7 @@ def render_failure_page(study: StudyFile) -> str:
         (),
         policy=_POLICY,
         title=escape_control_characters(meta.title),
-        about=escape_control_characters(f"{describe_roles(meta)} {_describe_counts(summary)}"),
+        about=escape_control_characters(f"{meta.roles_text} {_describe_counts(summary)}"),
         reasons=Markup(render_failure_reasons(failed)),
         missing=_MISSING_TEXT,
         again=describe_retry(meta),

@@ -29,6 +29,7 @@ from cornercase.report._report_data import ReportData, read_report_data
 from cornercase.report._rerun import rerun_payload
 from cornercase.report._road_drawing import encode_road_outline, find_road_outline, is_missing_map
 from cornercase.report.encode._page_recordings import describe_left_out_recordings, encode_important_recordings
+from cornercase.report.html._boundary_section import render_boundary_pairs
 from cornercase.report.html._cluster_sections import render_agreement, render_clusterings
 from cornercase.report.html._estimate_sections import render_estimates
 from cornercase.report.html._overview_sections import render_failures, render_provenance, render_scores
@@ -181,7 +182,8 @@ def render_details(data: ReportData) -> Iterator[Section]:
     sections = (
         render_verdicts,
         render_scores,
-        render_estimates,
+        *((render_estimates,) if data.summary.represents_space else ()),
+        render_boundary_pairs,
         render_clusterings,
         render_agreement,
         render_reduced_set,

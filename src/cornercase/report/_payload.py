@@ -8,11 +8,12 @@ from dataclasses import asdict
 from typing import Any, Final
 
 from cornercase.clustering import Analysis
+from cornercase.clustering._headline import find_headline_aspect, has_useful_clusters
 from cornercase.evidence._bands import BANDS_PREFIX
 from cornercase.report._chart_data import coverage_charts, hull_edges, search_chart, sensitivity_chart
 from cornercase.report._courses import encode_courses
 from cornercase.report._report_data import ReportData
-from cornercase.report.text._answers import describe_study, find_default_aspect, page_answers
+from cornercase.report.text._answers import describe_study, page_answers
 from cornercase.report.text._captions import describe_views
 from cornercase.report.text._phrases import describe_aspect, describe_informativeness, format_cluster_title
 from cornercase.scenario import Parameter
@@ -93,7 +94,7 @@ def whole_study_payload(data: ReportData) -> dict[str, Any]:
     return study_info_payload(meta, data.file_name) | {
         "about": describe_study(data),
         "critical": None if critical is None else asdict(critical.criterion),
-        "default_aspect": find_default_aspect(data),
+        "default_aspect": find_headline_aspect(data.summary.analyses),
         "influential": list(data.influential_parameters),
         "answers": [answer.to_json() for answer in page_answers(data)],
         "captions": describe_views(data),
@@ -109,7 +110,7 @@ def whole_study_payload(data: ReportData) -> dict[str, Any]:
             for scenario in selected
         },
         "search": search_chart(data),
-        "sensitivity": sensitivity_chart(data),
+        "sensitivity": sensitivity_chart(data) if data.summary.represents_space else None,
         "coverage": coverage_charts(data),
         "front": None if data.summary.estimates.pareto_front is None else list(data.summary.estimates.pareto_front),
         "hulls": hull_edges(data),
@@ -167,7 +168,8 @@ def _clusters_payload(analysis: Analysis, row_indices: Mapping[int, int], n_rows
     return {
         "labels": labels,
         "embedding": columns,
-        "names": {str(profile.cluster): format_cluster_title(profile) for profile in analysis.profiles},
+        "useful": has_useful_clusters(analysis),
+        "names": {str(profile.cluster): format_cluster_title(profile, analysis.by) for profile in analysis.profiles},
         "examples": {
             str(profile.cluster): profile.example for profile in analysis.profiles if profile.example is not None
         },

@@ -21,7 +21,7 @@ from cornercase.clustering import Analysis, read_analysis
 from cornercase.clustering._settings_map import GAMMAS, Observed, SettingsMap, map_settings
 from cornercase.report._payload import parameter_columns, round_score
 from cornercase.report.html._templates import render_template, write_page
-from cornercase.report.text._phrases import describe_aspect, describe_clustering_method, describe_roles
+from cornercase.report.text._phrases import describe_aspect, describe_clustering_method
 from cornercase.study import StudyFile
 from cornercase.study._study_file import open_study
 
@@ -127,7 +127,7 @@ def _render_page(study: StudyFile, aspects: Sequence[str], progress: bool) -> st
         _SCRIPTS,
         policy=_POLICY,
         title=escape_control_characters(f"Settings of the clustering: {study.meta.title}"),
-        about=escape_control_characters(f"From {study.path.name}. {describe_roles(study.meta)}"),
+        about=escape_control_characters(f"From {study.path.name}. {study.meta.roles_text}"),
         contents=contents,
     )
 

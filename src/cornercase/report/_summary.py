@@ -152,6 +152,11 @@ class Summary:
     failures: Mapping[str, FailureSummary] = field(default_factory=dict)
     bands: Mapping[str, Bands] = field(default_factory=dict)
 
+    @property
+    def represents_space(self) -> bool:
+        """Whether scenarios were searched or imported, not of a suite or an estimate, which leave nothing to reduce."""
+        return not self.meta.suite and self.probability is None
+
     def __repr__(self) -> str:
         parts = [f"{self.meta.title}: {self.n_run} scenarios run, {self.n_collisions} collisions"]
         if self.n_failed:

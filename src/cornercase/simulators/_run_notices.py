@@ -115,16 +115,25 @@ def find_entities_far_from_roads(network: RoadNetwork, recording: Recording) -> 
     return result
 
 
+def driver_in_files(simulator: Simulator, scenarios: Iterable[ScenarioFile], ego: str) -> str | None:
+    """Return the driver that all scenarios name for the ego, or ``""`` if none does and the storyboard moves it.
+
+    None if that is unknown: they differ or may choose one while they run, or the simulator drives the ego itself.
+    """
+    if simulator.name.partition(":")[0] != "builtin":
+        return None
+    files = list(scenarios)
+    if not any(scenario.may_have_driver(ego) for scenario in files):
+        return ""
+    drivers = {scenario.drivers.get(ego) for scenario in files}
+    # A parameter may hold the name.
+    return next((name for name in drivers if len(drivers) == 1 and name and not name.startswith("$")), None)
+
+
 def warn_if_ego_has_no_driver(simulator: Simulator, scenarios: Iterable[ScenarioFile], ego: str) -> None:
     """Warn if the builtin simulator is used and the ego has no driver in any of the scenarios."""
     drivers = simulator.settings.get("drivers")
-    has_driver = isinstance(drivers, dict) and ego in drivers
-    # Other simulators drive the ego themselves, or have no drivers.
-    if (
-        simulator.name.partition(":")[0] != "builtin"
-        or has_driver
-        or any(scenario.may_have_driver(ego) for scenario in scenarios)
-    ):
+    if (isinstance(drivers, dict) and ego in drivers) or driver_in_files(simulator, scenarios, ego) != "":
         return
     issue_notice_warning(
         f"nobody drives {ego}: it follows the scenario and does not react; give it a driver with `drivers` {ego}=normal"

@@ -14,7 +14,7 @@ from cornercase._common.errors import InputError
 from cornercase._common.text.sanitize import escape_control_characters, shorten
 from cornercase._common.typing import FloatArray
 from cornercase._common.version import __version__
-from cornercase.drivers._description import iter_driver_changes
+from cornercase.drivers._description import format_driver, iter_driver_changes
 from cornercase.metrics import METRICS, Metric
 from cornercase.metrics._critical_if import find_critical_if_condition
 from cornercase.metrics._own_metrics import StoredMetric, describe_own_metric
@@ -46,7 +46,10 @@ _DIFFERENCE_TEXTS: Final = {
 _COMPARED_VALUES: Final = ("ego", "other", "metrics", "optimizer", "seed", "batch", "repeats", "most_repeats", "audit")
 
 _FIELD_TYPES: Final[dict[str, Any]] = (
-    dict.fromkeys(("scenario", "fingerprint", "ego", "optimizer", "simulator", "suite", "origin", "version"), str)
+    dict.fromkeys(
+        ("scenario", "fingerprint", "ego", "driver_in_file", "optimizer", "simulator", "suite", "origin", "version"),
+        str,
+    )
     | dict.fromkeys(("seed", "budget", "batch", "repeats", "most_repeats"), int)
     | dict.fromkeys(("elsewhere", "own_metrics", "repeatability", "settings", "weights"), dict)
     | dict.fromkeys(("metrics", "files", "kinds", "requirements"), list)
@@ -57,8 +60,8 @@ _MAX_SETTING_LENGTH: Final = 60
 _DRIVERS_KEY: Final = "drivers"
 # Keys that are only written if they are used.
 _OPTIONAL_FIELDS: Final = (
-    "asynchronous", "elsewhere", "kinds", "most_repeats", "origin", "own_metrics", "repeatability", "requirements",
-    "suite",
+    "asynchronous", "driver_in_file", "elsewhere", "kinds", "most_repeats", "origin", "own_metrics", "repeatability",
+    "requirements", "suite",
 )  # fmt: skip
 _BOOLEAN_FIELDS: Final = ("asynchronous", "pareto")
 
@@ -151,6 +154,9 @@ class StudyMeta:
         `fingerprint` of the study that a suite was selected from; empty if there is none.
     version : str
         Version of cornercase that created the study.
+    driver_in_file : str or None
+        Driver that the scenario file names for the ego; empty if the ego follows the storyboard unless a driver is
+        given; None if unknown, as for simulators that drive the ego themselves.
     """
 
     scenario: str
@@ -181,6 +187,7 @@ class StudyMeta:
     suite: str = ""
     origin: str = ""
     version: str = __version__
+    driver_in_file: str | None = None
 
     @property
     def others(self) -> tuple[str, ...]:
@@ -266,6 +273,24 @@ class StudyMeta:
         return dict(self.settings.get(_DRIVERS_KEY, {}))
 
     @property
+    def roles_text(self) -> str:
+        """Describe, as sentences, the ego and its driver, the other entities, and the simulator."""
+        who, others = self.ego, self.others
+        if driver := self.drivers.get(self.ego, self.driver_in_file):
+            who += f", driven by {format_driver(driver)}"
+        elif driver == "":
+            who += f", which follows the storyboard and does not react (--driver {self.ego}=normal drives it)"
+        against = (
+            f"{others[0]}."
+            if len(others) == 1
+            else f"{', '.join(others[:-1])} and {others[-1]}; the most critical counts."
+        )
+        sentences = [f"Under test: {who}, against {against}"]
+        if self.simulator != "imported":
+            sentences.append(f"Simulator: {self.simulator}, cornercase {self.version}.")
+        return " ".join(sentences)
+
+    @property
     def title(self) -> str:
         """Name of the scenario file or folder without its ending."""
         return Path(_base_name(self.scenario)).stem
@@ -281,6 +306,7 @@ class StudyMeta:
         # These keys are only written if the study uses them.
         is_written = {
             "asynchronous": self.asynchronous,
+            "driver_in_file": self.driver_in_file is not None,
             "elsewhere": bool(self.elsewhere),
             "most_repeats": self.most_repeats is not None,
             "own_metrics": bool(self.own_metrics),

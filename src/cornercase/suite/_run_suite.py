@@ -26,6 +26,7 @@ from cornercase.metrics._own_metrics import resolve_metrics
 from cornercase.simulators import Simulator
 from cornercase.simulators._create import create_simulator
 from cornercase.simulators._results import describe_file_error
+from cornercase.simulators._run_notices import driver_in_files
 from cornercase.simulators._run_options import RUN_OPTIONS, RunKeywords
 from cornercase.study import StudyFile, StudyMeta
 from cornercase.study._meta import metric_fields
@@ -177,6 +178,8 @@ def run_suite(
             }
             metrics = _choose_metrics(contents, given["metrics"] or (), parsed)
             meta = _build_meta(contents, entities, metrics, parsed, str(name), started.settings, path)
+            driver_in_file = driver_in_files(started, (item.scenario for item in contents.runnable_scenarios), meta.ego)
+            meta = replace(meta, driver_in_file=driver_in_file)
             n_parallel = runs["workers"] if client is None else None
             n_before = run_pending_scenarios(
                 contents, meta, metrics, started, path, n_parallel, check_bool("progress", progress)

@@ -67,11 +67,11 @@ def _draw_clusters(data: ReportData, analysis: Analysis) -> Iterator[CaptionedFi
     name, labels, clustering = analysis.by, analysis.labels, analysis.clustering
     ids = analysis.ids.tolist()
     rows = data.row_indices(ids)
-    names = {profile.cluster: format_cluster_title(profile) for profile in analysis.profiles if profile.name}
+    names = {profile.cluster: format_cluster_title(profile, name) for profile in analysis.profiles if profile.name}
     examples = [profile for profile in analysis.profiles if profile.name and profile.example is not None][:MAX_EXAMPLES]
     if examples:
         recordings = {
-            format_cluster_title(profile): data.examples[profile.example]
+            format_cluster_title(profile, name): data.examples[profile.example]
             for profile in examples
             if profile.example is not None
         }

@@ -12,7 +12,6 @@ from cornercase.report._payload import study_info_payload
 from cornercase.report.live._analysis_worker import AnalysisWorker, PageAnalysis
 from cornercase.report.live._follower import StudyFollower
 from cornercase.report.live._live_page_reader import course_columns, scenario_columns
-from cornercase.report.text._phrases import describe_roles
 from cornercase.study import StudyMeta
 from cornercase.study._objective import Objective
 
@@ -134,7 +133,7 @@ def _initial_contents(meta: StudyMeta, path: Path) -> dict[str, Any]:
     critical = None if criterion is None else asdict(criterion)
     influential = list(range(len(meta.space.parameters)))
     return study_info_payload(meta, path.name) | {
-        "about": describe_roles(meta), "critical": critical, "default_aspect": None, "influential": influential,
+        "about": meta.roles_text, "critical": critical, "default_aspect": None, "influential": influential,
         "outcomes": [], "answers": [], "captions": {}, "recordings_left_out": "", "roads": None, "roads_missing": "",
         "rerun": None, "details": [], "provenance": "", "kept": {}, "kinds": {}, "most_critical": {},
     }  # fmt: skip

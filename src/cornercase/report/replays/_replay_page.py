@@ -12,7 +12,6 @@ from cornercase.report._payload import parameter_columns, round_score, score_sou
 from cornercase.report._road_drawing import encode_road_outline
 from cornercase.report.html._templates import render_template
 from cornercase.report.replays._replay_data import ReplayData
-from cornercase.report.text._phrases import describe_roles
 
 _STYLES: Final = ("style.css", "replay.css")
 _SCRIPTS: Final = ("store.js", "recordings.js", *REPLAY_SCRIPTS, "replay/alone.js")
@@ -33,7 +32,7 @@ def render_replay_page(data: ReplayData) -> str:
         _SCRIPTS,
         policy=_POLICY,
         title=f"{meta.title}, scenario {ids}",
-        about=f"From {data.file_name}. {describe_roles(meta)}",
+        about=f"From {data.file_name}. {meta.roles_text}",
         contents=_replay_payload(data) | {"recordings": list(recordings)},
         recordings=recordings,
     )

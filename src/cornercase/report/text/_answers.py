@@ -10,6 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from cornercase._common.text.sanitize import escape_control_characters
+from cornercase.clustering._headline import find_headline_aspect, has_useful_clusters
 from cornercase.evidence import Estimate
 from cornercase.metrics._outcome import Manner
 from cornercase.reduction import ReducedSet
@@ -21,12 +22,12 @@ from cornercase.report.text._phrases import (
     describe_aspect,
     describe_front,
     describe_missing_sensitivity,
-    describe_roles,
     describe_selection_threshold,
     describe_threshold_override,
     describe_too_few_scores,
     describe_unmeasured_collisions,
     describe_warm_start,
+    format_cluster_title,
     format_criterion_with_signs,
     format_percent,
     group_failures_by_reason,
@@ -77,12 +78,21 @@ def page_answers(data: ReportData) -> Iterator[Answer]:
     `summary_to_dict` contains all numbers in them, too.
     """
     summary = data.summary
-    estimates = summary.estimates
     if data.verdicts:
         yield _answer_verdicts(data)
-    yield _answer_collisions(data)
     if summary.probability is not None:
         yield _answer_probability(summary.probability)
+    yield _answer_collisions(data)
+    if summary.represents_space:
+        yield from _answer_search(data)
+    elif summary.analyses:
+        yield _answer_clusters(data)
+    yield _answer_failures(data)
+
+
+def _answer_search(data: ReportData) -> Iterator[Answer]:
+    """Yield the answers on what a search, or imported recordings, say about the space."""
+    estimates = data.summary.estimates
     if estimates.pareto_front is not None:
         yield _answer_front(data)
     else:
@@ -92,7 +102,6 @@ def page_answers(data: ReportData) -> Iterator[Answer]:
     yield _answer_reduced_set(data)
     if estimates.pareto_front is None and estimates.critical is not None:
         yield _answer_missed(estimates.critical)
-    yield _answer_failures(data)
 
 
 def describe_study(data: ReportData, *, include_counts: bool = True) -> str:
@@ -101,7 +110,7 @@ def describe_study(data: ReportData, *, include_counts: bool = True) -> str:
     Without `include_counts` the numbers are left out, because the page shows its own counts.
     """
     summary, meta = data.summary, data.summary.meta
-    sentences = [describe_roles(meta)]
+    sentences = [meta.roles_text]
     begin = f"{_scenarios_were(summary.n_run)} " if include_counts else "Scenarios "
     if meta.simulator == IMPORTED_SIMULATOR:
         sentences.append(f"{begin}imported, measured by {', '.join(meta.metrics)}.")
@@ -151,14 +160,15 @@ def _answer_collisions(data: ReportData) -> Answer:
     others = data.summary.meta.others
     counts = Counter(name for names in data.entities_hit.values() for name in names if name in others)
     hit = _join_with_and([f"{entity} in {count}" for entity, count in counts.most_common()])
-    sentences = [f"Yes: {ego} collides with {hit} of {scenarios}."]
+    worst, impact = hardest[0]
+    hard = f"hardest in scenario {worst}, at a relative speed of {impact.speed:.2g} m/s"
+    sentences = [f"Yes: {ego} collides with {hit} of {scenarios}, {hard}."]
     manners = Counter(impact.manner for _, impact in hardest)
     for manner, description in _MANNERS.items() if len(others) == 1 else ():
         if count := manners[manner]:
             sentences.append(f"{f'In {count}' if count < len(hardest) else 'Each time'} it {description}.")
     if faults := _describe_faults(data):
         sentences.append(faults)
-    sentences.append(f"The hardest is scenario {hardest[0][0]}, at a relative speed of {hardest[0][1].speed:.2g} m/s.")
     points = [
         f"Scenario {scenario}: {impact.speed:.2g} m/s, with {impact.entity} at {impact.time:.3g} s"
         + ("." if impact.fault is None else f"; {impact.fault.describe(ego, impact.entity)}.")
@@ -257,22 +267,9 @@ def _answer_missed(critical: CriticalEstimates) -> Answer:
     return Answer("missed", "What may be missed?", " ".join(sentences))
 
 
-def find_default_aspect(data: ReportData) -> str | None:
-    """Return the aspect whose clusters say most about how scenarios end; None without clusters."""
-    highest, aspect = -1.0, None
-    for by, analysis in data.summary.analyses.items():
-        # If tied, the later aspect wins: aspects are ordered by how much they say about what happens.
-        information = (
-            round(analysis.fact_agreement.get("outcome", 0.0), 3) if analysis.clustering.n_clusters > 1 else -1.0
-        )
-        if information >= highest:
-            highest, aspect = information, by
-    return aspect
-
-
 def _answer_clusters(data: ReportData) -> Answer:
     name, question, analyses = "kinds", "Which kinds are there?", data.summary.analyses
-    chosen = find_default_aspect(data)
+    chosen = find_headline_aspect(data.summary.analyses)
     if chosen is None:
         return Answer(name, question, "The study has not been analysed yet; cornercase analyze finds the kinds.")
     divided = [by for by, analysis in analyses.items() if analysis.clustering.n_clusters > 1 and by != chosen]
@@ -285,8 +282,10 @@ def _answer_clusters(data: ReportData) -> Answer:
     outside = f", and {noise} scenarios of noise" if noise else ""
     compared = f" ({description})" if (description := describe_aspect(chosen)) else ""
     sentences = [f"By {chosen}{compared} there are {analysis.clustering.n_clusters} kinds{outside}."]
+    if not has_useful_clusters(analysis):
+        sentences.insert(0, "No useful kinds: none tell apart how scenarios end; points show the outcome.")
     points = [
-        f"{profile.label or f'cluster {profile.cluster}'} ({profile.size} scenarios)."
+        f"{format_cluster_title(profile, chosen)} ({profile.size} scenarios)."
         for profile in analysis.profiles
         if profile.cluster >= 0
     ]
@@ -346,19 +345,29 @@ def _answer_reduced_set(data: ReportData) -> Answer:
     roles = Counter(str(scenario.role) for scenario in reduced.scenarios)
     counts = _join_with_and([f"{n} {forms[n != 1]}" for role, forms in _ROLE_NAMES.items() if (n := roles[role])])
     sentences = [f"Keep {len(reduced.scenarios)} of the {reduced.n_run} scenarios: {counts or 'none'}."]
+    sentences.append(_describe_selected_outcomes(data, reduced))
     if later := data.summary.n_run - reduced.n_run:
         sentences.append(f"{_scenarios_were(later)} run since.")
-    analyses, headline = data.summary.analyses, find_default_aspect(data)
-    if headline is not None and reduced.by in analyses:
-        n_kinds, n_headline_kinds = (analyses[by].clustering.n_clusters for by in (reduced.by, headline))
-        if n_kinds <= 1 < n_headline_kinds:
-            sentences.append(
-                f"They were chosen by {reduced.by}, which has no separate kinds; 'cornercase reduce --by {headline}'"
-                " chooses from each of the kinds above."
-            )
+    headline = find_headline_aspect(data.summary.analyses)
+    if headline is not None and reduced.by != headline and data.summary.analyses[headline].clustering.n_clusters > 1:
+        sentences.append(f"They were chosen by {reduced.by}; 'cornercase reduce' chooses from the kinds above.")
     if chosen := describe_selection_threshold(data.summary):
         sentences.append(chosen)
     return Answer(name, question, " ".join([*sentences, *_describe_coverage(data, reduced)]))
+
+
+def _describe_selected_outcomes(data: ReportData, reduced: ReducedSet) -> str:
+    """Say how many of the kept scenarios are critical, and in how many the ego collides."""
+    selected = set(reduced.ids)
+    parts = [f"in {len(selected & data.hardest_impacts.keys())} {data.summary.meta.ego} collides"]
+    if data.summary.estimates.critical is not None:
+        n_critical = sum(data.rows[k].id in selected for k in np.flatnonzero(data.is_critical))
+        parts.insert(0, f"{n_critical} of them {'is' if n_critical == 1 else 'are'} critical")
+    return f"{_capitalize(_join_with_and(parts))}."
+
+
+def _capitalize(text: str) -> str:
+    return text[:1].upper() + text[1:]
 
 
 def _describe_coverage(data: ReportData, reduced: ReducedSet) -> Iterator[str]:
@@ -424,27 +433,34 @@ def _answer_verdicts(data: ReportData) -> Answer:
     states = {scenario: worst_state(verdicts) for scenario, verdicts in data.verdicts.items()}
     counts = Counter("not run" if scenario in failed else state for scenario, state in states.items())
     parts = [f"{counts[state]} {state}" for state in ("passed", "failed", "inconclusive", "not run") if counts[state]]
+    files = data.summary.meta.files
     violations = [
-        f"Scenario {scenario}: {verdict.requirement}: {verdict.reason}."
+        f"{files[scenario - 1]} (scenario {scenario}): {verdict.reason}; required: {verdict.requirement}."
         for scenario, verdicts in data.verdicts.items()
         for verdict in verdicts
         if verdict.state == "failed"
     ]
     note = f" The first {_MAX_POINTS} requirements that failed:" if len(violations) > _MAX_POINTS else ""
     text = f"{', '.join(parts)} of {len(states)} scenarios.{note}"
+    if len(violations) == 1:
+        return Answer("verdicts", "Did it pass?", f"{text} {violations[0]}")
     return Answer("verdicts", "Did it pass?", text, tuple(violations[:_MAX_POINTS]))
 
 
 def _answer_probability(estimate: Any) -> Answer:
     criterion = use_math_signs(estimate["critical is"])
-    points = []
-    for event, description in (("critical", f"a critical scenario ({criterion})"), ("collision", "a collision")):
+    sentences = []
+    for event, description in (("critical", f"A scenario is critical ({criterion})"), ("collision", "It collides")):
         low, high = estimate[event]["95 % interval"]
-        points.append(
-            f"Of {description}: {estimate[event]['probability']:.3g} (95 % interval {low:.3g} to {high:.3g})."
+        if not estimate[event].get("met", 1):
+            sentences.append(f"{description} with a probability of at most {high:.3g} (95 %).")
+            continue
+        sentences.append(
+            f"{description} with a probability of {estimate[event]['probability']:.3g}"
+            f" (95 % interval {low:.3g} to {high:.3g})."
         )
-    text = f"Under the distributions of the space, from {estimate['scenarios']} scenarios:"
-    return Answer("probability", "How probable is it?", text, (*points, *estimate["warnings"]))
+    sentences.append(f"Estimated from {estimate['scenarios']} scenarios.")
+    return Answer("probability", "How probable is it?", " ".join([*sentences, *estimate["warnings"]]))
 
 
 def _join_with_and(words: list[str]) -> str:

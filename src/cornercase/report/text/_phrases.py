@@ -10,7 +10,7 @@ from typing import Final
 from cornercase._common.plugin_errors import group_failure_messages
 from cornercase._common.text.sanitize import docstring_summary
 from cornercase.clustering import ASPECTS, Analysis, Profile
-from cornercase.drivers._description import format_driver
+from cornercase.clustering._headline import SOME_INFORMATION
 from cornercase.metrics import METRICS
 from cornercase.metrics._critical_if import find_critical_if_condition
 from cornercase.report._summary import Summary
@@ -25,26 +25,17 @@ _SMALLEST_PERCENT: Final = 0.01
 _METHOD_NAMES: Final = {"dbscan": "DBSCAN", "hdbscan": "HDBSCAN"}
 
 # Adjusted mutual information from which clusters say a little, something, and much about what happened.
-_LITTLE_INFORMATION, _SOME_INFORMATION, _MUCH_INFORMATION = 0.1, 0.4, 0.8
+_LITTLE_INFORMATION, _MUCH_INFORMATION = 0.1, 0.8
 
 
-def format_cluster_name(cluster: int) -> str:
-    """Return ``"cluster 0"``, or ``"noise"`` for -1."""
-    return NOISE_NAME if cluster < 0 else f"cluster {cluster}"
+def format_cluster_name(cluster: int, by: str = "cluster") -> str:
+    """Return ``"cluster 0"``, or ``"noise"`` for -1; with an aspect, its name and number."""
+    return NOISE_NAME if cluster < 0 else f"{by} {cluster}"
 
 
-def format_cluster_title(profile: Profile) -> str:
-    """Return number, name and collisions of a cluster: ``"cluster 0: Ego yields to Pedestrian; 3 of 120 collide"``."""
-    return ": ".join(filter(None, (format_cluster_name(profile.cluster), profile.label)))
-
-
-def describe_roles(meta: StudyMeta) -> str:
-    """Describe which entity is the ego, who drives it, and which other entities it is measured against."""
-    others, driver = meta.others, meta.drivers.get(meta.ego)
-    tested = f"{meta.ego}, driven by {format_driver(driver)}" if driver else meta.ego
-    if len(others) == 1:
-        return f"Under test: {tested}, against {others[0]}."
-    return f"Under test: {tested}, against {', '.join(others[:-1])} and {others[-1]}; the most critical counts."
+def format_cluster_title(profile: Profile, by: str) -> str:
+    """Return aspect, number, name and collisions of a cluster: ``"bearing 0: Ego yields to C; 3 of 120 collide"``."""
+    return ": ".join(filter(None, (format_cluster_name(profile.cluster, by), profile.label)))
 
 
 def describe_warm_start(meta: StudyMeta) -> str:
@@ -86,7 +77,7 @@ def describe_informativeness(analysis: Analysis) -> str:
         return ""
     if not analysis.fact_agreement:
         return f"All scenarios end in the same way; the kinds by {by} distinguish how they get there."
-    levels = (("much", _MUCH_INFORMATION, math.inf), ("something", _SOME_INFORMATION, _MUCH_INFORMATION))
+    levels = (("much", _MUCH_INFORMATION, math.inf), ("something", SOME_INFORMATION, _MUCH_INFORMATION))
     parts = []
     for amount, low, high in levels:
         facts = [f"{fact} ({mutual:.2f})" for fact, mutual in analysis.fact_agreement.items() if low <= mutual < high]

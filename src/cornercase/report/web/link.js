@@ -11,6 +11,10 @@ class Link {
     for (const event of ["shown", "selected", "options"]) store.on(event, () => this.later());
     addEventListener("hashchange", () => this.read());
     addEventListener("popstate", () => this.read());
+    // A scenario that a text of the page names is shown far from it.
+    document.querySelector("#details")?.addEventListener("click", (event) => {
+      if (event.target.closest("a[href^='#id=']")) document.querySelector("#replay")?.scrollIntoView();
+    });
   }
 
   // The address of the current selection, without "#".

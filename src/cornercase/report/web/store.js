@@ -25,9 +25,11 @@ class Store {
     // Every brush is a range of a column, so that all views show each other's brushes.
     this.ranges = new Map();
     const aspect = Store.firstAspect(contents);
-    // A single kind would give all points one colour.
-    const kinds = new Set(aspect === null ? [] : contents.kinds[aspect].labels.filter((one) => one !== null));
-    this.options = { metric: contents.metrics[0].name, aspect, colour: kinds.size > 1 ? "kind" : "metric" };
+    const { outcomes, scenarios } = contents;
+    const ends = outcomes?.length && new Set(scenarios.outcome.filter((one) => one !== null)).size > 1;
+    // Kinds that tell nothing apart would hide what happened.
+    const colour = contents.kinds[aspect]?.useful ? "kind" : ends ? "outcome" : "metric";
+    this.options = { metric: contents.metrics[0].name, aspect, colour };
     this.notes = new Map();
     this.selected = null;
     this.beside = null;
@@ -218,6 +220,6 @@ class Store {
 
   kindName(label) {
     if (label === null || this.options.aspect === null) return "in no cluster";
-    return this.contents.kinds[this.options.aspect]?.names[String(label)] ?? (label < 0 ? "noise" : `cluster ${label}`);
+    return this.contents.kinds[this.options.aspect]?.names[String(label)] ?? (label < 0 ? "noise" : `${this.options.aspect} ${label}`);
   }
 }
