@@ -10,7 +10,8 @@ three kinds of processors (from before AVX, AVX2, AVX512) they were the same to 
 surrogate are held to 3e-4: they differed by 2e-5 at most, those below 0.02 by 1e-6. A kernel with 2.25 for the root of
 5 in it moves them by 2e-3. Of 400 drawn critical sets two may fall on the other side.
 
-``python tests/integration/test_golden.py`` writes the present results to ``tests/data/golden.json``. Whoever does that says in the
+``PYTHONPATH=tests python tests/integration/test_golden.py`` writes the present results to ``tests/data/golden.json``. Whoever
+does that says in the
 commit which defect or feature changed them.
 """
 
