@@ -83,23 +83,35 @@ def asked(number, place, *command, cwd):
         (signal.SIGINT, "cornercase.clustering._analyze:_cluster_by_aspect", ("analyze",), "Interrupted;"),
         pytest.param(
             signal.SIGTERM,
-            "cornercase.report._page:atomic_write",
+            "cornercase.report.html._templates:atomic_write",
             ("report", "-o", "page.html"),
             "by SIGTERM;",
             marks=pytest.mark.slow,
         ),
         pytest.param(
-            signal.SIGHUP, "cornercase.report._summary:summarize", ("show",), "by SIGHUP;", marks=pytest.mark.slow
+            signal.SIGHUP,
+            "cornercase.report._summary:summarize",
+            ("show", "--all"),
+            "by SIGHUP;",
+            marks=pytest.mark.slow,
         ),
-        pytest.param(signal.SIGTERM, "typer.core:_main", ("show",), "by SIGTERM;", marks=pytest.mark.slow),
+        pytest.param(signal.SIGTERM, "typer.core:_main", ("show", "--all"), "by SIGTERM;", marks=pytest.mark.slow),
         pytest.param(
-            signal.SIGINT, "~cornercase.report._summary:summarize", ("show",), "Interrupted;", marks=pytest.mark.slow
+            signal.SIGINT,
+            "~cornercase.report._summary:summarize",
+            ("show", "--all"),
+            "Interrupted;",
+            marks=pytest.mark.slow,
         ),
-        (signal.SIGTERM, "~cornercase.report._summary:summarize", ("show",), "by SIGTERM;"),
+        (signal.SIGTERM, "~cornercase.report._summary:summarize", ("show", "--all"), "by SIGTERM;"),
         pytest.param(
-            signal.SIGINT, "+cornercase.report._summary:summarize", ("show",), "Interrupted;", marks=pytest.mark.slow
+            signal.SIGINT,
+            "+cornercase.report._summary:summarize",
+            ("show", "--all"),
+            "Interrupted;",
+            marks=pytest.mark.slow,
         ),
-        (signal.SIGTERM, "+cornercase.report._summary:summarize", ("show",), "by SIGTERM;"),
+        (signal.SIGTERM, "+cornercase.report._summary:summarize", ("show", "--all"), "by SIGTERM;"),
     ],
 )
 def test_stumble_8_an_interrupted_command_says_a_word(number, place, command, words, study, tmp_path):

@@ -127,7 +127,7 @@ def test_42_6_a_study_knows_that_its_driver_draws_random_numbers(explore, asynch
     assert (found["scenario"], found["same"]) == (1, False)
     assert 0.01 < found["apart"] < 100.0
     words = f"scenario 1 was run twice, and in its recordings entities are up to {found['apart']:.3g} m apart"
-    assert f"runs differ: {words}" in cornercase("show", path).stdout
+    assert f"Runs differ: {words}" in cornercase("show", path).stdout
     assert json.loads(cornercase("show", path, "--json").stdout)["runs_differ"] == words
     assert words in write_report(path, path.with_suffix(".html")).read_text()
 
