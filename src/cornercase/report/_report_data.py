@@ -82,14 +82,16 @@ class ReportData:
 def read_report_data(
     study: StudyFile,
     *,
+    charts: bool = True,
     figures: bool = False,
     memory: MemoryLimit | None = None,
     on_read: Callable[[int], None] | None = None,
 ) -> ReportData:
     """Read all data of a report, without unpacking recordings; InputError if the data exceed the memory limit.
 
-    `figures` also reads the courses of metrics at full length. `on_read` is called with the number of scenarios read so
-    far.
+    `figures` also reads the courses of metrics at full length. Without `charts`, what sentences do not need is left
+    out: courses, examples, coverage curves, and what a search had missed after each number of scenarios. `on_read` is
+    called with the number of scenarios read so far.
     """
     rows = study.finished_rows()
     metrics = study.meta.create_metrics()
@@ -107,7 +109,7 @@ def read_report_data(
         if not count and memory is not None:
             _check_memory(memory, len(rows), len(metrics), digest.n_instants if figures else 0, on_read is not None)
         time_spans[scenario] = (digest.begin, digest.end)
-        for metric, line in zip(metrics, digest.lines, strict=True):
+        for metric, line in zip(metrics, digest.lines, strict=True) if charts else ():
             lines[metric.name][scenario] = line
         touched[scenario] = entities_hit_by_ego(study.meta, digest.collisions)
         impacts[scenario] = digest.outcomes[0].impacts
@@ -140,17 +142,17 @@ def read_report_data(
             for scenario, hits in impacts.items()
             if hits
         },
-        examples=_read_examples(study, summary.analyses),
+        examples=_read_examples(study, summary.analyses) if charts else {},
         values=values,
         influential_parameters=order_by_influence(values, scores[metrics[0].name]),
         is_critical=study.critical_mask(),
         coverage_curves={}
-        if summary.reduced_set is None
+        if summary.reduced_set is None or not charts
         else read_coverage_curves(study, summary.analyses, summary.reduced_set.ids),
         verdicts=judge_study(study),
         outcomes=study.outcomes(),
         notes=study.notes(),
-        missed_fractions=tuple(estimate_missed_fractions(study, summary.estimates)),
+        missed_fractions=tuple(estimate_missed_fractions(study, summary.estimates)) if charts else (),
         region=add_road_margin(region),
     )
 

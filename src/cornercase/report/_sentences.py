@@ -13,7 +13,7 @@ def iter_sentences(study: StudyFile) -> Iterator[str]:
     """Yield what was run, then each question of the page with its answer; nothing before a scenario was run."""
     if not study.finished_rows():
         return
-    data = read_report_data(study)
+    data = read_report_data(study, charts=False)
     yield f"{data.summary.meta.title}. {describe_study(data)}"
     for answer in page_answers(data):
         yield answer.question
