@@ -227,7 +227,7 @@ def print_ending(result: ExplorationResult) -> None:
     else:
         failed = f", {result.failed} of which failed" if result.failed else ""
         out.print(f"{count} in {result.study}{failed}; ended because {result.reason}.")
-        print_failure_reasons(result.failure_counts, "; 'show' prints all")
+        print_failure_reasons(result.failure_counts, "; 'show --all' prints all")
     for sentence in (result.roles, *notes):
         out.print(sentence, markup=False)
     if result.interrupted:
