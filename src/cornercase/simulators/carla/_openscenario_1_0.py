@@ -322,7 +322,9 @@ def _make_tree_1_0(
 
 def _refuse_left_hand_traffic(scenario: ScenarioFile, road: Path, by_lanes: Sequence[str]) -> None:
     """Raise `InputError` if roads have left-hand traffic and entities are moved along CARLA's lanes."""
-    if by_lanes and any(element.get("rule") == "LHT" for element in scenario.get_root(road).iterfind("{*}road")):
+    if by_lanes and not all(
+        element.is_right_hand_traffic for element in RoadNetwork.from_xml(scenario.get_root(road), road).roads
+    ):
         raise InputError(
             f"{road}: has left-hand traffic, which CARLA before 0.9.16 takes for right-hand traffic, so"
             f" {' and '.join(sorted(by_lanes))} would drive against it; use 0.9.16."
