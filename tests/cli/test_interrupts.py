@@ -58,6 +58,9 @@ setattr(module, name, asked)
 main()
 """
 
+SUMMARIZE = "cornercase.report._summary:summarize"
+SHOW = ("show", "--all")
+
 
 @pytest.fixture(scope="module")
 def study(tmp_path_factory):
@@ -88,30 +91,12 @@ def asked(number, place, *command, cwd):
             "by SIGTERM;",
             marks=pytest.mark.slow,
         ),
-        pytest.param(
-            signal.SIGHUP,
-            "cornercase.report._summary:summarize",
-            ("show", "--all"),
-            "by SIGHUP;",
-            marks=pytest.mark.slow,
-        ),
-        pytest.param(signal.SIGTERM, "typer.core:_main", ("show", "--all"), "by SIGTERM;", marks=pytest.mark.slow),
-        pytest.param(
-            signal.SIGINT,
-            "~cornercase.report._summary:summarize",
-            ("show", "--all"),
-            "Interrupted;",
-            marks=pytest.mark.slow,
-        ),
-        (signal.SIGTERM, "~cornercase.report._summary:summarize", ("show", "--all"), "by SIGTERM;"),
-        pytest.param(
-            signal.SIGINT,
-            "+cornercase.report._summary:summarize",
-            ("show", "--all"),
-            "Interrupted;",
-            marks=pytest.mark.slow,
-        ),
-        (signal.SIGTERM, "+cornercase.report._summary:summarize", ("show", "--all"), "by SIGTERM;"),
+        pytest.param(signal.SIGHUP, SUMMARIZE, SHOW, "by SIGHUP;", marks=pytest.mark.slow),
+        pytest.param(signal.SIGTERM, "typer.core:_main", SHOW, "by SIGTERM;", marks=pytest.mark.slow),
+        pytest.param(signal.SIGINT, f"~{SUMMARIZE}", SHOW, "Interrupted;", marks=pytest.mark.slow),
+        (signal.SIGTERM, f"~{SUMMARIZE}", SHOW, "by SIGTERM;"),
+        pytest.param(signal.SIGINT, f"+{SUMMARIZE}", SHOW, "Interrupted;", marks=pytest.mark.slow),
+        (signal.SIGTERM, f"+{SUMMARIZE}", SHOW, "by SIGTERM;"),
     ],
 )
 def test_stumble_8_an_interrupted_command_says_a_word(number, place, command, words, study, tmp_path):
