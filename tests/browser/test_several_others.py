@@ -58,3 +58,18 @@ def test_the_page_says_whom_scores_are_against(tab, report):
         name, roles = page.evaluate(LOOK)
         assert name == whom
         assert roles == {"Ego": "ego", "A": "other", "B": "other", "C": "third"}
+
+
+def test_a_press_while_the_rows_get_other_marks_is_a_click(tab, report):
+    page = tab.open(report)
+    rows = page.locator(".grid .body .row")
+    for k in (1, 0):
+        rows.nth(k).scroll_into_view_if_needed()
+        box = rows.nth(k).bounding_box()
+        page.mouse.move(box["x"] + 30.0, box["y"] + 10.0)
+        page.mouse.down()
+        page.evaluate("() => cornercase.store.hover(null)")
+        tab.settle()
+        page.mouse.up()
+        tab.settle()
+        assert rows.nth(k).get_attribute("aria-selected") == "true"

@@ -167,7 +167,9 @@ class ScenarioTable {
       if (events.has("shown")) this.current = null;
     }
     if (events.has("selected")) this.reveal();
-    this.drawRows();
+    // A press between two rows that replaced each other would be no click.
+    if (onlyMarks(events)) this.markRows();
+    else this.drawRows();
   }
 
   order() {
@@ -207,14 +209,18 @@ class ScenarioTable {
     this.body.replaceChildren(...rows.map((row, k) => this.makeRow(row, first + k)));
     const { scrollWidth, scrollLeft, clientWidth } = this.grid;
     this.grid.classList.toggle("more", scrollWidth - scrollLeft > clientWidth + 2);
-    const active = this.current !== null && this.current >= first && this.current < first + count;
-    if (active) this.grid.setAttribute("aria-activedescendant", `scenario-row-${this.rows[this.current]}`);
+    this.pointAtCurrent();
+  }
+
+  // Tells screen readers which row the arrow keys are at, if it is drawn.
+  pointAtCurrent() {
+    const line = this.current === null ? null : document.getElementById(`scenario-row-${this.rows[this.current]}`);
+    if (line) this.grid.setAttribute("aria-activedescendant", line.id);
     else this.grid.removeAttribute("aria-activedescendant");
   }
 
   makeRow(row, at) {
-    const { store } = this;
-    const id = store.contents.scenarios.id[row];
+    const id = this.store.contents.scenarios.id[row];
     const line = document.createElement("div");
     line.className = "row";
     line.id = `scenario-row-${row}`;
@@ -222,11 +228,8 @@ class ScenarioTable {
     line.dataset.scenario = id;
     line.setAttribute("role", "row");
     line.setAttribute("aria-rowindex", String(at + 2));
-    line.setAttribute("aria-selected", String(id === store.selected));
     line.style.top = `${at * this.height}px`;
-    line.classList.toggle("beside", id === store.beside);
-    line.classList.toggle("hovered", row === store.hovered);
-    line.classList.toggle("current", at === this.current);
+    this.mark(line, row);
     for (const column of this.columns) {
       const cell = this.cell(column, "gridcell");
       cell.textContent = unturned(column.text(row));
@@ -234,6 +237,22 @@ class ScenarioTable {
       line.append(cell);
     }
     return line;
+  }
+
+  mark(line, row) {
+    const { store } = this;
+    const id = store.contents.scenarios.id[row];
+    line.setAttribute("aria-selected", String(id === store.selected));
+    line.classList.toggle("beside", id === store.beside);
+    line.classList.toggle("hovered", row === store.hovered);
+    line.classList.toggle("current", this.current !== null && row === this.rows[this.current]);
+  }
+
+  // What is selected and under the pointer, in the rows that are drawn.
+  markRows() {
+    if (!this.rows) return;
+    for (const line of this.body.children) this.mark(line, Number(line.dataset.row));
+    this.pointAtCurrent();
   }
 
   // Scrolls to the selected scenario.
