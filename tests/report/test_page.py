@@ -260,7 +260,7 @@ def test_no_name_ends_a_script_or_an_attribute(tmp_path):
     assert contents["title"] == "<script><script>alert(1)<script>\u2028 歩行者"
 
 
-KINDS = ["plain", "pareto", "weights", "one", "choices", "repeats", "imported"]
+KINDS = ["plain", "pareto", "weights", "one", "choices", "fixed", "repeats", "imported"]
 
 
 @pytest.mark.parametrize("kind", at_night(KINDS, {"plain", "weights", "repeats", "imported", "one"}))
@@ -272,15 +272,18 @@ def test_every_kind_of_study_has_a_page(tmp_path, kind):
         more = {"weights": {"distance": 1.0, "wttc": 2.0}, "critical": 4.0}
     elif kind == "choices":
         space = ParameterSpace([Parameter("way", 0, 2, choices=("left", "right", "<b>")), SPACE.parameters[1]])
+    elif kind == "fixed":
+        space = ParameterSpace([Parameter("version", 0, 0, choices=("new",)), *SPACE.parameters])
+        more = {"critical": 2.0}
     elif kind == "imported":
         more = {"simulator": "imported", "files": tuple(f"{k}.csv" for k in range(1, 31))}
     elif kind == "repeats":
         more, scores = {"repeats": 3}, {"distance": [1.0, 2.0, 3.0]}
     with StudyFile.create(tmp_path / "s.db", about(space, "distance", "wttc", **more)) as study:
-        points = np.random.default_rng(1).random((1 if kind == "one" else 30, 2))
+        points = np.random.default_rng(1).random((1 if kind == "one" else 30, space.dimension))
         for row in study.writer.add_pending(1, points, space.values(points)):
-            (found,) = Synthetic().run([type("C", (), {"values": {"a": 0.5, "b": row.point[1]}})])
-            course = np.append(np.full(4, 10 * abs(0.5 - row.point[1])), np.nan)
+            (found,) = Synthetic().run([type("C", (), {"values": {"a": 0.5, "b": row.point[-1]}})])
+            course = np.append(np.full(4, 10 * abs(0.5 - row.point[-1])), np.nan)
             study.writer.record_result(
                 row.id, found, {name: (course, float(course[0])) for name in ("distance", "wttc")}, scores
             )
@@ -296,6 +299,8 @@ def test_every_kind_of_study_has_a_page(tmp_path, kind):
         assert set(contents["scenarios"]["values"][0]) <= {0.0, 1.0, 2.0}
     if kind == "imported":
         assert "cornercase import" in page
+    if kind == "fixed":
+        assert "each parameter weighed by its share" in page
     # Where a course has no value, it is at its cap.
     assert unpacked(page, 1)[1]["course distance"][0][-1] == 100.0
 

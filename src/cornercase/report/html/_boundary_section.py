@@ -23,10 +23,12 @@ def render_boundary_pairs(data: ReportData) -> Iterator[Section]:
         for row, is_critical in zip(data.rows, data.is_critical, strict=True)
     ]
     sensitivity = data.summary.estimates.sensitivity
-    weights = sensitivity.total if sensitivity is not None and sensitivity.is_meaningful else None
-    pairs = find_boundary_pairs(
-        np.array([row.point for row in data.rows]), outcomes, None if weights is None else np.asarray(weights)
-    )
+    weights = None
+    if sensitivity is not None and sensitivity.is_meaningful:
+        total = dict(zip(sensitivity.names, sensitivity.total, strict=True))
+        # Parameters with a single value have no index.
+        weights = np.array([total.get(parameter.name, 0.0) for parameter in data.parameters])
+    pairs = find_boundary_pairs(np.array([row.point for row in data.rows]), outcomes, weights)
     if not pairs:
         return
     links, rows = [], []
