@@ -318,6 +318,14 @@ def test_studies_of_something_else_are_refused(tmp_path, more, words):
     assert words in str(refused.value)
 
 
+def test_a_threshold_is_not_said_to_help_where_different_metrics_say_what_is_critical(tmp_path):
+    old = written(tmp_path / "old.db", GAPS, metrics=("distance", "ttc"))
+    new = written(tmp_path / "new.db", GAPS, metrics=("ttc", "distance"))
+    for options in ({}, {"threshold": 2.0}):
+        with pytest.raises(InputError, match=r"call scenarios critical by different metrics \(distance; ttc\)"):
+            compared(old, new, metrics=["distance"], **options)
+
+
 def test_one_threshold_for_both_takes_the_place_of_their_own(tmp_path):
     old = written(tmp_path / "old.db", GAPS)
     new = written(tmp_path / "new.db", GAPS, critical=2.0)

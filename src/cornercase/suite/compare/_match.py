@@ -222,7 +222,12 @@ def choose_compared_metrics(old: StudyFile, new: StudyFile, metrics: Sequence[st
         for name in compared:
             if name not in shared:
                 raise InputError(f"`metrics` {name}: is not in both studies; both have {', '.join(shared) or 'none'}.")
-    if old.criterion and new.criterion and _criticality_key(old) != _criticality_key(new):
+    if old.criterion and new.criterion and _describe_criterion(a) != _describe_criterion(b):
+        raise InputError(
+            f"{pair}: call scenarios critical by different metrics ({_describe_criterion(a)};"
+            f" {_describe_criterion(b)}); compare studies whose first metric, or whose weights, are the same."
+        )
+    if old.criterion and new.criterion and old.critical != new.critical:
         raise InputError(
             f"{pair}: have different thresholds ({a.critical:g}, {b.critical:g}); give one for both with `critical`."
         )
@@ -237,9 +242,10 @@ def _have_same_scenarios(old: StudyMeta, new: StudyMeta) -> bool:
     return suite.origin == explored.fingerprint
 
 
-def _criticality_key(study: StudyFile) -> tuple[object, ...]:
-    meta = study.meta
-    return study.critical, dict(meta.weights), meta.metrics[0] if not meta.weights else None
+def _describe_criterion(meta: StudyMeta) -> str:
+    """Name the metrics whose scores say whether a scenario is critical, with their weights where there are any."""
+    weighted = [f"{weight:g} {name}" for name, weight in sorted(dict(meta.weights).items())]
+    return " + ".join(weighted) or meta.metrics[0]
 
 
 def space_filling_scores(side: StudySide, metrics: Sequence[str]) -> tuple[dict[str, FloatArray], dict[str, BoolArray]]:
