@@ -1,5 +1,5 @@
 // How the search of the site ranks: as Sphinx does, but a page for readers comes before the page of a name or a command
-// that has the same words. A name that is typed as it is called still comes first.
+// that has the same words. A class that is typed as it is called still comes first.
 const SHARES = [
   [/^(start|guide|howto)\//, 2],
   [/^(reference\/api|reference\/commands|reference\/options|gallery)/, 0.25],
@@ -7,8 +7,9 @@ const SHARES = [
 ];
 
 var Scorer = {
-  score: ([docname, , , , score, , kind]) => {
-    if (kind === "object" && score >= Scorer.objNameMatch + Scorer.objPrio[1]) return 4 * score;
+  score: ([docname, name, , , score, , kind]) => {
+    if (kind === "object" && score >= Scorer.objNameMatch + Scorer.objPrio[1])
+      return /\.[A-Z]\w*$/.test(name) ? 4 * score : score;
     const [, share] = SHARES.find(([pages]) => pages.test(docname)) ?? [null, 1];
     return share * score;
   },
