@@ -18,6 +18,8 @@ from typer.testing import CliRunner
 from cornercase.cli import app
 from cornercase.exploration._explore_options import OPTIONS
 
+DOCS = Path(__file__).parent
+
 # In the order in which data goes through them.
 ROOMS = (
     "scenario", "roads", "recordings", "drivers", "simulators", "metrics", "study", "evidence", "optimizers",
@@ -40,6 +42,36 @@ requirement was violated or versions differ; 2 where the input cannot be used, a
 Ctrl-C.
 """
 
+# What to read before, or instead of, the help of a command.
+GUIDES = {
+    "check": "guide/scenario.md",
+    "vary": "howto/vary.md",
+    "explore": "guide/search.md",
+    "demo": "start/first-study.md",
+    "paper": "paper.md",
+    "show": "start/reading-the-report.md",
+    "analyze": "guide/kinds.md",
+    "reduce": "guide/reduced-set.md",
+    "report": "report.md",
+    "watch": "report.md",
+    "replay": "report.md",
+    "export": "study-format.md",
+    "test": "guide/suite.md",
+    "compare": "guide/versions.md",
+    "estimate": "guide/probability.md",
+    "simulate": "simulators/recordings.md",
+    "measure": "simulators/recordings.md",
+    "import": "simulators/recordings.md",
+    "convert": "simulators/carla.md",
+    "metrics": "guide/criticality.md",
+    "simulators": "support.md",
+    "drivers": "drivers.md",
+    "check-sut": "howto/check-your-own.md",
+    "check-simulator": "howto/check-your-own.md",
+    "verify": "reliability.md",
+    "warm-up": "explanation/compiling.md",
+}
+
 _OPTIONS = """\
 # Options of a search
 
@@ -60,7 +92,8 @@ def write_commands(page: Path) -> None:
     parts = [_EXIT_CODES]
     for name in get_command(app).commands:  # type: ignore[attr-defined]
         shown = CliRunner().invoke(app, [name, "--help"], env={"COLUMNS": "100"}, prog_name="cornercase")
-        parts.append(f"## {name}\n\n```text\n{shown.stdout.strip()}\n```\n")
+        title = (DOCS / GUIDES[name]).read_text(encoding="utf-8").partition("\n")[0].removeprefix("# ")
+        parts.append(f"## {name}\n\nGuide: [{title}](../{GUIDES[name]})\n\n```text\n{shown.stdout.strip()}\n```\n")
     page.write_text("\n".join(parts), encoding="utf-8")
 
 

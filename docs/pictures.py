@@ -1,10 +1,10 @@
-"""Pictures of the pages for docs/report.md, docs/compare.md, docs/guide/kinds.md and the README.
+"""Pictures for docs/report.md, docs/compare.md, docs/guide/kinds.md and docs/guide/threshold.md, and the README's film.
 
     python docs/pictures.py [--x STUDY.db] [--four STUDY.db] [--only TEXT]…
 
-Needs Chromium: the one of ``CORNERCASE_CHROMIUM``, of the PATH, or Playwright's. STUDY.db is that of `cornercase demo
-x-intersection`, and one of four parameters; they are made where they are not given. The same
-studies and the same Chromium give the same pictures.
+Pictures of pages need Chromium: the one of ``CORNERCASE_CHROMIUM``, of the PATH, or Playwright's. STUDY.db is that of
+`cornercase demo x-intersection`, and one of four parameters; they are made where they are not given. The same studies
+and the same Chromium give the same pictures.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from PIL import Image
+from PIL import Image, ImageSequence
 
 import cornercase as cc
 
@@ -31,9 +31,13 @@ sys.path.insert(0, str(ROOT / "tests"))
 from browser.conftest import ARGUMENTS, SETTLED, find_chromium  # noqa: E402
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
     from playwright.sync_api import Browser, Page
 
 RANGES = ("ego_start=20:80", "pedestrian_wait=2:10", "p1_speed=6:12", "ego_speed=7:13")
+# Second of the film at which something begins to happen.
+FILM_BEGINS_AT = 5
+THRESHOLDS = (1.0, 0.5, 0.2)
 # Where the ego and the pedestrian meet.
 BRUSH = "() => cornercase.store.setRanges([['parameter ego_start', 45, 70], ['parameter pedestrian_wait', 5, 9]])"
 
@@ -165,6 +169,75 @@ def take_versions(browser: Browser, folder: Path) -> None:
         write_picture(page.screenshot(animations="disabled"), "compare")
 
 
+def take_film(folder: Path) -> None:
+    """Make the film of the hardest collision at the T-intersection that is the fault of an aggressive ego."""
+    from cornercase.exploration._explore import explore_config
+    from cornercase.exploration._paper_examples import paper_experiment_config
+
+    path = folder / "aggressive.db"
+    explore_config(paper_experiment_config("t-intersection", driver="aggressive"), path)
+    study = cc.Study.open(path)
+    worst = study.most_critical(20)
+    film = study.replay(int(worst.index[worst["fault"] == "ego"][0]), folder / "film.gif")
+    with Image.open(film) as whole:
+        milliseconds = int(whole.info["duration"])
+        frames = [frame.convert("RGB") for frame in ImageSequence.Iterator(whole)]
+    frames = frames[FILM_BEGINS_AT * 1000 // milliseconds :]
+    # With the palette of the last frame, which has the mark of the collision, what stands still keeps its colour.
+    palette = frames[-1].quantize(255, dither=Image.Dither.NONE)
+    frames = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
+    durations = [milliseconds] * (len(frames) - 1) + [2500]
+    target = IMAGES / "collision.gif"
+    frames[0].save(target, save_all=True, append_images=frames[1:], duration=durations, loop=0)
+    print(f"{target.name}: {target.stat().st_size / 1000:.0f} kB")
+
+
+def take_threshold(folder: Path) -> None:
+    """Draw what three thresholds make critical of the X-intersection, from scenarios that are spread evenly."""
+    import matplotlib.pyplot as plt
+
+    files = ROOT / "examples" / "x_intersection"
+    path = folder / "threshold.db"
+    cc.explore(
+        files / "x_intersection.xosc",
+        path,
+        space=files / "x_intersection.space.xosc",
+        ego="Ego",
+        other="Pedestrian",
+        metrics=["wttc"],
+        optimizer="sobol",
+        budget=512,
+        seed=1,
+    )
+    table = cc.Study.open(path).table()
+    scores = table["wttc"]
+
+    figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3), layout="constrained")
+    left.hist(scores, bins=40, color="#0b57a4")
+    left.set(xlabel="wttc [s]", ylabel="number of scenarios")
+    right.plot(sorted(scores), [100 * (i + 1) / len(scores) for i in range(len(scores))], color="#0b57a4")
+    right.set(xlabel="threshold of wttc [s]", ylabel="critical [%]", ylim=(0, 100))
+    for axes in (left, right):
+        for threshold in THRESHOLDS:
+            axes.axvline(threshold, color="#b3261e", linestyle="--", linewidth=1)
+    save_figure(figure, folder, "threshold-scores")
+
+    figure, panels = plt.subplots(1, len(THRESHOLDS), figsize=(9, 3.2), layout="constrained", sharey=True)
+    for axes, threshold in zip(panels, THRESHOLDS, strict=True):
+        critical = scores <= threshold
+        for mask, colour, marker in ((~critical, "#9aa3ab", "."), (critical, "#b3261e", "x")):
+            axes.scatter(table["ego_start"][mask], table["pedestrian_wait"][mask], s=14, c=colour, marker=marker)
+        axes.set(title=f"wttc ≤ {threshold:g} s: {100 * critical.mean():.0f} % critical", xlabel="ego_start [m]")
+    panels[0].set_ylabel("pedestrian_wait [s]")
+    save_figure(figure, folder, "threshold-space")
+
+
+def save_figure(figure: Figure, folder: Path, name: str) -> None:
+    """Write a figure as the other pictures."""
+    figure.savefig(folder / f"{name}.png", dpi=120)
+    write_picture((folder / f"{name}.png").read_bytes(), name)
+
+
 def study_of_x(path: Path) -> Path:
     """The demonstration, as its command makes it."""
     from cornercase.exploration._explore import explore_config
@@ -209,6 +282,12 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as temporary, sync_playwright() as driver, warnings.catch_warnings():
         warnings.simplefilter("ignore")
         folder = Path(temporary)
+        if wanted("collision"):
+            take_film(folder)
+        if wanted("threshold"):
+            take_threshold(folder)
+        if options.only and set(options.only) <= {"collision", "threshold"}:
+            return 0
         path = find_chromium(Path(driver.chromium.executable_path))
         if path is None:
             parser.error("there is no Chromium: install it, or name it in CORNERCASE_CHROMIUM.")

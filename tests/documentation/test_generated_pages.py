@@ -46,3 +46,6 @@ def test_the_page_of_commands_has_each_with_its_help(pages, tmp_path):
     pages.write_commands(tmp_path / "commands.md")
     text = (tmp_path / "commands.md").read_text("utf-8")
     assert text.count("\nUsage: cornercase ") == text.count("\n## ") > 15
+    # Each leads to a page that says what to do with it.
+    assert text.count("\nGuide: [") == text.count("\n## ")
+    assert all((DOCS / guide).exists() for guide in pages.GUIDES.values())

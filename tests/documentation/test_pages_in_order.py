@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from conftest import EXAMPLES
 from documentation.test_documentation import ROOT, blocks_of
 from helpers.command_line import cornercase
 
@@ -17,9 +18,12 @@ PAGES = [
     ROOT / "README.md",
     ROOT / "docs" / "start" / "install.md",
     ROOT / "docs" / "start" / "own-function.md",
+    ROOT / "docs" / "start" / "first-scenario.md",
     ROOT / "docs" / "start" / "first-study.md",
     *sorted((ROOT / "docs" / "guide").glob("*.md")),
     *sorted((ROOT / "docs" / "howto").glob("own-*.md")),
+    ROOT / "docs" / "howto" / "r157.md",
+    ROOT / "docs" / "howto" / "troubleshooting.md",
     ROOT / "docs" / "howto" / "vary.md",
     ROOT / "docs" / "simulators" / "recordings.md",
     ROOT / "docs" / "simulators" / "sumo.md",
@@ -30,6 +34,15 @@ MAY_SAY_NO = ("compare", "test")
 # It serves until Ctrl-C.
 NEVER_ENDS = ("watch",)
 SCENARIOS, SCENARIOS_OF_AN_ESTIMATE = 40, 100
+# What a user has already, where a page says `my`.
+MY_FUNCTION = """
+import cornercase as cc
+
+
+class Aeb(cc.SystemUnderTest):
+    def step(self, view, dt):
+        return 0.0 if view.leader is None or view.leader.gap > 20.0 else -8.0
+"""
 
 
 def steps_of(page: Path) -> Iterator[tuple[str, str]]:
@@ -69,6 +82,9 @@ def demonstration(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_what_is_printed_works_when_it_is_typed(page, demonstration, tmp_path, monkeypatch):
     shutil.copytree(demonstration, tmp_path / ("x-intersection" if page.name == "README.md" else "x"))
+    shutil.copy(EXAMPLES / "r157" / "deceleration.xosc", tmp_path / "my.xosc")
+    shutil.copy(EXAMPLES / "r157" / "motorway.xodr", tmp_path)
+    (tmp_path / "my_aeb.py").write_text(MY_FUNCTION, encoding="utf-8")
     monkeypatch.chdir(tmp_path)
     names: dict[str, object] = {"__name__": "__main__"}
     for kind, text in steps_of(page):
