@@ -217,6 +217,29 @@ def test_signs_before_a_junction_say_who_yields(tmp_path, signs, road):
     assert fault.who == ("ego" if road == "1" else "other"), fault
 
 
+@pytest.mark.parametrize("rule", ["RHT", "LHT"])
+def test_without_signs_who_comes_from_the_right_goes_first(tmp_path, rule):
+    fault = at_the_crossing(tmp_path, lambda text: text.replace('rule="RHT"', f'rule="{rule}"'))
+    # The ego drives north, and the other comes from its left.
+    assert fault.who == ("other" if rule == "RHT" else "ego"), fault
+    yields, first = ("Other", "Ego") if rule == "RHT" else ("Ego", "Other")
+    assert fault.reasons[0].startswith(f"{yields} has to yield to {first} at the junction")
+
+
+@pytest.mark.parametrize(("high", "who"), [("1", "other"), ("4", "ego")])
+def test_who_stops_in_the_way_of_one_that_goes_first_is_at_fault(tmp_path, high, who):
+    """The ego creeps into the crossing from the south, and stands there for 3 s until the other drives into it."""
+    low = "4" if high == "1" else "1"
+    text = X_ROADS.read_text(encoding="utf-8")
+    roads = tmp_path / "roads.xodr"
+    roads.write_text(text.replace("</junction>", f'<priority high="{high}" low="{low}"/></junction>'), encoding="utf-8")
+    ego = straight(1.75, -15.0, NORTH, braking(7.5, 1.0, 5.0), until=9)
+    recording = crash(ego, straight(-60, -1.75, EAST, 10, until=9))
+    fault = judged(replace(recording, road_file=roads))
+    assert fault.who == who, fault
+    assert judged(recording).who == "other"
+
+
 def test_roads_say_who_is_on_the_wrong_side(tmp_path):
     recording = crash(straight(-90, -1.75, EAST, 10, until=4), straight(-20, -1.75, WEST, 10, until=4))
     assert judged(recording).who == "undecided"

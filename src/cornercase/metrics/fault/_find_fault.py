@@ -29,7 +29,10 @@ _AT_ONCE: Final = 0.25
 """Difference in s below which two come into each other's way at the same time."""
 
 _RECENTLY: Final = 5.0
-"""Time in s within which whoever starts from standing has to look out (Vienna Convention, Article 14)."""
+"""Time in s within which whoever starts from standing has to look out (Vienna Convention, Article 14).
+
+Whoever stands in the way for longer is an obstacle, whoever had to yield.
+"""
 
 
 @dataclass(frozen=True)
@@ -50,14 +53,15 @@ def find_fault(recording: Recording, ego: str, collision: Collision) -> Fault:
     Both parties are judged by the same rules. The first that applies says who is at fault:
 
     1. *Standing*: who moves into an entity that stands, unless that one stopped in its way within the last 1.15 s, too
-       late for it and could have waited (Vienna Convention on Road Traffic 1968, Article 13: ability to stop).
+       late for it and could have waited (Vienna Convention on Road Traffic 1968, Article 13: ability to stop); or
+       it had to yield as in rule 5, and has stood in the other's way for at most 5 s.
     2. *Reversing*: who backs into the other, or into its way as in rule 5 (Article 14).
     3. *Rear end*, in about the same direction: who drives into the rear of the other (safe distance: definition 1 of
        Shalev-Shwartz et al. 2017; Article 13). If the other cut in, it is at fault if the time to collision at its
        intrusion was not above Δv / (2 · 6 m/s²) + 0.35 s (UN Regulation No. 157, 5.2.5.2).
     4. *Lane change*: of two that move in the same direction and touch at a side, who left its line (Article 14).
-    5. *Right of way*: who has to yield by the road file. Both, if the other could still have braked when the first came
-       into its way: right of way is given, not taken (Shalev-Shwartz et al. 2017).
+    5. *Right of way*: who has to yield at a junction by the road file: its priorities, its signs, else who does not
+       come from the right (Article 18). The reason says whether the other could still have braked.
     6. *Turning*: of two that came towards each other, who turns across the path of the other (Article 16).
     7. *Oncoming*: who is on the wrong side by the road file; else who left its line (Article 10 to 12).
     8. *Crossing*, *pedestrian*: who came into the other's way second, if a careful and competent driver in its place
@@ -111,6 +115,13 @@ class _Case:
     def _pair(self, k: int) -> tuple[Party, Party]:
         return self.parties[k], self.parties[1 - k]
 
+    @cached_property
+    def _yields(self) -> int | None:
+        """Which party has to yield by the road file; None if it does not say, or one is on foot."""
+        if self._roads is None or any(party.is_pedestrian for party in self.parties):
+            return None
+        return find_who_yields(self._roads, self.parties, self.contact.time)
+
     def rule(self) -> _Ruling:
         """Apply the rules in their order."""
         approach, is_on_foot = self.approach, any(party.is_pedestrian for party in self.parties)
@@ -150,6 +161,12 @@ class _Case:
         is_late &= not self.approach.always_in_corridor[standing]
         if not is_late or self.chance(moving).could_avoid or not self.chance(standing).could_avoid:
             since = "all the time" if stopped is None else f"for {stopped:.1f} s"
+            blocks = stopped is not None and stopped <= _RECENTLY and not self.approach.always_in_corridor[standing]
+            if blocks and self._yields == standing:
+                return _Ruling(
+                    (standing,), "standing",
+                    f"{{{standing}}} has to yield to {{{moving}}} at the junction, and has stood in its way {since}",
+                )  # fmt: skip
             return _Ruling((moving,), "standing", f"{{{standing}}} has stood {since} when {{{moving}}} moves into it")
         return _Ruling(
             (standing,), "standing",
@@ -220,15 +237,13 @@ class _Case:
             conflict: Conflict = "reversing"
             reason = f"{{{k}}} backs into the way of {{{1 - k}}}"
         else:
-            yields = None if self._roads is None else find_who_yields(self._roads, self.parties, self.contact.time)
-            if yields is None:
+            if self._yields is None:
                 return None
-            k, conflict = yields, "crossing"
+            k, conflict = self._yields, "crossing"
             reason = f"{{{k}}} has to yield to {{{1 - k}}} at the junction"
-        # Right of way is given, not taken: whoever has it must respond, too, as soon as the other is in its way.
         noticed = self.approach.in_corridor[k]
         if noticed > REACTION_TIME and can_brake(*self._pair(1 - k), self.contact.time - noticed):
-            return _Ruling((0, 1), conflict, f"{reason}, which could still have avoided it {noticed:.1f} s before")
+            reason += f", which could still have avoided it {noticed:.1f} s before"
         return _Ruling((k,), conflict, reason)
 
     def _rule_oncoming(self) -> _Ruling:

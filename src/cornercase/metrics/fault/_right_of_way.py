@@ -23,6 +23,9 @@ _SIGN_DISTANCE: Final = 30.0
 
 _SPACING: Final = 0.5
 
+_LEAST_CROSSING: Final = np.radians(30.0)
+"""Angle in rad between two roads, or one and the other's extension, from which on one leads in from a side."""
+
 _YIELD_SIGNS: Final = frozenset(
     {("", "205"), ("DE", "205"), ("DEU", "205"), ("", "206"), ("DE", "206"), ("DEU", "206")}
 )
@@ -43,25 +46,55 @@ def find_who_yields(network: RoadNetwork, parties: tuple[Party, Party], contact:
     """Return which of two parties has to yield to the other at a junction; None if the road file does not say.
 
     By the ``<priority>`` of the junction, whose roads may be those that lead to it or those through it; else by signs
-    to yield or stop before it. The state of traffic lights is in no recording, so they say nothing.
+    to yield or stop before it; else to who comes from the right, in left-hand traffic from the left (Vienna Convention
+    on Road Traffic 1968, Article 18, 4). The state of traffic lights is in no recording, so they say nothing.
     """
-    if not any(network.priorities.values()) and not any(road.signals for road in network.roads):
-        return None
     routes = [_roads_driven(network, party, contact) for party in parties]
     junctions = [{network.roads[k].junction for k in route} - {"", "-1"} for route in routes]
     for junction in sorted(junctions[0] & junctions[1]):
-        ids = [
-            _roads_through(network, junction, route, party, contact)
-            for route, party in zip(routes, parties, strict=True)
+        entries = [
+            _road_into(network, junction, route, party, contact) for route, party in zip(routes, parties, strict=True)
         ]
-        for high, low in network.priorities.get(junction, ()):
+        ids = [
+            {network.roads[k].road_id for k in route} if entry is None else set(entry)
+            for route, entry in zip(routes, entries, strict=True)
+        ]
+        priorities = network.priorities.get(junction, ())
+        for high, low in priorities:
             for k in (0, 1):
                 if high in ids[1 - k] and low in ids[k] and low not in ids[1 - k]:
                     return k
         yields = [_has_yield_sign(network, route, junction) for route in routes]
         if yields[0] != yields[1]:
             return yields.index(True)
+        if not priorities and not any(yields) and entries[0] is not None and entries[1] is not None:
+            return _find_who_comes_from_the_left(network, junction, (entries[0][0], entries[1][0]))
     return None
+
+
+def _find_who_comes_from_the_left(network: RoadNetwork, junction: str, roads: tuple[str, str]) -> int | None:
+    """Return which of two comes from the other's left, in left-hand traffic from its right, by their roads.
+
+    None if they come from the same road or towards each other.
+    """
+    first, second = (_heading_into(network, road, junction) for road in roads)
+    turn = float(wrap_angle(second - first))
+    if not _LEAST_CROSSING < abs(turn) < np.pi - _LEAST_CROSSING:
+        return None
+    # Whoever drives to the left of another's direction comes from its right.
+    second_is_from_right = turn > 0.0
+    if not network.roads[network.road_index(roads[0])].is_right_hand_traffic:
+        second_is_from_right = not second_is_from_right
+    return 0 if second_is_from_right else 1
+
+
+def _heading_into(network: RoadNetwork, road_id: str, junction: str) -> float:
+    """Heading in rad with which a road leads into a junction."""
+    road = network.roads[network.road_index(road_id)]
+    leads_forward = road.successor is not None and road.successor.target_id == junction
+    s = np.array([road.length if leads_forward else 0.0])
+    heading = float(road.lane_pose_at(0, s, np.zeros(1))[2][0])
+    return heading if leads_forward else heading + np.pi
 
 
 def is_on_wrong_side(network: RoadNetwork, party: Party, contact: float) -> bool | None:
@@ -94,12 +127,14 @@ def _roads_driven(network: RoadNetwork, party: Party, contact: float) -> list[in
     return route
 
 
-def _roads_through(network: RoadNetwork, junction: str, route: list[int], party: Party, contact: float) -> set[str]:
+def _road_into(
+    network: RoadNetwork, junction: str, route: list[int], party: Party, contact: float
+) -> tuple[str, str] | None:
     """Ids of the road from which a party enters a junction, and of the one through it on which it is at the contact."""
     driven = {network.roads[k].road_id for k in route}
     connections = [link for link in network.connections.get(junction, ()) if link[0] in driven and link[1]]
     if not connections:
-        return driven
+        return None
     x, y, heading = (float(values[0]) for values in party.poses_at(np.array([contact])))
 
     def deviation(link: JunctionConnection) -> float:
@@ -111,7 +146,7 @@ def _roads_through(network: RoadNetwork, junction: str, route: list[int], party:
         return float((np.hypot(lane_x - x, lane_y - y) + 2.0 * np.abs(wrap_angle(direction - heading))).min())
 
     best = min(connections, key=deviation)
-    return {best[0], best[1]}
+    return best[0], best[1]
 
 
 def _has_yield_sign(network: RoadNetwork, route: list[int], junction: str) -> bool:
