@@ -150,7 +150,7 @@ def test_without_a_scenario_file_there_is_no_command(tab, reports):
     page.evaluate("() => { cornercase.store.contents.rerun.has_scenario = false; }")
     boxes(page).nth(1).click()
     assert page.locator("#copy-files-command").is_disabled()
-    assert "No scenario file" in page.locator("#view-table .note[role=status]").inner_text()
+    assert "imported recordings have none" in page.locator("#view-table .note[role=status]").inner_text()
 
 
 def test_the_wheel_scrolls_the_page_until_the_table_has_the_focus(tab, reports):

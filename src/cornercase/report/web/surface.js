@@ -231,9 +231,11 @@ class Surface {
     const as = `as in scenario ${this.scenario}`;
     const kept = others.length > 3 ? `the other ${others.length} parameters ${as}` : `${named.join(", ")}, ${as}`;
     const share = Math.round(100 * predictor.predicted);
+    const known = knownOf(store);
     const constrained = this.axes.some((k) => predictor.constrained.includes(k));
     return unturned([
       `Predicts ${share} % of the variance of ${predictor.metric}, with each scenario left out in turn.`,
+      known === null ? "" : `Of the first ${known} scenarios.`,
       others.length ? `Here with ${kept}.` : "",
       constrained ? "Constraints of the scenario rule out some of the area." : "",
     ].filter(Boolean).join(" "));

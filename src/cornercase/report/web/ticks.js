@@ -137,7 +137,7 @@ class ExportBar {
   }
 
   why() {
-    if (!this.store.contents.rerun?.has_scenario) return "No scenario file was varied, so there is none to write.";
+    if (!this.store.contents.rerun?.has_scenario) return "The scenarios of a suite are files already, and imported recordings have none.";
     return this.rows().length ? "Too many scenarios for one command: tick fewer." : "";
   }
 

@@ -13,6 +13,10 @@ class SpacePlot extends PointPlot {
     return `Scenarios by ${x} and ${y}`;
   }
 
+  summary() {
+    return [super.summary(), this.surface.isDrawn ? this.surface.tell() : ""].filter(Boolean).join(". ");
+  }
+
   drawBase(g) {
     const { store } = this;
     const [xName, yName] = this.columns();
