@@ -254,8 +254,8 @@ def reduce(
         chosen = write_chosen_scenarios(
             study, output, parsing.parse_ids(ids, "--ids"), scenario=scenario, critical=critical
         )
-        said = f"{len(chosen)} scenario{'' if len(chosen) == 1 else 's'}"
-        out.print(f"{said} written to {output}; 'cornercase test {output}' runs them", markup=False)
+        n_written = f"{len(chosen)} scenario{'' if len(chosen) == 1 else 's'}"
+        out.print(f"{n_written} written to {output}; 'cornercase test {output}' runs them", markup=False)
         return
     reduced = reduction.reduce(
         study,
