@@ -50,7 +50,7 @@ def test_the_page_says_whom_scores_are_against(tab, report):
     cells = {}
     for k in range(rows.count()):
         texts = rows.nth(k).locator(":scope > *").all_inner_texts()
-        cells[texts[0]] = texts[column]
+        cells[texts[1]] = texts[column]
     assert cells == {"1": "B", "2": "A"}
     for row, whom in ((0, "B"), (1, "A")):
         rows.nth(row).click()

@@ -75,6 +75,12 @@ def test_manifest_and_test(folder, tmp_path):
     assert len(found["mutants"]["by_mutant"]) == 2
 
 
+def test_manifest_of_chosen_scenarios(folder, tmp_path):
+    assert cornercase("reduce", folder / "study.db", "--ids", "1-3", "-o", tmp_path / "chosen").returncode == 0
+    manifest = validate("manifest", (tmp_path / "chosen" / "manifest.json").read_text(encoding="utf-8"))
+    assert [one["role"] for one in manifest["scenarios"]] == ["chosen"] * 3
+
+
 def test_a_manifest_of_the_first_format_is_run(folder, tmp_path):
     shutil.copytree(folder / "reduced", tmp_path / "reduced")
     file = tmp_path / "reduced" / "manifest.json"

@@ -8,6 +8,7 @@ from typing import Any, Final, Literal
 from cornercase._common.errors import InputError, suggest_name
 
 _MAX_DIGITS: Final = 15
+_MAX_IDS: Final = 100_000
 
 
 def parse_pairs(texts: Sequence[str], option: str) -> dict[str, str]:
@@ -76,3 +77,20 @@ def parse_count_or_auto(text: str, option: str) -> int | Literal["auto"]:
     if not text.isdecimal() or len(text) > _MAX_DIGITS or int(text) < 1:
         raise InputError(f"{option} {text}: give a positive whole number or auto.")
     return int(text)
+
+
+def parse_ids(text: str, option: str) -> list[int]:
+    """Parse ids and ranges of ids, as ``3,17-20``."""
+    ids: list[int] = []
+    for piece in text.split(","):
+        first, dash, last = piece.strip().partition("-")
+        ends = (first, last if dash else first)
+        if any(not (end.isascii() and end.isdecimal()) or len(end) > _MAX_DIGITS or int(end) < 1 for end in ends):
+            raise InputError(f"{option} {text[:60]}: give ids and ranges of ids, such as 3,17-20.")
+        low, high = map(int, ends)
+        if low > high:
+            raise InputError(f"{option} {piece.strip()}: the range goes backwards; write it as {high}-{low}.")
+        if len(ids) + high - low >= _MAX_IDS:
+            raise InputError(f"{option} {text[:60]}: names more than {_MAX_IDS:,} scenarios; name fewer.")
+        ids += range(low, high + 1)
+    return ids

@@ -162,6 +162,14 @@ def reduce(
             help="Keep the fewest scenarios such that all others are within this fraction of the largest distance.",
         ),
     ] = None,
+    ids: Annotated[
+        str | None,
+        Option(
+            "--ids",
+            metavar="ID,ID-ID",
+            help="Write exactly these scenarios, such as 3,17-20; the study keeps the set that it has.",
+        ),
+    ] = None,
     within: Annotated[
         float,
         Option(
@@ -201,14 +209,21 @@ def reduce(
     Example:
       cornercase reduce study.db --size 32 -o reduced
       cornercase reduce study.db --size 10 --kill-mutants 40 -o reduced
+      cornercase reduce study.db --ids 3,17-20 -o chosen
     """
     from cornercase import reduction
     from cornercase.clustering import read_analysis
     from cornercase.evidence._bands import BANDS_PREFIX
     from cornercase.reduction._reduce import default_aspect
+    from cornercase.reduction._write_files import write_chosen_scenarios
     from cornercase.study._study_file import open_study
     from cornercase.suite import analyze_mutants
 
+    if ids is not None:
+        selecting = {"--by": by, "--size": size, "--share": share, "--cover": cover, "--archetypes": archetypes}
+        for option, value in (selecting | {"--kill-mutants": kill_mutants}).items():
+            if value is not None:
+                raise InputError(f"--ids, {option}: give one of them; --ids says which scenarios are written.")
     exposure = None
     if kill_mutants is None:
         if require:
@@ -235,6 +250,13 @@ def reduce(
             cluster=cluster,
             progress=True,
         )
+    if ids is not None:
+        chosen = write_chosen_scenarios(
+            study, output, parsing.parse_ids(ids, "--ids"), scenario=scenario, critical=critical
+        )
+        n_written = f"{len(chosen)} scenario{'' if len(chosen) == 1 else 's'}"
+        out.print(f"{n_written} written to {output}; 'cornercase test {output}' runs them", markup=False)
+        return
     reduced = reduction.reduce(
         study,
         output,

@@ -10,9 +10,9 @@ import numpy as np
 from cornercase._common.numba.blas import single_threaded_blas
 from cornercase._common.text.notebook_html import render_html_table
 from cornercase._common.typing import FloatArray
+from cornercase.evidence._score_surrogate import MIN_PREDICTED, ScoreSurrogate, fit_surrogate
 from cornercase.evidence.gp._blas import multiply_lower_triangular
-from cornercase.evidence.gp._kernel import evenly_spaced_indices
-from cornercase.evidence.gp._process import GaussianProcess, encode_points, require_enough_scores
+from cornercase.evidence.gp._process import GaussianProcess, encode_points
 from cornercase.scenario import ParameterSpace
 
 if TYPE_CHECKING:
@@ -21,12 +21,9 @@ if TYPE_CHECKING:
 _SAMPLES: Final = 4096
 # Points at which the process is drawn for the intervals, and number of draws.
 _N_POINTS, _N_DRAWS = 2048, 200
-_MAX_LEFT_OUT: Final = 4096  # greatest number of values that are left out in turn
 _INTERVAL: Final = (0.05, 0.95)
 LITTLE_INFLUENCE: Final = 0.05
 """Total index below which a parameter has little influence."""
-MIN_PREDICTED: Final = 0.1
-"""Least predicted fraction of the variance for the indices to be meaningful."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -108,17 +105,17 @@ def estimate_sensitivity(space: ParameterSpace, points: FloatArray, scores: Floa
     estimates", Mathematics and Computers in Simulation 55 (2001); A. Saltelli et al., "Variance based sensitivity
     analysis of model output", Computer Physics Communications 181 (2010), with the estimators of scipy.
     """
-    points, scores = require_enough_scores(points, scores)
-    values = (scores - scores.mean()) / scores.std()
-    process = GaussianProcess(1.0).fit(encode_points(space, points), values)
-    subset = evenly_spaced_indices(len(values), _MAX_LEFT_OUT)
-    errors = values[subset] - process.leave_one_out(subset)[0]
+    return sensitivity_of_surrogate(fit_surrogate(space, points, scores), seed)
+
+
+def sensitivity_of_surrogate(surrogate: ScoreSurrogate, seed: int = 0) -> Sensitivity:
+    """Same as `estimate_sensitivity`, of a process that is fitted already."""
+    space, process, predicted = surrogate.space, surrogate.process, surrogate.predicted
 
     def predict_scores(points: FloatArray) -> FloatArray:
         mean, _ = process.predict(encode_points(space, space.snap(points.T)))
         return mean[None, :]
 
-    predicted = float(1.0 - np.mean(errors**2))
     if space.dimension == 1:
         return Sensitivity(space.names, (1.0,), (1.0,), ((1.0, 1.0),), ((1.0, 1.0),), predicted)
     from scipy.stats import sobol_indices, uniform

@@ -20,8 +20,6 @@ from cornercase._common.validation import check_float, check_int, check_str
 from cornercase.clustering import Analysis, read_analyses, read_analysis
 from cornercase.clustering._embedding import Distances
 from cornercase.clustering._headline import find_headline_aspect
-from cornercase.drivers._parameters import spec_with_values
-from cornercase.drivers._resolve import create_driver_named_in_file, may_be_named_in_file
 from cornercase.evidence._bands import BANDS_PREFIX, bands_by_scenario
 from cornercase.reduction._cluster_shapes import ArchetypeMethod, require_archetype_method
 from cornercase.reduction._coverage import CoverageCurves
@@ -43,10 +41,9 @@ from cornercase.reduction._reduced_set import ReducedSet, SelectedScenario
 from cornercase.reduction._selection_state import Selected
 from cornercase.reduction._set_folder import replace_set
 from cornercase.reduction._set_manifest import make_manifest, save_reduction
+from cornercase.reduction._write_files import add_scenario_files
 from cornercase.reduction.selection._per_cluster import SCENARIOS_PER_SELECTED
 from cornercase.reduction.selection._select import SelectionInput, SelectionRequest, cross_validate, select
-from cornercase.scenario import Value
-from cornercase.scenario._concrete_file import build_concrete_file, read_required_xml
 from cornercase.scenario._file import ScenarioFile
 from cornercase.study import StudyFile
 from cornercase.study._damage import reraise_as_damage
@@ -345,22 +342,9 @@ def _write_files_and_store(
     folder: Path,
 ) -> None:
     """Write the selected scenarios and the manifest, and store the set in the study; on an error nothing is changed."""
-    chosen_drivers = study.meta.settings.get("drivers", {})
-    drivers = {entity: driver for entity, driver in chosen_drivers.items() if isinstance(driver, str)}
-    dependencies: dict[Path, bytes] = {}
     with replace_set(folder) as set_folder:
-        for selected in reduced_set.scenarios if scenario is not None else ():
-            assert scenario is not None
-            comment = f"Scenario {selected.id} of the logical scenario {study.meta.title}: {selected.why}"
-            if of_drivers := scenario.driver_parameters(selected.values):
-                comment += f"; {', '.join(f'{name}={selected.values[name]}' for name in of_drivers)}"
-            own_drivers = drivers | _drivers_with_values(scenario, chosen_drivers, selected.values)
-            concrete = build_concrete_file(scenario, selected.values, folder / selected.file, own_drivers, comment)
-            for source, path, root in concrete.companions:
-                if source not in dependencies:
-                    dependencies[source] = read_required_xml(source, root)
-                set_folder.add(path, dependencies[source])
-            set_folder.add(selected.file, concrete.content)
+        if scenario is not None:
+            add_scenario_files(set_folder, study, scenario, reduced_set.scenarios, folder)
         set_folder.write_manifest(make_manifest(study, reduced_set, cluster_names, set_folder.digests))
         previous = None if study.read_reduction() is None else study.read_analysis("reduction")
         save_reduction(study, reduced_set, curves, analyses)
@@ -369,21 +353,3 @@ def _write_files_and_store(
         except InputError:
             study.writer.save_analyses({"reduction": previous})
             raise
-
-
-def _drivers_with_values(
-    scenario: ScenarioFile, drivers: Mapping[str, object], values: Mapping[str, Value]
-) -> dict[str, str]:
-    """Return the drivers whose parameters are varied, with these values as options, by entity.
-
-    A file can only name drivers of cornercase; the values of others are in the manifest.
-    """
-    by_entity: dict[str, dict[str, Value]] = {}
-    for full_name, (entity, name) in scenario.driver_parameters(values).items():
-        by_entity.setdefault(entity, {})[name] = values[full_name]
-    named: dict[str, str] = {}
-    for entity, own in by_entity.items():
-        driver = drivers.get(entity, scenario.drivers.get(entity))
-        if isinstance(driver, str) and may_be_named_in_file(driver):
-            named[entity] = spec_with_values(entity, create_driver_named_in_file(driver), own)
-    return named

@@ -31,9 +31,9 @@ class SelectedScenario:
         OpenSCENARIO file in the folder of the reduced set; for imported recordings the recording.
     cluster : int
         Cluster that it represents; -1 for noise.
-    role : {"archetype", "prototype", "gap", "exposing"}
+    role : {"archetype", "prototype", "gap", "exposing", "chosen"}
         ``"gap"``: fills a gap, since it was far from all scenarios selected before; ``"exposing"``: kills mutants of
-        the driver.
+        the driver; ``"chosen"``: named by a user.
     why : str
         Reason for selecting it, in words.
     values : mapping of str to float or str

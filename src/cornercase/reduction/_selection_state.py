@@ -15,7 +15,7 @@ from cornercase.clustering._embedding import Distances
 # Scenarios are similar within this share of the largest distance.
 SIMILAR_SHARE: Final = 1e-3
 
-Role = Literal["archetype", "prototype", "gap", "exposing"]
+Role = Literal["archetype", "prototype", "gap", "exposing", "chosen"]
 
 
 @dataclass(frozen=True)
@@ -23,6 +23,7 @@ class Selected:
     """A selected scenario: index, the cluster that it represents (-1 for noise), and its role.
 
     Role ``"gap"``: it was far from all scenarios selected before. Role ``"exposing"``: it kills mutants of the driver.
+    Role ``"chosen"``: a user named it.
     """
 
     index: int

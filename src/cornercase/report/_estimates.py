@@ -13,7 +13,8 @@ from cornercase._common.errors import skip_if_not_enough_data
 from cornercase.evidence import Estimate, Sensitivity
 from cornercase.evidence._critical_set_estimate import MIN_REGION_FRACTION
 from cornercase.evidence._proportions import proportion_interval
-from cornercase.evidence._sensitivity import estimate_sensitivity
+from cornercase.evidence._score_surrogate import ScoreSurrogate, fit_surrogate
+from cornercase.evidence._sensitivity import sensitivity_of_surrogate
 from cornercase.exploration._best_scores import is_on_pareto_front
 from cornercase.exploration._study_critical_set import estimate_critical_set, uses_features
 from cornercase.study import StudyFile
@@ -195,6 +196,7 @@ class SpaceEstimates:
     pareto_front: Mapping[int, Mapping[str, float]] | None = None  # scores on the Pareto front by id and metric
     critical: CriticalEstimates | None = None  # None if a front was searched or there is no threshold
     sensitivity: Sensitivity | None = None  # None if a front was searched or too few scenarios were run
+    surrogate: ScoreSurrogate | None = None  # what `sensitivity` comes from
 
 
 @dataclass(frozen=True)
@@ -241,17 +243,23 @@ def estimate_space(study: StudyFile) -> SpaceEstimates:
         scores = {metric.name: study.scores(metric.name) for metric in objective.metrics}
         front = np.flatnonzero(is_on_pareto_front(objective.minimized_scores(study))).tolist()
         return SpaceEstimates({rows[k].id: {name: float(column[k]) for name, column in scores.items()} for k in front})
-    sensitivity = None
+    sensitivity, surrogate = None, None
     with skip_if_not_enough_data():
-        sensitivity = estimate_study_sensitivity(study)
-    return SpaceEstimates(None, estimate_critical(study), sensitivity)
+        surrogate = fit_study_surrogate(study)
+        sensitivity = sensitivity_of_surrogate(surrogate, study.meta.seed)
+    return SpaceEstimates(None, estimate_critical(study), sensitivity, surrogate)
 
 
 def estimate_study_sensitivity(study: StudyFile) -> Sensitivity:
     """Estimate the sensitivity of the objective to each parameter; ValueError for fewer than 10 scores."""
+    return sensitivity_of_surrogate(fit_study_surrogate(study), study.meta.seed)
+
+
+def fit_study_surrogate(study: StudyFile) -> ScoreSurrogate:
+    """Fit a process to the oriented scores of the searched scenarios; ValueError for fewer than 10 scores."""
     scores = study.objective.minimized_scores(study)
     searched = ~study.audit_mask()
-    return estimate_sensitivity(study.space, study.points()[searched], scores[searched], study.meta.seed)
+    return fit_surrogate(study.space, study.points()[searched], scores[searched])
 
 
 def estimate_critical(study: StudyFile) -> CriticalEstimates | None:

@@ -12,6 +12,7 @@ from cornercase.clustering._headline import find_headline_aspect, has_useful_clu
 from cornercase.evidence._bands import BANDS_PREFIX
 from cornercase.report._chart_data import coverage_charts, hull_edges, search_chart, sensitivity_chart
 from cornercase.report._courses import encode_courses
+from cornercase.report._predictor_payload import predictor_payload
 from cornercase.report._report_data import ReportData
 from cornercase.report.text._answers import describe_study, page_answers
 from cornercase.report.text._captions import describe_views
@@ -120,6 +121,7 @@ def whole_study_payload(data: ReportData) -> dict[str, Any]:
         "kinds": {
             name: _clusters_payload(analysis, indices, len(rows)) for name, analysis in data.summary.analyses.items()
         },
+        **predictor_payload(data),
     }
 
 

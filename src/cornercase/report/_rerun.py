@@ -58,6 +58,8 @@ def rerun_payload(
             "after": _simulate_options(meta),
         },
         "why": why,
+        # Whether `reduce --ids` can write scenarios of it: a suite has one file for each, imported recordings none.
+        "has_scenario": meta.simulator != IMPORTED_SIMULATOR and not meta.suite,
         "file": pieces,
         "file_why": file_why or ("" if pieces or not include_file else "The scenario needs a file that was not found."),
     }

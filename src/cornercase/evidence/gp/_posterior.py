@@ -76,7 +76,8 @@ class SparsePosterior:
 
     The variance that inducing points leave unexplained at the other points is treated as independent noise (FITC).
     `relevance` (n,), above 0, makes points more likely to be inducing points. If a posterior `base` is given, its
-    inducing points are used, and the new points and values are added to its own.
+    inducing points are used, and the new points and values are added to its own. `n_inducing` is a multiple of
+    32, by default 512.
 
     The attributes `points` (k, e) are the inducing points; `weights` (k,) and `inverse_factor` (k, k) correspond to
     `ExactPosterior`. `all_points` (n, e) and `values` (n,) are all points and values.
@@ -93,10 +94,11 @@ class SparsePosterior:
         values: FloatArray,
         relevance: FloatArray | None = None,
         base: SparsePosterior | None = None,
+        n_inducing: int | None = None,
     ) -> None:
         self._kernel = kernel
         if base is None:
-            self.points = points[_choose_inducing_points(kernel, points, relevance)]
+            self.points = points[_choose_inducing_points(kernel, points, relevance, n_inducing or MAX_EXACT_VALUES)]
             prior = kernel.covariance(self.points, self.points)
             self._whitening = _inverse_cholesky_factor(prior, _INDUCING_JITTER * kernel.signal**2)
             self._precision, self._moment = np.eye(len(prior)), np.zeros(len(prior))
@@ -178,22 +180,28 @@ def cholesky_with_slack(covariance: FloatArray, slack: float) -> FloatArray:
 
 
 def condition_process(
-    kernel: MaternKernel, points: FloatArray, values: FloatArray, relevance: FloatArray | None = None
+    kernel: MaternKernel,
+    points: FloatArray,
+    values: FloatArray,
+    relevance: FloatArray | None = None,
+    max_points: int | None = None,
 ) -> AnyPosterior:
-    """Posterior of a process: exact for up to 512 values, otherwise with 512 inducing points."""
-    if len(points) <= MAX_EXACT_VALUES:
+    """Posterior of a process: exact for up to `max_points` (512) values, otherwise with as many inducing points."""
+    if len(points) <= (max_points or MAX_EXACT_VALUES):
         return ExactPosterior(kernel, points, values)
-    return SparsePosterior(kernel, points, values, relevance)
+    return SparsePosterior(kernel, points, values, relevance, n_inducing=max_points)
 
 
-def _choose_inducing_points(kernel: MaternKernel, points: FloatArray, relevance: FloatArray | None) -> IntArray:
+def _choose_inducing_points(
+    kernel: MaternKernel, points: FloatArray, relevance: FloatArray | None, count: int
+) -> IntArray:
     """Choose inducing points by randomly pivoted Cholesky factorization, weighted by relevance."""
     candidates = evenly_spaced_indices(len(points), _N_CANDIDATES)
     rng = np.random.default_rng(0)
     weights = np.ones(len(candidates)) if relevance is None else relevance[candidates]
-    residual, rows = np.ones(len(candidates)), np.zeros((len(candidates), MAX_EXACT_VALUES), order="F")
+    residual, rows = np.ones(len(candidates)), np.zeros((len(candidates), count), order="F")
     pivots = np.zeros(0, dtype=np.int64)
-    for done in range(0, MAX_EXACT_VALUES, _PIVOTS_PER_STEP):
+    for done in range(0, count, _PIVOTS_PER_STEP):
         residual[pivots] = 0.0
         new = rng.choice(len(candidates), _PIVOTS_PER_STEP, replace=False, p=residual * weights / (residual @ weights))
         cross = kernel.covariance(points[candidates], points[candidates[new]]) / kernel.signal**2

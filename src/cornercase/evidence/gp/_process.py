@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from copy import copy
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from operator import itemgetter
 from typing import ClassVar
 
@@ -146,6 +146,22 @@ def fit_boundary_process(
     return best if len(subset) == len(points) else best.condition_on_scores(points, scores, criterion)
 
 
+@dataclass(frozen=True)
+class ClosedForm:
+    """Numbers that predict a process at any point.
+
+    With the covariances k (m,) of a point with `points` (m, e), the mean is `mean` + k · `weights`, and the variance is
+    that of the kernel less the squared norm of `inverse_factor` k; `inverse_factor` (m, m) is lower triangular. Both
+    are in single precision where that is accurate enough.
+    """
+
+    kernel: MaternKernel
+    mean: float
+    points: FloatArray
+    weights: Floats
+    inverse_factor: Floats
+
+
 class GaussianProcess:
     """Gaussian process with a Matérn kernel (5/2) and a length scale per dimension.
 
@@ -222,6 +238,21 @@ class GaussianProcess:
             other._set_posterior(self._posterior.with_more_values(points, values - self._mean))
         return other
 
+    def condense(self, points: FloatArray, values: FloatArray, max_points: int) -> GaussianProcess:
+        """Copy of this process whose predictions, for any number of values, need at most `max_points` points."""
+        other = copy(self)
+        with single_threaded_blas():
+            other._set_posterior(
+                condition_process(self.kernel, points, values - self._mean, max_points=max_points),
+                may_use_nearest=False,
+            )
+        return other
+
+    def closed_form(self) -> ClosedForm:
+        """Return all that predictions at a point need, for programs in other languages."""
+        weights, inverse = self._factors
+        return ClosedForm(self.kernel, self._mean, self._posterior.points, weights, inverse)
+
     def leave_one_out_by_nearest(
         self, points: FloatArray, values: FloatArray, indices: IntArray
     ) -> tuple[FloatArray, FloatArray]:
@@ -229,10 +260,14 @@ class GaussianProcess:
         mean, deviation = NearestPosterior(self.kernel, points, values - self._mean).leave_one_out(indices)
         return self._mean + mean, deviation
 
-    def _set_posterior(self, posterior: AnyPosterior) -> None:
+    def _set_posterior(self, posterior: AnyPosterior, may_use_nearest: bool = True) -> None:
         self._posterior = posterior
         self._nearest_posterior = None
-        if isinstance(posterior, SparsePosterior) and len(posterior.values) > self.max_induced_values:
+        if (
+            may_use_nearest
+            and isinstance(posterior, SparsePosterior)
+            and len(posterior.values) > self.max_induced_values
+        ):
             self._nearest_posterior = NearestPosterior(self.kernel, posterior.all_points, posterior.values)
         self._factors: tuple[Floats, Floats] = posterior.weights, np.asfortranarray(posterior.inverse_factor)
         single = posterior.weights.astype(np.float32), np.asfortranarray(posterior.inverse_factor, dtype=np.float32)

@@ -104,6 +104,8 @@ class Link {
     if (name === "metric") return contents.metrics.some((one) => one.name === value) ? value : null;
     if (name === "aspect") return Object.hasOwn(contents.kinds, value) ? value : null;
     if (name === "colour") return colourOptions(this.store).some(([each]) => each === value) ? value : null;
+    if (name === "surface") return SURFACES.includes(value) ? value : null;
+    if (name === "hidden") return value;
     return this.store.has(value) ? value : null;
   }
 }

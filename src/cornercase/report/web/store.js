@@ -29,7 +29,7 @@ class Store {
     const ends = outcomes?.length && new Set(scenarios.outcome.filter((one) => one !== null)).size > 1;
     // Kinds that tell nothing apart would hide what happened.
     const colour = contents.kinds[aspect]?.useful ? "kind" : ends ? "outcome" : "metric";
-    this.options = { metric: contents.metrics[0].name, aspect, colour };
+    this.options = { metric: contents.metrics[0].name, aspect, colour, surface: "off", hidden: "" };
     this.notes = new Map();
     this.selected = null;
     this.beside = null;

@@ -23,9 +23,9 @@ class CoursesPlot extends Plot {
     const all = this.store.contents.courses[this.store.options.metric];
     if (!all) return null;
     if (typeof all.values !== "string") return all;
-    if (!all.coming) {
-      all.coming = unpack(all.values).then((bytes) => {
-        all.values = new Uint16Array(bytes.buffer, bytes.byteOffset, bytes.byteLength / 2);
+    if (this.awaited !== all) {
+      this.awaited = all;
+      unpackCourses(all).then(() => {
         this.redraw(new Set(["contents"]));
         this.done?.();
       });

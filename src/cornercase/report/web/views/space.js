@@ -5,11 +5,16 @@ class SpacePlot extends PointPlot {
   constructor(box, store, columns) {
     super(box, store, { name: "space" });
     this.columns = columns;
+    this.surface = new Surface(this);
   }
 
   title() {
     const [x, y] = this.columns().map((column) => this.store.axis(column).title);
     return `Scenarios by ${x} and ${y}`;
+  }
+
+  summary() {
+    return [super.summary(), this.surface.isDrawn ? this.surface.tell() : ""].filter(Boolean).join(". ");
   }
 
   drawBase(g) {
@@ -19,10 +24,12 @@ class SpacePlot extends PointPlot {
     const [xAxis, yAxis] = [store.axis(xName), store.axis(yName)];
     this.scaleX(...columnRange(store, xName), xAxis.choices);
     this.scaleY(...columnRange(store, yName), yAxis.choices);
+    this.surface.draw(g);
     this.drawAxes(g, xAxis.title, yAxis.title);
     drawThreshold(g, this, xName, yName);
     if (this.hulls) this.drawHulls(g, x, y);
     this.drawPoints(g, x.map((value) => this.x.at(value)), y.map((value) => this.y.at(value)));
+    this.surface.drawLabels(g);
   }
 
   // Edges of the hulls on which the archetypes were found.
@@ -127,6 +134,19 @@ function hasHulls(store, columns) {
   return parameters && Object.keys(hulls ?? {}).length > 0 && (!aspect || aspect === store.options.aspect);
 }
 
+function canPredict(store) {
+  return Boolean(store.contents.predictor || store.contents.predictor_missing);
+}
+
+function surfaceSelect(box, store) {
+  const select = labelledSelect(box, "Between scenarios", "space-surface");
+  select.title = "Predicted: the score in between, by a Gaussian process of all scenarios that were searched. " +
+    "Unknown: its standard deviation, grey where no scenario is near; striped where it is open whether scenarios are critical.";
+  setOptions(select, [["off", "nothing"], ["predicted", "predicted score"], ["unknown", "what is unknown"]]);
+  select.addEventListener("change", () => store.set({ surface: select.value }));
+  return select;
+}
+
 function hullBox(box, changed) {
   const label = document.createElement("label");
   label.className = "check";
@@ -160,21 +180,35 @@ VIEWS.push({
       return select;
     });
     const plot = new SpacePlot(box, store, columns);
+    const surface = surfaceSelect(options, store);
     const hulls = hullBox(options, () => {
       plot.hulls = hulls.checked;
       plot.redraw(new Set(["options"]));
     });
     const legend = document.createElement("ul");
     legend.className = "legend";
-    box.append(legend);
+    const shades = document.createElement("ul");
+    shades.className = "legend";
+    const told = document.createElement("p");
+    told.className = "note";
+    told.id = "space-told";
+    box.append(legend, shades, told);
     const menu = rangeMenu(box, store, columns);
     return {
       plot,
       redraw(events) {
         hulls.parentElement.hidden = !hasHulls(store, columns());
         plot.hulls = hulls.checked && !hulls.parentElement.hidden;
-        plot.redraw(events);
-        if (onlyMarks(events)) return;
+        const { surface: shading } = plot;
+        // The selected scenario says where the other parameters are.
+        const isMoved = events.has("selected") && shading.isDrawn;
+        plot.redraw(isMoved ? new Set([...events, "options"]) : events);
+        if (onlyMarks(events) && !isMoved) return;
+        surface.parentElement.hidden = !canPredict(store);
+        surface.value = store.options.surface;
+        shading.fillLegend(shades);
+        told.textContent = canPredict(store) ? shading.tell() : "";
+        told.hidden = !told.textContent;
         columns().forEach((name, k) => (selects[k].value = name));
         fillLegend(legend, store);
         menu();

@@ -14,7 +14,8 @@ class ScenarioTable {
     this.grid.className = "grid";
     this.grid.tabIndex = 0;
     this.grid.setAttribute("role", "grid");
-    this.grid.setAttribute("aria-label", "Scenarios: arrow keys move, Enter selects, Shift and Enter puts beside");
+    this.grid.setAttribute(
+      "aria-label", "Scenarios: arrow keys move, Enter selects, Shift and Enter puts beside, Space ticks, Shift for ranges");
     this.head = document.createElement("div");
     this.head.className = "row head";
     this.head.setAttribute("role", "row");
@@ -29,20 +30,41 @@ class ScenarioTable {
     this.onPaper = document.createElement("p");
     this.onPaper.className = "note on-paper";
     this.printing = false;
+    this.ticks = new Ticks(store);
+    this.rows = [];
+    this.menu = new ColumnMenu(box, store);
     box.append(this.onPaper, this.grid);
+    this.bar = new ExportBar(box, store, this);
+    store.on("ticked", () => this.markRows());
     addEventListener("beforeprint", () => this.print(true));
     addEventListener("afterprint", () => this.print(false));
     this.grid.addEventListener("scroll", () => this.drawRows(), { passive: true });
     this.grid.addEventListener("keydown", (event) => this.key(event));
+    this.grid.addEventListener("wheel", (event) => this.wheel(event), { passive: false });
     this.body.addEventListener("click", (event) => {
       const row = this.rowOf(event);
       if (row === null) return;
       this.current = this.rows.indexOf(row);
+      if (event.target.closest(".tick")) return this.tick(row, event.shiftKey);
       chooseRow(store, row, event);
     });
     this.body.addEventListener("pointermove", (event) => store.hover(this.rowOf(event)));
     this.body.addEventListener("pointerleave", () => store.hover(null));
     new ResizeObserver(() => this.drawRows()).observe(this.grid);
+  }
+
+  // Without the focus, the page scrolls, so that a reader on the way down is not caught here.
+  wheel(event) {
+    const isAcross = event.shiftKey || Math.abs(event.deltaX) > Math.abs(event.deltaY);
+    if (event.ctrlKey || isAcross || this.grid.contains(document.activeElement)) return;
+    event.preventDefault();
+    const unit = [1, 16, innerHeight][event.deltaMode] ?? 1;
+    window.scrollBy({ top: event.deltaY * unit, behavior: "instant" });
+  }
+
+  tick(row, range) {
+    this.ticks.tick(this.rows, row, !this.ticks.has(row), range);
+    this.grid.focus({ preventScroll: true });
   }
 
   rowOf(event) {
@@ -54,12 +76,15 @@ class ScenarioTable {
     const { store } = this;
     const { contents } = store;
     const { scenarios } = contents;
-    const columns = [{ key: "id", title: "id", number: true, text: (row) => String(scenarios.id[row]) }];
+    const id = { key: "id", title: "id", number: true, text: (row) => String(scenarios.id[row]) };
+    const columns = [id];
     for (const { name } of contents.metrics) {
       const key = `score ${name}`;
       const text = (row) => formatNumber(scenarios.scores[name][row]);
-      columns.push({ key, title: store.axis(key).title, number: true, text });
+      columns.push({ key, title: store.axis(key).title, number: true, text, raw: (row) => scenarios.scores[name][row] });
     }
+    const course = courseColumn(store, () => this.drawRows());
+    if (course) columns.push(course);
     if (scenarios.against) {
       for (const { name } of contents.metrics) {
         const text = (row) => unturned(store.against(name, row) ?? "");
@@ -73,7 +98,8 @@ class ScenarioTable {
       const named = one.choices.length > 0;
       const step = (one.high - one.low) / 1000;
       const text = (row) => (named ? parameterText(store, k, row) : formatInSteps(scenarios.values[k][row], step));
-      columns.push({ key, title: named ? one.name : store.axis(key).title, number: !named, text });
+      const raw = named ? undefined : (row) => scenarios.values[k][row];
+      columns.push({ key, title: named ? one.name : store.axis(key).title, number: !named, text, raw });
     });
     if (contents.outcomes.length) {
       const text = (row) => contents.outcomes[scenarios.outcome[row]] ?? "";
@@ -85,16 +111,46 @@ class ScenarioTable {
       columns.push({ key: "kind", title: "kind", width: 18, text, value: (row) => store.kindOf(row) ?? Infinity });
     }
     columns.push({ key: "round", title: "round", number: true, text: (row) => String(scenarios.round[row]) });
-    this.columns = columns;
+    this.all = columns;
+    const hidden = hiddenColumns(store);
+    this.columns = [this.tickColumn(), id, ...columns.slice(1).filter(({ key }) => !hidden.has(key))];
+    this.menu.show(columns.slice(1));
+  }
+
+  tickColumn() {
+    const fill = (cell, row) => {
+      cell.classList.add("tick");
+      cell.append(tickBox(`Tick scenario ${this.store.contents.scenarios.id[row]}`, -1));
+    };
+    return { key: "tick", title: "", width: 1.8, fill, head: (cell) => this.fillTickHead(cell) };
+  }
+
+  fillTickHead(cell) {
+    cell.classList.add("tick");
+    this.allBox = tickBox("Tick all shown", 0);
+    this.allBox.addEventListener("change", () => {
+      this.ticks.set(this.rows, this.allBox.checked);
+      announce(`${this.ticks.size} scenarios are ticked`);
+    });
+    cell.append(this.allBox);
+    this.markAll();
+  }
+
+  markAll() {
+    if (!this.allBox) return;
+    const count = this.rows.reduce((sum, row) => sum + this.ticks.has(row), 0);
+    this.allBox.checked = count > 0 && count === this.rows.length;
+    this.allBox.indeterminate = count > 0 && count < this.rows.length;
   }
 
   // As wide as the title and the values of some rows.
   fitColumns() {
     const some = evenly(this.rows, 40);
     for (const column of this.columns) {
+      if (column.width !== undefined) continue;
       const longest = some.reduce((most, row) => Math.max(most, column.text(row).length), 0);
-      const wide = Math.max(column.title.length * 0.47 + 1.9, longest * 0.47 + 1.3);
-      column.width ??= Math.max(3.6, Math.min(14, wide));
+      const wide = Math.max(column.title.length * 0.53 + 1.9, longest * 0.47 + 1.3);
+      column.width = Math.max(3.6, Math.min(14, wide));
     }
   }
 
@@ -117,7 +173,7 @@ class ScenarioTable {
     if (store.notes?.size) {
       const note = (row) => store.notes.get(scenarios.id[row]) ?? "";
       const text = (row) => (note(row) ? `✎ ${note(row)}` : "");
-      columns.push({ key: "note", title: "note", width: 14, text, value: (row) => (note(row) ? 0 : 1) });
+      columns.push({ key: "note", title: "note", width: 14, text, raw: note, value: (row) => (note(row) ? 0 : 1) });
     }
     return columns;
   }
@@ -126,6 +182,11 @@ class ScenarioTable {
     this.head.replaceChildren(
       ...this.columns.map((column) => {
         const cell = this.cell(column, "columnheader");
+        if (column.fill) {
+          if (column.head) column.head(cell);
+          else cell.textContent = unturned(column.title);
+          return cell;
+        }
         const button = document.createElement("button");
         button.type = "button";
         button.className = "sort";
@@ -165,6 +226,7 @@ class ScenarioTable {
       this.drawHead();
       this.measure();
       if (events.has("shown")) this.current = null;
+      this.bar.refresh();
     }
     if (events.has("selected")) this.reveal();
     // A press between two rows that replaced each other would be no click.
@@ -173,14 +235,17 @@ class ScenarioTable {
   }
 
   order() {
+    this.rows = this.sorted(rowsWhere(this.store, (row) => this.store.shown[row]));
+  }
+
+  sorted(rows) {
     const { store } = this;
-    const column = this.columns.find((one) => one.key === this.sorting.key) ?? this.columns[0];
+    const column = this.all.find((one) => one.key === this.sorting.key) ?? this.all[0];
     const of = column.value ?? ((values) => (row) => values[row])(store.column(column.key));
     const keys = Float64Array.from({ length: store.n }, (_, row) => of(row));
     const sign = this.sorting.down ? -1 : 1;
-    const rows = rowsWhere(store, (row) => store.shown[row]);
     // Missing values come last in both directions.
-    this.rows = rows.sort((one, other) => {
+    return rows.sort((one, other) => {
       const [a, b] = [keys[one], keys[other]];
       if (Number.isNaN(a) || Number.isNaN(b)) return Number.isNaN(a) - Number.isNaN(b) || one - other;
       return sign * (a - b || 0) || one - other;
@@ -201,7 +266,7 @@ class ScenarioTable {
   }
 
   drawRows() {
-    if (!this.rows) return;
+    if (!this.columns) return;
     const first = this.printing ? 0 : Math.max(0, Math.floor(this.grid.scrollTop / this.height) - 3);
     const count = this.printing ? MOST_PRINTED : Math.ceil((this.grid.clientHeight || 400) / this.height) + 6;
     this.onPaper.textContent = tellPrinted(this.rows.length);
@@ -229,13 +294,17 @@ class ScenarioTable {
     line.setAttribute("role", "row");
     line.setAttribute("aria-rowindex", String(at + 2));
     line.style.top = `${at * this.height}px`;
-    this.mark(line, row);
     for (const column of this.columns) {
       const cell = this.cell(column, "gridcell");
+      line.append(cell);
+      if (column.fill) {
+        column.fill(cell, row);
+        continue;
+      }
       cell.textContent = unturned(column.text(row));
       if (!column.number && cell.textContent.length > 18) cell.title = cell.textContent;
-      line.append(cell);
     }
+    this.mark(line, row);
     return line;
   }
 
@@ -245,13 +314,15 @@ class ScenarioTable {
     line.setAttribute("aria-selected", String(id === store.selected));
     line.classList.toggle("beside", id === store.beside);
     line.classList.toggle("hovered", row === store.hovered);
+    const box = line.querySelector(".tick input");
+    if (box) box.checked = this.ticks.has(row);
     line.classList.toggle("current", this.current !== null && row === this.rows[this.current]);
   }
 
   // What is selected and under the pointer, in the rows that are drawn.
   markRows() {
-    if (!this.rows) return;
     for (const line of this.body.children) this.mark(line, Number(line.dataset.row));
+    this.markAll();
     this.pointAtCurrent();
   }
 
@@ -279,13 +350,23 @@ class ScenarioTable {
       this.scrollTo(this.current);
       this.store.hover(this.rows[this.current]);
       this.drawRows();
-    } else if ((event.key === "Enter" || event.key === " ") && this.current !== null) {
+    } else if (event.key === " " && this.current !== null) {
+      this.tick(this.rows[this.current], event.shiftKey);
+    } else if (event.key === "Enter" && this.current !== null) {
       chooseRow(this.store, this.rows[this.current], event);
     } else {
       return;
     }
     event.preventDefault();
   }
+}
+
+function tickBox(label, tabIndex) {
+  const box = document.createElement("input");
+  box.type = "checkbox";
+  box.tabIndex = tabIndex;
+  box.setAttribute("aria-label", label);
+  return box;
 }
 
 function tellPrinted(count) {
@@ -296,7 +377,8 @@ VIEWS.push({
   name: "table",
   title: "Table",
   wide: true,
-  about: "All scenarios that the filters leave. Click the head of a column to sort, a row to see the scenario move.",
+  about: "All scenarios that the filters leave. Click the head of a column to sort, a row to see the scenario move; " +
+    "then the wheel scrolls the table, else the page.",
   wanted: () => true,
   create(box, store) {
     const table = new ScenarioTable(box, store);

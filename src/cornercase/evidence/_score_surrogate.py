@@ -1,0 +1,63 @@
+"""Gaussian process of the scores of a study, which predicts the scores between its scenarios."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from cornercase._common.typing import FloatArray
+from cornercase.evidence.gp._kernel import evenly_spaced_indices
+from cornercase.evidence.gp._process import GaussianProcess, encode_points, require_enough_scores
+from cornercase.scenario import ParameterSpace
+
+_MAX_LEFT_OUT: Final = 4096  # greatest number of values that are left out in turn
+MIN_PREDICTED: Final = 0.1
+"""Least predicted fraction of the variance for conclusions from the process to be meaningful."""
+
+
+@dataclass(frozen=True, eq=False)
+class ScoreSurrogate:
+    """Process of the scores of some scenarios, less their mean and divided by their standard deviation.
+
+    `points` (n, e) are encoded and `values` (n,) standardized: those that the process was conditioned on. `predicted`
+    is the fraction of the variance that the process predicts by leave-one-out, of at most 4,096 scenarios.
+    """
+
+    space: ParameterSpace
+    process: GaussianProcess
+    points: FloatArray
+    values: FloatArray
+    mean: float
+    deviation: float
+    predicted: float
+
+    def condense(self, max_points: int) -> ScoreSurrogate:
+        """Same kernel and scenarios, but predictions need at most `max_points` points; `predicted` is theirs."""
+        process = self.process.condense(self.points, self.values, max_points)
+        predicted = _predicted_fraction(process, self.values)
+        return ScoreSurrogate(self.space, process, self.points, self.values, self.mean, self.deviation, predicted)
+
+    @property
+    def is_meaningful(self) -> bool:
+        """Whether enough of the variance is predicted to conclude something."""
+        return self.predicted >= MIN_PREDICTED
+
+
+def fit_surrogate(space: ParameterSpace, points: FloatArray, scores: FloatArray) -> ScoreSurrogate:
+    """Fit a process to scores (n,) at points (n, d) of the unit cube; NaN stands for a failed scenario.
+
+    ValueError if there are fewer than 10 scores, or all are equal.
+    """
+    points, scores = require_enough_scores(points, scores)
+    mean, deviation = float(scores.mean()), float(scores.std())
+    encoded, values = encode_points(space, points), (scores - mean) / deviation
+    process = GaussianProcess(1.0).fit(encoded, values)
+    return ScoreSurrogate(space, process, encoded, values, mean, deviation, _predicted_fraction(process, values))
+
+
+def _predicted_fraction(process: GaussianProcess, values: FloatArray) -> float:
+    subset = evenly_spaced_indices(len(values), _MAX_LEFT_OUT)
+    errors = values[subset] - process.leave_one_out(subset)[0]
+    return float(1.0 - np.mean(errors**2))
