@@ -14,6 +14,7 @@ from cornercase.clustering._headline import find_headline_aspect, has_useful_clu
 from cornercase.evidence import Estimate
 from cornercase.metrics._outcome import Manner
 from cornercase.reduction import ReducedSet
+from cornercase.report._collision_replies import ReplyCounts
 from cornercase.report._estimates import CriticalEstimates
 from cornercase.report._reference_counts import describe_references
 from cornercase.report._report_data import ReportData
@@ -33,6 +34,7 @@ from cornercase.report.text._phrases import (
     group_failures_by_reason,
     use_math_signs,
 )
+from cornercase.report.text._reply_sentences import describe_replies
 from cornercase.study._import_recordings import IMPORTED_SIMULATOR
 from cornercase.suite._verdict import worst_state
 
@@ -83,6 +85,8 @@ def page_answers(data: ReportData) -> Iterator[Answer]:
     if summary.probability is not None:
         yield _answer_probability(summary.probability)
     yield _answer_collisions(data)
+    if summary.replies is not None:
+        yield _answer_replies(data, summary.replies)
     if summary.represents_space:
         yield from _answer_search(data)
     elif summary.analyses:
@@ -175,6 +179,13 @@ def _answer_collisions(data: ReportData) -> Answer:
         for scenario, impact in hardest[:_MAX_POINTS]
     ]
     return Answer(name, question, " ".join(sentences), tuple(points))
+
+
+def _answer_replies(data: ReportData, replies: ReplyCounts) -> Answer:
+    meta = data.summary.meta
+    other = meta.others[0] if len(meta.others) == 1 else "the other"
+    text, points = describe_replies(replies, meta.ego, other)
+    return Answer("fix", "What do I fix?", text, points)
 
 
 def _describe_faults(data: ReportData) -> str:
