@@ -40,6 +40,9 @@ _LOOK_AHEAD: Final = 5.0
 
 _LOOK_BACK: Final = 10.0
 
+_STOPPED: Final = 0.5
+"""Speed in m/s up to which braking has ended in standing: the last step before may not be recorded as braking."""
+
 _ROUNDING: Final = 1e-6
 """Rounding error of an acceleration in m/s²."""
 
@@ -51,9 +54,10 @@ class EncounterEvents:
     `sees`: since when the ego could see the other without interruption, before they touch or are closest; the eye and
     the rule are those of the drivers, without a field of view or a range. `foresees`: since when it could see a
     collision coming, as in `find_chance`; without a contact the last such danger before they are closest. `slows` and
-    `brakes`: the first braking that begins at most 0.5 s before that, and the slowing down that it belongs to. Without
-    a foreseeable collision `slows` is None, and `brakes` the last braking that began in sight of the other. `closest`
-    is the instant of the smallest gap between the boxes, `gap` in m.
+    `brakes`: the first braking that begins at most 0.5 s before that, and the slowing down that it belongs to; else a
+    braking that goes on or gets harder then, or the last one by which the ego had stopped. Without a foreseeable
+    collision `slows` is None, and `brakes` the last braking that began in sight of the other. `closest` is the instant
+    of the smallest gap between the boxes, `gap` in m.
     """
 
     other: str
@@ -169,7 +173,8 @@ def _find_braking(
         brakes = _first_begin(active, time)
     slowing = runs_after(SLOWING, earliest)
     if brakes is None:
-        return _first_begin(slowing, time), None
+        stops = [run for run in runs_after(BRAKING, -math.inf) if abs(speed[run[1]]) < _STOPPED]
+        return _first_begin(slowing, time), _first_begin(stops[-1:], time)
     whole = [run for run in slowing if time[run[0]] <= brakes + 1e-9 <= time[run[1]] + 2e-9]
     return _first_begin(whole, time) if whole else brakes, brakes
 

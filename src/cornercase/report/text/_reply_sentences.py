@@ -25,21 +25,22 @@ def _describe_earlier_braking(counts: ReplyCounts, ego: str, other: str) -> Iter
     assumption = f"if {ego} stays on its path{waits}, and {other} moves as recorded"
     if not any(counts.n_avoided_earlier.values()):
         longest = max(counts.n_avoided_earlier)
-        yield f"Braking up to {longest:g} s earlier avoids none of {_collisions(total)}, {assumption}."
+        yield f"Braking up to {longest:g} s earlier avoids none of {_collisions(total, counts.n_measured)}, {assumption}."
         return
     parts = []
     for time, count in counts.n_avoided_earlier.items():
         avoided = "none" if not count else "all" if count == total > 1 else str(count)
         parts.append(f"{time:g} s earlier {avoided}" if parts else f"{time:g} s earlier avoids {avoided}")
         if len(parts) == 1:
-            parts[0] += f" of {_collisions(total)}"
+            parts[0] += f" of {_collisions(total, counts.n_measured)}"
         if count == total:
             break
     yield f"Braking {', '.join(parts)}: {assumption}."
 
 
-def _collisions(count: int) -> str:
-    return "the one collision with braking" if count == 1 else f"the {count} collisions with braking"
+def _collisions(count: int, total: int) -> str:
+    number = "the one collision" if count == 1 else f"the {count} collisions"
+    return number if count == total else f"{number} with braking"
 
 
 def _describe_braking(counts: ReplyCounts, ego: str, other: str) -> Iterator[str]:
@@ -55,7 +56,7 @@ def _describe_braking(counts: ReplyCounts, ego: str, other: str) -> Iterator[str
     if counts.n_driving_on:
         yield f"In {counts.n_driving_on} it drives on again before they touch."
     if counts.n_without_braking and counts.n_with_braking:
-        yield f"In {counts.n_without_braking} it never brakes."
+        yield f"In {counts.n_without_braking} it does not brake for it."
     if counts.n_seen_too_late:
         yield (
             f"In {counts.n_seen_too_late} it could not have seen that coming in time: full braking at once would not"
@@ -81,7 +82,7 @@ def _describe_alternatives(counts: ReplyCounts, other: str) -> Iterator[str]:
     if counts.n_without_braking:
         avoided = _count_of(counts.n_avoided_by_full_braking, counts.n_without_braking)
         yield (
-            "Where it never brakes, the careful driver of UN Regulation No. 157, who brakes fully 1.15 s after the"
+            "Where it does not brake, the careful driver of UN Regulation No. 157, who brakes fully 1.15 s after the"
             f" collision can be seen coming, avoids {avoided}."
         )
     yield (
