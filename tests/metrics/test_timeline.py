@@ -47,7 +47,9 @@ def test_what_hides_the_other_ends_the_sight_of_it():
 def test_braking_for_something_else_long_before_is_no_reaction():
     # For a bend at 1 s; for the other, which starts at 5 s, at 6 s.
     def speed(time):
-        return np.where(time < 6.0, np.maximum(15 - 5 * np.clip(time - 1.0, 0, 1), 10), 10 - 8 * np.maximum(time - 6, 0))
+        return np.where(
+            time < 6.0, np.maximum(15 - 5 * np.clip(time - 1.0, 0, 1), 10), 10 - 8 * np.maximum(time - 6, 0)
+        )
 
     ego = straight(0, 0, EAST, lambda time: np.maximum(speed(time), 0.0), until=9.0)
     other = straight(75.5, -12, NORTH, lambda time: np.where(time > 4.8, 5.0, 0.0), until=9.0)
@@ -92,7 +94,9 @@ def test_earlier_braking_begins_when_the_other_can_be_seen():
     # It stands behind a wall across the road that vanishes when 20 m are left.
     recording = crash(straight(0, 0, EAST, braking(15, 1.9, 6.0)), straight(45, 0, EAST, 0))
     hidden = crash(
-        straight(0, 0, EAST, braking(15, 1.9, 6.0)), straight(45, 0, EAST, 0), straight(40, 0, EAST, 0, ("misc", 0.5, 30))
+        straight(0, 0, EAST, braking(15, 1.9, 6.0)),
+        straight(45, 0, EAST, 0),
+        straight(40, 0, EAST, 0, ("misc", 0.5, 30)),
     )
     gone = hidden.time > 1.7
     third = hidden.entity_index("Third0")
@@ -109,7 +113,9 @@ def test_an_ego_that_drives_on_again_is_told_from_one_that_brakes_until_they_tou
         return np.where(time < 4, np.maximum(10 - 8 * np.maximum(time - 2, 0), 0), 3 * (time - 4))
 
     # It stops before the way of the other, and drives on into it.
-    recording = crash(straight(-29.75, 0, EAST, speed), straight(0, -44.5, NORTH, lambda t: np.where(t < 2.0, 15.0, 5.0)))
+    recording = crash(
+        straight(-29.75, 0, EAST, speed), straight(0, -44.5, NORTH, lambda t: np.where(t < 2.0, 15.0, 5.0))
+    )
     reply = find_reply(recording, "Ego", "Other", contact(recording))
     assert reply.reply == "drives on"
     assert reply.events.brakes == pytest.approx(2.0, abs=0.11)

@@ -18,43 +18,19 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ReplyCounts:
-    """What the ego did about its collisions, and what else would have avoided them, as far as the motion shows it.
+    """What the ego did about its collisions, and what else would have avoided them, as far as the motion shows it."""
 
-    Attributes
-    ----------
-    n_collisions : int
-        Number of scenarios in which the ego collides with an entity it is measured against.
-    n_measured : int
-        Number of these whose recordings were examined: all, or an even sample of those of a large study.
-    n_without_braking, n_braking, n_driving_on : int
-        Number of those examined in which the ego does not brake, in which it brakes or stands until they touch, and in
-        which it brakes and drives on before that.
-    n_reactions : int
-        Number of those in which it brakes no earlier than 0.5 s before it could see the collision come.
-    median_reaction : float or None
-        Median time from then to braking, in s, over these; None if there are none.
-    n_seen_too_late : int
-        Number of those in which not even full braking, since the ego could see the collision coming, would have stopped
-        it.
-    n_avoided_earlier : mapping of float to int
-        Number of collisions, of those with braking, that the same braking avoids if it begins earlier, by time in s.
-    n_avoided_by_full_braking : int
-        Number of collisions, of those without braking, that the careful driver of UN Regulation No. 157 avoids.
-    n_avoided_by_waiting : int
-        Number of collisions, of those in which the ego drives on, that it avoids if it stops and waits instead.
-    """
-
-    n_collisions: int
-    n_measured: int
+    n_collisions: int  # scenarios in which the ego collides with an entity it is measured against
+    n_measured: int  # those whose recordings were examined: all, or an even sample of a large study
     n_without_braking: int
-    n_braking: int
-    n_driving_on: int
-    n_reactions: int
-    median_reaction: float | None
-    n_seen_too_late: int
-    n_avoided_earlier: Mapping[float, int] = field(default_factory=dict)
-    n_avoided_by_full_braking: int = 0
-    n_avoided_by_waiting: int = 0
+    n_braking: int  # the ego brakes or stands until they touch
+    n_driving_on: int  # it brakes, and drives on before they touch
+    n_reactions: int  # it brakes no earlier than 0.5 s before it could see the collision coming
+    median_reaction: float | None  # from then to braking in s, over these
+    n_seen_too_late: int  # full braking at once, when it could see the collision coming, would not have stopped it
+    n_avoided_earlier: Mapping[float, int] = field(default_factory=dict)  # of those with braking, by time in s
+    n_avoided_by_full_braking: int = 0  # of those without braking, by the careful driver of UN Regulation No. 157
+    n_avoided_by_waiting: int = 0  # of those in which it drives on
 
     @property
     def n_with_braking(self) -> int:
@@ -83,12 +59,12 @@ def count_replies(
     ids = list(first_hits)
     if len(ids) > max_measured:
         ids = [ids[k] for k in np.linspace(0, len(ids) - 1, max_measured).round().astype(int)]
-    found = [
+    replies = [
         find_reply(study.recording(scenario), study.meta.ego, first_hits[scenario].entity, first_hits[scenario].time)
         for scenario in ids
     ]
-    replies = [reply for reply in found if reply is not None]
-    return _count(len(first_hits), replies, EARLIER) if replies else None
+    known_replies = [reply for reply in replies if reply is not None]
+    return _count(len(first_hits), known_replies, EARLIER) if known_replies else None
 
 
 def _count(n_collisions: int, replies: Sequence[CollisionReply], earlier: Sequence[float]) -> ReplyCounts:

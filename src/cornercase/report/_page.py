@@ -23,7 +23,7 @@ from cornercase._common.io.support_table import issue_notice_warning
 from cornercase._common.memory import DEFAULT_MEMORY, MemoryLimit
 from cornercase._common.progress import progress_step, show_bars
 from cornercase._common.text.sanitize import escape_control_characters
-from cornercase.report._encounter_events import find_events_of_scenarios
+from cornercase.report._event_payload import find_events_of_scenarios
 from cornercase.report._failure_page import render_failure_page
 from cornercase.report._payload import page_payload
 from cornercase.report._report_data import ReportData, read_report_data

@@ -58,9 +58,7 @@ def find_chance(party: Party, partner: Party, contact: float, obstacles: Sequenc
     return Chance(foreseeable, could_avoid, is_whole)
 
 
-def find_foreseeable(
-    party: Party, partner: Party, contact: float, obstacles: Sequence[Party]
-) -> tuple[float, bool]:
+def find_foreseeable(party: Party, partner: Party, contact: float, obstacles: Sequence[Party]) -> tuple[float, bool]:
     """Find the time in s before a contact since when it was foreseeable, 0 if never, and whether it begins then.
 
     See `find_chance`.

@@ -13,7 +13,7 @@ from cornercase._common.io.files import check_output_differs_from_source
 from cornercase._common.typing import FloatArray
 from cornercase.recordings import Recording
 from cornercase.recordings._rounded import encode_rounded
-from cornercase.report._encounter_events import find_events_of_scenario
+from cornercase.report._event_payload import find_events_of_scenario
 from cornercase.report._page import REPLAY_SCRIPTS
 from cornercase.report._payload import parameter_columns, round_score, score_source_column, study_info_payload
 from cornercase.report._road_drawing import encode_road_outline, find_road_outline, recorded_bounds

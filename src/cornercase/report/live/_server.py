@@ -17,7 +17,7 @@ from starlette.routing import Route
 
 from cornercase._common.errors import InputError
 from cornercase._common.io.files import portable_name
-from cornercase.report._encounter_events import find_events_of_scenario
+from cornercase.report._event_payload import find_events_of_scenario
 from cornercase.report._page import CONTENT_SECURITY_POLICY, render_live_page
 from cornercase.report._rerun import read_selection_reasons, render_concrete_scenario
 from cornercase.report.live._auth import TokenAuth

@@ -13,7 +13,7 @@ from cornercase._common.errors import InputError
 from cornercase._common.typing import FloatArray
 from cornercase.metrics import Metric
 from cornercase.recordings import Recording
-from cornercase.report._encounter_events import find_events_of_scenario
+from cornercase.report._event_payload import find_events_of_scenario
 from cornercase.report._road_drawing import find_road_outline, recorded_bounds
 from cornercase.roads._outline import RoadOutline
 from cornercase.scenario import Parameter

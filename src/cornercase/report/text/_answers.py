@@ -185,7 +185,8 @@ def _answer_replies(data: ReportData, replies: ReplyCounts) -> Answer:
     meta = data.summary.meta
     other = meta.others[0] if len(meta.others) == 1 else "the other"
     text, points = describe_replies(replies, meta.ego, other)
-    return Answer("fix", "What do I fix?", text, points)
+    references = describe_references(data.summary.references).strip()
+    return Answer("fix", "What do I fix?", text, (*filter(None, [references]), *points))
 
 
 def _describe_faults(data: ReportData) -> str:
@@ -217,7 +218,8 @@ def _answer_critical_share(data: ReportData) -> Answer:
         counts = f"{critical.n_critical} of the {summary.n_run} scenarios{which_ran} {verb} critical ({criterion})."
     else:
         counts = f"None of the {summary.n_run} scenarios{which_ran} is critical ({criterion})."
-    counts += describe_references(summary.references)
+    # Beside what else would have avoided collisions, if there are any.
+    counts += "" if summary.replies is not None else describe_references(summary.references)
     if override := describe_threshold_override(summary):
         counts += f" {override}"
     if estimates is None:

@@ -25,7 +25,8 @@ def _describe_earlier_braking(counts: ReplyCounts, ego: str, other: str) -> Iter
     assumption = f"if {ego} stays on its path{waits}, and {other} moves as recorded"
     if not any(counts.n_avoided_earlier.values()):
         longest = max(counts.n_avoided_earlier)
-        yield f"Braking up to {longest:g} s earlier avoids none of {_collisions(total, counts.n_measured)}, {assumption}."
+        collisions = _collisions(total, counts.n_measured)
+        yield f"Braking up to {longest:g} s earlier avoids none of {collisions}, {assumption}."
         return
     parts = []
     for time, count in counts.n_avoided_earlier.items():

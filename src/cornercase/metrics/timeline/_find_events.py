@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from cornercase._common.typing import BoolArray, FloatArray
-from cornercase.drivers._kernels.visibility import find_visible_others
+from cornercase.drivers._sight import find_visible_others
 from cornercase.metrics.ending._box_gap import smallest_box_gap
 from cornercase.metrics.ending._poses import Poses
 from cornercase.metrics.fault._party import Party
@@ -131,10 +131,12 @@ def _find_danger(recording: Recording, ego: str, other: str, anchor: float, touc
     """Time in s since when a collision was foreseeable; None if it never was."""
     end, back = (anchor, _LOOK_BACK) if touches else (anchor + _LOOK_AHEAD, _LOOK_BACK + _LOOK_AHEAD)
     party, partner = (Party.from_recording(recording, name, end, back) for name in (ego, other))
-    if any(len(one.time) < 2 for one in (party, partner)):
+    if min(len(party.time), len(partner.time)) < 2:
         return None
-    third = (name for name in recording.names if name not in (ego, other))
-    obstacles = [one for one in (Party.from_recording(recording, name, end, back) for name in third) if len(one.time)]
+    obstacles = [
+        Party.from_recording(recording, name, end, back) for name in recording.names if name not in (ego, other)
+    ]
+    obstacles = [obstacle for obstacle in obstacles if len(obstacle.time)]
     if touches:
         foreseeable, _ = find_foreseeable(party, partner, anchor, obstacles)
         return anchor - foreseeable if foreseeable > 0.0 else None

@@ -15,9 +15,7 @@ MAX_WITH_EVENTS: Final = 2000
 
 def find_events_of_scenarios(study: StudyFile, ids: Iterable[int]) -> dict[str, dict[str, Any]]:
     """Find the events of scenarios that ran, by id; of the first 2000 if there are more."""
-    return {
-        str(scenario): find_events_of_scenario(study, scenario) for scenario in list(ids)[:MAX_WITH_EVENTS]
-    }
+    return {str(scenario): find_events_of_scenario(study, scenario) for scenario in list(ids)[:MAX_WITH_EVENTS]}
 
 
 def find_events_of_scenario(study: StudyFile, scenario: int, recording: Recording | None = None) -> dict[str, Any]:

@@ -14,7 +14,7 @@ import numpy as np
 from cornercase._common.typing import FloatArray
 from cornercase.metrics.fault._party import Party, boxes_touch
 from cornercase.metrics.fault._reaction import REACTION_TIME, can_stop, full_braking_speeds
-from cornercase.metrics.timeline._events import ANTICIPATION, BRAKING, EncounterEvents, find_events
+from cornercase.metrics.timeline._find_events import ANTICIPATION, BRAKING, EncounterEvents, find_events
 from cornercase.recordings import Recording
 
 EARLIER: Final = (0.3, 0.5, 1.0)
