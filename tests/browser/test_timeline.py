@@ -85,7 +85,8 @@ def test_the_gap_is_that_of_the_boxes(played, studies):
     boxes = []
     for name in ("Ego", "Pedestrian"):
         k, center = recording.entity_index(name), recording.box_center(name)
-        boxes.append(box_corners(*center.T, recording.heading[k], recording.length[k], recording.width[k]))
+        x, y = center.T
+        boxes.append(box_corners(x, y, recording.heading[k], recording.length[k], recording.width[k]))
     # The page holds places to a millimetre, and headings to 0.1 mrad.
     assert np.abs(np.array(page.evaluate(GAPS)) - box_distance(*boxes)).max() < 5e-3
 

@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cornercase.metrics._timeline import EARLIER, find_events, find_reply
+from cornercase.metrics import _timeline
+from cornercase.metrics._timeline import EARLIER, find_events
 from helpers.crash import crash, straight
 
 EAST, NORTH = 0.0, math.pi / 2
@@ -16,6 +17,12 @@ EAST, NORTH = 0.0, math.pi / 2
 
 def braking(speed, since, deceleration, until=math.inf):
     return lambda time: np.maximum(speed - deceleration * (np.clip(time, since, until) - since), 0.0)
+
+
+def find_reply(recording, ego, other, time):
+    reply = _timeline.find_reply(recording, ego, other, time)
+    assert reply is not None
+    return reply
 
 
 def contact(recording):

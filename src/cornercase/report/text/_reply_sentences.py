@@ -28,7 +28,7 @@ def _describe_earlier_braking(counts: ReplyCounts, ego: str, other: str) -> Iter
         collisions = _collisions(total, counts.n_measured)
         yield f"Braking up to {longest:g} s earlier avoids none of {collisions}, {assumption}."
         return
-    parts = []
+    parts: list[str] = []
     for time, count in counts.n_avoided_earlier.items():
         avoided = "none" if not count else "all" if count == total > 1 else str(count)
         parts.append(f"{time:g} s earlier {avoided}" if parts else f"{time:g} s earlier avoids {avoided}")
