@@ -45,6 +45,8 @@ def test_what_hides_the_other_ends_the_sight_of_it():
     wall = straight(-5, 8, EAST, 0, ("misc", 30.0, 0.5))
     recording = crash(straight(-40, 0, EAST, 10), straight(0, 40, -NORTH, 10), wall)
     events = find_events(recording, "Ego", "Other", contact(recording))
+    assert events.sees is not None
+    assert events.foresees is not None
     assert 0.5 < events.sees < contact(recording)
     assert events.foresees >= events.sees
     clear = crash(straight(-40, 0, EAST, 10), straight(0, 40, -NORTH, 10))

@@ -59,14 +59,14 @@ class CollisionReply:
 
 def find_reply(recording: Recording, ego: str, other: str, contact: float) -> CollisionReply | None:
     """Find what the ego did about a collision at a time in s; None if the motion of one of them is unknown."""
-    parties = [Party.from_recording(recording, name, contact) for name in (ego, other)]
-    if any(len(party.time) < 2 for party in parties):
+    party, partner = (Party.from_recording(recording, name, contact) for name in (ego, other))
+    if min(len(party.time), len(partner.time)) < 2:
         return None
     events = find_events(recording, ego, other, contact)
-    encounter = _Encounter(*parties, contact)
+    encounter = _Encounter(party, partner, contact)
     begin = float(encounter.ego.time[0])
     sees = None if events.sees is None else max(events.sees, begin)
-    too_late = events.foresees is None or not can_stop(*parties, max(events.foresees, begin))
+    too_late = events.foresees is None or not can_stop(party, partner, max(events.foresees, begin))
     if sees is None or events.brakes is None or events.brakes < begin:
         avoided = None if events.foresees is None else encounter.is_avoided_by_full_braking(events.foresees)
         return CollisionReply(events, "none", None, too_late, None, avoided)
