@@ -23,6 +23,7 @@ from cornercase._common.io.support_table import issue_notice_warning
 from cornercase._common.memory import DEFAULT_MEMORY, MemoryLimit
 from cornercase._common.progress import progress_step, show_bars
 from cornercase._common.text.sanitize import escape_control_characters
+from cornercase.report._event_payload import find_events_of_scenarios
 from cornercase.report._failure_page import render_failure_page
 from cornercase.report._payload import page_payload
 from cornercase.report._report_data import ReportData, read_report_data
@@ -41,7 +42,7 @@ from cornercase.scenario._file import ScenarioFile
 from cornercase.study import StudyFile
 from cornercase.study._study_file import open_study
 
-_REPLAY_NAMES: Final = "motion sight clock camera road scene course neighbour pane controls panel"
+_REPLAY_NAMES: Final = "motion sight clock camera road scene course events neighbour pane controls panel"
 REPLAY_SCRIPTS: Final = tuple(f"replay/{name}.js" for name in _REPLAY_NAMES.split())
 """Scripts of the replay, in load order."""
 
@@ -134,6 +135,7 @@ def write_report(
         with show_bars(progress), progress_step(len(opened.finished_rows()), "reading", "recordings") as tell:
             data = read_report_data(opened, figures=folder is not False, memory=limit, on_read=tell)
         recordings = encode_important_recordings(opened, data)
+        events = find_events_of_scenarios(opened, recordings)
         sketch, missing = find_road_outline(opened, data.region, scenario, data.rows[0].values)
         if is_missing_map(missing):
             issue_notice_warning(missing.removesuffix("."))
@@ -150,21 +152,22 @@ def write_report(
             from cornercase.report.figures._export import write_figures
 
             write_figures(draw_all_figures(data), validation.check_path("figures", folder))
-        write_page(path, render_report(data, recordings, roads))
+        write_page(path, render_report(data, recordings, roads | {"events": events}))
     return path
 
 
-def render_report(data: ReportData, recordings: Mapping[int, str], road_payload: Mapping[str, Any]) -> str:
+def render_report(data: ReportData, recordings: Mapping[int, str], more: Mapping[str, Any]) -> str:
     """Render the report as HTML.
 
-    `recordings` are those that the page contains, encoded, by id. `road_payload` has the keys ``roads`` (the drawing),
-    ``roads_missing`` (why there is none) and ``rerun`` (how to run a scenario again).
+    `recordings` are those that the page contains, encoded, by id. `more` has the keys ``roads`` (the drawing),
+    ``roads_missing`` (why there is none), ``rerun`` (how to run a scenario again) and ``events`` (what happened when in
+    scenarios with a recording).
     """
     recording_payload = {
         "recordings": list(recordings),
         "recordings_left_out": describe_left_out_recordings(data, recordings),
     }
-    contents = page_payload(data) | recording_payload | dict(road_payload)
+    contents = page_payload(data) | recording_payload | dict(more)
     return _render(
         live=False,
         left_out=contents["recordings_left_out"],

@@ -20,6 +20,7 @@ from cornercase.metrics._outcome import Culprit, Impact
 from cornercase.recordings import Collision
 from cornercase.reduction import ReducedSet, read_reduction
 from cornercase.reduction._evaluate import reevaluate
+from cornercase.report._collision_replies import ReplyCounts, count_replies
 from cornercase.report._estimates import SpaceEstimates, estimate_space
 from cornercase.report._reference_counts import ReferenceCount, count_reference_results
 from cornercase.scenario import Value
@@ -131,6 +132,8 @@ class Summary:
         By reason, the most frequent first.
     bands : mapping of str to Bands
         Bands of criticality by metric, without metrics whose scores are all the same.
+    replies : ReplyCounts or None
+        What the ego did about its collisions, and what else would have avoided them; None without collisions.
     """
 
     meta: StudyMeta
@@ -151,6 +154,7 @@ class Summary:
     references: Mapping[str, ReferenceCount] = field(default_factory=dict)
     failures: Mapping[str, FailureSummary] = field(default_factory=dict)
     bands: Mapping[str, Bands] = field(default_factory=dict)
+    replies: ReplyCounts | None = None
 
     @property
     def represents_space(self) -> bool:
@@ -271,6 +275,7 @@ def summarize_with_collisions(
         references=count_reference_results(study),
         failures=_summarize_failures(study.failed_rows()),
         bands=bands_of_study(study) if "done" in states else {},
+        replies=count_replies(study, impacts),
     )
 
 

@@ -40,12 +40,12 @@ class Party:
     size: tuple[float, float]
 
     @classmethod
-    def from_recording(cls, recording: Recording, name: str, end: float) -> Party:
-        """Take the motion in the last 10 s until `end` in s; without any instant if it is unknown."""
+    def from_recording(cls, recording: Recording, name: str, end: float, look_back: float = _LOOK_BACK) -> Party:
+        """Take the motion in the last `look_back` s until `end` in s; without any instant if it is unknown."""
         i = recording.entity_index(name)
         center = recording.box_center(name)
         is_known = np.isfinite(center).all(axis=1) & np.isfinite(recording.heading[i] + recording.speed[i])
-        is_recent = (recording.time <= end + 1e-9) & (recording.time >= end - _LOOK_BACK)
+        is_recent = (recording.time <= end + 1e-9) & (recording.time >= end - look_back)
         # The entity may have vanished before, and come again.
         instants = np.flatnonzero(is_known & is_recent)
         if len(instants):

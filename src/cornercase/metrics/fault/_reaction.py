@@ -53,10 +53,19 @@ def find_chance(party: Party, partner: Party, contact: float, obstacles: Sequenc
     brakes after 0.75 s, and with 0.774 g within 0.6 s. The partner moves as recorded, and straight on after the
     contact. A party that stands before they touch has avoided the collision. `obstacles` may hide the partner.
     """
-    instants = _instants_before(party, partner, contact)
+    foreseeable, is_whole = find_foreseeable(party, partner, contact, obstacles)
+    could_avoid = foreseeable > 0.0 and can_brake(party, partner, contact - foreseeable)
+    return Chance(foreseeable, could_avoid, is_whole)
+
+
+def find_foreseeable(party: Party, partner: Party, contact: float, obstacles: Sequence[Party]) -> tuple[float, bool]:
+    """Find the time in s before a contact since when it was foreseeable, 0 if never, and whether it begins then.
+
+    See `find_chance`.
+    """
+    instants, is_danger = is_danger_foreseeable(party, partner, contact, obstacles)
     if not len(instants):
-        return Chance(0.0, False, False)
-    is_danger = _predicts_collision(party, partner, instants) & _can_see(party, partner, instants, obstacles)
+        return 0.0, False
     foreseeable, unnoticed = 0.0, 0.0
     for instant, danger in zip(instants.tolist(), is_danger.tolist(), strict=True):
         unnoticed = 0.0 if danger else unnoticed + _STEP
@@ -64,13 +73,30 @@ def find_chance(party: Party, partner: Party, contact: float, obstacles: Sequenc
             break
         if danger:
             foreseeable = contact - instant
-    could_avoid = foreseeable > 0.0 and can_brake(party, partner, contact - foreseeable)
-    return Chance(foreseeable, could_avoid, foreseeable < contact - float(instants[-1]))
+    return foreseeable, foreseeable < contact - float(instants[-1])
+
+
+def is_danger_foreseeable(
+    party: Party, partner: Party, end: float, obstacles: Sequence[Party]
+) -> tuple[FloatArray, BoolArray]:
+    """Find whether a party sees a collision with its partner come, in the last 8 s before a time in s.
+
+    Returns instants in s, the latest first, and whether it does at each; shape (n,) both.
+    """
+    instants = _instants_before(party, partner, end)
+    if not len(instants):
+        return instants, np.zeros(0, dtype=np.bool_)
+    return instants, _predicts_collision(party, partner, instants) & _can_see(party, partner, instants, obstacles)
 
 
 def can_brake(party: Party, partner: Party, noticed: float) -> bool:
     """Whether a careful and competent driver avoids the partner, if it notices the danger at a time in s."""
     return _avoids(party, partner, noticed, REACTION_TIME)
+
+
+def can_stop(party: Party, partner: Party, start: float) -> bool:
+    """Whether the party stands before it touches the partner, if it brakes fully from a time in s on, at once."""
+    return _avoids(party, partner, start, 0.0)
 
 
 def find_latest_braking(party: Party, partner: Party, contact: float) -> float | None:
@@ -138,13 +164,17 @@ def _can_see(party: Party, partner: Party, instants: FloatArray, obstacles: Sequ
 
 def _avoids(party: Party, partner: Party, start: float, delay: float) -> bool:
     """Whether the party stands before they touch, if it brakes fully from `delay` s after `start` on."""
-    speed = abs(party.speed_at(start))
-    rise = FULL_BRAKING / JERK
-    elapsed = np.arange(0.0, delay + speed / FULL_BRAKING + rise + 2.0, _BRAKING_STEP)
-    braking = np.maximum(elapsed - delay, 0.0)
-    lost = np.where(braking < rise, 0.5 * JERK * braking**2, FULL_BRAKING * (braking - 0.5 * rise))
-    speeds = np.maximum(speed - lost, 0.0)
+    elapsed, speeds = full_braking_speeds(abs(party.speed_at(start)), delay)
     driven = np.append(0.0, np.cumsum(0.5 * (speeds[1:] + speeds[:-1]) * _BRAKING_STEP))
     poses = party.poses_along(float(np.interp(start, party.time, party.distance)) + driven)
     touches = boxes_touch(party, poses, partner, partner.poses_at(start + elapsed))
     return not bool((touches & (speeds > STANDING_SPEED)).any())
+
+
+def full_braking_speeds(speed: float, delay: float) -> tuple[FloatArray, FloatArray]:
+    """Return times in s and speeds in m/s, if a careful and competent driver brakes fully after a delay in s."""
+    rise = FULL_BRAKING / JERK
+    elapsed = np.arange(0.0, delay + speed / FULL_BRAKING + rise + 2.0, _BRAKING_STEP)
+    braking = np.maximum(elapsed - delay, 0.0)
+    lost = np.where(braking < rise, 0.5 * JERK * braking**2, FULL_BRAKING * (braking - 0.5 * rise))
+    return elapsed, np.maximum(speed - lost, 0.0)

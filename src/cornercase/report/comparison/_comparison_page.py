@@ -13,6 +13,7 @@ from cornercase._common.io.files import check_output_differs_from_source
 from cornercase._common.typing import FloatArray
 from cornercase.recordings import Recording
 from cornercase.recordings._rounded import encode_rounded
+from cornercase.report._event_payload import find_events_of_scenario
 from cornercase.report._page import REPLAY_SCRIPTS
 from cornercase.report._payload import parameter_columns, round_score, score_source_column, study_info_payload
 from cornercase.report._road_drawing import encode_road_outline, find_road_outline, recorded_bounds
@@ -84,20 +85,21 @@ def write_comparison(
 def _render_page(
     comparison: Comparison, old: StudyFile, new: StudyFile, scenario: Path | str | ScenarioFile | None
 ) -> str:
-    recordings, texts = [], {}
+    recordings, texts, events = [], {}, {}
     for k, telling in enumerate(comparison.examples):
         for number, study, scenario_id in _scenarios_of_example(k, telling, old, new):
             if study.scenario_scores(scenario_id):
                 recordings.append(study.recording(scenario_id))
                 packed = encode_rounded(recordings[-1], _read_courses(study, scenario_id, comparison))
                 texts[number] = base64.b64encode(packed).decode()
+                events[str(number)] = find_events_of_scenario(study, scenario_id, recordings[-1])
     sections = [
         section for section in describe_comparison(comparison) if section.key not in ("answer", "findings", "telling")
     ]
     answer = describe_comparison(comparison)[0]
     contents = (
         _replay_payload(comparison, old, new)
-        | {"recordings": list(texts)}
+        | {"recordings": list(texts), "events": events}
         | _road_payload(comparison, old, recordings, scenario)
     )
     return render_template(

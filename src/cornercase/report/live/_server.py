@@ -17,6 +17,7 @@ from starlette.routing import Route
 
 from cornercase._common.errors import InputError
 from cornercase._common.io.files import portable_name
+from cornercase.report._event_payload import find_events_of_scenario
 from cornercase.report._page import CONTENT_SECURITY_POLICY, render_live_page
 from cornercase.report._rerun import read_selection_reasons, render_concrete_scenario
 from cornercase.report.live._auth import TokenAuth
@@ -78,6 +79,11 @@ class _Endpoints:
             content = study.rounded_recording(_scenario_id(request))
         return Response(content, media_type="application/octet-stream")
 
+    def scenario_events(self, request: Request) -> Response:
+        self._require_same_epoch(request)
+        with StudyFile.open(self._path, readonly=True) as study:
+            return JSONResponse(find_events_of_scenario(study, _scenario_id(request)))
+
     def recording_csv(self, request: Request) -> Response:
         self._require_same_epoch(request)
         scenario = _scenario_id(request)
@@ -131,6 +137,7 @@ def create_app(
             Route("/events", answers.events),
             Route("/recordings/{id}.csv", answers.recording_csv),
             Route("/recordings/{id}", answers.recording),
+            Route("/scenarios/{id}/events", answers.scenario_events),
             Route("/scenarios/{id}.xosc", answers.scenario_file),
             Route("/notes/{id}", answers.save_note, methods=["PUT"]),
         ],

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from cornercase._common.errors import InputError
 from cornercase._common.typing import FloatArray
 from cornercase.metrics import Metric
 from cornercase.recordings import Recording
+from cornercase.report._event_payload import find_events_of_scenario
 from cornercase.report._road_drawing import find_road_outline, recorded_bounds
 from cornercase.roads._outline import RoadOutline
 from cornercase.scenario import Parameter
@@ -31,6 +33,7 @@ class ReplayItem:
     outcome: str  # how it ended; empty if unknown
     is_critical: bool
     score_sources: Mapping[str, str | None] = field(default_factory=dict)
+    events: Mapping[str, Any] = field(default_factory=dict)  # what happened when, as the page has it
 
     def most_critical_time(self, metric: Metric) -> float:
         """Return the first time in s at which a metric is most critical.
@@ -95,15 +98,17 @@ def read_replay_data(
         row = _require_run_scenario(study, rows, scenario_id)
         scores = study.scenario_scores(scenario_id)
         courses = {metric.name: metric.clip_course(study.course(scenario_id, metric.name)) for metric in metrics}
+        recording = study.recording(scenario_id)
         takes.append(
             ReplayItem(
                 row,
-                study.recording(scenario_id),
+                recording,
                 courses,
                 scores,
                 outcomes.get(scenario_id, ""),
                 objective.is_critical(scores),
                 study.scenario_score_sources(scenario_id),
+                find_events_of_scenario(study, scenario_id, recording),
             )
         )
     region = recorded_bounds(take.recording for take in takes)

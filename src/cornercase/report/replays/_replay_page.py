@@ -61,6 +61,7 @@ def _replay_payload(data: ReplayData) -> dict[str, Any]:
         "kept": {},
         "errors": {},
         "kinds": {},
+        "events": {str(take.row.id): dict(take.events) for take in items},
         "shown": [take.row.id for take in data.items],
         "roads": None if data.road is None else encode_road_outline(data.road),
         "roads_missing": data.road_missing_reason,

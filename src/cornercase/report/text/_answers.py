@@ -14,6 +14,7 @@ from cornercase.clustering._headline import find_headline_aspect, has_useful_clu
 from cornercase.evidence import Estimate
 from cornercase.metrics._outcome import Manner
 from cornercase.reduction import ReducedSet
+from cornercase.report._collision_replies import ReplyCounts
 from cornercase.report._estimates import CriticalEstimates
 from cornercase.report._reference_counts import describe_references
 from cornercase.report._report_data import ReportData
@@ -33,6 +34,7 @@ from cornercase.report.text._phrases import (
     group_failures_by_reason,
     use_math_signs,
 )
+from cornercase.report.text._reply_sentences import describe_replies
 from cornercase.study._import_recordings import IMPORTED_SIMULATOR
 from cornercase.suite._verdict import worst_state
 
@@ -83,6 +85,8 @@ def page_answers(data: ReportData) -> Iterator[Answer]:
     if summary.probability is not None:
         yield _answer_probability(summary.probability)
     yield _answer_collisions(data)
+    if summary.replies is not None:
+        yield _answer_replies(data, summary.replies)
     if summary.represents_space:
         yield from _answer_search(data)
     elif summary.analyses:
@@ -177,6 +181,14 @@ def _answer_collisions(data: ReportData) -> Answer:
     return Answer(name, question, " ".join(sentences), tuple(points))
 
 
+def _answer_replies(data: ReportData, replies: ReplyCounts) -> Answer:
+    meta = data.summary.meta
+    other = meta.others[0] if len(meta.others) == 1 else "the other"
+    text, points = describe_replies(replies, meta.ego, other)
+    references = describe_references(data.summary.references).strip()
+    return Answer("fix", "What do I fix?", text, (*filter(None, [references]), *points))
+
+
 def _describe_faults(data: ReportData) -> str:
     """Say whose fault the collisions are; empty if an early version stored none."""
     meta, counts = data.summary.meta, data.summary.faults
@@ -206,7 +218,8 @@ def _answer_critical_share(data: ReportData) -> Answer:
         counts = f"{critical.n_critical} of the {summary.n_run} scenarios{which_ran} {verb} critical ({criterion})."
     else:
         counts = f"None of the {summary.n_run} scenarios{which_ran} is critical ({criterion})."
-    counts += describe_references(summary.references)
+    # Beside what else would have avoided collisions, if there are any.
+    counts += "" if summary.replies is not None else describe_references(summary.references)
     if override := describe_threshold_override(summary):
         counts += f" {override}"
     if estimates is None:

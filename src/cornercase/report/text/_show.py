@@ -13,6 +13,7 @@ from cornercase.drivers._description import format_driver
 from cornercase.evidence import Estimate, Sensitivity
 from cornercase.evidence._bands import Bands
 from cornercase.reduction import ClusterShape, Coverage, CriticalCoverage, HeldOut, HeldOutCritical, ReducedSet
+from cornercase.report._collision_replies import ReplyCounts
 from cornercase.report._summary import FailureSummary, MetricSummary, Summary
 from cornercase.report.text._phrases import (
     describe_informativeness,
@@ -31,7 +32,7 @@ from cornercase.study import StudyMeta
 NAME_LEVELS_BELOW_KEY: Final = {
     "parameters": 1, "metrics": 1, "at": 1, "clusters": 1, "collisions_not_measured_against": 1, "scenarios_against": 1,
     "mutual_information_with": 1, "outcomes": 1, "median": 1, "front": 2, "agreement": 1, "references": 1,
-    "coverage": 1, "drivers": 1, "failures": 1, "bands": 1,
+    "coverage": 1, "drivers": 1, "failures": 1, "bands": 1, "avoided_by_braking_earlier": 1,
 }  # fmt: skip
 """Number of levels below these keys whose keys are names of metrics, parameters or aspects."""
 # Words of the keys in which more than the underscores differ.
@@ -104,6 +105,7 @@ def summary_to_dict(summary: Summary) -> dict[str, Any]:
         "collisions": summary.n_collisions,
         **({"fault": dict(summary.faults)} if summary.faults else {}),
         **_unmeasured_collisions_to_dict(summary),
+        **({} if summary.replies is None else {"replies": _replies_to_dict(summary.replies)}),
         "metrics": {name: _metric_to_dict(metric, meta) for name, metric in summary.metrics.items()},
         **({"bands": {name: _bands_to_dict(bands) for name, bands in summary.bands.items()}} if summary.bands else {}),
         "clusters": {name: _clusters_to_dict(analysis, summary.n_run) for name, analysis in summary.analyses.items()},
@@ -154,6 +156,20 @@ def replace_keys_by_words(values: Mapping[str, Any], name_levels: int = 0) -> di
         words = key if name_levels else _WORDS_BY_KEY.get(key, key.replace("_", " "))
         renamed[words] = replace_keys_by_words(value, below) if isinstance(value, dict) else value
     return renamed
+
+
+def _replies_to_dict(replies: ReplyCounts) -> dict[str, Any]:
+    return {
+        "collisions": replies.n_measured,
+        "without_braking": replies.n_without_braking,
+        "braking_until_contact": replies.n_braking,
+        "driving_on": replies.n_driving_on,
+        "median_reaction": replies.median_reaction,
+        "seen_too_late": replies.n_seen_too_late,
+        "avoided_by_braking_earlier": {f"{time:g} s": count for time, count in replies.n_avoided_earlier.items()},
+        "avoided_by_full_braking": replies.n_avoided_by_full_braking,
+        "avoided_by_waiting": replies.n_avoided_by_waiting,
+    }
 
 
 def _failure_to_dict(failure: FailureSummary) -> dict[str, Any]:

@@ -124,7 +124,11 @@ class ServedRecordings {
   }
 
   async fetch(id) {
-    return readRecord(await inflate(await ask(`recordings/${id}`, "arrayBuffer", ofStudy(this.store))));
+    const [packed, events] = await Promise.all([
+      ask(`recordings/${id}`, "arrayBuffer", ofStudy(this.store)),
+      ask(`scenarios/${id}/events`, "json", ofStudy(this.store)),
+    ]);
+    return { ...readRecord(await inflate(packed)), events };
   }
 
   forget() {

@@ -1,6 +1,6 @@
 "use strict";
 
-// The replay: the selected scenario on its road, another one beside it, and the metric's course below.
+// The replay: the selected scenario on its road, another one beside it, and below them events and courses over time.
 class ReplayPanel {
   constructor(section, store, recordings) {
     Object.assign(this, { section, store, recordings });
@@ -15,10 +15,12 @@ class ReplayPanel {
     this.shown = { selected: null, beside: null };
     this.panes = { selected: new ReplayPane("selected", this), beside: new ReplayPane("beside", this) };
     this.controls = new ReplayControls(this);
-    this.chart = new CourseChart(newElement("canvas", "course"), (time) => {
+    const seek = (time) => {
       this.clock.pause();
       this.clock.seek(time);
-    });
+    };
+    this.chart = new CourseChart(newElement("canvas", "course"), seek);
+    this.events = new EventsLine(seek);
     this.build();
     store.on("selected", () => this.follow());
     store.on("contents", () => {
@@ -56,7 +58,7 @@ class ReplayPanel {
     this.takeRoad();
     this.tables = newElement("div", "replay-tables");
     this.tables.append(this.panes.selected.values, this.panes.beside.values);
-    this.box.append(this.scenes, this.controls.box, this.chart.canvas, this.legend, this.tables, this.notice);
+    this.box.append(this.scenes, this.controls.box, this.events.box, this.chart.canvas, this.legend, this.tables, this.notice);
     this.section.append(this.nothing, this.box);
     new ResizeObserver(() => this.changed()).observe(this.chart.canvas);
   }
@@ -125,19 +127,50 @@ class ReplayPanel {
       const { critical, searched } = this.store.contents;
       // A weighted sum has a threshold, but no course.
       const threshold = critical && metric.name === searched ? critical.threshold : null;
-      const courses = there
-        .filter(({ recording }) => recording.courses[metric.name])
-        .map(({ slot, recording }) => ({ slot, time: recording.time, values: recording.courses[metric.name] }));
-      const unit = metric.unit && metric.unit !== "1" ? ` [${metric.unit}]` : "";
-      this.chart.setCourses(courses, this.clock.begin, this.clock.end, `${metric.name}${unit}`, threshold);
+      const lines = there.map(({ slot, id, recording }) => ({
+        slot,
+        name: this.called(id),
+        events: eventsOf(this.store, id, recording),
+        fault: faultOf(this.store, id, recording),
+      }));
+      const panels = this.coursePanels(there, metric, threshold);
+      this.events.show(lines, this.colours);
+      this.chart.setCourses(panels, this.clock.begin, this.clock.end, lines);
+      const titles = panels.map(({ title }) => title).join(", ");
       this.chart.canvas.setAttribute(
         "aria-label",
-        `Course of ${metric.name}${unit} over time [s] of ${there.map((pane) => this.called(pane.id)).join(" and ")}`,
+        `Courses over time [s] of ${there.map((pane) => this.called(pane.id)).join(" and ")}: ${titles}`,
       );
-      this.tellLegend(there, metric);
+      this.tellLegend(there);
     }
+    if (!there.length) this.events.box.hidden = true;
     this.controls.box.hidden = this.chart.canvas.hidden = this.legend.hidden = !there.length;
     this.changed();
+  }
+
+  // Courses of the shown scenarios: what the ego did, the gap to the other, and the metric.
+  coursePanels(there, metric, threshold) {
+    const panel = (title, valuesOf, more = {}) => {
+      const courses = there
+        .map((pane) => ({ slot: pane.slot, time: pane.recording.time, values: valuesOf(pane) }))
+        .filter(({ values }) => values);
+      return { title, courses, threshold: null, ...more };
+    };
+    const ego = unturned(shortName([this.store.contents.ego].flat()[0]));
+    const others = [...new Set(there.filter((pane) => pane.other >= 0).map((pane) => pane.recording.names[pane.other]))];
+    const whom = others.length === 1 ? unturned(shortName(others[0])) : "the other";
+    const unit = metric.unit && metric.unit !== "1" ? ` [${metric.unit}]` : "";
+    const has = (pane) => pane.ego >= 0;
+    return [
+      panel(`speed of ${ego} [m/s]`, (pane) => has(pane) && pane.recording.speed[pane.ego], { low: 0 }),
+      panel(`acceleration of ${ego} [m/s²]`, (pane) => has(pane) && pane.recording.acceleration[pane.ego]),
+      panel(
+        `gap to ${whom} [m]`,
+        (pane) => has(pane) && pane.other >= 0 && gapsOf(pane.recording, pane.ego, pane.other),
+        { low: 0, high: LARGEST_GAP },
+      ),
+      panel(`${unturned(metric.name)}${unit}`, (pane) => pane.recording.courses[metric.name], { threshold }),
+    ].filter(({ courses }) => courses.length);
   }
 
   // As a sentence.
@@ -145,9 +178,9 @@ class ReplayPanel {
     return this.store.contents.called?.[id] ?? `scenario ${id}`;
   }
 
-  tellLegend(there, metric) {
+  tellLegend(there) {
     const marks = there.map(({ slot, id }) => {
-      const mark = newElement("span", "replay-mark", `${metric.name} of ${this.called(id)}`);
+      const mark = newElement("span", "replay-mark", this.called(id));
       mark.dataset.slot = slot;
       return mark;
     });
@@ -209,11 +242,11 @@ class ReplayPanel {
   }
 
   draw() {
-    this.colours ??= {
-      ...sceneColours(this.box),
-      selected: sceneColours(this.box).ego,
-      beside: sceneColours(this.box).other,
-    };
+    if (this.colours === null) {
+      const colours = sceneColours(this.box);
+      this.colours = { ...colours, selected: colours.ego, beside: colours.other };
+      this.events.paint(this.colours);
+    }
     for (const pane of this.there()) pane.draw(this.clock.time, this.colours);
     if (!this.empty()) {
       this.chart.draw(this.clock.time, this.colours);

@@ -1,0 +1,7 @@
+"""What other rooms use of `cornercase.metrics.timeline`; it is compiled, so they import it where they need it."""
+
+from cornercase.metrics.timeline._earlier_braking import EARLIER as EARLIER
+from cornercase.metrics.timeline._earlier_braking import CollisionReply as CollisionReply
+from cornercase.metrics.timeline._earlier_braking import find_reply as find_reply
+from cornercase.metrics.timeline._find_events import EncounterEvents as EncounterEvents
+from cornercase.metrics.timeline._find_events import find_events as find_events

@@ -1,0 +1,88 @@
+"""What the ego did about its collisions, and what else would have avoided them, counted over a study."""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cornercase.metrics._outcome import Impact
+from cornercase.study import StudyFile
+
+if TYPE_CHECKING:
+    from cornercase.metrics._timeline import CollisionReply
+
+
+@dataclass(frozen=True)
+class ReplyCounts:
+    """What the ego did about its collisions, and what else would have avoided them, as far as the motion shows it."""
+
+    n_collisions: int  # scenarios in which the ego collides with an entity it is measured against
+    n_measured: int  # those whose recordings were examined: all, or an even sample of a large study
+    n_without_braking: int
+    n_braking: int  # the ego brakes or stands until they touch
+    n_driving_on: int  # it brakes, and drives on before they touch
+    n_reactions: int  # it brakes no earlier than 0.5 s before it could see the collision coming
+    median_reaction: float | None  # from then to braking in s, over these
+    n_seen_too_late: int  # full braking at once, when it could see the collision coming, would not have stopped it
+    n_avoided_earlier: Mapping[float, int] = field(default_factory=dict)  # of those with braking, by time in s
+    n_avoided_by_full_braking: int = 0  # of those without braking, by the careful driver of UN Regulation No. 157
+    n_avoided_by_waiting: int = 0  # of those in which it drives on
+
+    @property
+    def n_with_braking(self) -> int:
+        """Number of collisions in which the ego brakes, whether or not it drives on."""
+        return self.n_braking + self.n_driving_on
+
+
+def count_replies(
+    study: StudyFile, impacts: Sequence[Sequence[Impact]], *, max_measured: int = 200
+) -> ReplyCounts | None:
+    """Count what the ego did about its collisions; None without collisions, or if no motion is known.
+
+    `impacts` are those of each scenario that ran. Recordings of at most `max_measured` collisions are read, which is
+    quick, and leaves an error of a few percent.
+    """
+    others = frozenset(study.meta.others)
+    first_hits = {
+        row.id: hit
+        for row, hits in zip(study.finished_rows(), impacts, strict=True)
+        if (hit := next((hit for hit in hits if hit.entity in others), None)) is not None
+    }
+    if not first_hits:
+        return None
+    from cornercase.metrics._timeline import EARLIER, find_reply
+
+    ids = list(first_hits)
+    if len(ids) > max_measured:
+        ids = [ids[k] for k in np.linspace(0, len(ids) - 1, max_measured).round().astype(int)]
+    replies = [
+        find_reply(study.recording(scenario), study.meta.ego, first_hits[scenario].entity, first_hits[scenario].time)
+        for scenario in ids
+    ]
+    known_replies = [reply for reply in replies if reply is not None]
+    return _count(len(first_hits), known_replies, EARLIER) if known_replies else None
+
+
+def _count(n_collisions: int, replies: Sequence[CollisionReply], earlier: Sequence[float]) -> ReplyCounts:
+    kinds = [reply.reply for reply in replies]
+    reactions = [reply.reaction for reply in replies if reply.reaction is not None]
+    moved = [reply.avoided_by for reply in replies if reply.avoided_by is not None]
+    return ReplyCounts(
+        n_collisions=n_collisions,
+        n_measured=len(replies),
+        n_without_braking=kinds.count("none"),
+        n_braking=kinds.count("brakes"),
+        n_driving_on=kinds.count("drives on"),
+        n_reactions=len(reactions),
+        median_reaction=round(statistics.median(reactions), 3) if reactions else None,
+        n_seen_too_late=sum(reply.seen_too_late for reply in replies),
+        n_avoided_earlier={time: sum(avoided[k] for avoided in moved) for k, time in enumerate(earlier)}
+        if moved
+        else {},
+        n_avoided_by_full_braking=sum(reply.avoided is True for reply in replies if reply.reply == "none"),
+        n_avoided_by_waiting=sum(reply.avoided is True for reply in replies if reply.reply == "drives on"),
+    )
