@@ -20,6 +20,7 @@ from cornercase.report._report_data import ReportData
 from cornercase.report.text._phrases import (
     append_unit,
     describe_aspect,
+    describe_dangers,
     describe_front,
     describe_missing_sensitivity,
     describe_selection_threshold,
@@ -40,6 +41,7 @@ from cornercase.suite._verdict import worst_state
 _MAX_POINTS = 6
 _NEGLIGIBLE_SHARE = 0.01
 _ROLE_NAMES: Final[dict[str, tuple[str, str]]] = {
+    "critical prototype": ("prototype of critical ones", "prototypes of critical ones"),
     "prototype": ("prototype", "prototypes"),
     "archetype": ("archetype", "archetypes"),
     "gap": ("that fills a gap between these", "that fill gaps between these"),
@@ -359,15 +361,10 @@ def _answer_reduced_set(data: ReportData) -> Answer:
 def _describe_selected_outcomes(data: ReportData, reduced: ReducedSet) -> str:
     """Say how many of the kept scenarios are critical, and in how many the ego collides."""
     selected = set(reduced.ids)
-    parts = [f"in {len(selected & data.hardest_impacts.keys())} {data.summary.meta.ego} collides"]
+    n_critical = None
     if data.summary.estimates.critical is not None:
         n_critical = sum(data.rows[k].id in selected for k in np.flatnonzero(data.is_critical))
-        parts.insert(0, f"{n_critical} of them {'is' if n_critical == 1 else 'are'} critical")
-    return f"{_capitalize(_join_with_and(parts))}."
-
-
-def _capitalize(text: str) -> str:
-    return text[:1].upper() + text[1:]
+    return describe_dangers(n_critical, len(selected & data.hardest_impacts.keys()), data.summary.meta.ego)
 
 
 def _describe_coverage(data: ReportData, reduced: ReducedSet) -> Iterator[str]:
