@@ -449,8 +449,9 @@ def _answer_probability(estimate: Any) -> Answer:
     sentences = []
     for event, description in (("critical", f"A scenario is critical ({criterion})"), ("collision", "It collides")):
         low, high = estimate[event]["95 % interval"]
-        if not estimate[event].get("met", 1):
-            sentences.append(f"{description} with a probability of at most {high:.3g} (95 %).")
+        if not estimate[event]["met in"]:
+            bound = f"with a probability of at most {high:.3g} (95 %)" if high else "in no scenario of the space"
+            sentences.append(f"{description} {bound}.")
             continue
         sentences.append(
             f"{description} with a probability of {estimate[event]['probability']:.3g}"
