@@ -206,7 +206,7 @@ def reduce(
     from cornercase.clustering import read_analysis
     from cornercase.evidence._bands import BANDS_PREFIX
     from cornercase.reduction._reduce import default_aspect
-    from cornercase.report.text._phrases import describe_dangers
+    from cornercase.report._sentences import describe_selected_dangers
     from cornercase.study._study_file import open_study
     from cornercase.suite import analyze_mutants
 
@@ -256,14 +256,7 @@ def reduce(
     )
     out.print(f"{len(reduced.scenarios)} of {reduced.n_run} scenarios kept, in {output}")
     with open_study(study, readonly=True, critical=critical) as opened:
-        critical_ids = {
-            row.id
-            for row, is_critical in zip(opened.finished_rows(), opened.critical_mask(), strict=True)
-            if is_critical
-        }
-        colliding = {scenario for scenario, impacts in opened.impacts().items() if impacts}
-        n_critical = None if opened.criterion is None else len(critical_ids & set(reduced.ids))
-        out.print(describe_dangers(n_critical, len(colliding & set(reduced.ids)), opened.meta.ego))
+        out.print(describe_selected_dangers(opened, reduced.ids))
     if reduced.exposing is not None:
         count = sum(scenario.role == "exposing" for scenario in reduced.scenarios)
         out.print(f"{count} of them expose mutants; {reduced.exposing.summary_text}.")

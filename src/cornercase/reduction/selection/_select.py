@@ -96,8 +96,7 @@ def _put_critical_first(selection_input: SelectionInput, selected: Sequence[Sele
     is_critical = selection_input.is_critical
     if not is_critical.any():
         return tuple(selected)
-    places = [2 if entry.role == "gap" else 0 if is_critical[entry.index] else 1 for entry in selected]
-    return tuple(selected[k] for k in sorted(range(len(selected)), key=places.__getitem__))
+    return tuple(sorted(selected, key=lambda entry: 2 if entry.role == "gap" else 0 if is_critical[entry.index] else 1))
 
 
 def _put_killing_first(selection_input: SelectionInput, selected: Sequence[Selected]) -> tuple[Selected, ...]:
