@@ -273,7 +273,8 @@ def test_the_command_says_how_many_kept_scenarios_are_dangerous(explored, tmp_pa
     assert critical[0]
     n_critical, n_colliding = sum(critical), len(collides & {one.id for one in kept})
     are = "is" if n_critical == 1 else "are"
-    said = f"{n_critical} of them {are} critical and in {n_colliding or 'none'} Ego collides."
+    who = "All" if n_critical == 3 else n_critical
+    said = f"{who} of them {are} critical and in {n_colliding or 'none'} Ego collides."
     assert said in done.stdout
     assert said in cornercase("show", path).stdout
 

@@ -30,4 +30,4 @@ def describe_selected_dangers(study: StudyFile, ids: Sequence[int]) -> str:
         None if study.criterion is None else sum(bool(critical) for row, critical in is_critical if row.id in selected)
     )
     n_colliding = sum(bool(impacts) for scenario, impacts in study.impacts().items() if scenario in selected)
-    return describe_dangers(n_critical, n_colliding, study.meta.ego)
+    return describe_dangers(len(selected), n_critical, n_colliding, study.meta.ego)

@@ -205,7 +205,8 @@ def _answer_critical_share(data: ReportData) -> Answer:
         counts = f"The one scenario that was run is {'' if critical.n_critical else 'not '}critical ({criterion})."
     elif critical.n_critical:
         verb = "is" if critical.n_critical == 1 else "are"
-        counts = f"{critical.n_critical} of the {summary.n_run} scenarios{which_ran} {verb} critical ({criterion})."
+        who = "All" if critical.n_critical == summary.n_run else f"{critical.n_critical} of the"
+        counts = f"{who} {summary.n_run} scenarios{which_ran} {verb} critical ({criterion})."
     else:
         counts = f"None of the {summary.n_run} scenarios{which_ran} is critical ({criterion})."
     counts += describe_references(summary.references)
@@ -364,7 +365,9 @@ def _describe_selected_outcomes(data: ReportData, reduced: ReducedSet) -> str:
     n_critical = None
     if data.summary.estimates.critical is not None:
         n_critical = sum(data.rows[k].id in selected for k in np.flatnonzero(data.is_critical))
-    return describe_dangers(n_critical, len(selected & data.hardest_impacts.keys()), data.summary.meta.ego)
+    return describe_dangers(
+        len(selected), n_critical, len(selected & data.hardest_impacts.keys()), data.summary.meta.ego
+    )
 
 
 def _describe_coverage(data: ReportData, reduced: ReducedSet) -> Iterator[str]:
