@@ -13,12 +13,12 @@ from cornercase._common.errors import InputError, NoticeWarning
 from cornercase._common.io.files import MAX_FILE_SIZE
 from cornercase._common.text.sanitize import quote_name
 from cornercase.drivers._description import format_driver
+from cornercase.reduction._set_folder import MANIFEST
 from cornercase.report.encode._page_recordings import encode_recordings
 from cornercase.scenario import Value
 from cornercase.scenario._locate import find_files_below
 from cornercase.study import StudyFile
 from cornercase.suite._baseline import find_baseline_study
-from cornercase.suite._manifest import MANIFEST
 from cornercase.suite._read_suite import read_suite
 
 # Earlier recordings beyond this size are left out.
@@ -94,8 +94,8 @@ def _find_source_study(study: StudyFile) -> tuple[Path | None, str]:
                 return find_baseline_study(suite, None)
         except InputError:
             continue
-    suite = quote_name(PurePosixPath(study.meta.scenario).name)
-    return None, f"the suite {suite} was not found as it was run beside {quote_name(study.path.name)}"
+    name = quote_name(PurePosixPath(study.meta.scenario).name)
+    return None, f"the suite {name} was not found as it was run beside {quote_name(study.path.name)}"
 
 
 def _manifests(study: StudyFile) -> Iterator[Path]:

@@ -298,7 +298,8 @@ def _answer_clusters(data: ReportData) -> Answer:
         sentences.append(f"There are also kinds by {_join_with_and(divided)}.")
     if undivided:
         sentences.append(f"There are no separate kinds by {_join_with_and(undivided)}.")
-    points += bands
+    # Names of kinds that tell nothing apart tell nothing; the details have them.
+    points = [*(points if has_useful_clusters(analysis) else []), *bands]
     return Answer(name, question, " ".join(sentences), tuple(points))
 
 
