@@ -267,8 +267,10 @@ def test_the_command_says_how_many_kept_scenarios_are_dangerous(explored, tmp_pa
     done = cornercase("reduce", path, "--size", "3", "-o", tmp_path / "few")
     assert done.returncode == 0, done.stderr
     with StudyFile.open(path, readonly=True) as study:
-        kept = read_reduction(study).scenarios
+        reduced = read_reduction(study)
         collides = {scenario for scenario, hits in study.impacts().items() if hits}
+    assert reduced is not None
+    kept = reduced.scenarios
     critical = [one.scores["wttc"] <= 0.5 for one in kept]
     assert critical[0]
     n_critical, n_colliding = sum(critical), len(collides & {one.id for one in kept})

@@ -24,7 +24,9 @@ def page_and_contents(study, folder, **options):
 def test_the_expected_run_is_on_the_page_of_a_run(explored, ran, tmp_path):
     page, contents = page_and_contents(ran.study, tmp_path)
     with StudyFile.open(explored / "study.db") as study:
-        kept = read_reduction(study).ids
+        reduced = read_reduction(study)
+    assert reduced is not None
+    kept = reduced.ids
     runs = contents["expected"]["runs"]
     assert [runs[str(k)]["called"] for k in range(1, 7)] == [f"Expected: scenario {one} of study.db" for one in kept]
     assert all(run["facts"].startswith("Ego driven by aggressive") for run in runs.values())
