@@ -163,7 +163,7 @@ def estimated(function: Function, runs: int, seed: int) -> tuple[Any, bool]:
         spent += len(points)
     points = sampling.draw_round(runs - spent)
     found = probability_from_weights(sampling.importance_weights(points), score(points) <= 0.0)
-    return found, bool(describe_doubts("it", found, plain))
+    return found, bool(describe_doubts("critical scenario", found, plain, plain.scenarios + len(points), 0))
 
 
 def judged(function: Function, runs: int, repetitions: int) -> dict[str, float]:

@@ -25,7 +25,7 @@ import argparse
 import json
 import tempfile
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -141,9 +141,7 @@ def archetypes(material: SelectionInput, size: int) -> list[int]:
 
 def exposing(material: SelectionInput, choosing: Matrix, size: int) -> list[int]:
     """As `reduce --kill-mutants`."""
-    with_mutants = SelectionInput(
-        material.points, material.distances, material.labels, material.embedding, material.critical_clusters, choosing
-    )
+    with_mutants = replace(material, kills=choosing)
     return [one.index for one in select(with_mutants, SelectionRequest(size, None, None, "auto"))[0]]
 
 
@@ -157,6 +155,7 @@ def judged(path: Path, case: Case, seed: int) -> Iterator[dict[str, Any]]:
         material = SelectionInput(
             ran.parameter_points(analysis), [first, *others], analysis.labels, analysis.clustering.embedding,
             find_critical_clusters(study, analysis),
+            np.isin(analysis.ids, np.array(list(ran.rows))[study.critical_mask()]),
         )  # fmt: skip
         place = {one: i for i, one in enumerate(ran.rows)}
     exposed = whole[[place[i] for i in analysis.ids.tolist()]]

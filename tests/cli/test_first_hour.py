@@ -474,3 +474,20 @@ def test_stumble_03_what_the_demonstration_calls_critical_divides(name, tmp_path
     with StudyFile.open(tmp_path / "study.db") as study:
         critical = study.critical_mask()
     assert 0.02 < critical.mean() < 0.5
+
+
+def test_check_says_once_what_many_files_share(tmp_path):
+    text = Path(X).read_text(encoding="utf-8")
+    road = Path(X).with_suffix(".xodr").read_text(encoding="utf-8")
+    tree = '<objects><object type="tree" id="1" name="tree" s="1" t="9" zOffset="0" orientation="none"/></objects>'
+    (tmp_path / "x_intersection.xodr").write_text(road.replace("</road>", f"{tree}</road>", 1), encoding="utf-8")
+    files = [tmp_path / f"{name}.xosc" for name in "abc"]
+    for file in files:
+        file.write_text(text, encoding="utf-8")
+    alone = cornercase("check", files[0]).stdout.splitlines()
+    shared = [line for line in alone if "x_intersection.xodr" in line]
+    assert shared
+    said = cornercase("check", *files).stdout.splitlines()
+    assert all(said.count(line) == 1 for line in shared)
+    more = f"and {len(shared)} notice{'' if len(shared) == 1 else 's'} on files that it shares, as above"
+    assert said.count(more) == 2

@@ -58,7 +58,7 @@ def test_the_simulated_gpu_gives_what_the_cpu_gives(dims, much):
 def test_says_what_is_missing(monkeypatch):
     monkeypatch.delenv("NUMBA_ENABLE_CUDASIM", raising=False)
     if importlib.util.find_spec("numba_cuda") is None:
-        words = "install cornercase[gpu]"
+        words = "pip install 'cornercase[gpu]'"
     else:
         from numba import cuda
 

@@ -11,12 +11,16 @@ from typer.testing import CliRunner
 from cornercase import NoticeWarning, estimate, explore
 from cornercase._common.errors import InputError
 from cornercase.cli import app
+from cornercase.evidence._probability import probability_from_counts
 from cornercase.evidence._rare_events import ImportanceSampling
 from cornercase.exploration._config import ExplorationConfig
+from cornercase.exploration._estimation import describe_doubts
 from cornercase.exploration._explorer import ScenarioExplorer
 from cornercase.exploration._probability_estimator import ProbabilityEstimator
 from cornercase.optimizers import OPTIMIZERS
 from cornercase.recordings import Collision, Recording
+from cornercase.report._report_data import read_report_data
+from cornercase.report.text._answers import page_answers
 from cornercase.scenario import Constraint, LogicalScenario, ParameterDeclaration, ParameterSpace
 from cornercase.study import StudyFile
 from helpers.fake_simulators import NoisySimulator
@@ -55,6 +59,11 @@ def estimator(study, simulator=None, budget=800, logical=LOGICAL, learn=320):
     return ProbabilityEstimator(configuration, simulator or Synthetic(), sampling, study, 1.0)
 
 
+def report_data(path):
+    with StudyFile.open(path) as study:
+        return read_report_data(study)
+
+
 def contents(path):
     with StudyFile.open(path, readonly=True) as study:
         arrays, info = study.read_analysis("estimate")
@@ -78,7 +87,10 @@ def test_the_probability_is_the_true_one_and_failures_are_told(tmp_path):
     assert found.encounter.low <= share_within(0.1) <= found.encounter.high
     assert found.critical_given_encounter.low <= truth / share_within(0.1) <= found.critical_given_encounter.high
     assert found.collision.met == 0
-    assert any(warning.startswith("No collision occurred") for warning in found.warnings)
+    none = f"None of the {found.critical.scenarios + 64} scenarios that count has a collision. The 64 scenarios drawn"
+    assert any(warning.startswith(none) for warning in found.warnings)
+    (answer,) = (one for one in page_answers(report_data(tmp_path / "e.db")) if one.name == "probability")
+    assert f"It collides with a probability of at most {found.collision.high:.3g} (95 %)." in answer.text
     assert found.criterion == "distance <= 0.05 m"
     uniform = "All 2 parameters are uniform: probabilities are shares of the space, no frequency in traffic."
     assert found.warnings[0] == uniform
@@ -91,6 +103,22 @@ class Touching(Synthetic):
         for one in super().run(concretes):
             near = isinstance(one, Recording) and one.x[1, 0] < 1.0
             yield replace(one, collisions=(Collision(1.0, ("Ego", "B")),)) if near else one
+
+
+@pytest.mark.parametrize(
+    ("event", "uncounted", "said"),
+    [
+        ("collision", 0, "None of the 480 scenarios that count has a collision. The 40 scenarios"),
+        ("collision", 1, "count has a collision; one that was run only to learn where to draw has one. The 40"),
+        ("collision", 12, "count has a collision; 12 that were run only to learn where to draw have one. The 40"),
+        ("critical scenario", 12, "count is critical; 12 that were run only to learn where to draw are critical. The"),
+    ],
+)
+def test_an_estimate_without_the_event_says_where_it_was_met(event, uncounted, said):
+    nothing = probability_from_counts(0, 40)
+    (sentence,) = describe_doubts(event, nothing, nothing, 480, uncounted)
+    assert said in sentence
+    assert sentence.endswith(f"bound the probability of a {event} by {nothing.high:.3g} (95 %).")
 
 
 def test_a_collision_is_critical_also_by_a_metric_that_is_not_defined_in_one(tmp_path):

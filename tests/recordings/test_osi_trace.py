@@ -111,6 +111,6 @@ def test_what_cannot_be_written_is_said(tmp_path, recording, monkeypatch):
     with pytest.raises(cc.InputError, match="Nobody"):
         write_osi(tmp_path / "run.osi", recording, ego="Nobody")
     monkeypatch.setitem(sys.modules, "osi3", None)
-    with pytest.raises(cc.InputError, match=r"pip install cornercase\[osi\]"):
+    with pytest.raises(cc.InputError, match=r"pip install 'cornercase\[osi\]'"):
         write_osi(tmp_path / "run.osi", recording)
     assert not (tmp_path / "run.osi").exists()

@@ -89,10 +89,10 @@ def test_commonroad_files_that_cannot_be_measured(tmp_path, extra, head, sentenc
 def test_without_the_extra_the_message_names_it(tmp_path, monkeypatch):
     trace = single_channel(tmp_path / "trace.osi", osi_messages("GroundTruth"))
     monkeypatch.setitem(sys.modules, "osi3", None)
-    with pytest.raises(InputError, match=r"pip install cornercase\[osi\]"):
+    with pytest.raises(InputError, match=r"pip install 'cornercase\[osi\]'"):
         read_recording(trace)
     monkeypatch.setitem(sys.modules, "commonroad.common.file_reader", None)
-    with pytest.raises(InputError, match=r"pip install cornercase\[commonroad\]"):
+    with pytest.raises(InputError, match=r"pip install 'cornercase\[commonroad\]'"):
         read_recording(commonroad(tmp_path / "scene.xml"))
 
 

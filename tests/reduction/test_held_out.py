@@ -30,7 +30,7 @@ def drawn(count, rng):
 
 def material(count, rng):
     points, labels = drawn(count, rng)
-    return SelectionInput(points, [cdist(points, points)], labels, points, ())
+    return SelectionInput(points, [cdist(points, points)], labels, points, (), np.zeros(len(labels), dtype=bool))
 
 
 @pytest.mark.parametrize("count", [0, 9, 10, 57, 600, 601, 3000])

@@ -21,6 +21,7 @@ from cornercase.reduction import read_reduction, reduce
 from cornercase.reduction._coverage import measure_coverage
 from cornercase.reduction._medoids import find_k_medoids
 from cornercase.reduction.selection._greedy import select_scenarios
+from cornercase.reduction.selection._select import SelectionInput, SelectionRequest, select
 from cornercase.report import summarize
 from cornercase.report.text._show import summary_to_dict
 from cornercase.study import StudyFile
@@ -53,6 +54,38 @@ def test_critical_clusters_come_first_and_have_more_archetypes():
     archetypes = [one.cluster for one in kept if one.role == "archetype"]
     assert (archetypes.count(1), archetypes.count(0)) == (2, 1)
     assert sum(one.role == "gap" for one in kept) == 11
+
+
+@pytest.mark.parametrize("size", [1, 2, 5, 16])
+def test_a_set_begins_with_what_represents_the_critical_scenarios(size):
+    points, distances, labels = two_clusters()
+    # Neither prototype is critical: those of cluster 1 at its edge, and a few of cluster 0.
+    critical = (labels == 1) & (points[:, 0] > 0.93)
+    critical[np.flatnonzero(labels == 0)[points[labels == 0][:, 0] < 0.02]] = True
+    assert critical[labels == 1].sum() > critical[labels == 0].sum() > 0
+    chosen = SelectionInput(points, distances, labels, points, [], critical)
+    kept, _ = select(chosen, SelectionRequest(size, None, None, "auto"))
+    assert len(kept) == size
+    assert [(one.cluster, one.role) for one in kept[:2]] == [(1, "critical prototype"), (0, "critical prototype")][
+        :size
+    ]
+    represents = [one for one in kept if one.role != "gap"]
+    assert kept[: len(represents)] == tuple(represents)
+    is_critical = [bool(critical[one.index]) for one in represents]
+    assert is_critical == sorted(is_critical, reverse=True)
+    # Each cluster without a critical scenario is represented before another one is twice.
+    critical[labels == 0] = False
+    kept, _ = select(chosen, SelectionRequest(2, None, None, "auto"))
+    assert [(one.cluster, one.role) for one in kept] == [(1, "critical prototype"), (0, "prototype")]
+
+
+def test_critical_scenarios_that_no_cluster_has_are_represented_too():
+    points, distances, labels = two_clusters()
+    kept, _ = select(
+        SelectionInput(points, distances, labels, points, [], labels == -1), SelectionRequest(5, None, None, "auto")
+    )
+    assert (kept[0].cluster, kept[0].role) == (-1, "critical prototype")
+    assert [(one.cluster, one.role) for one in kept[1:3]] == [(0, "prototype"), (1, "prototype")]
 
 
 def test_critical_clusters_are_covered_more_closely():
@@ -213,9 +246,10 @@ def test_python_gets_what_the_manifest_says_and_reads_it_back(explored, tmp_path
     assert (len(reduced), reduced.n_run) == (12, 120)
     # The kinds that the page headlines, though wttc was searched: it puts all scenarios in one cluster.
     assert reduced.by == find_headline_aspect(summarize(path).analyses) != "wttc"
-    assert (
-        reduced.scenarios[0].why == f"the scenario most like all others of {reduced.by} {reduced.scenarios[0].cluster}"
-    )
+    by_role = {scenario.role: scenario for scenario in reduced.scenarios}
+    prototype, critical = by_role["prototype"], by_role["critical prototype"]
+    assert prototype.why == f"the scenario most like all others of {reduced.by} {prototype.cluster}"
+    assert critical.why == f"the scenario most like the critical ones of {reduced.by} {critical.cluster}"
     assert reduced.ids == [one["id"] for one in manifest["scenarios"]]
     assert [one.why for one in reduced.scenarios] == [one["why"] for one in manifest["scenarios"]]
     assert reduced.coverage["wttc"].medoids_mean == manifest["coverage"]["wttc"]["medoids_mean"]
@@ -226,6 +260,25 @@ def test_python_gets_what_the_manifest_says_and_reads_it_back(explored, tmp_path
     assert "pedestrian_wait" in table
     with StudyFile.open(path, readonly=True) as study:
         assert read_reduction(study) == reduced
+
+
+def test_the_command_says_how_many_kept_scenarios_are_dangerous(explored, tmp_path):
+    path = shutil.copy(explored[0] / "s.db", tmp_path / "s.db")
+    done = cornercase("reduce", path, "--size", "3", "-o", tmp_path / "few")
+    assert done.returncode == 0, done.stderr
+    with StudyFile.open(path, readonly=True) as study:
+        reduced = read_reduction(study)
+        collides = {scenario for scenario, hits in study.impacts().items() if hits}
+    assert reduced is not None
+    kept = reduced.scenarios
+    critical = [one.scores["wttc"] <= 0.5 for one in kept]
+    assert critical[0]
+    n_critical, n_colliding = sum(critical), len(collides & {one.id for one in kept})
+    are = "is" if n_critical == 1 else "are"
+    who = "All" if n_critical == 3 else n_critical
+    said = f"{who} of them {are} critical and in {n_colliding or 'none'} Ego collides."
+    assert said in done.stdout
+    assert said in cornercase("show", path).stdout
 
 
 def test_each_band_of_criticality_is_represented(explored, tmp_path):

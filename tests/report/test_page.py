@@ -428,7 +428,8 @@ def test_a_reduced_study_tells_what_is_kept(tmp_path):
     n_critical, n_collide = (
         sum(columns[key][columns["id"].index(one)] for one in kept) for key in ("critical", "collides")
     )
-    assert f"{n_critical} of them are critical and in {n_collide} Ego collides." in text
+    who = "All" if n_critical == len(kept) else n_critical
+    assert f"{who} of them are critical and in {n_collide or 'none'} Ego collides." in text
     assert contents["kinds"]["distance"]["names"]["0"].startswith("distance 0")
 
 

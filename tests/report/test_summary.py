@@ -23,10 +23,12 @@ from cornercase.clustering._headline import has_useful_clusters
 from cornercase.evidence import Estimate
 from cornercase.report import summarize, write_report
 from cornercase.report._estimates import CriticalEstimates, CriticalSetEstimates
+from cornercase.report._report_data import read_report_data
 from cornercase.report.figures._example_scenarios import draw_example_scenarios
 from cornercase.report.figures._export import render_figure
 from cornercase.report.figures._parameter_space import draw_kernel_and_parameter_space
 from cornercase.report.html._tables import render_settings
+from cornercase.report.text._answers import page_answers
 from cornercase.report.text._phrases import (
     describe_informativeness,
     format_cluster_name,
@@ -234,6 +236,19 @@ def test_what_kinds_tell_is_said_in_a_sentence(summary, tells, words):
     assert "All scenarios end in the same way" in describe_informativeness(replace(kinds, fact_agreement={}))
     # Of a study of an early version.
     assert describe_informativeness(replace(kinds, fact_agreement={}, profiles=())) == ""
+
+
+def test_kinds_that_tell_no_endings_apart_are_not_listed_in_the_answer(path):
+    with StudyFile.open(path, readonly=True) as study:
+        data = read_report_data(study)
+    kinds = data.summary.analyses["distance"]
+    profiles = tuple(replace(profile, outcomes={"A first": 3, "B first": 3}) for profile in kinds.profiles)
+    for agreement, n_listed in ((0.1, 0), (0.9, kinds.clustering.n_clusters)):
+        analysis = replace(kinds, fact_agreement={"outcome": agreement}, profiles=profiles)
+        summary = replace(data.summary, analyses={"distance": analysis}, bands={})
+        (answer,) = (one for one in page_answers(replace(data, summary=summary)) if one.name == "kinds")
+        assert answer.text.startswith("No useful kinds: ") == (not n_listed)
+        assert len(answer.points) == n_listed
 
 
 def test_nothing_is_said_of_a_study_in_which_nothing_was_run(tmp_path):

@@ -108,10 +108,13 @@ def test_its_report_tells_the_verdicts_of_each_scenario(explored, ran, tmp_path)
     assert [one for one in questions if one != "Which kinds are there?"] == [
         "Did it pass?", "Does it collide?", "What failed, and why?",
     ]  # fmt: skip
-    cells = [re.findall("<td class=text>(.*?)</td>", row) for row in re.findall("<tr>(.*?)</tr>", page)]
+    cells = [
+        re.findall("<td class=text>(.*?)</td>", row) for row in re.findall("<tr data-verdict=.*?>(.*?)</tr>", page)
+    ]
     for one in ran.scenarios:
-        row = [str(one.id), one.file, one.kind, one.state, "no collision", one.reason]
-        assert [html.unescape(cell) for cell in next(each for each in cells if one.file in each)] == row
+        file = f"<a href='#id={one.id}'>{one.file}</a>"
+        row = [one.state, file, one.reason, "no collision", one.kind, str(one.id)]
+        assert [html.unescape(cell) for cell in next(each for each in cells if file in each)] == row
 
 
 def test_of_several_others_it_is_told_whom_each_score_is_against(ran, tmp_path):
@@ -331,9 +334,15 @@ def test_the_summary_is_one_table_whatever_names_there_are(tmp_path):
     read = ["".join(child.content for child in one.children or ()) for one in texts]
     plain = " ".join(signs.replace("\x1b", "\\x1b").split())
     assert read[0] == "1 failed, 1 not run of 2 scenarios"
-    assert read[1:6] == ["scenario", "kind", "verdict", "why", "recording"]
+    assert read[1:6] == ["scenario", "kind", "verdict", "why", "against old.db"]
     assert read[6:11] == [f"1{plain}.xosc", plain, "failed", plain, "the same"]
-    assert read[11:16] == [f"2{plain}.xosc", "", "not run", plain, "up to 0.25 m elsewhere from 1.5 s"]
+    assert read[11:16] == [
+        f"2{plain}.xosc",
+        "",
+        "not run",
+        plain,
+        "the ego moves differently from 1.5 s on, by up to 0.25 m",
+    ]
 
 
 def test_a_difference_is_the_largest_distance_at_the_same_instants():

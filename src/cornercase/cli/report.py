@@ -28,6 +28,14 @@ def report(
         Option("--figures-in", metavar="DIR", help="Write figures into this folder instead of beside the page."),
     ] = None,
     scenario: opt.ExploredScenario = None,
+    against: Annotated[
+        Path | None,
+        Option(
+            metavar="STUDY.db",
+            help="Study whose runs are shown beside those of a suite; default: the one that the suite was made from, if"
+            " it is found.",
+        ),
+    ] = None,
     critical: opt.CriticalOverride = None,
     memory: opt.Memory = DEFAULT_MEMORY,
     profile: Profile = None,
@@ -47,6 +55,7 @@ def report(
         output,
         figures=figures if figures_in is None else figures_in,
         scenario=scenario,
+        against=against,
         critical=critical,
         memory=memory,
         progress=True,

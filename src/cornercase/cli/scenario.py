@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from cornercase._common.errors import InputError
+from cornercase._common.extras import describe_install
 from cornercase._common.text.sanitize import shorten
 from cornercase._common.version import __version__
 from cornercase.cli import options as opt
@@ -64,6 +65,7 @@ def check(
         # A misspelled option is no matter of a scenario.
         simulators.SIMULATORS.create(simulator)
     n_bad = 0
+    printed: set[tuple[str, str]] = set()
     for scenario in scenarios:
         if len(scenarios) > 1:
             out.print(f"{scenario}:")
@@ -75,7 +77,7 @@ def check(
             out.print(shorten(use_option_names(str(error)).replace("\n", "\\n"), MAX_LINE_LENGTH))
             n_bad += 1
             continue
-        _print_check(report, drivers or {})
+        _print_check(report, drivers or {}, printed)
         is_refused = simulator is not None and not _print_effects(report, simulator, drivers, ego)
         n_bad += is_refused or not report.is_valid
     if len(scenarios) > 1:
@@ -85,7 +87,8 @@ def check(
         raise typer.Exit(1)
 
 
-def _print_check(report: Any, drivers: Mapping[str, str]) -> None:
+def _print_check(report: Any, drivers: Mapping[str, str], printed: set[tuple[str, str]]) -> None:
+    """Print a report without notices that were `printed` for an earlier file: scenarios share roads and catalogs."""
     from cornercase.drivers._describe import describe_driver
 
     for key, count in report.contents.items():
@@ -102,12 +105,17 @@ def _print_check(report: Any, drivers: Mapping[str, str]) -> None:
     if undriven := [name for name, driver in report.drivers.items() if not driver and name not in drivers]:
         follow = "follows the storyboard and does" if len(undriven) == 1 else "follow the storyboard and do"
         out.print(f"{', '.join(undriven)}: {follow} not react; --driver {undriven[0]}=normal drives {undriven[0]}")
-    for notice in report.notices:
-        # With --strict, adaptations are printed below with their rules.
-        if not (report.standard_violations and notice.label == "adapted"):
-            out.print(shorten(notice.sentence, MAX_LINE_LENGTH))
+    # With --strict, adaptations are printed below with their rules.
+    notices = [n for n in report.notices if not (report.standard_violations and n.label == "adapted")]
+    keys = [(str(notice.file), notice.sentence) for notice in notices]
+    for key in keys:
+        if key not in printed:
+            out.print(shorten(key[1], MAX_LINE_LENGTH))
+    if n_printed := sum(key in printed for key in keys):
+        out.print(f"and {n_printed} notice{'' if n_printed == 1 else 's'} on files that it shares, as above")
+    printed.update(keys)
     if report.schema is None:
-        out.print("schema: not checked; install it with pip install 'cornercase[validate]'")
+        out.print(f"schema: not checked; {describe_install('validate')}")
     else:
         except_adapted = ", except for what is adapted" if any(x.label == "adapted" for x in report.notices) else ""
         out.print(f"schema {report.schema}: {f'valid{except_adapted}' if not report.schema_errors else 'not valid'}")
@@ -143,7 +151,8 @@ def _print_effects(report: Any, simulator: str, drivers: Mapping[str, str] | Non
 
 def _format_parameter(parameter: Any) -> str:
     if parameter.choices:
-        return f"{parameter.name}: {len(parameter.choices)} choices"
+        count = len(parameter.choices)
+        return f"{parameter.name}: {'1 choice' if count == 1 else f'{count} choices'}"
     step = "" if parameter.step is None else f" in steps of {parameter.step:g}"
     return f"{parameter.name}: {parameter.low:g} to {parameter.high:g}{step} {parameter.unit}".rstrip()
 

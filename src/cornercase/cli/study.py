@@ -216,6 +216,7 @@ def reduce(
     from cornercase.evidence._bands import BANDS_PREFIX
     from cornercase.reduction._reduce import default_aspect
     from cornercase.reduction._write_files import write_chosen_scenarios
+    from cornercase.report._sentences import describe_selected_dangers
     from cornercase.study._study_file import open_study
     from cornercase.suite import analyze_mutants
 
@@ -276,6 +277,8 @@ def reduce(
         progress=True,
     )
     out.print(f"{len(reduced.scenarios)} of {reduced.n_run} scenarios kept, in {output}")
+    with open_study(study, readonly=True, critical=critical) as opened:
+        out.print(describe_selected_dangers(opened, reduced.ids))
     if reduced.exposing is not None:
         count = sum(scenario.role == "exposing" for scenario in reduced.scenarios)
         out.print(f"{count} of them expose mutants; {reduced.exposing.summary_text}.")

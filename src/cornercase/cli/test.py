@@ -120,7 +120,8 @@ def test_suite(
 
 
 def _print_result(result: SuiteResult) -> None:
-    compared = result.against is not None
+    # With another driver all recordings are others, and the summary says so.
+    compared = [f"against {result.against.name}"] if result.against and result.has_comparable_recordings else []
     table = Table(
         Column(
             "scenario",
@@ -129,7 +130,7 @@ def _print_result(result: SuiteResult) -> None:
         ),
         Column("verdict", no_wrap=True),
         Column("why", overflow="fold"),
-        *(["recording"] if compared else []),
+        *compared,
         box=None,
     )
     for scenario in result.scenarios:

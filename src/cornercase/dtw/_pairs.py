@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from cornercase._common.errors import InputError
+from cornercase._common.extras import describe_install
 from cornercase._common.typing import IntArray
 from cornercase.dtw import _cpu as cpu
 
@@ -106,7 +107,7 @@ def require_gpu() -> None:
     if os.environ.get("NUMBA_ENABLE_CUDASIM") == "1":
         return
     if find_spec("numba_cuda") is None:
-        raise InputError("device 'cuda' needs the extra 'gpu'; install cornercase[gpu] or choose device 'cpu'.")
+        raise InputError(f"device 'cuda' needs the extra 'gpu'; {describe_install('gpu')}, or choose device 'cpu'.")
     from numba import cuda
 
     if not cuda.is_available():

@@ -57,6 +57,13 @@ class EventOutcomes:
         )
 
 
+# Of no scenario, of one, and of several.
+_CONDITIONS: Final = {
+    "critical scenario": ("is critical", "is critical", "are critical"),
+    "collision": ("has a collision", "has one", "have one"),
+}
+
+
 @dataclass(frozen=True, repr=False)
 class Estimation:
     """Probabilities of events under the distributions of a space.
@@ -161,19 +168,27 @@ class Estimation:
         }
 
 
-def describe_doubts(event: str, estimate: Probability, direct_estimate: Probability) -> list[str]:
+def describe_doubts(
+    event: str, estimate: Probability, direct_estimate: Probability, n_counting: int, n_uncounted: int
+) -> list[str]:
     """Describe, in sentences, why the estimated probability of `event` may be wrong.
 
     `estimate` is the probability from all draws, `direct_estimate` that from draws of the space's own distributions
-    only.
+    only. `n_counting` scenarios were drawn for either. `n_uncounted` others, which only taught where to draw, have the
+    event.
     """
     if estimate.error == 0.0:
         return []
     if not estimate.met:
+        condition, of_one, of_several = _CONDITIONS[event]
+        sentence = f"None of the {n_counting} scenarios that count {condition}"
+        if n_uncounted == 1:
+            sentence += f"; one that was run only to learn where to draw {of_one}"
+        elif n_uncounted:
+            sentence += f"; {n_uncounted} that were run only to learn where to draw {of_several}"
         return [
-            f"No {event} occurred where it counts. The {direct_estimate.scenarios} scenarios that were drawn from"
-            f" the distributions themselves"
-            f" bound its probability by {direct_estimate.high:.3g} (95 %)."
+            f"{sentence}. The {direct_estimate.scenarios} scenarios drawn from the distributions themselves bound"
+            f" the probability of a {event} by {direct_estimate.high:.3g} (95 %)."
         ]
     sentences = []
     if estimate.effective < _MIN_EFFECTIVE_SAMPLES:

@@ -229,6 +229,8 @@ class ProbabilityEstimator:
         _, law = self._outcomes_of_stages("whole" if self._is_exhaustive else "law")
         _, all_outcomes = self._outcomes_of_stages("law", "learn", "estimate", "whole")
         _, learned = self._outcomes_of_stages("law", "learn")
+        _, uncounted = self._outcomes_of_stages("learn")
+        n_counting = len(all_outcomes.scores) - len(uncounted.scores)
         critical = self._estimate_probability(lambda outcomes: outcomes.is_critical)
         collision = self._estimate_probability(lambda outcomes: outcomes.has_collision)
         encounter = (
@@ -237,8 +239,14 @@ class ProbabilityEstimator:
             else probability_from_direct_draws(law.has_encounter)
         )
         warnings = [] if self._is_exhaustive else [
-            *describe_doubts("critical scenario", critical, probability_from_direct_draws(law.is_critical)),
-            *describe_doubts("collision", collision, probability_from_direct_draws(law.has_collision)),
+            *describe_doubts(
+                "critical scenario", critical, probability_from_direct_draws(law.is_critical), n_counting,
+                int(uncounted.is_critical.sum()),
+            ),
+            *describe_doubts(
+                "collision", collision, probability_from_direct_draws(law.has_collision), n_counting,
+                int(uncounted.has_collision.sum()),
+            ),
         ]  # fmt: skip
         if note := _describe_uniform(self._study.meta.space):
             warnings.insert(0, note)

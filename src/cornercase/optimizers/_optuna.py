@@ -8,6 +8,7 @@ from typing import Any, Final
 import numpy as np
 
 from cornercase._common.errors import InputError, suggest_name
+from cornercase._common.extras import describe_install
 from cornercase._common.typing import FloatArray
 from cornercase._common.validation import repr_short
 from cornercase.optimizers._base import Optimizer
@@ -183,6 +184,6 @@ def _import_optuna() -> Any:
     try:
         import optuna
     except ImportError as error:
-        raise InputError("Optuna is not installed; install it with pip install 'cornercase[optuna]'.") from error
+        raise InputError(f"Optuna is not installed; {describe_install('optuna')}.") from error
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     return optuna

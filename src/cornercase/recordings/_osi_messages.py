@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from cornercase._common.errors import InputError
+from cornercase._common.extras import describe_install
 
 # Names of vehicle categories in OSI's VehicleClassification; a height in m, which recordings do not have.
 _VEHICLE_TYPES: Final = {
@@ -51,7 +52,7 @@ def require_osi(what: str) -> None:
     try:
         import osi3  # noqa: F401
     except ImportError as error:
-        raise InputError(f"{what} needs the extra 'osi'; install it with 'pip install cornercase[osi]'.") from error
+        raise InputError(f"{what} needs the extra 'osi'; {describe_install('osi')}.") from error
 
 
 def fill_ground_truth(

@@ -58,11 +58,12 @@ _BYTES_PER_SCENARIO: Final = 5_000
 _BYTES_OF_BLOCKS: Final = 600_000_000
 
 _REASONS: Final = {
-    "hull": "on the hull of {by} {cluster} in the parameter space",
-    "pcha": "at an extreme of {by} {cluster} in the parameter space, by archetypal analysis",
-    "parts": "on the hull of a near-convex part of {by} {cluster} in the parameter space",
-    "kernel": "at an extreme of {by} {cluster} in kernel space, by archetypal analysis",
-    "prototype": "the scenario most like all others of {by} {cluster}",
+    "hull": "on the hull of {cluster} in the parameter space",
+    "pcha": "at an extreme of {cluster} in the parameter space, by archetypal analysis",
+    "parts": "on the hull of a near-convex part of {cluster} in the parameter space",
+    "kernel": "at an extreme of {cluster} in kernel space, by archetypal analysis",
+    "prototype": "the scenario most like all others of {cluster}",
+    "critical prototype": "the scenario most like the critical ones of {cluster}",
     "gap": "for what is unlike all others that are kept",
     # Completed by `add_mutant_selection` once all are selected.
     "exposing": "exposes mutants of the driver",
@@ -186,6 +187,7 @@ def reduce(
             analysis.labels,
             analysis.clustering.embedding,
             find_critical_clusters(opened, analysis),
+            np.isin(analysis.ids, np.array(list(data.rows))[opened.critical_mask()]),
             None if kill_matrix is None else kill_matrix.kills_of(analysis.ids.tolist()),
         )
         request = SelectionRequest(size, cover, archetypes, archetypes_by)
@@ -317,7 +319,7 @@ def _make_selected_scenario(
         file=file,
         cluster=selected.cluster,
         role=selected.role,
-        why=_REASONS[reason].format(by=by, cluster=selected.cluster),
+        why=_REASONS[reason].format(cluster=f"{by} {selected.cluster}" if selected.cluster >= 0 else f"noise by {by}"),
         values=dict(data.rows[scenario_id].values),
         scores={name: scores[scenario_id] for name, scores in data.scores.items()},
     )

@@ -31,7 +31,8 @@ class SelectedScenario:
         OpenSCENARIO file in the folder of the reduced set; for imported recordings the recording.
     cluster : int
         Cluster that it represents; -1 for noise.
-    role : {"archetype", "prototype", "gap", "exposing", "chosen"}
+    role : {"archetype", "prototype", "critical prototype", "gap", "exposing", "chosen"}
+        ``"critical prototype"``: the scenario most like the critical ones of a cluster whose prototype is not critical;
         ``"gap"``: fills a gap, since it was far from all scenarios selected before; ``"exposing"``: kills mutants of
         the driver; ``"chosen"``: named by a user.
     why : str

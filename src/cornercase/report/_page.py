@@ -24,6 +24,7 @@ from cornercase._common.memory import DEFAULT_MEMORY, MemoryLimit
 from cornercase._common.progress import progress_step, show_bars
 from cornercase._common.text.sanitize import escape_control_characters
 from cornercase.report._event_payload import find_events_of_scenarios
+from cornercase.report._expected_runs import ExpectedRuns, read_expected_runs
 from cornercase.report._failure_page import render_failure_page
 from cornercase.report._payload import page_payload
 from cornercase.report._report_data import ReportData, read_report_data
@@ -68,6 +69,7 @@ def write_report(
     *,
     figures: Path | str | bool = False,
     scenario: Path | str | ScenarioFile | None = None,
+    against: Path | str | None = None,
     critical: float | None = None,
     memory: str | float = DEFAULT_MEMORY,
     progress: bool = False,
@@ -87,6 +89,10 @@ def write_report(
     scenario : path or ScenarioFile, optional
         Scenario file that was explored, to draw the road. By default it is searched beside the study and in the current
         folder, and recognized by its fingerprint. If it is not found, no road is drawn, and the page says so.
+    against : path, optional
+        For the run of a suite: the study that the suite was made from, or an earlier run of the suite, whose runs the
+        page shows beside these as the expected ones. By default the study that the suite was made from, if it is beside
+        its manifest or in the folder above, and the suite is beside the run or in the current folder.
     critical : float, optional
         Threshold for this report only, in the unit of the objective; by default that of the study.
     memory : str or float, default "4 GB"
@@ -103,7 +109,7 @@ def write_report(
     ------
     InputError
         No scenario has ended, `path` is the study itself, a file cannot be written, `scenario` is not the explored one,
-        or the report exceeds the memory limit.
+        `against` has none of the scenarios, or the report exceeds the memory limit.
 
     See Also
     --------
@@ -140,6 +146,7 @@ def write_report(
         if is_missing_map(missing):
             issue_notice_warning(missing.removesuffix("."))
         rerun = rerun_payload(opened, scenario)
+        expected = read_expected_runs(opened, None if against is None else validation.check_path("against", against))
         if not opened.readonly:
             # Stored, so that later reports of the study, opened read-only, are identical.
             opened.writer.add_elapsed_time("draw", time.monotonic() - start)
@@ -152,22 +159,30 @@ def write_report(
             from cornercase.report.figures._export import write_figures
 
             write_figures(draw_all_figures(data), validation.check_path("figures", folder))
-        write_page(path, render_report(data, recordings, roads | {"events": events}))
+        write_page(path, render_report(data, recordings, roads | {"events": events}, expected))
     return path
 
 
-def render_report(data: ReportData, recordings: Mapping[int, str], more: Mapping[str, Any]) -> str:
+def render_report(
+    data: ReportData,
+    recordings: Mapping[int, str],
+    more: Mapping[str, Any],
+    expected: ExpectedRuns | None = None,
+) -> str:
     """Render the report as HTML.
 
     `recordings` are those that the page contains, encoded, by id. `more` has the keys ``roads`` (the drawing),
     ``roads_missing`` (why there is none), ``rerun`` (how to run a scenario again) and ``events`` (what happened when in
-    scenarios with a recording).
+    scenarios with a recording). `expected` are the earlier runs of a suite's scenarios.
     """
+    expected = expected or ExpectedRuns()
     recording_payload = {
-        "recordings": list(recordings),
+        "recordings": [*recordings, *expected.recordings],
         "recordings_left_out": describe_left_out_recordings(data, recordings),
     }
-    contents = page_payload(data) | recording_payload | dict(more)
+    contents = page_payload(data) | recording_payload | dict(more) | expected.to_payload()
+    details = list(render_details(data))
+    verdicts = next((section for section in details if section.name == "verdicts"), None)
     return _render(
         live=False,
         left_out=contents["recordings_left_out"],
@@ -175,9 +190,10 @@ def render_report(data: ReportData, recordings: Mapping[int, str], more: Mapping
         about=contents["about"],
         contents=contents,
         answers=contents["answers"],
-        details=list(render_details(data)),
+        verdicts=verdicts,
+        details=[section for section in details if section is not verdicts],
         provenance=render_provenance(data.file_name, data.summary),
-        recordings=recordings,
+        recordings={**recordings, **expected.recordings},
     )
 
 

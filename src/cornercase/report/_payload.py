@@ -20,6 +20,7 @@ from cornercase.report.text._phrases import describe_aspect, describe_informativ
 from cornercase.scenario import Parameter
 from cornercase.study import ScenarioRecord, StudyMeta
 from cornercase.study._objective import Objective
+from cornercase.suite._verdict import worst_state
 
 FORMAT_VERSION: Final = 1
 """Version of what `page_payload` returns."""
@@ -110,6 +111,7 @@ def whole_study_payload(data: ReportData) -> dict[str, Any]:
             }
             for scenario in selected
         },
+        "verdicts": _verdicts_payload(data),
         "search": search_chart(data),
         "sensitivity": sensitivity_chart(data) if data.summary.represents_space else None,
         "coverage": coverage_charts(data),
@@ -123,6 +125,20 @@ def whole_study_payload(data: ReportData) -> dict[str, Any]:
         },
         **predictor_payload(data),
     }
+
+
+def _verdicts_payload(data: ReportData) -> dict[str, dict[str, str]]:
+    """Return file, worst verdict and its reason of each scenario of a suite, by id; empty without requirements."""
+    files = data.summary.meta.files
+    payload = {}
+    for scenario, verdicts in data.verdicts.items():
+        state = worst_state(verdicts)
+        payload[str(scenario)] = {
+            "file": files[scenario - 1] if scenario <= len(files) else "",
+            "state": state,
+            "why": next((verdict.reason for verdict in verdicts if verdict.state == state), "no requirement applies"),
+        }
+    return payload
 
 
 def study_info_payload(meta: StudyMeta, file_name: str) -> dict[str, Any]:

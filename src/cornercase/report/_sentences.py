@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from cornercase.report._report_data import read_report_data
 from cornercase.report.text._answers import describe_study, page_answers
+from cornercase.report.text._phrases import describe_dangers
 from cornercase.study import StudyFile
 
 
@@ -19,3 +20,14 @@ def iter_sentences(study: StudyFile) -> Iterator[str]:
         yield answer.question
         yield f"  {answer.text}"
         yield from (f"  - {point}" for point in answer.points)
+
+
+def describe_selected_dangers(study: StudyFile, ids: Sequence[int]) -> str:
+    """Say how many of the scenarios with these ids are critical, and in how many the ego collides."""
+    selected = set(ids)
+    is_critical = zip(study.finished_rows(), study.critical_mask(), strict=True)
+    n_critical = (
+        None if study.criterion is None else sum(bool(critical) for row, critical in is_critical if row.id in selected)
+    )
+    n_colliding = sum(bool(impacts) for scenario, impacts in study.impacts().items() if scenario in selected)
+    return describe_dangers(len(selected), n_critical, n_colliding, study.meta.ego)

@@ -47,6 +47,11 @@ def read_if_fingerprint_matches(path: Path, fingerprint: str, space: ParameterSp
         return None
 
 
+def find_files_below(folder: Path, file_name: str) -> Iterator[Path]:
+    """Yield the files with a name in a folder and down to two levels below it, the nearest first."""
+    return (file for file in _candidate_files(file_name, folder) if file.name == file_name)
+
+
 def _candidate_files(file_name: str, folder: Path) -> Iterator[Path]:
     level = [folder]
     for depth in range(_MAX_DEPTH + 1):

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cornercase._common.errors import InputError
+from cornercase._common.extras import describe_install
 from cornercase._common.io.files import atomic_write
 from cornercase._common.text.sanitize import escape_csv_cell
 from cornercase._common.typing import FloatArray
@@ -54,9 +55,7 @@ def _require_pyarrow(path: Path) -> None:
     except ImportError as error:
         # An installed version may be incompatible with NumPy.
         reason = "" if isinstance(error, ModuleNotFoundError) else f" ({error})"
-        raise InputError(
-            f"{path}: Parquet needs pyarrow{reason}; install it with 'pip install cornercase[parquet]'."
-        ) from None
+        raise InputError(f"{path}: Parquet needs pyarrow{reason}; {describe_install('parquet')}.") from None
 
 
 def _escape_formulas(table: pd.DataFrame) -> pd.DataFrame:

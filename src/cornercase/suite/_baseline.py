@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
 from cornercase._common.errors import InputError
+from cornercase.drivers._description import format_driver
 from cornercase.study import ScenarioRecord, StudyFile
 from cornercase.study._damage import reraise_as_damage
 from cornercase.suite._recording_difference import RecordingDifference, compare_recording_pair
@@ -52,6 +54,20 @@ def compare_with_baseline(suite: SuiteContents, baseline: Path, study: StudyFile
                     earlier.recording(earlier_row.id), study.recording(row.id), study.meta.ego, scores
                 )
         return differences
+
+
+def find_changed_driver(baseline: Path, study: StudyFile) -> tuple[str, str] | None:
+    """Return the ego's drivers in the earlier study and in this one, if they are others; None if only options differ.
+
+    A driver is another one if it has another name: versions of the same one are what a suite compares.
+    """
+    with StudyFile.open(baseline, readonly=True) as earlier, reraise_as_damage(baseline):
+        drivers = [meta.drivers.get(meta.ego, meta.driver_in_file) for meta in (earlier.meta, study.meta)]
+    if None in drivers:
+        return None
+    before, now = (format_driver(driver) if driver else "its storyboard" for driver in drivers)
+    names = [re.split("[:,]", text)[0] for text in (before, now)]
+    return (before, now) if names[0] != names[1] else None
 
 
 def _read_baseline(suite: SuiteContents, study: StudyFile) -> None:

@@ -21,14 +21,16 @@ HEADING_START: Final = b"### "
 
 def write_markdown_summary(result: SuiteResult, path: Path) -> None:
     """Write a table with one row per scenario."""
-    head = ["scenario", "kind", "verdict", "why", "recording"]
+    # With another driver all recordings are others.
+    compared = result.against if result.has_comparable_recordings else None
+    head = ["scenario", "kind", "verdict", "why", "" if compared is None else f"against {compared.name}"]
     rows = [
         [
             scenario.file,
             scenario.kind,
             "not run" if scenario.state == "error" else scenario.state,
             scenario.reason,
-            "" if scenario.difference is None else scenario.difference.text,
+            "" if scenario.difference is None or compared is None else scenario.difference.text,
         ]
         for scenario in result.scenarios
     ]

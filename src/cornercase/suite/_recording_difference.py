@@ -47,9 +47,10 @@ class RecordingDifference:
         if self.same:
             return "the same"
         if self.distance is None:
-            return "another"
-        since = "" if self.time is None else f" from {self.time:.4g} s"
-        return f"up to {self.distance:.3g} m elsewhere{since}"
+            return "the ego is never there in both"
+        if self.time is None:
+            return "the ego moves the same way, other numbers differ"
+        return f"the ego moves differently from {self.time:.4g} s on, by up to {self.distance:.3g} m"
 
 
 def compare_recording_pair(

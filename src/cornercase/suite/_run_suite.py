@@ -31,7 +31,7 @@ from cornercase.simulators._run_options import RUN_OPTIONS, RunKeywords
 from cornercase.study import StudyFile, StudyMeta
 from cornercase.study._meta import metric_fields
 from cornercase.study._stored_paths import stored_path
-from cornercase.suite._baseline import compare_with_baseline, find_baseline_study
+from cornercase.suite._baseline import compare_with_baseline, find_baseline_study, find_changed_driver
 from cornercase.suite._driver_values import with_values_of_drivers
 from cornercase.suite._judge import judge_scenario
 from cornercase.suite._junit import JUNIT_START, write_junit
@@ -402,6 +402,7 @@ def _build_result(
     no_baseline_reason: str,
 ) -> SuiteResult:
     differences = {} if baseline is None else compare_with_baseline(suite, baseline, study)
+    changed_driver = None if baseline is None else find_changed_driver(baseline, study)
     against = {name: study.score_sources(name) for name in study.meta.metrics if len(study.meta.others) > 1}
     scenarios = []
     for row, scenario in zip(study.rows(), suite.scenarios, strict=True):
@@ -443,5 +444,6 @@ def _build_result(
         requirements=study.meta.requirements,
         scenarios=tuple(scenarios),
         against=baseline,
+        changed_driver=changed_driver,
         no_comparison_reason=no_baseline_reason,
     )

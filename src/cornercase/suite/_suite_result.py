@@ -89,6 +89,8 @@ class SuiteResult:
         In the order of the suite.
     against : Path or None
         Study that the recordings were compared with.
+    changed_driver : tuple of str or None
+        Drivers of the ego in that study and in this run; None if they are the same, or nothing was compared.
     no_comparison_reason : str
         Why the recordings were not compared, as a sentence without a period; empty if they were.
     n_ran_before : int
@@ -103,6 +105,7 @@ class SuiteResult:
     requirements: tuple[str, ...]
     scenarios: tuple[ScenarioResult, ...]
     against: Path | None = None
+    changed_driver: tuple[str, str] | None = None
     no_comparison_reason: str = ""
     n_ran_before: int = 0
     kill_matrix: KillMatrix | None = None
@@ -156,7 +159,15 @@ class SuiteResult:
         n_same = sum(item.same for item in compared)
         distances = [item.distance for item in compared if item.distance is not None and not item.same]
         note = f"; the ego is up to {max(distances):.3g} m away" if distances else ""
+        if self.changed_driver is not None and n_same < len(compared):
+            before, now = self.changed_driver
+            return f"The ego was driven by {before} in {self.against.name} and by {now} here, so runs differ{note}"
         return f"{n_same} of {len(compared)} recordings are identical to those in {self.against.name}{note}"
+
+    @property
+    def has_comparable_recordings(self) -> bool:
+        """Whether recordings were compared with earlier ones of the same driver, which should be the same."""
+        return self.against is not None and self.changed_driver is None
 
     def table(self) -> pd.DataFrame:
         """Make a table of the scenarios.

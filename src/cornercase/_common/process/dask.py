@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 from weakref import WeakKeyDictionary
 
 from cornercase._common.errors import InputError
+from cornercase._common.extras import describe_install
 from cornercase._common.io.files import read_file
 from cornercase._common.platform import block_interrupts
 from cornercase._common.process.parent_death import set_temporary_folder
@@ -52,9 +53,7 @@ def check_cluster(cluster: object) -> str | Client:
 def check_client(client: object) -> None:
     """Raise `InputError` unless the argument `client` is a `distributed.Client`."""
     if isinstance(check_cluster(client), str):
-        raise InputError(
-            f"`client` {client}: give a distributed.Client; it comes with pip install 'cornercase[cluster]'."
-        )
+        raise InputError(f"`client` {client}: give a distributed.Client; {describe_install('cluster')}.")
 
 
 def connect(cluster: str | Client, workers: int = 1) -> Client:
@@ -70,7 +69,7 @@ def connect(cluster: str | Client, workers: int = 1) -> Client:
     try:
         from distributed import Client
     except ImportError as error:
-        raise InputError("Dask is not installed; it comes with pip install 'cornercase[cluster]'.") from error
+        raise InputError(f"Dask is not installed; {describe_install('cluster')}.") from error
     is_file = Path(cluster).is_file()
     if cluster != LOCAL_CLUSTER and not is_file and ":" not in cluster:
         raise InputError(

@@ -11,6 +11,7 @@ from distributed.worker_memory import parse_memory_limit
 
 from cornercase._common.current_folder import isolate_children
 from cornercase._common.errors import InputError
+from cornercase._common.extras import describe_install
 from cornercase._common.process.reaper import Reaper
 
 _HOST: Final = "127.0.0.1"
@@ -49,7 +50,7 @@ def start_local_cluster(n_workers: int, reaper: Reaper) -> SpecCluster:
         security = Security.temporary()
     except ImportError as error:
         raise InputError(
-            "`cluster` local: needs the package cryptography; it comes with pip install 'cornercase[cluster]'."
+            f"`cluster` local: needs the package cryptography, of the extra 'cluster'; {describe_install('cluster')}."
         ) from error
     shared_options = {"host": _HOST, "protocol": "tls://", "security": security}
     memory_limit = parse_memory_limit("auto", 1, n_workers, logger=logging.getLogger(__name__))

@@ -122,7 +122,7 @@ def _name_by_ending(
     if len(selected_endings) > _MAX_ENDINGS or (
         len(selected_endings) > 1 and shares and np.mean(shares) >= _UNINFORMATIVE_SHARE
     ):
-        return ClusterName(Predicate("any ending", np.ones(len(endings), dtype=np.bool_)))
+        return ClusterName(Predicate(f"{ego} ends in several ways", np.ones(len(endings), dtype=np.bool_)))
     for k, text in enumerate(selected_endings):
         ladder = dict.fromkeys(detail for i in members if endings[i][-1] == text for detail in endings[i][:-1])
         # The most specific come first in each scenario's own order.

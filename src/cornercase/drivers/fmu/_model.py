@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from cornercase._common.errors import InputError
+from cornercase._common.extras import describe_install
 from cornercase._common.text.sanitize import format_exception, shorten
 from cornercase.drivers.fmu._instance import FmuSource
 from cornercase.drivers.fmu._osmp_variables import MessageVariable, read_message_variables
@@ -132,7 +133,7 @@ def _read_fmu(path: Path, modified: int, size: int) -> FmuModel:
     try:
         import fmpy
     except ModuleNotFoundError as error:
-        raise InputError(f"{path}: an FMU needs FMPy; install it with 'pip install cornercase[fmu]'.") from error
+        raise InputError(f"{path}: an FMU needs FMPy; {describe_install('fmu')}.") from error
     content = _read(path)
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:

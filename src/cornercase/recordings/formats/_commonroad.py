@@ -12,6 +12,7 @@ import numpy as np
 from lxml import etree
 
 from cornercase._common.errors import InputError
+from cornercase._common.extras import describe_install
 from cornercase.recordings._from_samples import EntitySamples, recording_from_samples
 from cornercase.recordings._recording import Recording
 from cornercase.scenario._xml import read_xml
@@ -45,8 +46,7 @@ def read_commonroad(path: Path | str) -> Recording:
         from commonroad.common.file_reader import CommonRoadFileReader
     except ImportError as error:
         raise InputError(
-            f"{path}: reading CommonRoad files needs the extra 'commonroad'; "
-            "install it with 'pip install cornercase[commonroad]'."
+            f"{path}: reading CommonRoad files needs the extra 'commonroad'; {describe_install('commonroad')}."
         ) from error
     try:
         with warnings.catch_warnings():

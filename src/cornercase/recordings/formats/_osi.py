@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from cornercase._common.errors import InputError
+from cornercase._common.extras import describe_install
 from cornercase._common.text.sanitize import format_exception
 from cornercase.recordings._from_samples import EntitySamples, recording_from_samples
 from cornercase.recordings._osi_messages import NAME_PREFIX, REFERENCE_TYPE
@@ -35,9 +36,7 @@ def read_osi(path: Path | str) -> Recording:
     try:
         from osi3 import osi_object_pb2
     except ImportError as error:
-        raise InputError(
-            f"{path}: reading OSI traces needs the extra 'osi'; install it with 'pip install cornercase[osi]'."
-        ) from error
+        raise InputError(f"{path}: reading OSI traces needs the extra 'osi'; {describe_install('osi')}.") from error
 
     moving = osi_object_pb2.MovingObject
     kinds = {moving.TYPE_PEDESTRIAN: "pedestrian", moving.TYPE_ANIMAL: "animal"}

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from cornercase._common.errors import InputError
-from cornercase._common.typing import FloatArray, IntArray
+from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.clustering._embedding import Distances
 from cornercase.reduction._baselines import Baselines
 from cornercase.reduction._cluster_shapes import ShapedCluster, classify_cluster_shapes, divide_in_proportion
@@ -33,6 +33,7 @@ def select_scenarios(
     distances: Sequence[Distances],
     labels: IntArray,
     critical_clusters: Sequence[int] = (),
+    is_critical: BoolArray | None = None,
     *,
     size: int | None = None,
     cover: float | None = None,
@@ -40,7 +41,9 @@ def select_scenarios(
 ) -> tuple[Selected, ...]:
     """Select scenarios that represent the clusters, then scenarios that these leave uncovered.
 
-    A set of a given size begins with the prototype of each cluster, critical clusters first. Archetypes follow, up to a
+    The set begins with a critical scenario from each cluster that has any: its prototype, or the medoid of its critical
+    scenarios if the prototype is not critical; critical clusters first, then those with the most critical scenarios.
+    All other prototypes follow, those of clusters without a critical scenario first. Archetypes are next, up to a
     fifth of the set. They are divided among clusters in proportion to the root of their size, four times as many if
     critical. All other scenarios are selected to minimise a sum over all scenarios and all clusterings. Its terms are
     cubed distances to the nearest selected scenario, in units of the usual distance between neighbours in a set of this
@@ -54,9 +57,9 @@ def select_scenarios(
     to 2,000 scenarios, other shares and weights are tried, four in all, if the set is not better than 95 of the random
     selections, or is worse than k-medoids. The set with the smallest shortfall is returned.
 
-    With `cover` instead of `size`, the scenario least similar to all selected ones is added until none is farther than
-    this share of the largest distance, in each clustering (farthest-first traversal: T. F. Gonzalez, "Clustering to
-    minimize the maximum intercluster distance", 1985).
+    With `cover` instead of `size`, the scenario least similar to all selected ones is added to the prototypes until all
+    are within this share of the largest distance, in each clustering (farthest-first traversal: T. F. Gonzalez,
+    "Clustering to minimize the maximum intercluster distance", 1985).
 
     No scenario is selected that is similar to a selected one: at most 0.001 of the largest distance away in each
     clustering. `points`, shape (n, d), are in the unit cube. `distances` are those of all clusterings, `labels` those
@@ -71,8 +74,8 @@ def select_scenarios(
     clusters = [int(label) for label in np.unique(labels) if label >= 0]
     clusters.sort(key=lambda label: (label not in critical_clusters, label))
     base = Selection(distances, size)
-    for label in clusters:
-        base.add(Selected(find_prototype(distances[0], np.flatnonzero(labels == label)), label, "prototype"))
+    for scenario in _find_prototypes(distances[0], labels, clusters, critical_clusters, is_critical):
+        base.add(scenario)
     if not clusters:
         medoid = find_prototype(distances[0], np.arange(len(labels)))
         base.add(Selected(medoid, int(labels[medoid]), "gap"))
@@ -101,6 +104,32 @@ def select_scenarios(
         if shortfall == 0.0:
             break
     return tuple(best)
+
+
+def _find_prototypes(
+    distances: Distances,
+    labels: IntArray,
+    clusters: Sequence[int],
+    critical_clusters: Sequence[int],
+    is_critical: BoolArray | None,
+) -> list[Selected]:
+    """Return the prototypes of clusters, those that represent critical scenarios first.
+
+    Critical scenarios have a prototype of their own where that of their cluster is not critical. Those that are noise
+    have one only if no cluster has a critical scenario.
+    """
+    prototypes = [Selected(find_prototype(distances, np.flatnonzero(labels == k)), k, "prototype") for k in clusters]
+    if is_critical is None or not is_critical.any():
+        return prototypes
+    n_critical = {k: int(is_critical[labels == k].sum()) for k in clusters}
+    dangerous = sorted(filter(n_critical.get, clusters), key=lambda k: (k not in critical_clusters, -n_critical[k]))
+    critical = []
+    for k in dangerous or [-1]:
+        prototype = next((entry for entry in prototypes if entry.cluster == k and is_critical[entry.index]), None)
+        medoid = find_prototype(distances, np.flatnonzero(is_critical & (labels == k)))
+        critical.append(prototype or Selected(medoid, k, "critical prototype"))
+    others = [entry for entry in prototypes if entry not in critical]
+    return critical + sorted(others, key=lambda entry: n_critical[entry.cluster] > 0)
 
 
 @dataclass(frozen=True, eq=False)

@@ -39,8 +39,8 @@ class SelectionInput:
     """Scenarios to select from.
 
     `points`, shape (n, d), are in the unit cube. `distances` are those of all clusterings. `labels`, `embedding` and
-    `critical_clusters` belong to the first clustering. `kills`, shape (n, m), says which scenario kills which mutant;
-    None if mutants do not take part in the selection.
+    `critical_clusters` belong to the first clustering. `is_critical`, shape (n,), marks critical scenarios. `kills`,
+    shape (n, m), says which scenario kills which mutant; None if mutants do not take part in the selection.
     """
 
     points: FloatArray
@@ -48,6 +48,7 @@ class SelectionInput:
     labels: IntArray
     embedding: FloatArray
     critical_clusters: Sequence[int]
+    is_critical: BoolArray
     kills: BoolArray | None = None
 
     def subset(self, rows: IntArray) -> SelectionInput:
@@ -58,6 +59,7 @@ class SelectionInput:
             self.labels[rows],
             self.embedding[rows],
             self.critical_clusters,
+            self.is_critical[rows],
             None if self.kills is None else self.kills[rows],
         )
 
@@ -78,13 +80,23 @@ def select(
             selection_input.distances,
             labels,
             selection_input.critical_clusters,
+            selection_input.is_critical,
             size=request.size,
             cover=request.cover,
             shaped_clusters=shaped,
         )
+    selected = _put_critical_first(selection_input, selected)
     if selection_input.kills is not None:
         selected = _put_killing_first(selection_input, selected)
     return selected, shaped
+
+
+def _put_critical_first(selection_input: SelectionInput, selected: Sequence[Selected]) -> tuple[Selected, ...]:
+    """Put critical prototypes and archetypes first, then the others; those that fill gaps stay last, as selected."""
+    is_critical = selection_input.is_critical
+    if not is_critical.any():
+        return tuple(selected)
+    return tuple(sorted(selected, key=lambda entry: 2 if entry.role == "gap" else 0 if is_critical[entry.index] else 1))
 
 
 def _put_killing_first(selection_input: SelectionInput, selected: Sequence[Selected]) -> tuple[Selected, ...]:

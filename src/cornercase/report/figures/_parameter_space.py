@@ -16,7 +16,13 @@ from cornercase.report.figures._style import cluster_style, format_score_label, 
 from cornercase.scenario import Parameter
 
 # By role: symbol and size in points².
-_ROLE_MARKERS: Final = (("archetype", "o", 42), ("prototype", "*", 190), ("gap", "^", 52), ("exposing", "D", 40))
+_ROLE_MARKERS: Final = (
+    ("archetype", "o", 42),
+    ("prototype", "*", 190),
+    ("critical prototype", "P", 110),
+    ("gap", "^", 52),
+    ("exposing", "D", 40),
+)
 
 
 def draw_scores_by_parameter_pair(

@@ -14,6 +14,7 @@ from typing import Final
 
 from cornercase._common import validation
 from cornercase._common.errors import InputError
+from cornercase._common.extras import describe_install
 from cornercase._common.process.signals import last_signal
 from cornercase.report.live._analysis_worker import AnalysisWorker
 from cornercase.report.live._events import EventStream
@@ -89,7 +90,7 @@ def watch(
         from cornercase.report.live._server import create_app
     except ModuleNotFoundError as error:
         raise InputError(
-            f"The live page needs {error.name}, which is not installed; run `pip install 'cornercase[live]'`."
+            f"The live page needs {error.name}, which is not installed; {describe_install('live')}."
         ) from error
     token = secrets.token_urlsafe(24)
     follower = StudyFollower(path)

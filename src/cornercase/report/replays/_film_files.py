@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Final
 from PIL import Image
 
 from cornercase._common.errors import InputError
+from cornercase._common.extras import describe_install
 from cornercase._common.platform import find_program
 
 if TYPE_CHECKING:
@@ -57,8 +58,8 @@ def find_ffmpeg() -> str:
             program = str(get_ffmpeg_exe())
         except (ImportError, RuntimeError):
             raise InputError(
-                "An .mp4 is written by ffmpeg, which is not on the PATH: install it, or `pip install"
-                " 'cornercase[video]'`; .gif and .html need nothing more."
+                "An .mp4 is written by ffmpeg, which is not on the PATH: install it; or take the extra 'video',"
+                f" {describe_install('video')}; .gif and .html need nothing more."
             ) from None
     return program
 

@@ -21,6 +21,7 @@ from cornercase.report._report_data import ReportData
 from cornercase.report.text._phrases import (
     append_unit,
     describe_aspect,
+    describe_dangers,
     describe_front,
     describe_missing_sensitivity,
     describe_selection_threshold,
@@ -42,6 +43,7 @@ from cornercase.suite._verdict import worst_state
 _MAX_POINTS = 6
 _NEGLIGIBLE_SHARE = 0.01
 _ROLE_NAMES: Final[dict[str, tuple[str, str]]] = {
+    "critical prototype": ("prototype of critical ones", "prototypes of critical ones"),
     "prototype": ("prototype", "prototypes"),
     "archetype": ("archetype", "archetypes"),
     "gap": ("that fills a gap between these", "that fill gaps between these"),
@@ -215,7 +217,8 @@ def _answer_critical_share(data: ReportData) -> Answer:
         counts = f"The one scenario that was run is {'' if critical.n_critical else 'not '}critical ({criterion})."
     elif critical.n_critical:
         verb = "is" if critical.n_critical == 1 else "are"
-        counts = f"{critical.n_critical} of the {summary.n_run} scenarios{which_ran} {verb} critical ({criterion})."
+        who = "All" if critical.n_critical == summary.n_run else f"{critical.n_critical} of the"
+        counts = f"{who} {summary.n_run} scenarios{which_ran} {verb} critical ({criterion})."
     else:
         counts = f"None of the {summary.n_run} scenarios{which_ran} is critical ({criterion})."
     # Beside what else would have avoided collisions, if there are any.
@@ -308,7 +311,8 @@ def _answer_clusters(data: ReportData) -> Answer:
         sentences.append(f"There are also kinds by {_join_with_and(divided)}.")
     if undivided:
         sentences.append(f"There are no separate kinds by {_join_with_and(undivided)}.")
-    points += bands
+    # Names of kinds that tell nothing apart tell nothing; the details have them.
+    points = [*(points if has_useful_clusters(analysis) else []), *bands]
     return Answer(name, question, " ".join(sentences), tuple(points))
 
 
@@ -372,15 +376,12 @@ def _answer_reduced_set(data: ReportData) -> Answer:
 def _describe_selected_outcomes(data: ReportData, reduced: ReducedSet) -> str:
     """Say how many of the kept scenarios are critical, and in how many the ego collides."""
     selected = set(reduced.ids)
-    parts = [f"in {len(selected & data.hardest_impacts.keys())} {data.summary.meta.ego} collides"]
+    n_critical = None
     if data.summary.estimates.critical is not None:
         n_critical = sum(data.rows[k].id in selected for k in np.flatnonzero(data.is_critical))
-        parts.insert(0, f"{n_critical} of them {'is' if n_critical == 1 else 'are'} critical")
-    return f"{_capitalize(_join_with_and(parts))}."
-
-
-def _capitalize(text: str) -> str:
-    return text[:1].upper() + text[1:]
+    return describe_dangers(
+        len(selected), n_critical, len(selected & data.hardest_impacts.keys()), data.summary.meta.ego
+    )
 
 
 def _describe_coverage(data: ReportData, reduced: ReducedSet) -> Iterator[str]:
@@ -465,8 +466,9 @@ def _answer_probability(estimate: Any) -> Answer:
     sentences = []
     for event, description in (("critical", f"A scenario is critical ({criterion})"), ("collision", "It collides")):
         low, high = estimate[event]["95 % interval"]
-        if not estimate[event].get("met", 1):
-            sentences.append(f"{description} with a probability of at most {high:.3g} (95 %).")
+        if not estimate[event]["met in"]:
+            bound = f"with a probability of at most {high:.3g} (95 %)" if high else "in no scenario of the space"
+            sentences.append(f"{description} {bound}.")
             continue
         sentences.append(
             f"{description} with a probability of {estimate[event]['probability']:.3g}"

@@ -57,6 +57,20 @@ def describe_unmeasured_collisions(summary: Summary, *, counts: bool = True) -> 
     )
 
 
+def describe_dangers(n_selected: int, n_critical: int | None, n_colliding: int, ego: str) -> str:
+    """Say of selected scenarios how many are critical, and in how many the ego collides; None without a threshold."""
+    if n_selected == 1:
+        collides = f"{ego} collides in it" if n_colliding else f"{ego} does not collide in it"
+        is_critical = "" if n_critical is None else f"It is {'' if n_critical else 'not '}critical, and "
+        return f"{is_critical}{collides}."
+    collides = f"in {n_colliding or 'none'} {ego} collides"
+    if n_critical is None:
+        return f"{collides[:1].upper()}{collides[1:]}."
+    verb = "are" if n_critical > 1 else "is"
+    them = "All of them" if n_critical == n_selected else f"{n_critical or 'None'} of them"
+    return f"{them} {verb} critical and {collides}."
+
+
 def describe_aspect(aspect: str) -> str:
     """Describe what an aspect compares: ``"the direction in which the ego sees the other"``; empty if unknown."""
     if aspect not in ASPECTS:

@@ -12,9 +12,11 @@ class Link {
     addEventListener("hashchange", () => this.read());
     addEventListener("popstate", () => this.read());
     // A scenario that a text of the page names is shown far from it.
-    document.querySelector("#details")?.addEventListener("click", (event) => {
-      if (event.target.closest("a[href^='#id=']")) document.querySelector("#replay")?.scrollIntoView();
-    });
+    for (const part of document.querySelectorAll("#details, #verdicts")) {
+      part.addEventListener("click", (event) => {
+        if (event.target.closest("a[href^='#id=']")) document.querySelector("#replay")?.scrollIntoView();
+      });
+    }
   }
 
   // The address of the current selection, without "#".

@@ -128,7 +128,9 @@ class PointPlot extends Plot {
   }
 }
 
-const ROLES = { prototype: ["star", 2.9], archetype: ["circle", 1.95], gap: ["triangle", 2.4] };
+const ROLES = {
+  prototype: ["star", 2.9], "critical prototype": ["plus", 2.7], archetype: ["circle", 1.95], gap: ["triangle", 2.4],
+};
 
 function keptRole(store, row) {
   return store.contents.kept[store.contents.scenarios.id[row]]?.role ?? "kept";

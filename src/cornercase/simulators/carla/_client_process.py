@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import subprocess
+import sys
 import tempfile
 from contextlib import suppress
 from functools import cache
@@ -12,6 +13,7 @@ from typing import IO, Any, Final
 from weakref import finalize
 
 from cornercase._common.errors import InputError, SimulatorError
+from cornercase._common.extras import describe_install, is_empty_extra
 from cornercase._common.platform import describe_exit_code, kill_process_tree
 from cornercase.simulators.carla._runner_environment import PYTHON_VARIABLE, RunnerEnvironment
 
@@ -75,6 +77,12 @@ class ClientProcess:
         lines = self._errors.read().decode(errors="replace").split("\n")
         last = next((line.strip() for line in reversed(lines) if line.strip()), "")
         if _MISSING_CLIENT in last:
+            # The extra is for the Python that runs cornercase.
+            if self._python == sys.executable and is_empty_extra("carla"):
+                raise InputError(
+                    f"{self._python}: CARLA's client is not installed there; {describe_install('carla')}. Set"
+                    f" {PYTHON_VARIABLE} to the Python of ScenarioRunner's environment."
+                )
             raise InputError(
                 f"{self._python}: CARLA's client is not installed there; get that of your CARLA's version, as by"
                 f" `{self._python} -m pip install carla==0.9.15`, or set {PYTHON_VARIABLE} to the Python of"

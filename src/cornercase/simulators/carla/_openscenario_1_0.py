@@ -14,6 +14,7 @@ import numpy as np
 from lxml import etree
 
 from cornercase._common.errors import InputError
+from cornercase._common.extras import describe_install
 from cornercase._common.io.atomic import atomic_write_group
 from cornercase._common.io.files import atomic_write, check_output_differs_from_source
 from cornercase._common.validation import check_parameter_values, check_path
@@ -193,7 +194,7 @@ def write_openscenario_1_0(
         notes += [f"{describe_version_gap(*gap)}." for gap in find_version_gaps(root).items()]
     violations = schema_errors(root)
     if violations is None:
-        notes.append("It was not validated against the schema of 1.0; pip install 'cornercase[validate]'.")
+        notes.append(f"It was not validated against the schema of 1.0: {describe_install('validate')}.")
     elif violations:
         raise InputError(f"{scenario.path}: cannot be expressed in OpenSCENARIO 1.0 ({violations[0]}).")
     content = io.BytesIO()

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Final
 
 from cornercase._common.errors import InputError
+from cornercase._common.extras import describe_install
 from cornercase._common.io.files import atomic_write, read_file
 from cornercase._common.platform import find_program, user_cache_folder
 from cornercase.scenario import Value
@@ -79,6 +80,6 @@ def _find_netconvert() -> str:
         program = find_program("netconvert", [str(Path(sumo.SUMO_HOME) / "bin")])
     if program is None:
         raise InputError(
-            "netconvert, which converts OpenDRIVE to SUMO's network, is missing; pip install 'cornercase[sumo]'."
+            f"netconvert, which converts OpenDRIVE to SUMO's network, is missing; {describe_install('sumo')}."
         )
     return program

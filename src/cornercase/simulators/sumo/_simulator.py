@@ -10,6 +10,7 @@ from importlib.util import find_spec
 import numpy as np
 
 from cornercase._common.errors import InputError, SimulationError, suggest_name
+from cornercase._common.extras import describe_install
 from cornercase._common.io.support_table import Notice
 from cornercase._common.text.sanitize import remove_folders
 from cornercase._common.typing import FloatArray
@@ -26,8 +27,6 @@ from cornercase.simulators.builtin._prepared_file import PreparedScenario, Unusa
 from cornercase.simulators.builtin._unsupported import read_and_collect_notices
 from cornercase.simulators.sumo._coupling import VEHICLE_TYPES, SumoCoupling
 from cornercase.simulators.sumo._network import find_or_convert_network
-
-_MISSING_MESSAGE = "SUMO is not installed; pip install 'cornercase[sumo]'."
 
 
 class Sumo(Simulator):
@@ -99,7 +98,7 @@ class Sumo(Simulator):
             installed_version = ""
         return Availability(
             version=installed_version,
-            problem="" if installed_version else _MISSING_MESSAGE,
+            problem="" if installed_version else _describe_missing(),
             features=(
                 "pedestrians", "car-following", "right of way", "collisions go on or end the run", "deterministic",
             ),
@@ -216,4 +215,8 @@ class _SumoDriver(Driver):
 
 def _require_installed() -> None:
     if find_spec("libsumo") is None:
-        raise InputError(_MISSING_MESSAGE)
+        raise InputError(_describe_missing())
+
+
+def _describe_missing() -> str:
+    return f"SUMO is not installed; {describe_install('sumo')}."

@@ -72,6 +72,9 @@ class ReplayControls {
     const sight = "Show whether the ego can see the other, and what hides it (V)";
     this.sight = textButton("sight", "Sight", sight, () => panel.toggleSight());
     this.neighbour = textButton("neighbour", "Neighbour", "", () => panel.toggleNeighbour());
+    const expected = "Show the run that the suite was made from, or an earlier one, beside this run (E)";
+    this.expected = textButton("expected", "Expected", expected, () => panel.toggleExpected());
+    this.expected.hidden = !Object.keys(panel.store.contents.expected?.runs ?? {}).length;
     const time = newElement("div", "replay-row");
     time.append(
       replayButton("to-start", "start", "To the start (Home)", () => panel.goTo("start")),
@@ -90,6 +93,7 @@ class ReplayControls {
       replayButton("zoom-in", "closer", "Closer (+)", () => camera.zoom(1.4)),
       replayButton("zoom-out", "wider", "Wider (-)", () => camera.zoom(1 / 1.4)),
       this.sight,
+      this.expected,
       this.neighbour,
     );
     this.box = newElement("div", "replay-controls");
@@ -109,6 +113,7 @@ class ReplayControls {
     this.clockText.textContent = `${clock.time.toFixed(2)} s`;
     this.follow.setAttribute("aria-pressed", String(camera.mode === "follow"));
     this.sight.setAttribute("aria-pressed", String(sight));
+    this.expected.setAttribute("aria-pressed", String(store.beside === null && this.panel.expectedRun() !== null));
     this.neighbour.setAttribute("aria-pressed", String(store.beside !== null));
     const compare = "Compare with the nearest scenario that ended otherwise (N)";
     this.neighbour.title = store.beside === null ? compare : "Show one scenario only (N)";
@@ -133,6 +138,7 @@ function listenToKeys(section, panel) {
     f: () => panel.toggleFollow(),
     v: () => panel.toggleSight(),
     n: () => panel.toggleNeighbour(),
+    e: () => panel.toggleExpected(),
   };
   section.addEventListener("keydown", (event) => {
     const { target, key } = event;

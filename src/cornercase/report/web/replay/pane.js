@@ -72,16 +72,25 @@ class ReplayPane {
   // The main other entity: with several, the one the score belongs to.
   get other() {
     const { store } = this.panel;
-    const whom = store.against(this.panel.metric().name, store.rows.get(this.id));
+    // An expected run is measured against the same one.
+    const whom = store.against(this.panel.metric().name, store.rows.get(Math.abs(this.id)));
     return whom === null ? this.others[0] ?? -1 : this.recording.names.indexOf(whom);
   }
 
   describe() {
     const { store } = this.panel;
+    const expected = store.contents.expected?.runs[-this.id];
+    if (expected) {
+      this.title.textContent = scenarioName(store, this.id);
+      this.facts.textContent = unturned(expected.facts);
+      return;
+    }
     const row = store.rows.get(this.id);
     const { scenarios, parameters, outcomes, kept } = store.contents;
     this.title.textContent = scenarioName(store, this.id);
     const facts = [];
+    const verdict = store.contents.verdicts?.[this.id];
+    if (verdict) facts.push(`${verdict.state}: ${verdict.why}`, verdict.file);
     if (scenarios.outcome[row] !== null) facts.push(outcomes[scenarios.outcome[row]]);
     if (store.options.aspect !== null && store.kindOf(row) !== null) facts.push(store.kindName(store.kindOf(row)));
     if (scenarios.critical[row]) facts.push("critical");
@@ -90,7 +99,7 @@ class ReplayPane {
       const value = scenarios.values[k][row];
       return `${one.name} = ${one.choices.length ? one.choices[value] : withSceneUnit(value, one.unit)}`;
     });
-    this.facts.textContent = unturned([...new Set(facts), ...values].join(" · "));
+    this.facts.textContent = unturned([...new Set(facts), ...values].filter(Boolean).join(" · "));
   }
 
   whyMissing(id) {
@@ -243,7 +252,11 @@ function courseText(score, { unit, cap, lower_is_critical: lower }) {
 
 // The name of a scenario: its id, or the page's own name if it shows several studies.
 function scenarioName(store, id) {
-  return store.contents.called?.[id] ?? `Scenario ${id}`;
+  return ownName(store, id) ?? `Scenario ${id}`;
+}
+
+function ownName({ contents }, id) {
+  return contents.called?.[id] ?? contents.expected?.runs[-id]?.called;
 }
 
 function newElement(tag, className = "", text = "") {

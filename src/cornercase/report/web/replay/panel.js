@@ -7,6 +7,7 @@ class ReplayPanel {
     this.clock = new ReplayClock(() => this.changed());
     this.camera = new ReplayCamera(() => this.changed());
     this.sight = true;
+    this.expected = true;
     this.waiting = false;
     this.colours = null;
     this.never = true;
@@ -58,7 +59,9 @@ class ReplayPanel {
     this.takeRoad();
     this.tables = newElement("div", "replay-tables");
     this.tables.append(this.panes.selected.values, this.panes.beside.values);
-    this.box.append(this.scenes, this.controls.box, this.events.box, this.chart.canvas, this.legend, this.tables, this.notice);
+    this.lack = newElement("p", "replay-notice", this.store.contents.expected?.missing ?? "");
+    this.lack.hidden = !this.lack.textContent;
+    this.box.append(this.scenes, this.controls.box, this.events.box, this.chart.canvas, this.legend, this.tables, this.notice, this.lack);
     this.section.append(this.nothing, this.box);
     new ResizeObserver(() => this.changed()).observe(this.chart.canvas);
   }
@@ -88,13 +91,13 @@ class ReplayPanel {
     const { store, panes } = this;
     const before = this.shown;
     if (store.selected !== null) this.never = false;
-    this.shown = { selected: store.selected, beside: store.beside };
+    this.shown = { selected: store.selected, beside: store.beside ?? this.expectedRun() };
     const changed = Object.keys(panes).filter((slot) => before[slot] !== this.shown[slot] || again(panes[slot]));
     this.nothing.hidden = store.selected !== null || store.beside !== null;
     this.box.hidden = !this.nothing.hidden;
     if (!changed.length) return;
     await Promise.all(changed.map((slot) => panes[slot].show(this.shown[slot])));
-    this.box.classList.toggle("two", store.selected !== null && store.beside !== null);
+    this.box.classList.toggle("two", this.shown.selected !== null && this.shown.beside !== null);
     this.choose();
     if (changed.includes("selected") || panes.selected.recording === null) this.goTo("critical");
     if (this.camera.mode === "near" || this.camera.mode === "all") this.fit(this.camera.mode);
@@ -175,7 +178,8 @@ class ReplayPanel {
 
   // As a sentence.
   called(id) {
-    return this.store.contents.called?.[id] ?? `scenario ${id}`;
+    if (this.store.contents.expected?.runs[-id]) return "the expected run";
+    return ownName(this.store, id) ?? `scenario ${id}`;
   }
 
   tellLegend(there) {
@@ -224,6 +228,21 @@ class ReplayPanel {
     if (store.contents.called) return;
     if (store.beside !== null) store.select(null, "beside");
     else store.select(neighbourOf(store, store.selected, (id) => this.recordings.has(id)), "beside");
+  }
+
+  // Of a run of a suite: the earlier run of the selected scenario, which has the negative id; null without.
+  expectedRun() {
+    const { selected, contents } = this.store;
+    return this.expected && selected !== null && contents.expected?.runs[selected] ? -selected : null;
+  }
+
+  toggleExpected() {
+    this.expected = !this.expected;
+    if (this.store.beside !== null) {
+      this.expected = true;
+      this.store.select(null, "beside");
+    }
+    this.follow();
   }
 
   recolour() {

@@ -1,0 +1,36 @@
+"""What to say where an optional package is missing."""
+
+from __future__ import annotations
+
+import platform
+from importlib.metadata import PackageNotFoundError, requires
+
+from packaging.requirements import Requirement
+
+
+def describe_install(extra: str) -> str:
+    """Say, as a clause, how to install an extra, or that it holds nothing for this Python and machine.
+
+    >>> print(describe_install("sumo"))
+    install it with pip install 'cornercase[sumo]'
+    """
+    if not is_empty_extra(extra):
+        return f"install it with pip install 'cornercase[{extra}]'"
+    where = f"Python {_python_version()} on {platform.system()} {platform.machine()}"
+    return f"there is none for {where}, where the extra '{extra}' installs nothing"
+
+
+def is_empty_extra(extra: str) -> bool:
+    """Tell whether no package of an extra is for this Python and machine; False if that is unknown."""
+    try:
+        requirements = [Requirement(text) for text in requires("cornercase") or ()]
+    except PackageNotFoundError:
+        return False
+    markers = [item.marker for item in requirements if item.marker is not None]
+    of_extra = [marker for marker in markers if f'extra == "{extra}"' in str(marker)]
+    environment = {"extra": extra, "python_version": _python_version(), "platform_machine": platform.machine()}
+    return bool(of_extra) and not any(marker.evaluate(environment) for marker in of_extra)
+
+
+def _python_version() -> str:
+    return ".".join(platform.python_version_tuple()[:2])
