@@ -107,7 +107,7 @@ class ReplayControls {
     Object.assign(this.scrub, { min: clock.begin, max: clock.end, value: clock.time });
     this.scrub.setAttribute("aria-valuetext", `${clock.time.toFixed(2)} s of ${clock.end.toFixed(2)} s`);
     this.clockText.textContent = `${clock.time.toFixed(2)} s`;
-    this.follow.setAttribute("aria-pressed", String(camera.mode === "follow"));
+    this.follow.setAttribute("aria-pressed", String(camera.follows));
     this.sight.setAttribute("aria-pressed", String(sight));
     this.neighbour.setAttribute("aria-pressed", String(store.beside !== null));
     const compare = "Compare with the nearest scenario that ended otherwise (N)";
