@@ -49,8 +49,9 @@ _STYLES: Final = ("style.css", "replay.css")
 _SCRIPTS: Final = (
     "store.js", "recordings.js", "knowledge.js", "live.js", "running.js", "notes.js", "clipboard.js", "actions.js",
     "colours.js", "describe.js", "plot.js", "raster.js", "points.js", "legend.js", "ranges.js", "filters.js", "link.js",
-    "theme.js", "answers.js", "views.js", "views/space.js", "views/courses.js", "views/kernel.js", "views/histogram.js",
-    "views/parallel.js", "views/front.js", "views/charts.js", "views/table.js", *REPLAY_SCRIPTS, "main.js",
+    "theme.js", "answers.js", "views.js", "views/space.js", "views/courses.js", "views/histogram.js",
+    "views/parallel.js", "views/front.js", "views/charts.js", "views/kernel.js", "views/table.js", *REPLAY_SCRIPTS,
+    "main.js",
 )  # fmt: skip
 _FILE_ENDINGS: Final = (".html", ".htm")
 CONTENT_SECURITY_POLICY: Final = (

@@ -296,7 +296,8 @@ VIEWS.push({
   name: "table",
   title: "Table",
   wide: true,
-  about: "All scenarios that the filters leave. Click the head of a column to sort, a row to see the scenario move.",
+  about: "The scenarios that the filters leave.",
+  more: "Click the head of a column to sort, a row to see the scenario move.",
   wanted: () => true,
   create(box, store) {
     const table = new ScenarioTable(box, store);
