@@ -24,6 +24,7 @@ from cornercase._common.memory import DEFAULT_MEMORY, MemoryLimit
 from cornercase._common.progress import progress_step, show_bars
 from cornercase._common.text.sanitize import escape_control_characters
 from cornercase.report._failure_page import render_failure_page
+from cornercase.report._page_digest import page_digest
 from cornercase.report._payload import page_payload
 from cornercase.report._report_data import ReportData, read_report_data
 from cornercase.report._rerun import rerun_payload
@@ -167,6 +168,7 @@ def render_report(data: ReportData, recordings: Mapping[int, str], road_payload:
     contents = page_payload(data) | recording_payload | dict(road_payload)
     return _render(
         live=False,
+        digest=page_digest(data),
         left_out=contents["recordings_left_out"],
         title=escape_control_characters(contents["title"]),
         about=contents["about"],
@@ -196,7 +198,7 @@ def render_details(data: ReportData) -> Iterator[Section]:
 
 def render_live_page(title: str) -> str:
     """Render the page without content: it loads the study from the live server, and grows with the study."""
-    empty: dict[str, Any] = {"left_out": "", "about": "", "contents": None, "answers": [], "details": []}
+    empty: dict[str, Any] = {"digest": "", "left_out": "", "about": "", "contents": None, "answers": [], "details": []}
     return _render(live=True, title=title, provenance=Markup(), recordings={}, **empty)
 
 
