@@ -42,7 +42,7 @@ from cornercase.scenario._file import ScenarioFile
 from cornercase.study import StudyFile
 from cornercase.study._study_file import open_study
 
-_REPLAY_NAMES: Final = "motion sight clock camera road scene course neighbour pane controls panel"
+_REPLAY_NAMES: Final = "motion sight clock camera road scene course neighbour pane controls film panel"
 REPLAY_SCRIPTS: Final = tuple(f"replay/{name}.js" for name in _REPLAY_NAMES.split())
 """Scripts of the replay, in load order."""
 

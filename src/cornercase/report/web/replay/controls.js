@@ -72,6 +72,7 @@ class ReplayControls {
     const sight = "Show whether the ego can see the other, and what hides it (V)";
     this.sight = textButton("sight", "Sight", sight, () => panel.toggleSight());
     this.neighbour = textButton("neighbour", "Neighbour", "", () => panel.toggleNeighbour());
+    this.film = new ReplayFilm(panel);
     const time = newElement("div", "replay-row");
     time.append(
       replayButton("to-start", "start", "To the start (Home)", () => panel.goTo("start")),
@@ -91,6 +92,7 @@ class ReplayControls {
       replayButton("zoom-out", "wider", "Wider (-)", () => camera.zoom(1 / 1.4)),
       this.sight,
       this.neighbour,
+      this.film.button,
     );
     this.box = newElement("div", "replay-controls");
     this.box.append(time, look);
