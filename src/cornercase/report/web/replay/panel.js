@@ -171,8 +171,8 @@ class ReplayPanel {
     const around = there.map((pane) => pane.regionAlong());
     const along = around.every(Boolean);
     const closest = unionOf(along ? around : near);
-    // A long and narrow motion is shown in a low box, which it fills; the height must be set before it is measured.
-    this.box.classList.toggle("flat", closest[2] - closest[0] > FLAT * (closest[3] - closest[1]));
+    // A long and narrow view that goes along fills a low box; the height must be set before it is measured.
+    this.box.classList.toggle("flat", along && closest[2] - closest[0] > FLAT * (closest[3] - closest[1]));
     const { width, height } = there[0].size();
     const whole = mode === "all" ? unionOf(there.map((pane) => pane.region(true)).filter(Boolean)) : closest;
     // Labels need some room at any scale.
