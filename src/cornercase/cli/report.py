@@ -17,7 +17,9 @@ from cornercase.cli.profiling import Profile
 
 @app.command()
 def report(
-    study: opt.StudyFile,
+    study: Annotated[
+        Path, typer.Argument(metavar="STUDY.db|FOLDER", help="Study, as written by explore, or a folder of studies.")
+    ],
     *,
     output: opt.PageOutput,
     figures: Annotated[
@@ -27,6 +29,9 @@ def report(
         Path | None,
         Option("--figures-in", metavar="DIR", help="Write figures into this folder instead of beside the page."),
     ] = None,
+    one_page: Annotated[
+        bool, Option("--one-page", help="Write a summary instead that prints on one page of A4, for whoever decides.")
+    ] = False,
     scenario: opt.ExploredScenario = None,
     against: Annotated[
         Path | None,
@@ -41,15 +46,34 @@ def report(
     profile: Profile = None,
     maps: opt.Maps = None,
 ) -> None:
-    """Write the report: one page that holds everything.
+    """Write the report: one page that holds everything; of a folder of studies an index of them.
 
     \b
     Example:
       cornercase report study.db -o report.html
       cornercase report study.db --figures -o report.html
+      cornercase report study.db --one-page -o summary.html
+      cornercase report studies -o studies/index.html
     """
     from cornercase.report import write_report
+    from cornercase.report._index_page import write_index
+    from cornercase.report._one_page import write_one_page
 
+    if study.is_dir():
+        if one_page or figures or figures_in is not None or scenario is not None or critical is not None:
+            raise InputError(
+                f"{study}: is a folder, of which an index is written; leave --one-page, --figures, --figures-in,"
+                " --scenario and --critical out, or name a study in it."
+            )
+        page = write_index(study, output)
+        out.print(f"The index is {page.resolve()}")
+        return
+    if one_page:
+        if figures or figures_in is not None or scenario is not None:
+            raise InputError("--one-page: has no figures and no road; leave --figures, --figures-in, --scenario out.")
+        page = write_one_page(study, output, critical=critical, memory=memory)
+        out.print(f"The summary is {page.resolve()}")
+        return
     page = write_report(
         study,
         output,

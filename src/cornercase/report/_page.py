@@ -26,6 +26,7 @@ from cornercase._common.text.sanitize import escape_control_characters
 from cornercase.report._event_payload import find_events_of_scenarios
 from cornercase.report._expected_runs import ExpectedRuns, read_expected_runs
 from cornercase.report._failure_page import render_failure_page
+from cornercase.report._page_digest import page_digest
 from cornercase.report._payload import page_payload
 from cornercase.report._report_data import ReportData, read_report_data
 from cornercase.report._rerun import rerun_payload
@@ -43,7 +44,7 @@ from cornercase.scenario._file import ScenarioFile
 from cornercase.study import StudyFile
 from cornercase.study._study_file import open_study
 
-_REPLAY_NAMES: Final = "motion sight clock camera road scene course events neighbour pane controls panel"
+_REPLAY_NAMES: Final = "motion sight clock camera road scene course events neighbour pane controls film panel"
 REPLAY_SCRIPTS: Final = tuple(f"replay/{name}.js" for name in _REPLAY_NAMES.split())
 """Scripts of the replay, in load order."""
 
@@ -52,7 +53,7 @@ _SCRIPTS: Final = (
     "store.js", "recordings.js", "knowledge.js", "live.js", "running.js", "notes.js", "clipboard.js", "actions.js",
     "colours.js", "describe.js", "plot.js", "raster.js", "points.js", "legend.js", "ranges.js", "filters.js", "link.js",
     "theme.js", "answers.js", "views.js", "predictor.js", "surface.js", "views/space.js", "views/courses.js",
-    "views/kernel.js", "views/histogram.js", "views/parallel.js", "views/front.js", "views/charts.js", "ticks.js",
+    "views/histogram.js", "views/parallel.js", "views/front.js", "views/charts.js", "views/kernel.js", "ticks.js",
     "columns.js", "thumbnails.js", "views/table.js", *REPLAY_SCRIPTS, "main.js",
 )  # fmt: skip
 _FILE_ENDINGS: Final = (".html", ".htm")
@@ -185,6 +186,7 @@ def render_report(
     verdicts = next((section for section in details if section.name == "verdicts"), None)
     return _render(
         live=False,
+        digest=page_digest(data),
         left_out=contents["recordings_left_out"],
         title=escape_control_characters(contents["title"]),
         about=contents["about"],
@@ -215,7 +217,7 @@ def render_details(data: ReportData) -> Iterator[Section]:
 
 def render_live_page(title: str) -> str:
     """Render the page without content: it loads the study from the live server, and grows with the study."""
-    empty: dict[str, Any] = {"left_out": "", "about": "", "contents": None, "answers": [], "details": []}
+    empty: dict[str, Any] = {"digest": "", "left_out": "", "about": "", "contents": None, "answers": [], "details": []}
     return _render(live=True, title=title, provenance=Markup(), recordings={}, **empty)
 
 

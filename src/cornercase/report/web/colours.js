@@ -75,8 +75,8 @@ function makeLooks(store) {
   if (colour === "critical") {
     const { critical } = store.contents.scenarios;
     const styles = [
-      { colour: kindColour(0), symbol: "circle", name: "not critical" },
-      { colour: kindColour(1), symbol: "triangle", name: "critical" },
+      { colour: themeColours().muted, symbol: "circle", name: "not critical" },
+      { colour: themeColours().danger, symbol: "triangle", name: "critical" },
     ];
     return { styles, of: Uint8Array.from(critical, (one) => (one ? 1 : 0)) };
   }

@@ -1,8 +1,9 @@
 "use strict";
 
 // Views of the scenarios, each in a box of its own. A view is an object with
-//   name, title, about (what to see in it), wanted(store) (whether there is something to see), wide (the whole row),
-//   finding (what was found in it, in the contents' captions, is told after it),
+//   name, title, about (what to see in it, in a line), more (the same at length, told on demand),
+//   wanted(store) (whether there is something to see), wide (the whole row),
+//   finding (what was found in it, in the contents' captions, is told with `more`),
 //   known (it shows what is known of all scenarios together, which follows later while a study grows),
 //   heavy (to be drawn only when it is seen or printed),
 //   create(box, store) -> { redraw(events) }, where `events` are the store's since it last drew.
@@ -36,10 +37,10 @@ class Views {
       box.style.order = order;
       const title = document.createElement("h3");
       title.textContent = view.title;
-      const caption = document.createElement("figcaption");
+      const caption = makeCaption(view.title);
       const inner = document.createElement("div");
       inner.className = "drawing";
-      box.append(title, caption, inner);
+      box.append(title, caption.box, inner);
       const next = [...boxes.values()].find((each) => each.order > order);
       place.insertBefore(box, next?.box ?? null);
       boxes.set(view.name, { view, box, inner, caption, order, made: null, onScreen: false, events: new Set() });
@@ -64,7 +65,7 @@ class Views {
   }
 
   tellAbout({ view, caption }) {
-    const about = typeof view.about === "function" ? view.about(this.store) : view.about;
+    const textOf = (text) => (typeof text === "function" ? text(this.store) : text);
     let told = view.finding ? this.store.contents.captions?.[view.name] : null;
     // Some captions depend on the metric or the aspect.
     if (told && typeof told === "object") {
@@ -72,8 +73,10 @@ class Views {
       told = told[[metric, aspect].find((name) => Object.hasOwn(told, name))];
     }
     const known = told || view.known ? knownOf(this.store) : null;
-    const parts = [about, known === null ? "" : `Of the first ${known} scenarios${told ? ":" : "."}`, told];
-    caption.textContent = parts.filter(Boolean).join(" ");
+    const first = known === null ? "" : `Of the first ${known} scenarios`;
+    caption.line.textContent = joined(textOf(view.about), first && !told && `${first}.`);
+    caption.text.textContent = joined(textOf(view.more), first && told && `${first}:`, told);
+    caption.more.hidden = !caption.text.textContent;
   }
 
   moved(entries) {
@@ -143,6 +146,21 @@ class Views {
   get(name) {
     return this.boxes.get(name)?.made ?? null;
   }
+}
+
+// A caption of a line, with more on demand.
+function makeCaption(title) {
+  const box = document.createElement("figcaption");
+  const [line, more, summary, text] = ["span", "details", "summary", "p"].map((tag) => document.createElement(tag));
+  summary.textContent = "More";
+  summary.setAttribute("aria-label", `More about: ${title}`);
+  more.append(summary, text);
+  box.append(line, " ", more);
+  return { box, line, more, text };
+}
+
+function joined(...parts) {
+  return parts.filter(Boolean).join(" ");
 }
 
 function whenIdle(work) {

@@ -2,7 +2,8 @@
 
 // The visible part of the plane. All scenes share it, so that lengths are comparable.
 //
-// Modes: "near" (where the two come close), "all", "follow" (the ego stays in the centre), "free".
+// Modes: "near" (where the two come close), "all", "follow" (the ego stays in the centre), "free". Where the two drive
+// along together, as on a motorway, "near" moves with the ego, too.
 const CLOSEST_SCALE = 200;
 const WIDEST_SCALE = 0.05;
 
@@ -10,20 +11,27 @@ class ReplayCamera {
   constructor(changed) {
     this.changed = changed;
     this.mode = "near";
+    this.along = false;
     this.x = 0;
     this.y = 0;
     this.scale = 8;
   }
 
+  // Whether the view moves with the ego: x and y are then from the ego.
+  get follows() {
+    return this.mode === "follow" || (this.mode === "near" && this.along);
+  }
+
   // Pixels per metre and the centre of the view; `ego` is its box in that scene, if it exists.
   view(ego) {
-    if (this.mode === "follow" && ego) return { x: ego.x + this.x, y: ego.y + this.y, scale: this.scale };
+    if (this.follows && ego) return { x: ego.x + this.x, y: ego.y + this.y, scale: this.scale };
     return { x: this.x, y: this.y, scale: this.scale };
   }
 
-  // Shows a region [left, bottom, right, top] in scenes of this size in pixels.
-  fit([left, bottom, right, top], width, height, mode) {
+  // Shows a region [left, bottom, right, top], with `along` one around the ego, in scenes of this size in pixels.
+  fit([left, bottom, right, top], width, height, mode, along = false) {
     this.mode = mode;
+    this.along = along;
     this.x = (left + right) / 2;
     this.y = (bottom + top) / 2;
     this.setScale(Math.min(width / Math.max(right - left, 1), height / Math.max(top - bottom, 1)));
@@ -36,7 +44,7 @@ class ReplayCamera {
       this.x = this.y = 0;
       this.setScale(Math.max(this.scale, 6));
     } else {
-      if (ego && this.mode === "follow") {
+      if (ego && this.follows) {
         this.x += ego.x;
         this.y += ego.y;
       }
@@ -53,7 +61,9 @@ class ReplayCamera {
   zoom(factor, right = 0, below = 0) {
     const before = this.scale;
     this.setScale(before * factor);
-    if (this.mode !== "follow") {
+    if (this.follows) {
+      this.mode = "follow";
+    } else {
       this.mode = "free";
       this.x += right / before - right / this.scale;
       this.y -= below / before - below / this.scale;
@@ -62,7 +72,7 @@ class ReplayCamera {
   }
 
   pan(right, down) {
-    if (this.mode !== "follow") this.mode = "free";
+    this.mode = this.follows ? "follow" : "free";
     this.x -= right / this.scale;
     this.y += down / this.scale;
     this.changed();

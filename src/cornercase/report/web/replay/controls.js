@@ -75,6 +75,7 @@ class ReplayControls {
     const expected = "Show the run that the suite was made from, or an earlier one, beside this run (E)";
     this.expected = textButton("expected", "Expected", expected, () => panel.toggleExpected());
     this.expected.hidden = !Object.keys(panel.store.contents.expected?.runs ?? {}).length;
+    this.film = new ReplayFilm(panel);
     const time = newElement("div", "replay-row");
     time.append(
       replayButton("to-start", "start", "To the start (Home)", () => panel.goTo("start")),
@@ -95,6 +96,7 @@ class ReplayControls {
       this.sight,
       this.expected,
       this.neighbour,
+      this.film.button,
     );
     this.box = newElement("div", "replay-controls");
     this.box.append(time, look);
@@ -111,7 +113,7 @@ class ReplayControls {
     Object.assign(this.scrub, { min: clock.begin, max: clock.end, value: clock.time });
     this.scrub.setAttribute("aria-valuetext", `${clock.time.toFixed(2)} s of ${clock.end.toFixed(2)} s`);
     this.clockText.textContent = `${clock.time.toFixed(2)} s`;
-    this.follow.setAttribute("aria-pressed", String(camera.mode === "follow"));
+    this.follow.setAttribute("aria-pressed", String(camera.follows));
     this.sight.setAttribute("aria-pressed", String(sight));
     this.expected.setAttribute("aria-pressed", String(store.beside === null && this.panel.expectedRun() !== null));
     this.neighbour.setAttribute("aria-pressed", String(store.beside !== null));

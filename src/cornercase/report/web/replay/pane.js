@@ -164,6 +164,23 @@ class ReplayPane {
     return recording.collisions[0]?.[0] ?? recording.time[0];
   }
 
+  // The times that the view is chosen by: from some seconds before the most critical instant to one after it.
+  decisiveTimes(before) {
+    const at = this.criticalTime();
+    return [at - before, at + 1];
+  }
+
+  // The region around the ego in which both stay if they drive along together, at a fraction of the way that they go,
+  // as on a motorway; else null.
+  regionAlong() {
+    if (this.ego < 0 || this.other < 0) return null;
+    const near = regionOf(this.recording, [this.ego, this.other], ...this.decisiveTimes(3), 0);
+    const around = regionAround(this.recording, this.ego, this.other, ...this.decisiveTimes(2), 6);
+    if (!near || !around) return null;
+    const [length, reach] = [near, around].map(([left, bottom, right, top]) => Math.max(right - left, top - bottom));
+    return length > 40 && reach < 0.7 * length ? around : null;
+  }
+
   // Positions of the two before the most critical instant, with a margin.
   region(all) {
     const { recording } = this;
@@ -172,8 +189,7 @@ class ReplayPane {
       return regionOf(recording, everyone, -Infinity, Infinity, 8);
     }
     const both = [this.ego, this.other].filter((k) => k >= 0);
-    const at = this.criticalTime();
-    const near = regionOf(recording, both, at - 3, at + 1, 6);
+    const near = regionOf(recording, both, ...this.decisiveTimes(3), 6);
     return near ?? regionOf(recording, both, -Infinity, Infinity, 8) ?? this.region(true);
   }
 

@@ -1,5 +1,8 @@
 "use strict";
 
+// A motion this many times as long as wide is shown in a low box.
+const FLAT = 2;
+
 // The replay: the selected scenario on its road, another one beside it, and below them events and courses over time.
 class ReplayPanel {
   constructor(section, store, recordings) {
@@ -200,21 +203,24 @@ class ReplayPanel {
 
   fit(mode) {
     const there = this.there();
-    const regions = there.map((pane) => pane.region(mode === "all")).filter(Boolean);
-    if (!regions.length) return;
+    const near = there.map((pane) => pane.region(false)).filter(Boolean);
+    if (!near.length) return;
+    const around = there.map((pane) => pane.regionAlong());
+    const along = around.every(Boolean);
+    const closest = unionOf(along ? around : near);
+    // A long and narrow view that goes along fills a low box; the height must be set before it is measured.
+    this.box.classList.toggle("flat", along && closest[2] - closest[0] > FLAT * (closest[3] - closest[1]));
     const { width, height } = there[0].size();
-    const whole = regions.reduce(([left, bottom, right, top], one) => [
-      Math.min(left, one[0]), Math.min(bottom, one[1]), Math.max(right, one[2]), Math.max(top, one[3]),
-    ]);
+    const whole = mode === "all" ? unionOf(there.map((pane) => pane.region(true)).filter(Boolean)) : closest;
     // Labels need some room at any scale.
     const [wide, high] = [Math.max(width - 60, 50), Math.max(height - 60, 50)];
     const least = Math.max(0, 22 - Math.max(whole[2] - whole[0], whole[3] - whole[1])) / 2;
     const grown = [whole[0] - least, whole[1] - least, whole[2] + least, whole[3] + least];
-    this.camera.fit(grown, wide || 400, high || 300, mode);
+    this.camera.fit(grown, wide || 400, high || 300, mode, mode === "near" && along);
   }
 
   toggleFollow() {
-    this.camera.follow(this.camera.mode !== "follow", this.there()[0]?.boxOfEgo(this.clock.time));
+    this.camera.follow(!this.camera.follows, this.there()[0]?.boxOfEgo(this.clock.time));
   }
 
   toggleSight() {
@@ -272,6 +278,12 @@ class ReplayPanel {
       this.controls.update();
     }
   }
+}
+
+function unionOf(regions) {
+  return regions.reduce(([left, bottom, right, top], one) => [
+    Math.min(left, one[0]), Math.min(bottom, one[1]), Math.max(right, one[2]), Math.max(top, one[3]),
+  ]);
 }
 
 // Starts the replay, by default with the most critical scenario.

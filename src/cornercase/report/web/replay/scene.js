@@ -278,3 +278,23 @@ function regionOf(recording, entities, begin, end, margin) {
   if (left > right) return null;
   return [left - margin, bottom - margin, right + margin, top + margin];
 }
+
+// The region around an entity in which it and another one are during a time span; null if they never are there together.
+// The margin is wider along the longer side.
+function regionAround(recording, entity, another, begin, end, margin) {
+  let [left, bottom, right, top] = [0, 0, 0, 0];
+  let together = false;
+  for (const time of recording.time) {
+    if (time < begin || time > end) continue;
+    const [one, other] = [boxAt(recording, entity, time), boxAt(recording, another, time)];
+    if (!one || !other) continue;
+    together = true;
+    left = Math.min(left, other.x - one.x);
+    right = Math.max(right, other.x - one.x);
+    bottom = Math.min(bottom, other.y - one.y);
+    top = Math.max(top, other.y - one.y);
+  }
+  if (!together) return null;
+  const [across, up] = right - left > top - bottom ? [margin, margin / 2] : [margin / 2, margin];
+  return [left - across, bottom - up, right + across, top + up];
+}

@@ -1,6 +1,7 @@
 "use strict";
 
-// Charts without brushes, drawn by Plotly, which is unpacked when the first of them becomes visible.
+// Charts without brushes. Colours of kinds are for kinds only: curves are in the colours of text, comparisons in grey, and
+// what is critical in red. They are drawn by Plotly, which is unpacked when the first of them becomes visible.
 
 // Plotly interprets some HTML in its texts; names must stay plain.
 function plainText(text) {
@@ -67,7 +68,7 @@ function intervalBars(values, intervals, colour) {
   };
 }
 
-function steps(x, y, name, k) {
+function steps(x, y, name, colour, k) {
   return {
     type: "scatter",
     mode: "lines",
@@ -75,7 +76,7 @@ function steps(x, y, name, k) {
     y,
     name,
     yaxis: k ? `y${k + 1}` : "y",
-    line: { shape: "hv", width: 2, color: kindColour(k), dash: PLOTLY_DASHES[k] },
+    line: { shape: "hv", width: 2, color: colour, dash: PLOTLY_DASHES[k] },
     hovertemplate: `%{y:.4g} after %{x} scenarios<extra>${name}</extra>`,
   };
 }
@@ -89,7 +90,7 @@ function missedTrace(missed, k) {
     yaxis: k ? `y${k + 1}` : "y",
     x: missed.map((one) => one.run),
     y: values,
-    line: { color: kindColour(2), dash: "dot" },
+    line: { color: themeColours().danger, dash: "dot" },
     marker: { symbol: "diamond", size: 7 },
     error_y: intervalBars(values, missed.map(({ value, low, high }) => [100 * (low ?? value), 100 * (high ?? value)]), themeColours().faint),
     hovertemplate: "%{y:.3g} % after %{x} scenarios<extra>missed</extra>",
@@ -100,7 +101,7 @@ function missedTrace(missed, k) {
 VIEWS.push(chartView({
   name: "search",
   title: "Search over time",
-  about: "What the search had found after each number of scenarios.",
+  about: "Found after each number of scenarios.",
   known: true,
   finding: true,
   wanted: (store) => (store.contents.search?.run.length ?? 0) > 1,
@@ -113,10 +114,11 @@ VIEWS.push(chartView({
       traces.push(trace(traces.length));
       titles.push(title);
     };
+    const { text, danger } = themeColours();
     const searched = `${plainText(metric ?? store.contents.searched)} [${plainText(unit || "1")}]`;
-    if (best) add((k) => steps(run, best, "best score so far", k), searched);
+    if (best) add((k) => steps(run, best, "best score so far", text, k), searched);
     if (critical?.some((one) => one)) {
-      add((k) => steps(run, critical, "critical scenarios found", k), "found [1]");
+      add((k) => steps(run, critical, "critical scenarios found", danger, k), "found [1]");
     }
     if (missed?.length) add((k) => missedTrace(missed, k), "missed [%]");
     const count = traces.length;
@@ -138,12 +140,14 @@ VIEWS.push(chartView({
 VIEWS.push(chartView({
   name: "matters",
   title: "What matters",
-  about: "The share of the score's variance that each parameter explains, alone and with all others; lines are 90 % intervals.",
+  about: "Shares of the score's variance.",
+  more: "The share that each parameter explains, alone and with all others; lines are 90 % intervals.",
   known: true,
   wanted: (store) => Boolean(store.contents.sensitivity?.names.length),
   fill(store) {
     const { sensitivity } = store.contents;
     const { names, first, total } = sensitivity;
+    const { text, faint, muted } = themeColours();
     const bars = (values, intervals, name, colour, shape) => ({
       type: "bar",
       orientation: "h",
@@ -151,12 +155,12 @@ VIEWS.push(chartView({
       x: values,
       y: names.map((one) => plainText(shortened(one, 30))),
       marker: { color: colour, pattern: { shape } },
-      error_x: intervalBars(values, intervals, themeColours().text),
+      error_x: intervalBars(values, intervals, text),
       hovertemplate: `%{y}: %{x:.2f}<extra>${name}</extra>`,
     });
     const traces = [
-      bars(total, sensitivity.total_interval, "with all others (total)", kindColour(0), ""),
-      bars(first, sensitivity.first_interval, "alone (first order)", kindColour(4), "/"),
+      bars(total, sensitivity.total_interval, "with all others (total)", faint, ""),
+      bars(first, sensitivity.first_interval, "alone (first order)", muted, "/"),
     ];
     const layout = {
       barmode: "group",
@@ -176,7 +180,8 @@ function coveredAspect(store) {
 VIEWS.push(chartView({
   name: "coverage",
   title: "What the kept scenarios cover",
-  about: (store) =>
+  about: "How many have a kept one near.",
+  more: (store) =>
     `Scenarios that have a kept one within a distance by ${coveredAspect(store)}; for comparison, other choices of as many.`,
   known: true,
   wanted: (store) => Object.keys(store.contents.coverage ?? {}).length > 0,
@@ -185,6 +190,7 @@ VIEWS.push(chartView({
     const all = store.contents.coverage;
     const name = coveredAspect(store);
     const { unit, reach, kept, medoids, random_low: low, random_high: high, critical } = all[name];
+    const { text: ink, muted, danger } = themeColours();
     const curve = (y, text, colour, dash) => ({
       type: "scatter",
       mode: "lines",
@@ -199,10 +205,10 @@ VIEWS.push(chartView({
     const traces = [
       { ...edge(low), showlegend: false },
       { ...edge(high), ...band },
-      curve(medoids, "k-medoids", kindColour(4), "dot"),
-      curve(kept, "kept", kindColour(0), "solid"),
+      curve(medoids, "k-medoids", muted, "dot"),
+      curve(kept, "kept", ink, "solid"),
     ];
-    if (critical) traces.push(curve(critical, "kept, of the critical ones", kindColour(1), "dash"));
+    if (critical) traces.push(curve(critical, "kept, of the critical ones", danger, "dash"));
     const title = { text: `distance to a kept one [${plainText(unit)}]` };
     const layout = { xaxis: { title }, yaxis: { title: { text: "scenarios [%]" }, range: [0, 103] } };
     const most = reach[kept.findIndex((one) => one >= 90)];

@@ -162,7 +162,8 @@ class CoursesPlot extends Plot {
 VIEWS.push({
   name: "courses",
   title: "Courses over time",
-  about: (store) => {
+  about: (store) => `Thick: the median${store.options.aspect === null ? "" : " of each kind"}.`,
+  more: (store) => {
     const kinds = store.options.aspect === null ? "of all shown" : "of each kind";
     const line = store.threshold() === null ? "" : " A dashed line is where critical begins.";
     const { metric } = store.options;

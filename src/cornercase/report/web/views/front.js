@@ -24,8 +24,8 @@ class FrontPlot extends SpacePlot {
 VIEWS.push({
   name: "front",
   title: "Pareto front",
-  about: (store) =>
-    `Diamonds: ${store.contents.front.length} scenarios; no other is as critical in every metric and more critical in one.`,
+  about: (store) => `Diamonds: the ${store.contents.front.length} on the front.`,
+  more: "Diamonds: no other scenario is as critical in every metric and more critical in one.",
   known: true,
   wanted: (store) => Boolean(store.contents.front?.length) && store.contents.metrics.length > 1,
   create(box, store) {

@@ -127,7 +127,8 @@ class HistogramPlot extends Plot {
 VIEWS.push({
   name: "histogram",
   title: "Scores",
-  about: (store) => {
+  about: "How many scenarios have which score.",
+  more: (store) => {
     const { name, lower_is_critical: low } = store.metricOf();
     const line = store.threshold() === null ? "" : " A dashed line is where critical begins.";
     return `Number of scenarios by ${name}; ${low ? "low" : "high"} is critical.${line} Drag to keep a range.`;

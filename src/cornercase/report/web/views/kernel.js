@@ -159,7 +159,8 @@ class KernelPlot extends PointPlot {
 VIEWS.push({
   name: "kernel",
   title: "Kernel space",
-  about: (store) => {
+  about: (store) => `Near each other: alike by ${store.options.aspect}.`,
+  more: (store) => {
     const { aspect } = store.options;
     const { embedding, compares } = store.contents.kinds[aspect];
     const what = compares ? ` (${compares})` : "";

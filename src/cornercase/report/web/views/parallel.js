@@ -168,7 +168,8 @@ VIEWS.push({
   name: "parallel",
   title: "All parameters",
   wide: true,
-  about: "Each line is a scenario. Drag along an axis to keep a range of it; click a line to see the scenario move.",
+  about: "Each line is a scenario.",
+  more: "Each line is a scenario. Drag along an axis to keep a range of it; click a line to see the scenario move.",
   wanted: (store) => store.contents.parameters.length >= 4,
   create(box, store) {
     const plot = new ParallelPlot(box, store);

@@ -162,7 +162,8 @@ function hullBox(box, changed) {
 VIEWS.push({
   name: "space",
   title: "Parameter space",
-  about: "Each point is a concrete scenario. Drag to keep a part of the space; click to see a scenario move.",
+  about: "Each point is a scenario.",
+  more: "Each point is a concrete scenario. Drag to keep a part of the space; click to see a scenario move.",
   finding: true,
   wanted: () => true,
   create(box, store) {

@@ -377,8 +377,9 @@ VIEWS.push({
   name: "table",
   title: "Table",
   wide: true,
-  about: "All scenarios that the filters leave. Click the head of a column to sort, a row to see the scenario move; " +
-    "then the wheel scrolls the table, else the page.",
+  about: "The scenarios that the filters leave.",
+  more:
+    "Click the head of a column to sort, a row to see the scenario move; then the wheel scrolls the table, else the page.",
   wanted: () => true,
   create(box, store) {
     const table = new ScenarioTable(box, store);
