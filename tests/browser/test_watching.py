@@ -315,3 +315,12 @@ def test_a_note_goes_to_the_study(tab, tmp_path):
                 return opened.notes()
 
         assert until(notes) == {2: "look here <b>again</b>"}
+
+
+def test_42_14_a_replay_has_its_events_once_they_are_found(tab, plain):
+    page = tab.open(plain)
+    wait_for_replay(page, page.evaluate("() => cornercase.store.selected"))
+    page.locator(".replay-events .event").first.wait_for(timeout=60_000)
+    page.locator(".replay-events .event").last.click()
+    clicked = page.locator(".replay-events .event").last.get_attribute("data-time")
+    assert abs(page.evaluate("() => cornercase.replay.clock.time") - float(clicked)) < 1e-6

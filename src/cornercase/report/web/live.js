@@ -124,11 +124,21 @@ class ServedRecordings {
   }
 
   async fetch(id) {
-    const [packed, events] = await Promise.all([
-      ask(`recordings/${id}`, "arrayBuffer", ofStudy(this.store)),
-      ask(`scenarios/${id}/events`, "json", ofStudy(this.store)),
-    ]);
-    return { ...readRecord(await inflate(packed)), events };
+    const recording = readRecord(await inflate(await ask(`recordings/${id}`, "arrayBuffer", ofStudy(this.store))));
+    this.fetchEvents(id, recording);
+    return recording;
+  }
+
+  // What happened when follows: finding it takes longer than to read the recording.
+  async fetchEvents(id, recording) {
+    try {
+      recording.events = await ask(`scenarios/${id}/events`, "json", ofStudy(this.store));
+    } catch (error) {
+      // The replay does without; the server may have ended, or the study may be another one by now.
+      if (!(error instanceof ServerError)) throw error;
+      return;
+    }
+    window.cornercase?.replay?.panel.choose();
   }
 
   forget() {

@@ -20,6 +20,7 @@ class ReplayPane {
     this.canvas.setAttribute("role", "img");
     this.canvas.setAttribute("aria-keyshortcuts", "Space ArrowLeft ArrowRight Home End + - 0");
     this.message = newElement("p", "pane-message");
+    this.message.hidden = true;
     this.values = newElement("table", "pane-values");
     this.now = newElement("p", "pane-now");
     this.box.append(this.title, this.facts, this.message, this.canvas, this.now);
