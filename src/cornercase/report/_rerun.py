@@ -53,9 +53,10 @@ def rerun_payload(
         "command": None
         if why
         else {
-            # A file name must not be read as an option.
-            "before": ["cornercase", "simulate", f"./{name}" if name.startswith("-") else name],
+            "before": ["cornercase", "simulate", *([] if meta.suite else [_as_argument(name)])],
             "after": _simulate_options(meta),
+            # Each scenario of a suite is a file of its own, in the order of ids.
+            "files": [_as_argument(file) for file in meta.files] if meta.suite else [],
         },
         "why": why,
         # Whether `reduce --ids` can write scenarios of it: a suite has one file for each, imported recordings none.
@@ -63,6 +64,11 @@ def rerun_payload(
         "file": pieces,
         "file_why": file_why or ("" if pieces or not include_file else "The scenario needs a file that was not found."),
     }
+
+
+def _as_argument(file: str) -> str:
+    """Return a file name that is not read as an option."""
+    return f"./{file}" if file.startswith("-") else file
 
 
 def _find_scenario(study: StudyFile, given: Path | str | ScenarioFile | None) -> tuple[ScenarioFile | None, str]:

@@ -191,11 +191,11 @@ class _Case:
                     return _Ruling(
                         (behind,), "rear end",
                         f"{{{behind}}} drives into the rear of {{{ahead}}}, which cut in with a time to collision of"
-                        f" {ttc:.1f} s, above {least:.1f} s",
+                        f" {ttc:.2f} s, above {least:.2f} s",
                     )  # fmt: skip
                 return _Ruling(
                     (ahead,), "rear end",
-                    f"{{{ahead}}} cuts in with a time to collision of {ttc:.1f} s, not above {least:.1f} s",
+                    f"{{{ahead}}} cuts in with a time to collision of {ttc:.2f} s, not above {least:.2f} s",
                 )  # fmt: skip
         return None
 
@@ -243,7 +243,7 @@ class _Case:
             reason = f"{{{k}}} has to yield to {{{1 - k}}} at the junction"
         noticed = self.approach.in_corridor[k]
         if noticed > REACTION_TIME and can_brake(*self._pair(1 - k), self.contact.time - noticed):
-            reason += f", which could still have avoided it {noticed:.1f} s before"
+            reason += f"; {{{1 - k}}} could still have avoided it {noticed:.1f} s before"
         return _Ruling((k,), conflict, reason)
 
     def _rule_oncoming(self) -> _Ruling:

@@ -12,7 +12,7 @@ import numpy as np
 from cornercase._common.text.sanitize import escape_control_characters
 from cornercase.clustering._headline import find_headline_aspect, has_useful_clusters
 from cornercase.evidence import Estimate
-from cornercase.metrics._outcome import Manner
+from cornercase.metrics._outcome import Fault, Impact, Manner
 from cornercase.reduction import ReducedSet
 from cornercase.report._collision_replies import ReplyCounts
 from cornercase.report._estimates import CriticalEstimates
@@ -169,7 +169,7 @@ def _answer_collisions(data: ReportData) -> Answer:
     worst, impact = hardest[0]
     hard = f"hardest in scenario {worst}, at a relative speed of {impact.speed:.2g} m/s"
     sentences = [f"Yes: {ego} collides with {hit} of {scenarios}, {hard}."]
-    manners = Counter(impact.manner for _, impact in hardest)
+    manners = Counter(_shown_manner(impact) for _, impact in hardest)
     for manner, description in _MANNERS.items() if len(others) == 1 else ():
         if count := manners[manner]:
             sentences.append(f"{f'In {count}' if count < len(hardest) else 'Each time'} it {description}.")
@@ -177,10 +177,22 @@ def _answer_collisions(data: ReportData) -> Answer:
         sentences.append(faults)
     points = [
         f"Scenario {scenario}: {impact.speed:.2g} m/s, with {impact.entity} at {impact.time:.3g} s"
-        + ("." if impact.fault is None else f"; {impact.fault.describe(ego, impact.entity)}.")
+        + ("." if impact.fault is None else f"; {_describe_fault_with_reason(impact.fault, ego, impact.entity)}.")
         for scenario, impact in hardest[:_MAX_POINTS]
     ]
     return Answer(name, question, " ".join(sentences), tuple(points))
+
+
+def _describe_fault_with_reason(fault: Fault, ego: str, other: str) -> str:
+    return f"{fault.describe(ego, other)}: {', '.join(fault.reasons)}" if fault.reasons else fault.describe(ego, other)
+
+
+def _shown_manner(impact: Impact) -> Manner:
+    """Return the manner of an impact; one of two that move alike is into a rear only if a front hits it."""
+    sides = {"from behind": ("front", "rear"), "its rear": ("rear", "front")}.get(impact.manner)
+    if sides is None or impact.fault is None or None in impact.fault.sides:
+        return impact.manner
+    return impact.manner if impact.fault.sides == sides else "otherwise"
 
 
 def _answer_replies(data: ReportData, replies: ReplyCounts) -> Answer:
@@ -335,7 +347,7 @@ def _answer_parameters(data: ReportData) -> Answer:
     ]
     has = "has" if len(sensitivity.uninfluential_parameters) == 1 else "have"
     little = (
-        f" {_join_with_and(list(sensitivity.uninfluential_parameters))} {has} little influence."
+        f" {_join_with_and(list(sensitivity.uninfluential_parameters))} {has} little influence on it."
         if sensitivity.uninfluential_parameters
         else ""
     )

@@ -47,7 +47,8 @@ class Running {
       const { name, choices } = parameters[k];
       return ["--set", `${name}=${choices.length ? choices[value] : numberText(value)}`];
     });
-    return [...command.before, ...sets.flat(), ...command.after, "-o", `${this.told.name}-${padded(id)}.csv`];
+    const file = command.files.slice(id - 1, id);
+    return [...command.before, ...file, ...sets.flat(), ...command.after, "-o", `${this.told.name}-${padded(id)}.csv`];
   }
 
   command(id) {

@@ -108,7 +108,9 @@ class ScenarioTable {
     }
     if (store.options.aspect !== null) {
       const text = (row) => (scenarios.failed[row] ? "" : store.kindName(store.kindOf(row)));
-      columns.push({ key: "kind", title: "kind", width: 18, text, value: (row) => store.kindOf(row) ?? Infinity });
+      // The kinds of a suite are those of the runs that it was chosen from.
+      const title = contents.rerun?.command?.files?.length ? "kind when chosen" : "kind";
+      columns.push({ key: "kind", title, width: 18, text, value: (row) => store.kindOf(row) ?? Infinity });
     }
     columns.push({ key: "round", title: "round", number: true, text: (row) => String(scenarios.round[row]) });
     this.all = columns;
