@@ -60,8 +60,8 @@ def _describe_braking(counts: ReplyCounts, ego: str, other: str) -> Iterator[str
         yield f"In {counts.n_without_braking} it does not brake for it."
     if counts.n_seen_too_late:
         yield (
-            f"In {counts.n_seen_too_late} it could not have seen that coming in time: full braking at once would not"
-            f" have stopped it before {other}."
+            f"In {counts.n_seen_too_late} full braking as soon as it could see that coming would not have stopped it"
+            f" before {other}: there, earlier means before it could see that."
         )
 
 
