@@ -106,7 +106,7 @@ def test_42_s4_without_what_makes_certificates_the_extra_is_named(monkeypatch):
         raise ImportError("no cryptography")
 
     monkeypatch.setattr(distributed.security.Security, "temporary", missing)
-    with pytest.raises(InputError, match=r"needs the package cryptography; .*cornercase\[cluster\]"):
+    with pytest.raises(InputError, match=r"needs the package cryptography, .*cornercase\[cluster\]"):
         dask.connect("local")
 
 

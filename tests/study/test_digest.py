@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import sqlite3
 import zipfile
+from collections import Counter
 from contextlib import closing
 from dataclasses import replace
 
@@ -110,12 +111,14 @@ def test_nobody_unpacks_a_recording_that_nobody_looks_at(explored, tmp_path):
         cc.reduce(study, tmp_path / "reduced", size=3, scenario=scenario)
         cc.summarize(study)
         assert study.unpacked == []
-        # The page has all recordings, as they were stored, and figures of examples.
+        # The page has all recordings, as they were stored; each is unpacked once for its events, those of examples again.
         cc.write_report(study, tmp_path / "report.html", scenario=scenario)
         examples = {
             profile.example for analysis in cc.summarize(study).analyses.values() for profile in analysis.profiles
         }
-        assert set(study.unpacked) <= examples
+        often = Counter(study.unpacked)
+        assert max(often.values()) <= 2
+        assert {number for number, count in often.items() if count > 1} <= examples
 
 
 def test_a_digest_without_rounded_recording_gives_the_same_page(explored, tmp_path):

@@ -46,7 +46,9 @@ def report(
     profile: Profile = None,
     maps: opt.Maps = None,
 ) -> None:
-    """Write the report: one page that holds everything; of a folder of studies an index of them.
+    """Write the report: one page that holds everything.
+
+    Of a folder of studies it writes an index of them.
 
     \b
     Example:

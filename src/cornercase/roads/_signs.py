@@ -107,8 +107,5 @@ def _read_lane_interval(validity: etree._Element) -> tuple[float, float]:
 
 def read_junction_priorities(junction: etree._Element) -> tuple[tuple[str, str], ...]:
     """Return pairs of roads of a junction: who is on the first has right of way over who is on the second."""
-    pairs = (
-        (element.attrib.get("high", ""), element.attrib.get("low", ""))
-        for element in find_untracked(junction, "priority")
-    )
+    pairs = ((element.get("high", ""), element.get("low", "")) for element in junction.iterfind("priority"))
     return tuple((high, low) for high, low in pairs if high and low)
