@@ -14,10 +14,10 @@ from cornercase.simulators.carla._runner_environment import RunnerEnvironment
 
 EXTRAS = ("gpu", "validate", "parquet", "optuna", "cluster", "fmu", "osi", "live", "video", "sumo", "commonroad")
 
-pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="CARLA has other clients on other systems")
-
 
 def pretend(monkeypatch, version, machine="x86_64"):
+    monkeypatch.setattr(sys, "platform", "linux")
+    monkeypatch.setattr(platform, "system", lambda: "Linux")
     monkeypatch.setattr(platform, "python_version_tuple", lambda: tuple(version.split(".")))
     monkeypatch.setattr(platform, "machine", lambda: machine)
 
@@ -42,7 +42,7 @@ def test_an_extra_that_installs_nothing_here_is_not_recommended(version, machine
 
 
 def test_a_missing_client_of_carla_is_not_asked_for_where_there_is_none(tmp_path, monkeypatch):
-    pretend(monkeypatch, "3.13.1")
+    monkeypatch.setattr(platform, "python_version_tuple", lambda: ("3", "13", "1"))
     # An environment in which nothing called carla can be imported.
     (tmp_path / "carla.py").write_text("raise ModuleNotFoundError(\"No module named 'carla'\")\n")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))

@@ -12,7 +12,7 @@ from typing import Final, Literal
 import numpy as np
 
 from cornercase._common.errors import InputError, NoticeWarning
-from cornercase._common.io.files import check_folder, portable_name
+from cornercase._common.io.files import check_folder
 from cornercase._common.memory import DEFAULT_MEMORY, MemoryLimit
 from cornercase._common.progress import show_bars
 from cornercase._common.typing import FloatArray, IntArray
@@ -41,7 +41,7 @@ from cornercase.reduction._reduced_set import ReducedSet, SelectedScenario
 from cornercase.reduction._selection_state import Selected
 from cornercase.reduction._set_folder import replace_set
 from cornercase.reduction._set_manifest import make_manifest, save_reduction
-from cornercase.reduction._write_files import add_scenario_files
+from cornercase.reduction._write_files import add_scenario_files, name_concrete_file
 from cornercase.reduction.selection._per_cluster import SCENARIOS_PER_SELECTED
 from cornercase.reduction.selection._select import SelectionInput, SelectionRequest, cross_validate, select
 from cornercase.scenario._file import ScenarioFile
@@ -313,7 +313,7 @@ def _make_selected_scenario(
     # An imported recording is run again by its own simulator; the manifest names it.
     imported = meta.simulator == IMPORTED_SIMULATOR
     with reraise_as_damage(data.study.path):
-        file = meta.files[scenario_id - 1] if imported else f"{portable_name(meta.title)}-{scenario_id:05}.xosc"
+        file = meta.files[scenario_id - 1] if imported else name_concrete_file(meta, scenario_id)
     return SelectedScenario(
         id=scenario_id,
         file=file,

@@ -18,7 +18,7 @@ from cornercase.reduction._set_manifest import make_manifest
 from cornercase.scenario import Value
 from cornercase.scenario._concrete_file import build_concrete_file, read_required_xml
 from cornercase.scenario._file import ScenarioFile
-from cornercase.study import ScenarioRecord, StudyFile
+from cornercase.study import ScenarioRecord, StudyFile, StudyMeta
 from cornercase.study._scenario_file import find_explored_scenario
 from cornercase.study._study_file import open_study
 
@@ -64,6 +64,11 @@ def write_chosen_scenarios(
             set_folder.write_manifest(make_manifest(opened, chosen_set, names, set_folder.digests))
             set_folder.replace()
     return chosen
+
+
+def name_concrete_file(meta: StudyMeta, scenario_id: int) -> str:
+    """Return the name of the concrete file of a scenario."""
+    return f"{portable_name(meta.title)}-{scenario_id:05}.xosc"
 
 
 def add_scenario_files(
@@ -119,7 +124,7 @@ def _chosen_scenarios(
     return tuple(
         SelectedScenario(
             id=row.id,
-            file=f"{portable_name(study.meta.title)}-{row.id:05}.xosc",
+            file=name_concrete_file(study.meta, row.id),
             cluster=labels.get(row.id, -1),
             role="chosen",
             why="chosen by its id" if row.state == "done" else "chosen by its id; it failed",

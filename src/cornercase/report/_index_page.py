@@ -16,7 +16,7 @@ from cornercase._common.text.sanitize import escape_control_characters
 from cornercase.drivers._description import format_driver
 from cornercase.report._page_digest import find_page_of_study
 from cornercase.report._summary import entities_hit_by_ego
-from cornercase.report.html._templates import render_template, write_page
+from cornercase.report.html._templates import check_page_path, render_template, write_page
 from cornercase.report.text._phrases import format_criterion_with_signs, format_percent
 from cornercase.study import StudyFile
 
@@ -44,8 +44,7 @@ def write_index(folder: Path | str, path: Path | str) -> Path:
     damaged, are told in a sentence each.
     """
     folder, path = validation.check_path("folder", folder), validation.check_path("path", path)
-    if path.suffix.lower() not in (".html", ".htm"):
-        raise InputError(f"`path` {path}: the index is a page; name a file that ends with .html.")
+    check_page_path(path, "index")
     files = [*sorted(folder.glob("*.db")), *sorted(folder.glob("*/*.db"))]
     if not files:
         raise InputError(f"{folder}: has no studies; name a folder with .db files, in it or one folder below.")
@@ -93,7 +92,7 @@ def _read_row(study: StudyFile, folder: Path, page_folder: Path) -> Iterator[_Ce
     name = study.path.relative_to(folder).as_posix()
     yield _text(name)
     yield _text(meta.title)
-    driver = meta.drivers.get(meta.ego, meta.driver_in_file)
+    driver = meta.ego_driver
     yield _text(format_driver(driver) if driver else meta.ego)
     yield _text(meta.simulator)
     yield _Cell(f"{n_run}" + (f" ({n_failed} failed)" if n_failed else ""), n_run)

@@ -13,12 +13,12 @@ from cornercase._common import validation
 from cornercase._common.errors import InputError
 from cornercase._common.io.files import check_output_differs_from_source
 from cornercase._common.memory import DEFAULT_MEMORY, MemoryLimit
-from cornercase._common.text.sanitize import escape_control_characters
+from cornercase._common.text.sanitize import escape_control_characters, shorten
 from cornercase.drivers._description import format_driver
 from cornercase.report._commands import describe_limits, format_command
 from cornercase.report._report_data import ReportData, read_report_data
 from cornercase.report.html._space_sketch import draw_space_sketch
-from cornercase.report.html._templates import render_template, write_page
+from cornercase.report.html._templates import check_page_path, render_template, write_page
 from cornercase.report.text._answers import page_answers
 from cornercase.report.text._phrases import format_percent, format_range, format_value
 from cornercase.study import StudyFile
@@ -45,8 +45,7 @@ def write_one_page(
 ) -> Path:
     """Write the summary of a study as an HTML page without scripts, which prints on one page of A4."""
     path = validation.check_path("path", path)
-    if path.suffix.lower() not in (".html", ".htm"):
-        raise InputError(f"`path` {path}: the summary is a page; name a file that ends with .html.")
+    check_page_path(path, "summary")
     with open_study(study, readonly=True, critical=critical) as opened, opened.snapshot():
         check_output_differs_from_source(path, opened.path)
         if not opened.finished_rows():
@@ -71,12 +70,12 @@ def render_one_page(data: ReportData) -> str:
         ("one-page.css",),
         (),
         policy=_POLICY,
-        title=_shorten(escape_control_characters(meta.title), 80),
-        tested=[(name, _shorten(text, 200)) for name, text in _describe_tested(data)],
+        title=shorten(escape_control_characters(meta.title), 80),
+        tested=[(name, shorten(text, 200)) for name, text in _describe_tested(data)],
         ranges=[
             (
-                _shorten(escape_control_characters(parameter.name), _MAX_NAME),
-                _shorten(escape_control_characters(format_range(parameter)), 60),
+                shorten(escape_control_characters(parameter.name), _MAX_NAME),
+                shorten(escape_control_characters(format_range(parameter)), 60),
             )
             for parameter in meta.space.parameters[:_MAX_RANGES]
         ],
@@ -88,12 +87,12 @@ def render_one_page(data: ReportData) -> str:
         selected_note=selected_note,
         sketch=_draw_space(data),
         has_threshold=data.summary.estimates.critical is not None,
-        file_name=_shorten(escape_control_characters(data.file_name), 80),
+        file_name=shorten(escape_control_characters(data.file_name), 80),
         fingerprint=meta.fingerprint,
         seed=meta.seed,
         version=meta.version,
         command=command,
-        limits=[_shorten(escape_control_characters(text), 200) for text in _limits(data)],
+        limits=[shorten(escape_control_characters(text), 200) for text in _limits(data)],
         is_config=command.endswith("--config"),
     )
 
@@ -105,7 +104,7 @@ def _limits(data: ReportData) -> Iterator[str]:
 def _describe_tested(data: ReportData) -> Iterator[tuple[str, str]]:
     """Yield what was tested, and how."""
     summary, meta = data.summary, data.summary.meta
-    driver = meta.drivers.get(meta.ego, meta.driver_in_file)
+    driver = meta.ego_driver
     function = f"{format_driver(driver)}, which drives {meta.ego}" if driver else meta.ego
     yield "function", escape_control_characters(function)
     yield "against", escape_control_characters(", ".join(meta.others))
@@ -132,9 +131,9 @@ def _describe_not_tested(data: ReportData) -> Iterator[str]:
     if meta.simulator == IMPORTED_SIMULATOR:
         yield "Only what the recordings show; nothing was run."
     else:
-        driver = meta.drivers.get(meta.ego, meta.driver_in_file)
+        driver = meta.ego_driver
         other = f"no driver but {format_driver(driver)}, and " if driver else ""
-        yield _shorten(f"Nothing outside the ranges, {other}no simulator but {meta.simulator}.", 150)
+        yield shorten(f"Nothing outside the ranges, {other}no simulator but {meta.simulator}.", 150)
     critical = summary.estimates.critical
     if critical is not None and critical.critical_set is not None:
         region, unvisited = critical.critical_set.region_fraction, critical.critical_set.unexplored_fraction
@@ -148,7 +147,7 @@ def _describe_not_tested(data: ReportData) -> Iterator[str]:
         yield f"{summary.n_pending} scenarios that were not run yet."
     if summary.unmeasured_collisions:
         names = ", ".join(summary.unmeasured_collisions)
-        yield _shorten(f"Distances to {names}, which the ego also hits, were not measured.", 150)
+        yield shorten(f"Distances to {names}, which the ego also hits, were not measured.", 150)
 
 
 def _selected_table(data: ReportData) -> tuple[list[str], list[list[str]], str]:
@@ -174,7 +173,7 @@ def _selected_table(data: ReportData) -> tuple[list[str], list[list[str]], str]:
     note = f"The {len(order)} kept scenarios" if len(order) <= _MAX_SELECTED else (
         f"The {_MAX_SELECTED} most critical of {len(order)} kept scenarios, by {metric.name}"
     )  # fmt: skip
-    clean = [[_shorten(escape_control_characters(cell), 22) for cell in row] for row in [head, *rows]]
+    clean = [[shorten(escape_control_characters(cell), 22) for cell in row] for row in [head, *rows]]
     return clean[0], clean[1:], f"{note}; of {reduced.n_run} that were run."
 
 
@@ -187,13 +186,9 @@ def _draw_space(data: ReportData) -> Markup:
     )
 
 
-def _shorten(text: str, length: int) -> str:
-    return text if len(text) <= length else f"{text[: length - 1]}…"
-
-
 def _shorten_at_sentence(text: str, length: int) -> str:
     """Leave out the last sentences of a text that is too long."""
     if len(text) <= length:
         return text
     end = text.rfind(". ", 0, length)
-    return text[: end + 1] if end > 0 else _shorten(text, length)
+    return text[: end + 1] if end > 0 else shorten(text, length)

@@ -38,7 +38,7 @@ from cornercase.report.html._estimate_sections import render_estimates
 from cornercase.report.html._overview_sections import render_failures, render_provenance, render_scores
 from cornercase.report.html._reduced_set_sections import render_reduced_set
 from cornercase.report.html._tables import Section
-from cornercase.report.html._templates import render_template, write_page
+from cornercase.report.html._templates import check_page_path, render_template, write_page
 from cornercase.report.html._verdict_section import render_verdicts
 from cornercase.scenario._file import ScenarioFile
 from cornercase.study import StudyFile
@@ -56,7 +56,6 @@ _SCRIPTS: Final = (
     "views/histogram.js", "views/parallel.js", "views/front.js", "views/charts.js", "views/kernel.js", "ticks.js",
     "columns.js", "thumbnails.js", "views/table.js", *REPLAY_SCRIPTS, "main.js",
 )  # fmt: skip
-_FILE_ENDINGS: Final = (".html", ".htm")
 CONTENT_SECURITY_POLICY: Final = (
     "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:;"
     " font-src data:; worker-src blob:; connect-src 'self'"
@@ -131,8 +130,7 @@ def write_report(
         opened.snapshot() if opened.readonly else nullcontext(),
     ):
         check_output_differs_from_source(path, opened.path)
-        if path.suffix.lower() not in _FILE_ENDINGS:
-            raise InputError(f"`path` {path}: the report is a page; name a file that ends with .html.")
+        check_page_path(path, "report")
         if not opened.finished_rows():
             if not opened.failed_rows():
                 raise InputError(f"{opened.path}: no scenario was run yet, so there is nothing to report.")

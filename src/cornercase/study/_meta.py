@@ -273,10 +273,15 @@ class StudyMeta:
         return dict(self.settings.get(_DRIVERS_KEY, {}))
 
     @property
+    def ego_driver(self) -> Any:
+        """Driver of the ego, given or named in the file: an empty text if it has none, None if that is unknown."""
+        return self.drivers.get(self.ego, self.driver_in_file)
+
+    @property
     def roles_text(self) -> str:
         """Describe, as sentences, the ego and its driver, the other entities, and the simulator."""
         who, others = self.ego, self.others
-        if driver := self.drivers.get(self.ego, self.driver_in_file):
+        if driver := self.ego_driver:
             who += f", driven by {format_driver(driver)}"
         elif driver == "":
             who += f", which follows the storyboard and does not react (--driver {self.ego}=normal drives it)"

@@ -62,7 +62,7 @@ def find_changed_driver(baseline: Path, study: StudyFile) -> tuple[str, str] | N
     A driver is another one if it has another name: versions of the same one are what a suite compares.
     """
     with StudyFile.open(baseline, readonly=True) as earlier, reraise_as_damage(baseline):
-        drivers = [meta.drivers.get(meta.ego, meta.driver_in_file) for meta in (earlier.meta, study.meta)]
+        drivers = [meta.ego_driver for meta in (earlier.meta, study.meta)]
     if None in drivers:
         return None
     before, now = (format_driver(driver) if driver else "its storyboard" for driver in drivers)

@@ -111,6 +111,15 @@ class Party:
         return box_corners(*poses, *self.size)
 
 
+def find_obstacles(
+    recording: Recording, names: tuple[str, str], end: float, look_back: float = _LOOK_BACK
+) -> list[Party]:
+    """Take the motion of all but two entities, as `Party.from_recording`; without those whose motion is unknown."""
+    others = (name for name in recording.names if name not in names)
+    parties = [Party.from_recording(recording, name, end, look_back) for name in others]
+    return [party for party in parties if len(party.time)]
+
+
 def boxes_touch(first: Party, poses: Poses, second: Party, other_poses: Poses) -> BoolArray:
     """Whether the boxes of two entities touch at poses, which are broadcast; only boxes that are near are compared."""
     x, y, heading, other_x, other_y, other_heading = np.broadcast_arrays(*poses, *other_poses)

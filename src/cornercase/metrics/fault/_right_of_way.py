@@ -13,6 +13,7 @@ from cornercase.metrics._recorded_roads import read_recorded_roads
 from cornercase.metrics.fault._party import Party
 from cornercase.recordings import Recording
 from cornercase.roads._network import RoadNetwork
+from cornercase.roads._road import Road
 from cornercase.roads._road_graph import JunctionConnection
 
 _LOOK_BACK: Final = 8.0
@@ -91,7 +92,7 @@ def _find_who_comes_from_the_left(network: RoadNetwork, junction: str, roads: tu
 def _heading_into(network: RoadNetwork, road_id: str, junction: str) -> float:
     """Heading in rad with which a road leads into a junction."""
     road = network.roads[network.road_index(road_id)]
-    leads_forward = road.successor is not None and road.successor.target_id == junction
+    leads_forward = _leads_forward_into(road, junction)
     s = np.array([road.length if leads_forward else 0.0])
     heading = float(road.lane_pose_at(0, s, np.zeros(1))[2][0])
     return heading if leads_forward else heading + np.pi
@@ -127,6 +128,11 @@ def _roads_driven(network: RoadNetwork, party: Party, contact: float) -> list[in
     return route
 
 
+def _leads_forward_into(road: Road, junction: str) -> bool:
+    """Whether the end of a road, not its begin, is at a junction."""
+    return road.successor is not None and road.successor.target_id == junction
+
+
 def _road_into(
     network: RoadNetwork, junction: str, route: list[int], party: Party, contact: float
 ) -> tuple[str, str] | None:
@@ -155,8 +161,7 @@ def _has_yield_sign(network: RoadNetwork, route: list[int], junction: str) -> bo
         road = network.roads[k]
         if network.roads[after].junction != junction or road.junction == junction:
             continue
-        successor = road.successor
-        is_forward = successor is not None and successor.target_id == junction
+        is_forward = _leads_forward_into(road, junction)
         return any(
             (signal.country.upper(), signal.signal_type) in _YIELD_SIGNS
             and (signal.faces_forward if is_forward else signal.faces_backward)

@@ -12,7 +12,7 @@ from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.drivers._sight import find_visible_others
 from cornercase.metrics.ending._box_gap import smallest_box_gap
 from cornercase.metrics.ending._poses import Poses
-from cornercase.metrics.fault._party import Party
+from cornercase.metrics.fault._party import Party, find_obstacles
 from cornercase.metrics.fault._reaction import find_foreseeable, is_danger_foreseeable
 from cornercase.recordings import Recording
 
@@ -133,10 +133,7 @@ def _find_danger(recording: Recording, ego: str, other: str, anchor: float, touc
     party, partner = (Party.from_recording(recording, name, end, back) for name in (ego, other))
     if min(len(party.time), len(partner.time)) < 2:
         return None
-    obstacles = [
-        Party.from_recording(recording, name, end, back) for name in recording.names if name not in (ego, other)
-    ]
-    obstacles = [obstacle for obstacle in obstacles if len(obstacle.time)]
+    obstacles = find_obstacles(recording, (ego, other), end, back)
     if touches:
         foreseeable, _ = find_foreseeable(party, partner, anchor, obstacles)
         return anchor - foreseeable if foreseeable > 0.0 else None

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from markupsafe import Markup
 
-from cornercase._common.text.sanitize import escape_control_characters
+from cornercase._common.text.sanitize import escape_control_characters, shorten
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.report.text._phrases import format_axis_label
 from cornercase.scenario import Parameter
@@ -78,7 +78,7 @@ def _frame(axes: Sequence[Parameter]) -> Iterator[str]:
             else:
                 y = float(_positions(np.array([value]), axis, bottom, _TOP)[0])
                 yield f"<text x='{_LEFT - 5}' y='{y + 3:.1f}' text-anchor='end'>{text}</text>"
-        name = escape(_shorten(escape_control_characters(format_axis_label(axis)), _MAX_LABEL))
+        name = escape(shorten(escape_control_characters(format_axis_label(axis)), _MAX_LABEL))
         if k == 0:
             yield f"<text x='{(_LEFT + right) / 2:.1f}' y='{bottom + 30}' text-anchor='middle'>{name}</text>"
         else:
@@ -90,14 +90,10 @@ def _ticks(parameter: Parameter) -> list[tuple[float, str]]:
     """Return the values of an axis that have a number, and their texts, escaped."""
     if parameter.choices:
         # Long names would cover each other.
-        names = [escape(_shorten(escape_control_characters(name), 7)) for name in parameter.choices]
+        names = [escape(shorten(escape_control_characters(name), 7)) for name in parameter.choices]
         return [(float(k), name) for k, name in enumerate(names)][:: max(1, math.ceil(len(names) / 5))]
     low, high = _bounds(parameter)
     step = 10.0 ** math.floor(math.log10((high - low) / 4.0))
     step *= next(factor for factor in (1.0, 2.0, 5.0, 10.0) if factor * step * 5.0 >= high - low)
     first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
     return [(k * step, f"{k * step:.6g}") for k in range(first, last + 1)]
-
-
-def _shorten(text: str, length: int) -> str:
-    return text if len(text) <= length else f"{text[: length - 1]}…"

@@ -6,14 +6,17 @@ import importlib.resources
 import json
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from markupsafe import Markup
 
+from cornercase._common.errors import InputError
 from cornercase._common.io.files import atomic_write
 
 if TYPE_CHECKING:
     from jinja2 import Environment
+
+_FILE_ENDINGS: Final = (".html", ".htm")
 
 
 def render_template(name: str, styles: Iterable[str], scripts: Iterable[str], **parts: Any) -> str:
@@ -31,6 +34,12 @@ def render_template(name: str, styles: Iterable[str], scripts: Iterable[str], **
         )
     )
     return page
+
+
+def check_page_path(path: Path, what: str) -> None:
+    """Raise `InputError` if a page would be written to a file with another ending."""
+    if path.suffix.lower() not in _FILE_ENDINGS:
+        raise InputError(f"`path` {path}: the {what} is a page; name a file that ends with .html.")
 
 
 def write_page(path: Path, page: str) -> None:
