@@ -94,3 +94,15 @@ def test_a_folder_without_studies_is_refused(tmp_path):
     told = cornercase("report", tmp_path, "-o", tmp_path / "index.html")
     assert told.returncode == 2
     assert "has no studies" in told.stderr
+
+
+def test_a_run_of_a_suite_has_no_share_of_a_space(tmp_path):
+    path = tmp_path / "run.db"
+    meta = about(SPACE, "distance", critical=1.0, suite="0", files=tuple(f"{k}.xosc" for k in range(1, 41)))
+    with StudyFile.create(path, meta) as study:
+        explorer(study, metrics=("distance",), optimizer="sobol", budget=40).run()
+    write_report(path, tmp_path / "run.html")
+    cornercase("report", tmp_path, "-o", tmp_path / "index.html")
+    (row,) = rows_of(tmp_path / "index.html")
+    assert row[7] == "–"
+    assert 'href="./run.html"' in row[10]

@@ -21,7 +21,8 @@ def page_digest(data: ReportData) -> str:
     summary = data.summary
     digest = study_identity(data.file_name, summary.meta, summary.n_run, summary.n_failed)
     critical = summary.estimates.critical
-    if critical is not None:
+    # The scenarios of a suite were chosen, so their share is none of a space.
+    if critical is not None and summary.represents_space:
         digest["threshold"] = critical.threshold
         if (estimates := critical.critical_set) is not None:
             share = estimates.critical_fraction
