@@ -34,7 +34,7 @@ def test_columns_are_chosen_and_kept_in_the_address(tab, reports):
     tab.settle()
     left = [title for title in before if title not in ("critical", "pedestrian_wait [s]")]
     assert titles(page) == left
-    page.wait_for_function("() => location.hash.includes('hidden=')")
+    page.wait_for_function("() => /hidden=.*pedestrian_wait/.test(location.hash)")
     page.reload()
     page.wait_for_selector("html[data-ready]")
     tab.settle()
