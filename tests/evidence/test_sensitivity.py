@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import qmc
@@ -34,6 +36,16 @@ def test_a_parameter_that_does_nothing_is_named_and_choices_count():
     assert found.uninfluential_parameters == ("b", "c")
     # Variances of 1/12 and 1/6.
     np.testing.assert_allclose(np.array(found.total)[[0, 3]], [1 / 3, 2 / 3], atol=0.04)
+
+
+def test_a_parameter_is_of_little_influence_only_where_trees_agree():
+    points = qmc.Sobol(3, seed=0).random(128)
+    found = estimate_sensitivity(CUBE, points, 2.0 * points[:, 0] + np.sign(points[:, 1] - 0.5))
+    assert found.uninfluential_parameters == ("c",)
+    # Variances of 4/12 and 1.
+    np.testing.assert_allclose(found.total_by_trees, [0.25, 0.75, 0.0], atol=0.06)
+    # A process can take a parameter by which the score jumps for one without influence.
+    assert replace(found, total_by_trees=(0.25, 0.75, 0.06)).uninfluential_parameters == ()
 
 
 def test_nothing_is_said_of_too_few_or_of_one_score():

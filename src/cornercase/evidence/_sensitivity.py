@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
@@ -17,10 +18,12 @@ from cornercase.scenario import ParameterSpace
 
 if TYPE_CHECKING:
     import pandas as pd
+    from sklearn.ensemble import ExtraTreesRegressor
 
 _SAMPLES: Final = 4096
 # Points at which the process is drawn for the intervals, and number of draws.
 _N_POINTS, _N_DRAWS = 2048, 200
+_N_TREES, _TREE_SAMPLES = 100, 1024
 _INTERVAL: Final = (0.05, 0.95)
 LITTLE_INFLUENCE: Final = 0.05
 """Total index below which a parameter has little influence."""
@@ -42,6 +45,9 @@ class Sensitivity:
     predicted : float
         Fraction of the variance of the scores that the process predicts by leave-one-out, of at most 4,096 scenarios:
         how reliable the indices are.
+    total_by_trees : tuple of float
+        Total index by extremely randomised trees of the scores, which follow jumps. A smooth process can take a
+        parameter by which the score jumps for one without influence.
     """
 
     names: tuple[str, ...]
@@ -50,6 +56,7 @@ class Sensitivity:
     first_interval: tuple[tuple[float, float], ...]
     total_interval: tuple[tuple[float, float], ...]
     predicted: float
+    total_by_trees: tuple[float, ...]
 
     @property
     def is_meaningful(self) -> bool:
@@ -89,9 +96,13 @@ class Sensitivity:
 
     @property
     def uninfluential_parameters(self) -> tuple[str, ...]:
-        """Parameters whose total index is below 0.05, including its interval; none if hardly anything is predicted."""
-        intervals = zip(self.names, self.total_interval, strict=True)
-        return tuple(name for name, (_, high) in intervals if high < LITTLE_INFLUENCE) if self.is_meaningful else ()
+        """Parameters whose total index is below 0.05, with its interval by the process and by trees.
+
+        None if hardly anything is predicted.
+        """
+        both = zip(self.names, self.total_interval, self.total_by_trees, strict=True)
+        is_little = (name for name, (_, high), by_trees in both if max(high, by_trees) < LITTLE_INFLUENCE)
+        return tuple(is_little) if self.is_meaningful else ()
 
 
 def estimate_sensitivity(space: ParameterSpace, points: FloatArray, scores: FloatArray, seed: int = 0) -> Sensitivity:
@@ -112,19 +123,10 @@ def sensitivity_of_surrogate(surrogate: ScoreSurrogate, seed: int = 0) -> Sensit
     """Same as `estimate_sensitivity`, of a process that is fitted already."""
     space, process, predicted = surrogate.space, surrogate.process, surrogate.predicted
 
-    def predict_scores(points: FloatArray) -> FloatArray:
-        mean, _ = process.predict(encode_points(space, space.snap(points.T)))
-        return mean[None, :]
-
     if space.dimension == 1:
-        return Sensitivity(space.names, (1.0,), (1.0,), ((1.0, 1.0),), ((1.0, 1.0),), predicted)
-    from scipy.stats import sobol_indices, uniform
-
-    distributions: Any = [uniform()] * space.dimension
+        return Sensitivity(space.names, (1.0,), (1.0,), ((1.0, 1.0),), ((1.0, 1.0),), predicted, (1.0,))
     with single_threaded_blas():
-        result: Any = sobol_indices(
-            func=predict_scores, n=_SAMPLES, dists=distributions, rng=np.random.default_rng(seed)
-        )
+        result = _sobol_indices(space, lambda encoded: process.predict(encoded)[0], _SAMPLES, seed)
         spreads = _index_deviations(space, process, seed)
     varied = [parameter.size != 1 for parameter in space.parameters]
     names = tuple(name for name, is_varied in zip(space.names, varied, strict=True) if is_varied)
@@ -136,7 +138,35 @@ def sensitivity_of_surrogate(surrogate: ScoreSurrogate, seed: int = 0) -> Sensit
         indices.append(tuple(index.tolist()))
         bounds = np.minimum(low, index).tolist(), np.maximum(high, index).tolist()
         intervals.append(tuple(zip(*bounds, strict=True)))
-    return Sensitivity(names, indices[0], indices[1], intervals[0], intervals[1], predicted)
+    trees = _fit_trees(surrogate, seed)
+    by_trees = _sobol_indices(space, trees.predict, _TREE_SAMPLES, seed).total_order.ravel()[varied]
+    total_by_trees = tuple(np.clip(np.nan_to_num(by_trees), 0.0, 1.0).tolist())
+    return Sensitivity(names, indices[0], indices[1], intervals[0], intervals[1], predicted, total_by_trees)
+
+
+def _sobol_indices(
+    space: ParameterSpace, predict: Callable[[FloatArray], FloatArray], n_samples: int, seed: int
+) -> Any:
+    """First-order and total Sobol' indices of a function of encoded points."""
+    from scipy.stats import sobol_indices, uniform
+
+    distributions: Any = [uniform()] * space.dimension
+    return sobol_indices(
+        func=lambda points: predict(encode_points(space, space.snap(points.T)))[None, :],
+        n=n_samples,
+        dists=distributions,
+        rng=np.random.default_rng(seed),
+    )
+
+
+def _fit_trees(surrogate: ScoreSurrogate, seed: int) -> ExtraTreesRegressor:
+    """Fit extremely randomised trees to the scores that the process was fitted to.
+
+    Source: P. Geurts, D. Ernst, L. Wehenkel, "Extremely randomized trees", Machine Learning 63 (2006).
+    """
+    from sklearn.ensemble import ExtraTreesRegressor
+
+    return ExtraTreesRegressor(_N_TREES, random_state=seed).fit(surrogate.points, surrogate.values)
 
 
 def _index_deviations(space: ParameterSpace, process: GaussianProcess, seed: int) -> tuple[FloatArray, FloatArray]:
