@@ -1,7 +1,7 @@
 """How often `cornercase compare` finds a change where there is one, and where there is none.
 
-On both examples the ego is driven by ``normal``, and by the same driver with a reaction time that is 0.1 s longer. Each
-version is explored with so many scenarios and 20 seeds. Compared are:
+On both examples the ego is driven by ``normal``, and by the same driver with a reaction time that is longer, by 0.1 s
+unless ``--later`` says otherwise. Each version is explored with so many scenarios and 20 seeds. Compared are:
 
 - ``itself, other seed``: two searches of the original with different seeds, which share no scenario; any change that is
   found is an error;
@@ -38,7 +38,6 @@ from cornercase.suite import Comparison
 from cornercase.suite.compare._comparison import ALPHA
 
 EXAMPLES = {"x-intersection": 0.2, "t-intersection": 1.5}
-LATER = 0.1
 APART = 1000
 
 
@@ -75,19 +74,19 @@ def told(found: Comparison) -> dict[str, Any]:
 
 
 def compared(
-    folder: Path, example: str, optimizer: str, sensors: list[str], seeds: int, budget: int
+    folder: Path, example: str, optimizer: str, sensors: list[str], seeds: int, budget: int, later: float
 ) -> Iterator[tuple[str, list[Any]]]:
     """What each kind of comparison says, for each seed."""
 
-    def study(seed: int, later: float = 0.0, where: str = "") -> Path:
-        return explored(folder / where, example, optimizer, sensors, seed, budget, later)
+    def study(seed: int, delay: float = 0.0, where: str = "") -> Path:
+        return explored(folder / where, example, optimizer, sensors, seed, budget, delay)
 
     (folder / "again").mkdir(exist_ok=True)
     kinds: dict[str, Callable[[int], tuple[Path, Path]]] = {
         "itself, other seed": lambda seed: (study(seed), study(seed + APART)),
         "itself, same seed": lambda seed: (study(seed), study(seed, where="again")),
-        "later, same seed": lambda seed: (study(seed), study(seed, LATER)),
-        "later, other seed": lambda seed: (study(seed + APART), study(seed, LATER)),
+        "later, same seed": lambda seed: (study(seed), study(seed, later)),
+        "later, other seed": lambda seed: (study(seed + APART), study(seed, later)),
     }
     for kind, pair in kinds.items():
         yield kind, [told(cc.compare(*pair(seed))) for seed in range(1, seeds + 1)]
@@ -99,6 +98,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--budget", type=int, default=100)
     parser.add_argument("--optimizer", default="level-set")
+    parser.add_argument("--later", type=float, default=0.1, metavar="S", help="delay of the later driver in s")
     parser.add_argument("--sensor", action="append", default=[], metavar="SPEC", help="such as radar:noise=0.5")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
@@ -112,7 +112,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         for example in EXAMPLES:
             for kind, found in compared(
-                Path(folder), example, options.optimizer, options.sensor, seeds, options.budget
+                Path(folder), example, options.optimizer, options.sensor, seeds, options.budget, options.later
             ):
                 first = [one["first"] for one in found if one["first"] is not None]
                 holds = [one["share holds 0"] for one in found if one["share holds 0"] is not None]

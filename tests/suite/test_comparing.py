@@ -180,7 +180,7 @@ def test_searches_that_share_nothing_are_compared_by_what_fills_the_space(tmp_pa
     same, other = compared(*studies[:2]), compared(studies[0], studies[2])
     assert (len(same.pairs), same.n_unmatched) == (0, (64, 64))
     assert not same
-    assert {one.method for one in same.tests} == {"Mann-Whitney", "exact Fisher"}
+    assert {one.method for one in same.tests} == {"Mann-Whitney", "exact Fisher", "critical sets"}
     assert other
     # 0.2 + 3 a <= 1 for a up to 0.2667, and 0.2 + 1.5 a <= 1 for a up to 0.5333.
     sets = other.space.sets

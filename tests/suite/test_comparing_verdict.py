@@ -312,6 +312,7 @@ def test_scenarios_that_are_not_the_same_ones_are_judged_by_the_tests(tmp_path):
     assert (found.verdict, compared(studies[2], studies[0]).verdict) == ("worse", "better")
     assert {one.about or one.kind for one in found.worse} == {"critical", "distance"}
     assert "scores by distance more critical among the space-filling scenarios (Mann-Whitney" in found.headline
+    assert "more of the space is critical, by 26" in found.headline
 
 
 def random_pairs(random, count, certain=True):

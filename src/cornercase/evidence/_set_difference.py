@@ -26,6 +26,9 @@ class SetDifference:
     middles : tuple of (Estimate, Estimate, Estimate) or None, length d
         For each parameter its mean over the old set, over the new set, and the difference, in the parameter's unit.
         None for a parameter with choices.
+    p : float
+        Two-sided tail probability of no change: twice the smaller of the fractions of the draws in which the critical
+        fraction grows, or shrinks. At least 1 / draws.
     """
 
     old: Estimate
@@ -34,6 +37,7 @@ class SetDifference:
     gained: Estimate
     lost: Estimate
     middles: tuple[tuple[Estimate, Estimate, Estimate] | None, ...]
+    p: float
 
     @classmethod
     def from_critical_sets(cls, old: CriticalSet, new: CriticalSet) -> SetDifference:
@@ -72,12 +76,20 @@ class SetDifference:
             _estimate_with_lower_bound(new_draws - both_draws, change.low),
             _estimate_with_lower_bound(old_draws - both_draws, -change.high),
             tuple(middles),
+            _tail_probability(old_draws, new_draws),
         )
 
 
 def _difference_of_draws(before: FloatArray, after: FloatArray) -> Estimate:
     """Estimate of the difference `after - before`, from all pairs of independent draws."""
     return Estimate.from_draws((after[:, None] - before).ravel())
+
+
+def _tail_probability(before: FloatArray, after: FloatArray) -> float:
+    """Two-sided tail probability of no change, from all pairs of independent draws."""
+    change = after[:, None] - before
+    tail = min(float((change <= 0.0).mean()), float((change >= 0.0).mean()))
+    return min(2.0 * max(tail, 0.5 / len(before)), 1.0)
 
 
 def _estimate_with_lower_bound(draws: FloatArray, low: float) -> Estimate:

@@ -16,6 +16,7 @@ from cornercase.clustering import read_analyses
 from cornercase.clustering._assign import assign_to_clusters
 from cornercase.drivers import DRIVERS
 from cornercase.drivers._description import driver_command_option, format_driver
+from cornercase.evidence import SetDifference
 from cornercase.metrics import Metric
 from cornercase.simulators import SIMULATORS
 from cornercase.study import StudyFile, StudyMeta
@@ -132,7 +133,9 @@ def compare(
         pairs = match_pairs(sides[0], sides[1], compared)
         deterministic = all(_is_deterministic(study.meta) for study in (before, after))
         compared_metrics = {name: metric_by_name[name] for name in compared}
-        tests = _run_tests(sides[0], sides[1], pairs, compared_metrics, deterministic)
+        space = estimate_space_change(sides[0], sides[1], pairs)
+        sets = None if space is None else space.sets
+        tests = _run_tests(sides[0], sides[1], pairs, compared_metrics, deterministic, sets)
         changed, reason = _decide_whether_changed(pairs, tests, deterministic)
         worse, better, within = find_findings(pairs, tests, metric_by_name, limits, deterministic)
         verdict, verdict_reason = decide_verdict((worse, better), pairs, tests, (changed, reason), deterministic)
@@ -165,7 +168,7 @@ def compare(
                 (a.requirement, a.state, b.state) for pair in pairs for a, b in zip(*pair.verdicts, strict=True)
             ),
             clusters=_count_cluster_changes(before, after, pairs),
-            space=estimate_space_change(sides[0], sides[1], pairs),
+            space=space,
             examples=choose_examples(pairs, compared_metrics, _objective_metric(before.meta, compared)),
             metrics=metric_by_name,
             critical=critical,
@@ -207,7 +210,12 @@ def _is_deterministic(meta: StudyMeta) -> bool:
 
 
 def _run_tests(
-    old: StudySide, new: StudySide, pairs: Sequence[ScenarioPair], metrics: Mapping[str, Metric], deterministic: bool
+    old: StudySide,
+    new: StudySide,
+    pairs: Sequence[ScenarioPair],
+    metrics: Mapping[str, Metric],
+    deterministic: bool,
+    sets: SetDifference | None,
 ) -> tuple[ChangeTest, ...]:
     """Test pairs chosen independently of scores; with too few of them, the initial designs as unpaired samples."""
     tested = [pair for pair in pairs if deterministic or pair.is_score_independent]
@@ -218,7 +226,7 @@ def _run_tests(
         old_scores, old_facts = space_filling_scores(old, list(metrics))
         new_scores, new_facts = space_filling_scores(new, list(metrics))
         shared = {name: fact for name, fact in old_facts.items() if name in new_facts}
-        tests_ += test_unpaired_samples((old_scores, new_scores), (shared, new_facts), metrics)
+        tests_ += test_unpaired_samples((old_scores, new_scores), (shared, new_facts), metrics, sets)
     if not tests_ and all(pair.run == "in neither" for pair in pairs):
         raise InputError(
             f"{old.study.path} and {new.study.path}: no scenario was run in both, and only {n_filling[0]} and"

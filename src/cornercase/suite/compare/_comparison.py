@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 ALPHA: Final = 0.05
 """Significance level: the probability that any of the tests finds a difference if nothing has changed."""
 
+CRITICAL_SETS_METHOD: Final = "critical sets"
+"""Method of the test that compares draws of the critical sets of both studies."""
+
 RunComparison = Literal["the same", "within rounding", "otherwise", "not in one", "in neither"]
 
 ComparisonVerdict = Literal["better", "worse", "mixed", "the same", "cannot say"]
@@ -136,7 +139,8 @@ class ChangeTest:
     about : str
         What is tested: ``"wttc"``, ``"critical"``, ``"collision"``, ``"failed verdict"`` or ``"not run"``.
     method : str
-        ``"Wilcoxon signed-rank"``, ``"exact McNemar"``, ``"Mann-Whitney"`` or ``"exact Fisher"``.
+        ``"Wilcoxon signed-rank"``, ``"exact McNemar"``, ``"Mann-Whitney"``, ``"exact Fisher"`` or
+        ``"critical sets"``, which compares draws of the critical sets of both studies.
     old, new : int
         Number of scenarios from each study; for paired tests both are the number of pairs.
     differ : int or None
@@ -197,6 +201,8 @@ class Finding:
     def change_text(self) -> str:
         """Describe the change, with the number of scenarios."""
         count, worse = len(self.ids), self.direction == "worse"
+        if self.test is not None and self.test.method == CRITICAL_SETS_METHOD:
+            return f"{'more' if worse else 'less'} of the space is critical, by {abs(self.test.shift):.1%} of it"
         if self.test is not None and not self.ids:
             return f"{self._describe_trend(worse)} among the space-filling scenarios"
         scenarios = f"{count} scenario{'' if count == 1 else 's'}"

@@ -9,9 +9,10 @@ from typing import Final
 import numpy as np
 
 from cornercase._common.typing import BoolArray, FloatArray
+from cornercase.evidence import SetDifference
 from cornercase.metrics import Metric
 from cornercase.suite._verdict import Verdict
-from cornercase.suite.compare._comparison import ChangeDirection, ChangeTest, ScenarioPair
+from cornercase.suite.compare._comparison import CRITICAL_SETS_METHOD, ChangeDirection, ChangeTest, ScenarioPair
 
 MIN_SAMPLE_SIZE: Final = 20
 """Smallest number of space-filling scenarios for estimates and tests."""
@@ -119,11 +120,13 @@ def test_unpaired_samples(
     scores: tuple[dict[str, FloatArray], dict[str, FloatArray]],
     facts: tuple[dict[str, BoolArray], dict[str, BoolArray]],
     metrics: Mapping[str, Metric],
+    sets: SetDifference | None,
 ) -> list[ChangeTest]:
     """Test whether scores and facts differ between two samples of the space, one per study, without pairs.
 
     `scores` maps metrics, and `facts` names, to arrays of shape (n,). Points of a Sobol' sequence are more even than
-    random points, so the tests are conservative. p-values are not corrected.
+    random points, so the tests are conservative. `sets`, the change of the critical set, tests the fact "critical"
+    instead: it uses all scenarios of both studies. p-values are not corrected.
 
     H. B. Mann, D. R. Whitney, "On a test of whether one of two random variables is stochastically larger than the
     other", Annals of Mathematical Statistics 18 (1947); R. A. Fisher, "The design of experiments" (1935).
@@ -142,6 +145,13 @@ def test_unpaired_samples(
         results.append(ChangeTest(name, "Mann-Whitney", len(old), len(new), None, p, p, direction, shift))
     for name, before in facts[0].items():
         after = facts[1][name]
+        if name == "critical" and sets is not None:
+            p, shift = sets.p, sets.change.value
+            direction = change_direction(None, shift)
+            results.append(
+                ChangeTest(name, CRITICAL_SETS_METHOD, len(before), len(after), None, p, p, direction, shift)
+            )
+            continue
         table = np.array([[facts_.sum(), (~facts_).sum()] for facts_ in (before, after)], dtype=np.int64)
         p, shift = float(fisher_exact(table).pvalue), float(after.mean() - before.mean())
         direction = change_direction(None, shift)
