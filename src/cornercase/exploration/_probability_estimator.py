@@ -248,6 +248,8 @@ class ProbabilityEstimator:
                 int(uncounted.has_collision.sum()),
             ),
         ]  # fmt: skip
+        if self._sampling.is_plain:
+            warnings.insert(0, _NO_DIRECTION)
         if note := _describe_uniform(self._study.meta.space):
             warnings.insert(0, note)
         if failed := int(all_outcomes.is_failed.sum()):
@@ -271,6 +273,12 @@ class ProbabilityEstimator:
             warnings=tuple(warnings),
             interrupted=interrupted,
         )
+
+
+_NO_DIRECTION: Final = (
+    "The scores take at most two values and do not show where critical scenarios are, so all scenarios were drawn from"
+    " the distributions themselves (plain Monte Carlo). A metric that varies tells more with as many."
+)
 
 
 def _describe_uniform(space: ParameterSpace) -> str:
